@@ -100,7 +100,7 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path
         ({"task": "set_tabel"}, "Did you mean 'set_table'"),
         ({"target": "024_bowl"}, "a target needs a subtask"),
         ({"episodes": 0}, "episodes must be at least 1, got 0"),
-        ({"policy": "zero", "style": ("speed=0.5",)}, "style is for the policy expert"),
+        ({"policy": "zero", "style": ("speed=0.5",)}, "only the policy expert has a style"),
         ({"policy": "nobody"}, "unknown policy 'nobody'"),
         ({"policy": object()}, "object has no reset and no act"),
         ({"policy": FakeEnv}, "FakeEnv has no act"),

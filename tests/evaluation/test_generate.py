@@ -126,7 +126,7 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
     built: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     for options, words in (
-        ({"per_target": 0}, "say when to stop"),
+        ({"per_target": 0}, "the number of episodes is missing"),
         ({"per_target": -1}, "per_target must be at least 0, got -1"),
         ({"episodes": 0}, "episodes must be at least 1, got 0"),
         ({"workers": -1}, "workers must be at least 0"),

@@ -114,11 +114,11 @@ def test_numbers_that_are_not_those_of_the_episodes_are_refused(
     content["digest"] = digest_of(content)
     edited = tmp_path / "sealed.json"
     edited.write_text(json.dumps(content))
-    with pytest.raises(UsageError, match="its numbers are not those of its episodes"):
+    with pytest.raises(UsageError, match="its numbers do not follow from its episodes"):
         read_result(edited)
     for text in ("", "[]", "{}", "[" * 100_000):
         edited.write_text(text)
-        with pytest.raises(UsageError, match="no result file"):
+        with pytest.raises(UsageError, match="not a result file"):
             read_result(edited)
 
 

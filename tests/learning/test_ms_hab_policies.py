@@ -210,7 +210,7 @@ def test_other_layouts_are_told_apart_by_their_keys(tmp_path: Path) -> None:
     dp = original.random_weights(CASES["dp"].shapes)
     narrow = {key: value[:60] if value.shape[0] == 64 else value for key, value in dp.items()}
     original.save(path, narrow)
-    refuse(path, "keys of MS-HAB's DP network, but its sizes do not go together")
+    refuse(path, "keys of MS-HAB's DP network, but inconsistent sizes")
     torch.save({"agent": {}, "step": 3}, path)
     refuse(path, "holds no parameters of a policy", "it holds agent, step")
 

@@ -1,1 +1,1 @@
-"""The ``mjhab`` command. Modules here import heavy libraries inside the commands, so that ``--help`` is quick."""
+"""The ``mjhab`` command. Its modules import heavy libraries inside the commands, so that ``--help`` is fast."""

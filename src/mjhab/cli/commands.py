@@ -96,5 +96,5 @@ RUNNERS: dict[type, tuple[str, str]] = {
     gpu.WarmupOptions: ("cli.machine.warmup", "run_warmup"),
     opt.DoctorOptions: ("cli.machine.doctor", "run_doctor"),
 }
-"""Module below ``mjhab`` and function that run a command, by its options or by those of its group; imported when it is
-asked for, so that --help is quick."""
+"""Module (below ``mjhab``) and function that run a command, by the class of its options or of its group. Modules are
+imported when the command runs, so that --help is fast."""

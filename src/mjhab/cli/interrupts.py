@@ -1,4 +1,4 @@
-"""What commands do about Ctrl-C and SIGTERM: finish what is being written, keep what is done."""
+"""Handling of Ctrl-C and SIGTERM in commands: running writes are completed, and finished results are kept."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 @contextmanager
 def stop_signals() -> Iterator[Any]:
-    """While it is open, SIGTERM and Ctrl-C only make the function it gives say True; a second Ctrl-C interrupts."""
+    """Within this context SIGTERM and Ctrl-C only make the yielded function return True; a second Ctrl-C interrupts."""
     seen: list[int] = []
 
     def note(number: int, frame: Any) -> None:
@@ -28,7 +28,7 @@ def stop_signals() -> Iterator[Any]:
 
 @contextmanager
 def sigterm_interrupts() -> Iterator[None]:
-    """While it is open, the first SIGTERM does what Ctrl-C does; later ones do not disturb what is being written."""
+    """Within this context, the first SIGTERM has the effect of Ctrl-C; later ones are ignored, so writes complete."""
     seen: list[int] = []
 
     def interrupt(number: int, frame: Any) -> None:

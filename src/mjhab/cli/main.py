@@ -16,7 +16,12 @@ import tyro
 from mjhab import register_all
 from mjhab.cli import commands
 from mjhab.cli.options.limits import check_limits
-from mjhab.cli.streams import described, drop_unwritable_stdout, make_streams_sturdy
+from mjhab.cli.streams import (
+    described,
+    drop_unwritable_stdout,
+    make_streams_sturdy,
+    show_own_warnings_plainly,
+)
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import reason
 from mjhab.core.memory_cache import set_memory_limit
@@ -24,7 +29,7 @@ from mjhab.core.version import __version__
 
 DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole-body control, on MuJoCo.
 
-A robot tidies furnished homes with real physics. Begin with `mjhab demo`; `mjhab doctor` tells what is installed."""
+A robot tidies furnished homes with real physics. Start with `mjhab demo`; `mjhab doctor` shows what is installed."""
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 OK = 0
@@ -32,21 +37,21 @@ FAILED = 1
 USAGE = 2
 INTERRUPTED = 130
 BROKEN_PIPE = 141
-"""As shells tell of a process that SIGPIPE ended."""
+"""Exit code of a process that SIGPIPE ended, as shells report it (128 + 13)."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line ``args`` (``sys.argv`` if None) and return the exit code.
 
-    0: done; 1: a command failed; 2: it was asked for something that cannot work; 130: Ctrl-C; 141: nobody reads what it
-    prints.
+    0: success; 1: the command failed; 2: the request is invalid; 130: Ctrl-C; 141: the reader of stdout has closed it.
     """
     make_streams_sturdy()
+    show_own_warnings_plainly()
     try:
         try:
             return run(parse(args))
         finally:
-            # What is left in the buffer is written here, where a closed pipe can be told from a fault.
+            # Flush here, where a closed pipe can be distinguished from other errors.
             sys.stdout.flush()
     except UsageError as error:
         return _end(USAGE, str(error))
@@ -55,7 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         return _end(FAILED, f"failed: not enough memory ({reason(error)}). Ask for less at a time.")
     except BrokenPipeError:
-        # Whoever read the output has enough of it, as in `mjhab homes list | head`.
+        # The reader has closed the pipe, as in `mjhab homes list | head`.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except OSError as error:
@@ -65,7 +70,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _end(code: int, message: str) -> int:
-    """Say why a command ended, where anybody can be told."""
+    """Print to stderr, if possible, why a command ended; returns ``code``."""
     with contextlib.suppress(OSError):
         print(f"mjhab: {message}", file=sys.stderr, flush=True)
     drop_unwritable_stdout()
@@ -73,7 +78,7 @@ def _end(code: int, message: str) -> int:
 
 
 def _code_of(error: OSError) -> int:
-    """Disks that are full or broken are failures; folders and files that cannot be used are wrong requests."""
+    """Exit code of an OSError: a full or broken disk is a failure; an unusable file or folder is an invalid request."""
     return FAILED if error.errno in DISK_ERRORS or error.filename is None else USAGE
 
 
@@ -93,7 +98,7 @@ def parse(args: Sequence[str] | None) -> Any:
 
 
 def with_pack_request(options: Any) -> Any:
-    """Options whose ``assets`` hold their ``articulate`` and ``stage_mesh``, too, as plain data of a `PackRequest`."""
+    """Merge ``articulate`` and ``stage_mesh`` of the options into ``assets``, as JSON data of a `PackRequest`."""
     if hasattr(options, "command"):
         return dataclasses.replace(options, command=with_pack_request(options.command))
     furniture = getattr(options, "articulate", None)
@@ -114,7 +119,7 @@ def run(command: Any) -> int:
     """Run a parsed command and return the exit code."""
     register_all()
     command = with_pack_request(command)
-    # In a group such as `homes`, the command chosen in it.
+    # In a group such as `homes`, ``command`` is the chosen subcommand.
     chosen = getattr(command, "command", command)
     check_limits(chosen)
     limit = getattr(chosen, "cache_mb", None)

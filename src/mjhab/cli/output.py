@@ -1,4 +1,4 @@
-"""How commands talk: tables for people, one line of JSON for machines."""
+"""Output of commands: tables for people, one line of JSON for machines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rich.text import Text
 from mjhab.core.errors import UsageError
 
 PIPED_WIDTH = 10_000
-"""Columns of what is not a terminal: more than any table has."""
+"""Width of output that does not go to a terminal [characters]; wider than any table."""
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -23,9 +23,9 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table on stdout; numbers stand on the right.
+    """Print a table on stdout; numbers are right-aligned.
 
-    In a terminal cells wrap, so that nothing is cut off; elsewhere a row is a line, as wide as its content.
+    In a terminal cells wrap, so that nothing is cut off; otherwise every row is one line, as wide as its content.
     """
     rows = [list(row) for row in rows]
     table = Table(title=title, title_justify="left", title_style="bold")
@@ -43,7 +43,7 @@ def at_least(option: str, value: float, least: float) -> None:
     """Refuse a number below ``least``.
 
     Raises:
-        UsageError: it is below.
+        UsageError: the number is too small.
     """
     if value < least:
         raise UsageError(f"--{option} must be at least {least}, got {value}.")

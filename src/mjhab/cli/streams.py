@@ -1,16 +1,19 @@
-"""What commands print to: terminals that know ASCII only, pipes that are closed, disks that are full."""
+"""Robust output streams: terminals limited to ASCII, closed pipes, full disks."""
 
 from __future__ import annotations
 
 import io
 import os
 import sys
+import warnings
+from typing import TextIO
 
 from mjhab.core.files.reading import reason
+from mjhab.core.registration.plugins import PluginWarning
 
 
 def make_streams_sturdy() -> None:
-    """Print what a stream cannot encode as escapes, and nothing where a stream was closed."""
+    """Make streams escape characters that they cannot encode, and replace closed streams by null devices."""
     sys.stdout = sys.stdout or io.StringIO()
     sys.stderr = sys.stderr or io.StringIO()
     for stream in (sys.stdout, sys.stderr):
@@ -18,8 +21,28 @@ def make_streams_sturdy() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+def show_own_warnings_plainly() -> None:
+    """Print warnings of mjhab as one line on stderr, without the place in its source that Python adds."""
+    usual = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, PluginWarning):
+            print(message, file=file or sys.stderr)
+        else:
+            usual(message, category, filename, lineno, file, line)
+
+    warnings.showwarning = show
+
+
 def drop_unwritable_stdout() -> None:
-    """Send what is still to be printed nowhere if stdout cannot be written, so that the interpreter ends quietly."""
+    """If stdout cannot be written, discard its buffered output, so that the interpreter exits without an error."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
@@ -28,7 +51,7 @@ def drop_unwritable_stdout() -> None:
 
 
 def described(error: OSError) -> str:
-    """What the system refused, in words."""
+    """Describe an OSError for the user."""
     if error.filename is None:
         return f"cannot write the output ({reason(error)})."
     return f"{error.filename} cannot be used ({reason(error)})."

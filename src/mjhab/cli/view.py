@@ -1,4 +1,4 @@
-"""``mjhab view``: recorded episodes and running worlds in the browser, or an episode as one page."""
+"""``mjhab view``: view recorded episodes and running worlds in the browser, or write an episode as one page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def run_view(options: ViewOptions) -> int:
-    """Run the command; returns 0. A served page lasts until Ctrl-C or SIGTERM."""
+    """Run the command; returns 0. A page is served until Ctrl-C or SIGTERM."""
     at_least("worlds", options.worlds, 1)
     at_least("episode", options.episode, 0)
     _check_choice(options)

@@ -394,7 +394,7 @@ class TaskLoop(VectorEnv, ABC):
         return self._keyed(obs), reward, terminated, truncated, self._info(told) | final
 
     def link_state(self) -> Array:
-        """(W, 4) of the link of the active subtask, see `Sensing.link_state`: no observation shows it."""
+        """(W, 5) of the link of the active subtask, see `Sensing.link_state`: no observation shows it."""
         return self.sensing.link_state(self.state, self.focus)
 
     def info(self) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""Policies by name, and their evaluation: where environment, policy, rollout loop and report come together."""
+"""Policies by name, their evaluation, and the generation of data sets with them."""

@@ -1,4 +1,4 @@
-"""Evaluation: run a policy in episodes that its name, seed and index fix, and keep what happened in a run folder.
+"""Evaluation: run a policy in reproducible episodes and store the results in a run folder.
 
 `evaluate` is `mjhab.evaluate`; ``mjhab eval`` and training call `run_evaluation`. Both do the same.
 """
@@ -49,35 +49,35 @@ if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
 PolicyLike = str | Policy | Callable[..., Policy]
-"""A specification for `resolve_policy`, a policy, or what makes one: a class or function of the environment or nothing.
-"""
+"""A specification for `resolve_policy`, a policy object, or a class or function that makes one."""
 Spec = TypeVar("Spec")
-"""Specification of an evaluation, or of what is made like one."""
+"""`EvalSpec`, or another dataclass of options that is used like it."""
 FILM_QUALITY = 27
-"""x264 rate factor: a film of a whole chain stays at a few MB, since the report carries it."""
+"""x264 constant rate factor. The film of a whole chain takes a few MB, because the report embeds it."""
 NOT_IN_CONFIG = frozenset({"policy", "style", "env", "out", "resume", "overwrite", "alone"})
-"""Fields of `EvalSpec` that a run's configuration holds in another form, or not at all."""
+"""Fields of `EvalSpec` that a run's configuration stores in another form, or not at all."""
 FIXED_ENV_OPTIONS = frozenset({"num_envs", "autoreset", "backend", "device", "starts", "buffers"})
-"""Options of the environment that an evaluation sets itself."""
+"""Environment options that an evaluation sets itself."""
 
 
 @dataclass(frozen=True)
 class EvalSpec:
-    """What to evaluate, where, and where the results go.
+    """An evaluation: policy, episodes, environment options, and run folder.
 
-    policy: see `PolicyLike`. style: how the expert acts, see `Styles.parse`.
-    task, subtask, target: the whole task, or one subtask (about one object or link) from spawned starts; None for all.
-    episodes: those with index 0 to N-1; the same index is the same episode for every policy. worlds: how many run at
-    the same time. seed: of the run; with the index it fixes the episode.
+    policy: see `PolicyLike`. style: style options of the expert, see `Styles.parse`.
+    task: the household task. subtask: evaluate only this subtask, from spawned start states; None evaluates the whole
+    task. target: only this object or furniture link of the subtask; None for all.
+    episodes: number of episodes, with indices 0 to N-1. worlds: number of parallel worlds. seed: of the run. Seed and
+    index determine an episode, so it is the same for every policy.
     split, home, assets, episodes_file, spawns, navigate, threads: as in `EnvConfig`; None for "".
-    env: further fields of `EnvConfig`, e.g. ``{"obs_mode": "depth", "camera_size": 64}``; they go before what the
-    policy asks for by its ``env_options``.
-    films: the first N episodes are filmed. out: the run folder; `default_out` names one if None. resume: run what has
-    no record there yet. overwrite: start again. alone: folders of runs of single subtasks, whose success rates give
-    the upper bound of progressive completion.
+    env: further fields of `EnvConfig`, e.g. ``{"obs_mode": "depth", "camera_size": 64}``; they take precedence over
+    the policy's ``env_options``.
+    films: number of episodes to film, from the first on. out: the run folder; None takes `default_out`. resume: run
+    only the episodes without a record in ``out``. overwrite: replace an existing run. alone: folders of runs of single
+    subtasks, whose success rates give the upper bound of progressive completion.
 
     Raises:
-        UsageError: an unknown name, a number out of range, or options that exclude each other.
+        UsageError: a name is unknown, a number out of range, or options exclude each other.
     """
 
     policy: PolicyLike = "expert"
@@ -114,7 +114,7 @@ class EvalSpec:
             if given is not None and given not in valid:
                 raise unknown_name(kind, given, valid)
         if self.style and self.policy != "expert":
-            raise UsageError("a style is for the policy expert; other policies have none.")
+            raise UsageError("only the policy expert has a style.")
         Styles.parse(self.style)
         if self.target and not self.subtask:
             raise UsageError("a target needs a subtask: a whole task has its targets in its plan.")
@@ -137,10 +137,10 @@ class EvalSpec:
 
 @dataclass(frozen=True)
 class Run:
-    """What an evaluation left.
+    """Results of an evaluation.
 
-    path: the run folder. config: what the run resolved to, as in config.json. records: finished episodes, of this
-    start and of earlier ones, by index. summary: see `metrics.summarize`. film_problem: why films are missing, or None.
+    path: the run folder. config: the resolved configuration, as in config.json. records: of all finished episodes in
+    the folder, sorted by index. summary: see `metrics.summarize`. film_problem: why films are missing, or None.
     """
 
     path: Path
@@ -151,7 +151,7 @@ class Run:
 
     @property
     def report(self) -> Path:
-        """The page to look at."""
+        """Path of the HTML report."""
         return self.path / REPORT
 
 
@@ -164,7 +164,7 @@ class EvaluationInterrupted(KeyboardInterrupt):
 
 
 def evaluate(policy: PolicyLike = "expert", **options: Any) -> Run:
-    """Evaluate a policy; leaves a run folder with records, numbers, films and a report, as ``mjhab eval`` does.
+    """Evaluate a policy and write a run folder with records, summary, films and a report, as ``mjhab eval`` does.
 
     For instance ``mjhab.evaluate(MyPolicy, subtask="pick", episodes=50, obs_mode="depth", out="runs/mine")``.
 
@@ -177,18 +177,18 @@ def evaluate(policy: PolicyLike = "expert", **options: Any) -> Run:
         The run: ``run.summary["success_once"]``, ``run.records``, ``run.report``.
 
     Raises:
-        UsageError: an option is unknown or cannot work, or the run folder holds something else.
-        EvaluationInterrupted: Ctrl-C; what was finished is kept.
+        UsageError: an option is unknown or invalid, or the run folder holds another run.
+        EvaluationInterrupted: Ctrl-C was pressed; finished episodes are kept.
     """
     return run_evaluation(spec_of_options(EvalSpec, {"policy": policy, **options}))
 
 
 def spec_of_options(spec_type: type[Spec], options: Mapping[str, Any]) -> Spec:
-    """Make a specification of options in which its own fields and those of `EnvConfig` stand side by side.
+    """Build a specification from options that mix its own fields and those of `EnvConfig`.
 
     Args:
-        spec_type: a dataclass with the fields ``env``, for the options that are no field of its own, and ``out``.
-        options: by name; ``out`` may be a text.
+        spec_type: a dataclass with a field ``out`` and a field ``env``, which takes the options that are not its own.
+        options: by name; ``out`` may be a string.
 
     Raises:
         UsageError: see the dataclass.
@@ -204,15 +204,15 @@ def spec_of_options(spec_type: type[Spec], options: Mapping[str, Any]) -> Spec:
 
 
 def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
-    """Run what is missing of an evaluation, and write summary and report.
+    """Run the missing episodes of an evaluation, and write summary and report.
 
     Args:
-        spec: what, and where to.
+        spec: the evaluation.
         sinks: further listeners of the rollout.
 
     Raises:
         UsageError: see `evaluate`.
-        EvaluationInterrupted: Ctrl-C; summary and report are written before it is raised.
+        EvaluationInterrupted: Ctrl-C was pressed; summary and report are written before it is raised.
     """
     facts = describe_policy(spec.policy)
     config = resolved_config(spec, facts)
@@ -251,7 +251,7 @@ def _run(
             policy,
             folder.missing(spec.episodes),
             spec.seed,
-            # The record comes last: what has one is finished in all other sinks, too.
+            # StoreSink comes last: an episode with a record is complete in all other sinks, too.
             [films, *sinks, StoreSink(folder)],
         )
     except KeyboardInterrupt:
@@ -265,14 +265,14 @@ def _run(
 
 
 def close_policy(policy: Policy | None) -> None:
-    """Let a policy free what it holds, if it has a method for that: ``close``, without arguments."""
+    """Call the policy's method ``close()``, if it has one, to free its resources."""
     close = getattr(policy, "close", None)
     if callable(close):
         close()
 
 
 def latency(policy: Policy) -> dict[str, float] | None:
-    """Median and 99th percentile of the duration of a policy's requests [ms]; None if it made or measures none."""
+    """Median and 99th percentile of the duration of a policy's requests [ms]; None if it measured none."""
     if not isinstance(policy, Timed) or not policy.latency_ms:
         return None
     p50, p99 = np.percentile(policy.latency_ms, [50, 99])
@@ -280,7 +280,7 @@ def latency(policy: Policy) -> dict[str, float] | None:
 
 
 def describe_policy(policy: PolicyLike) -> PolicyFacts:
-    """What is known of a policy before its environment is built.
+    """Describe a policy before its environment is built.
 
     Raises:
         UsageError: there is no such policy, or it lacks a method.
@@ -290,7 +290,7 @@ def describe_policy(policy: PolicyLike) -> PolicyFacts:
     called = getattr(policy, "__name__", type(policy).__name__)
     name = getattr(policy, "name", None)
     if not isinstance(name, str):
-        # On a class it may be a property, and a function that makes a policy has none.
+        # On a class, name may be a property; a function that makes a policy has no name attribute.
         name = called
     if isinstance(policy, type) or not callable(policy):
         check_methods(policy, called)
@@ -301,7 +301,7 @@ def make_policy(spec: EvalSpec, env: RolloutEnv) -> Policy:
     """Build the policy of an evaluation.
 
     Raises:
-        UsageError: it lacks a part of the Policy protocol, or cannot act in this environment.
+        UsageError: the policy lacks a part of the Policy protocol, or cannot act in this environment.
     """
     policy = spec.policy
     if isinstance(policy, str):
@@ -313,17 +313,17 @@ def make_policy(spec: EvalSpec, env: RolloutEnv) -> Policy:
 
 
 def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
-    """Further options of the environment: what the policy needs, and before that what the user asks for.
+    """Further environment options: those that the policy needs, overridden by those of the user.
 
     Raises:
-        UsageError: the policy asks for an option that does not exist.
+        UsageError: the policy names an option that does not exist.
     """
     check_env_options(facts.env_options)
     return {**facts.env_options, **spec.env}
 
 
 def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
-    """Build the environment of an evaluation, with further ``options``; no more worlds than episodes."""
+    """Build the environment of an evaluation with further ``options``; it has at most as many worlds as episodes."""
     from mjhab.envs import make
 
     return make(
@@ -345,7 +345,7 @@ def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
 
 
 def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
-    """Everything that decides what happens in the episodes, with the versions that simulate them; plain JSON data."""
+    """Everything that determines the episodes, including the versions of mjhab and MuJoCo, as JSON data."""
     chosen: dict[str, Any] = {"policy": facts.name, **facts.identity}
     for f in dataclasses.fields(spec):
         if f.name not in NOT_IN_CONFIG:
@@ -361,23 +361,23 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     if spec.spawns:
         from mjhab.episodes.spawn_sets import SpawnSet
 
-        # A path says little: what the set holds and its hash are what fixes the episodes.
+        # The content and hash of the set determine the episodes, not its path.
         chosen["spawns"] = SpawnSet.read(Path(spec.spawns)).describe()
     return {**chosen, "mjhab": __version__, "mujoco": version("mujoco")}
 
 
 def default_out(spec: EvalSpec, policy: str) -> Path:
-    """The folder used when none is given. ``policy``: its name."""
+    """Default run folder; ``policy`` is the policy's name."""
     driven = "drive" if spec.navigate == "drive" and not spec.subtask else None
     words = (spec.task, spec.subtask, spec.target, driven, policy, f"seed{spec.seed}")
     return Path("runs") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words if word)
 
 
 def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
-    """Read the success rates of single-subtask runs.
+    """Success rates by (subtask, target kind) from runs of single subtasks.
 
     Raises:
-        UsageError: a folder holds no run, or none of a single subtask.
+        UsageError: a folder holds no run of a single subtask.
     """
     records: list[EpisodeRecord] = []
     for folder in folders:
@@ -413,15 +413,15 @@ def finish(
 def check_env_options(
     options: Mapping[str, Any], spec: type[Any] = EvalSpec, what: str = "an evaluation"
 ) -> None:
-    """Refuse options of the environment that do not exist, or that a specification sets by a field of its own.
+    """Refuse environment options that do not exist, or for which the specification has a field of its own.
 
     Args:
         options: by name.
-        spec: dataclass of the specification, `EvalSpec` or one that is turned into it.
-        what: what it specifies, for the message.
+        spec: dataclass of the specification: `EvalSpec`, or one that is converted to it.
+        what: name of the specified thing, for the message.
 
     Raises:
-        UsageError: there is one.
+        UsageError: an option is not allowed.
     """
     spec_fields = {f.name for f in dataclasses.fields(spec)}
     evaluated = {f.name for f in dataclasses.fields(EvalSpec)}

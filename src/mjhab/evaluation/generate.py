@@ -47,9 +47,9 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 
 NO_IMAGES = "none"
 TRIES_PER_EPISODE = 20
-"""Episodes that are tried per episode to keep where ``episodes`` is not given."""
+"""Number of episodes tried per episode to keep, if ``episodes`` is not given."""
 MAX_TARGETS = 10
-"""No task has more kinds of objects."""
+"""Upper bound on the number of object types of a task."""
 NOT_IN_CONFIG = frozenset(
     {
         "out",
@@ -69,39 +69,37 @@ NOT_IN_CONFIG = frozenset(
         "until",
     }
 )
-"""Fields of `GenerateSpec` that a data set's configuration holds in another form, or not at all."""
+"""Fields of `GenerateSpec` that a data set's configuration stores in another form, or not at all."""
 
 
 @dataclass(frozen=True)
 class GenerateSpec:
-    """What to record, which episodes to keep, and where the data set goes.
+    """A data set to generate: policy, episodes, content, and folder.
 
     out: folder of the shards.
     policy, style, task, subtask, target, seed, split, home, assets: as in `EvalSpec`.
-    navigate: as in `EvalSpec`; None lets the policy drive in whole tasks: a data set should hold what a robot does.
-    until: "success+N" ends an episode of one subtask N control steps after its first success, or after too much force;
-    "" goes on to the horizon. Whole tasks end with their success.
-    env: further fields of `EnvConfig`, e.g. ``{"profile": "ms_hab"}``; they go before what the policy asks for by its
+    navigate: as in `EvalSpec`; None lets the policy drive the robot in whole tasks instead of teleporting it.
+    until: "success+N" ends an episode of a single subtask N control steps after its first success, or when it exceeds
+    the force limit; "" continues to the horizon. Whole tasks end with their success.
+    env: further fields of `EnvConfig`, e.g. ``{"profile": "ms_hab"}``; they take precedence over the policy's
     ``env_options``.
-    per_target, per_label: episodes to keep of every target, and of every label of every target; 0 for no limit. Whole
-    tasks and Navigate have one target. episodes: those with index 0 to N-1 are tried; None tries TRIES_PER_EPISODE
-    times as many as are to be kept, and needs ``per_target``.
-    keep, preset: filter of the episodes to keep, and the name of one (see `query.PRESETS`); both must hold, None keeps
-    all.
-    states: store positions and velocities; without them nothing can be rendered later. images: camera images to
-    store, "depth", "rgb", "rgbd", "seg" or several joined by "+"; "none" for none. cameras, camera_size: of which
-    cameras (all of the robot if None), and how large (one number, or height and width) [px]. rgb: format of
-    colour, "png" or "jpeg".
-    reward_mode: reward to store, "" for that of an evaluation.
-    worlds: episodes that a worker runs at the same time. workers: processes to start (a script then needs
-    ``if __name__ == "__main__":``); 0 for this process. threads: of the physics of each worker, 0 divides the cores
-    among them. ray: address of a Ray cluster whose actors are the workers, "local" to start one here. None of these
-    changes the results.
-    resume: go on with the data set in ``out``; numbers of episodes, worlds, workers and threads may differ.
+    per_target, per_label: number of episodes to keep per target, and per label of a target; 0 for no limit. Whole
+    tasks and Navigate count as one target. episodes: number of episodes to try, with indices 0 to N-1; None tries
+    TRIES_PER_EPISODE times as many as are to be kept, and needs ``per_target``.
+    keep, preset: filter of the episodes to keep, and name of a predefined one (see `query.PRESETS`); an episode must
+    pass both. None keeps all.
+    states: store positions and velocities; without them images cannot be rendered later. images: camera images to
+    store, "depth", "rgb", "rgbd", "seg" or several joined by "+"; "none" for none. cameras: their names, None for all
+    cameras of the robot. camera_size: side, or height and width [px]. rgb: format of colour images, "png" or "jpeg".
+    reward_mode: reward to store; "" takes that of an evaluation.
+    worlds: parallel episodes per worker. workers: number of processes to start (a script then needs
+    ``if __name__ == "__main__":``); 0 runs in this process. threads: of the physics in each worker, 0 divides the
+    cores among the workers. ray: address of a Ray cluster whose actors are the workers, "local" to start one here.
+    None of these four changes the results.
+    resume: continue the data set in ``out``; episodes, worlds, workers and threads may differ from before.
 
     Raises:
-        UsageError: an unknown name, a number out of range, a filter that cannot be understood, options that exclude
-            each other.
+        UsageError: a name is unknown, a number out of range, a filter invalid, or options exclude each other.
     """
 
     out: Path
@@ -141,7 +139,7 @@ class GenerateSpec:
                 self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
             )
         if self.navigate is None:
-            # Nobody navigates in a subtask alone but by driving: the option keeps the value it has in older sets.
+            # A single subtask ignores this option; it keeps the value that older data sets have.
             object.__setattr__(self, "navigate", "teleport" if self.subtask else "drive")
         Until.parse(self.until)
         check_env_options(self.env, GenerateSpec, "a data set")
@@ -154,7 +152,8 @@ class GenerateSpec:
                 raise UsageError(f"{name} must be at least 0, got {value}.")
         if self.episodes is None and not self.per_target:
             raise UsageError(
-                "say when to stop: per_target keeps so many episodes of every target, episodes tries so many."
+                "the number of episodes is missing: give per_target (episodes to keep per target) or episodes "
+                "(episodes to try)."
             )
         self.as_evaluation()
         self.filter()
@@ -171,7 +170,7 @@ class GenerateSpec:
 
     @property
     def max_tries(self) -> int:
-        """Number of episodes that are tried at most."""
+        """Largest number of episodes to try."""
         if self.episodes is not None:
             return self.episodes
         return TRIES_PER_EPISODE * MAX_TARGETS * self.per_target
@@ -181,7 +180,7 @@ class GenerateSpec:
         return read_filter(self.keep, self.preset)
 
     def as_evaluation(self) -> EvalSpec:
-        """The evaluation that runs the same episodes with the same policy."""
+        """The `EvalSpec` of the same episodes with the same policy."""
         return EvalSpec(
             policy=self.policy,
             style=self.style,
@@ -202,10 +201,10 @@ class GenerateSpec:
 
 @dataclass(frozen=True)
 class GeneratedData:
-    """What a generation left.
+    """A generated data set.
 
-    path: folder of the shards. config: what the data set resolved to, as in generation.json. standing: how many
-    episodes were written, tried and kept. seconds: wall time of this run [s].
+    path: folder of the shards. config: the resolved configuration, as in generation.json. standing: numbers of
+    episodes written, tried and kept. seconds: wall time of this run [s].
     """
 
     path: Path
@@ -215,12 +214,12 @@ class GeneratedData:
 
     @property
     def is_short(self) -> bool:
-        """Whether fewer episodes passed than the quotas ask for."""
+        """Whether fewer episodes were kept than the quotas ask for."""
         return self.standing.kept < self.standing.wanted
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Counts as plain JSON data; ``written`` and ``episodes_per_hour`` are of this run, the others in all."""
+        """Counts as JSON data; ``written`` and ``episodes_per_hour`` are those of this run, the others totals."""
         done = self.standing
         return {
             "written": done.written,
@@ -239,7 +238,7 @@ class GeneratedData:
 
 
 def generate(policy: PolicyLike = "expert", *, out: Path | str, **options: Any) -> GeneratedData:
-    """Record the episodes of a policy; leaves a folder of shards, as ``mjhab generate`` does.
+    """Record the episodes of a policy in a folder of shards, as ``mjhab generate`` does.
 
     >>> import mjhab
     >>> made = mjhab.generate("zero", subtask="close", episodes=1, horizon=5, out="runs/close")
@@ -259,10 +258,10 @@ def generate(policy: PolicyLike = "expert", *, out: Path | str, **options: Any) 
         The data set: ``made.summary``, ``made.episodes()``, ``made.path``.
 
     Raises:
-        UsageError: an option is unknown or cannot work, or the folder holds something else.
-        StorageError: the disk is full; the same call with ``resume=True`` goes on.
+        UsageError: an option is unknown or invalid, or the folder holds other data.
+        StorageError: the disk is full; the same call with ``resume=True`` continues.
         MjhabError: a worker failed.
-        KeyboardInterrupt: Ctrl-C; finished episodes are kept, and ``resume=True`` goes on.
+        KeyboardInterrupt: Ctrl-C was pressed; finished episodes are kept, and ``resume=True`` continues.
     """
     return run_generation(spec_of_options(GenerateSpec, {"policy": policy, "out": out, **options}))
 
@@ -272,13 +271,13 @@ def run_generation(
     tell: Callable[[Standing], object] = bool,
     stopped: Callable[[], bool] = bool,
 ) -> GeneratedData:
-    """Record what is missing of a data set. Which episodes are kept depends neither on workers nor on interruptions.
+    """Record the missing episodes of a data set. The kept episodes depend neither on workers nor on interruptions.
 
     Args:
-        spec: what, and where to.
-        tell: called with the counts when they have changed.
-        stopped: asked several times a second (of ``workers=0``: between batches of episodes); when it returns True
-            the workers stop, finished episodes are kept and ``standing.complete`` is False.
+        spec: the data set.
+        tell: called with the counts whenever they change.
+        stopped: called several times per second (with ``workers=0``: between batches of episodes). When it returns
+            True the workers stop, finished episodes are kept, and ``standing.complete`` is False.
 
     Raises:
         UsageError, StorageError, MjhabError: see `generate`.
@@ -291,10 +290,10 @@ def run_generation(
 
 
 def make_job(spec: GenerateSpec) -> Job:
-    """Turn a request into the job of its workers.
+    """Convert a specification to the job for the workers.
 
     Raises:
-        UsageError: there is no such policy, it cannot be sent to workers, or it needs options that contradict others.
+        UsageError: there is no such policy, it cannot be sent to workers, or its options contradict others.
     """
     facts = describe_policy(spec.policy)
     if spec.workers and not spec.ray:
@@ -309,7 +308,7 @@ def make_job(spec: GenerateSpec) -> Job:
         states=spec.states,
         images=ImageFormat(spec.rgb) if spec.stores_images else None,
     )
-    # Episodes of one subtask all last to the horizon: one per world leaves no world idle. Chains end when they end.
+    # Episodes of one subtask all last to the horizon, so one per world leaves no world idle. Chains differ in length.
     chunk = spec.worlds if spec.subtask else 2 * spec.worlds
     return Job(
         spec=worker,
@@ -324,7 +323,7 @@ def make_job(spec: GenerateSpec) -> Job:
 
 
 def make_crew(workers: int, ray: str | None = None) -> Crew:
-    """Make a crew of so many workers: processes, actors of the Ray cluster at ``ray``, or, if 0, this process.
+    """Make a crew of workers: actors of the Ray cluster at ``ray``, processes, or, for 0 workers, this process.
 
     Raises:
         UsageError: Ray is not installed, or the cluster cannot be reached.
@@ -351,7 +350,7 @@ def build_stage(spec: GenerateSpec) -> Stage:
 
 
 def about_policy(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
-    """What is recorded of the policy: all that decides how it acts, as plain JSON data."""
+    """Description of the policy in the data set: everything that determines its actions, as JSON data."""
     about: dict[str, Any] = {"name": facts.name, **facts.identity}
     if facts.env_options:
         about["env_options"] = dict(facts.env_options)
@@ -363,10 +362,10 @@ def about_policy(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
 
 
 def recorded_env_options(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
-    """Further options of the environment that the user, the policy, or the images to store ask for.
+    """Further environment options that the user, the policy, or the images to store require.
 
     Raises:
-        UsageError: the policy asks for an option that does not exist, or sees other images than those to store.
+        UsageError: the policy names an option that does not exist, or needs other images than those to store.
     """
     needed = env_options(spec.as_evaluation(), facts)
     until = Until.parse(spec.until)
@@ -387,18 +386,18 @@ def recorded_env_options(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, An
     for name in ("cameras", "camera_size"):
         if sees and name in needed and needed[name] != stored[name]:
             raise UsageError(
-                f"the policy {facts.name} sees images with {name} = {needed[name]!r}, but {stored[name]!r} is asked "
-                f"for. Store those that it sees, or leave out images: `mjhab replay --render` draws any others later."
+                f"the policy {facts.name} needs images with {name} = {needed[name]!r}, but {stored[name]!r} is to be "
+                f"stored. Store what the policy needs, or no images: `mjhab replay --render` renders others later."
             )
     return {**needed, **stored}
 
 
 def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
-    """Everything that decides which episodes are made and what is stored of them; plain JSON data.
+    """Everything that determines the episodes and their stored content, as JSON data.
 
     Raises:
-        UsageError: see `recorded_env_options`; an option of the environment has an unknown value, or one that
-            contradicts the profile.
+        UsageError: see `recorded_env_options`; or an environment option has an unknown value or contradicts the
+            profile.
     """
     config = {
         f.name: getattr(spec, f.name)
@@ -406,7 +405,7 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
         if f.name not in NOT_IN_CONFIG
     }
     config |= {"no_states": not spec.states, "reward": spec.reward_mode}
-    # Without a style nothing is said of it: data sets that are older than styles can be resumed.
+    # Without a style the key is left out, so that data sets older than styles can be resumed.
     if spec.until:
         config["until"] = Until.parse(spec.until).text
     if spec.style:
@@ -420,15 +419,15 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
 
 
 def _check_sendable(policy: PolicyLike, name: str) -> None:
-    """Refuse a policy that worker processes could not be given.
+    """Refuse a policy that cannot be sent to worker processes.
 
     Raises:
-        UsageError: it cannot be pickled.
+        UsageError: the policy cannot be pickled.
     """
     try:
         pickle.dumps(policy)
     except Exception as error:
         raise UsageError(
             f"the policy {name} cannot be sent to worker processes ({error}); give FILE.py:CLASS or a class at the top "
-            "level of a module, or workers=0 to make the episodes in this process."
+            "level of a module, or workers=0 to record the episodes in this process."
         ) from error

@@ -1,4 +1,4 @@
-"""The policies that have a name: expert, random and zero. See `resolve.PolicyModule`."""
+"""The predefined policies expert, random and zero. See `resolve.PolicyModule`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mjhab.tasks.style import Styles
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
-    """Name the policy; it is told from others by its name and by the version of mjhab."""
+    """Describe the policy; its name and the version of mjhab identify it."""
     return PolicyFacts(spec)
 
 
@@ -19,15 +19,15 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """Build the policy.
 
     Raises:
-        UsageError: a style for a policy that has none, or an environment with other actions than the expert's.
+        UsageError: ``options`` sets a style for a policy without one, or the expert cannot act in this environment.
     """
     if spec != "expert" and options.style:
-        raise UsageError(f"a style is for the policy expert; {spec} has none.")
+        raise UsageError(f"only the policy expert has a style; {spec} has none.")
     if spec == "zero":
         return ZeroPolicy()
     if spec == "random":
         return RandomPolicy(options.seed)
     from mjhab.experts import make_expert
 
-    # Experts read privileged state, which only the environments of mjhab have.
+    # Experts read privileged state, which only mjhab's environments provide.
     return make_expert(cast(Any, env), Styles.parse(options.style) if options.style else None)

@@ -1,4 +1,4 @@
-"""Policies that users write: a class, a function that makes one, or an object."""
+"""Policies written by users: a class, a function that makes a policy, or an object."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ METHODS = ("reset", "act")
 
 
 def construct_policy(factory: Callable[..., Policy], env: RolloutEnv) -> Policy:
-    """Call a class, or another function that gives a policy, with the environment if it has a parameter for it.
+    """Call a class or function that makes a policy; the environment is passed if it has a parameter for it.
 
     Raises:
-        UsageError: it needs more than an environment, or what it gives lacks a part of the Policy protocol.
+        UsageError: it needs more arguments, or its result lacks a part of the Policy protocol.
     """
     name = getattr(factory, "__name__", repr(factory))
     parameters = [
@@ -28,8 +28,8 @@ def construct_policy(factory: Callable[..., Policy], env: RolloutEnv) -> Policy:
     required = [parameter for parameter in parameters if parameter.default is parameter.empty]
     if len(required) > 1:
         raise UsageError(
-            f"{name} needs {len(required)} arguments ({', '.join(p.name for p in required)}); a policy is made with "
-            "the environment alone, or with nothing. Give the others default values."
+            f"{name} needs {len(required)} arguments ({', '.join(p.name for p in required)}), but it is called with "
+            "the environment or without arguments. Give the others default values."
         )
     takes_env = bool(required) or (bool(parameters) and parameters[0].name == "env")
     policy = factory(env) if takes_env else factory()
@@ -38,7 +38,7 @@ def construct_policy(factory: Callable[..., Policy], env: RolloutEnv) -> Policy:
 
 
 def check_policy(policy: Any, called: str) -> None:
-    """Refuse what does not speak the Policy protocol.
+    """Refuse an object that does not implement the Policy protocol.
 
     Raises:
         UsageError: a method or the name is missing.
@@ -49,7 +49,7 @@ def check_policy(policy: Any, called: str) -> None:
 
 
 def env_options_of(policy: Any) -> Mapping[str, Any]:
-    """Options of the environment that a policy, or its class, says it needs.
+    """Environment options that a policy, or its class, declares in ``env_options``.
 
     Raises:
         UsageError: ``env_options`` is not a mapping.
@@ -63,6 +63,11 @@ def env_options_of(policy: Any) -> Mapping[str, Any]:
 
 
 def check_methods(policy: Any, called: str) -> None:
+    """Refuse a policy, or a class of policies, without the methods of the Policy protocol.
+
+    Raises:
+        UsageError: a method is missing.
+    """
     lacking = [method for method in METHODS if not callable(getattr(policy, method, None))]
     if lacking:
         raise UsageError(

@@ -1,8 +1,8 @@
 """Policies in a file of the user: ``FILE.py:CLASS``. See `resolve.PolicyModule`.
 
-The class has ``name``, ``reset`` and ``act`` of the `Policy` protocol. A constructor with a parameter is called with
-the vector environment, one without is called with nothing. A class attribute ``env_options`` names the options of the
-environment that the policy needs, e.g. ``{"obs_mode": "depth"}``.
+The class has ``name``, ``reset`` and ``act`` of the `Policy` protocol. If its constructor has a parameter, it gets the
+vector environment. The class attribute ``env_options`` holds the environment options that the policy needs, e.g.
+``{"obs_mode": "depth"}``.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from mjhab.rollout.policy import Policy, RolloutEnv
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
-    """Load the file and describe the class; the hash of the file tells one version of it from another.
+    """Load the file and describe the class; the hash of the file identifies its version.
 
     Raises:
-        UsageError: the file is missing or fails when it is imported; it has no such class; the class lacks a method.
+        UsageError: the file is missing or raises on import; it has no such class; or the class lacks a method.
     """
     path, _ = _split(spec)
     policy_class = _load_class(spec)
@@ -35,18 +35,18 @@ def inspect_policy(spec: str) -> PolicyFacts:
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-    """Make an object of the class.
+    """Instantiate the class.
 
     Raises:
-        UsageError: as `inspect_policy`; or a style was asked for; or the constructor takes something else.
+        UsageError: as `inspect_policy`; or ``options`` sets a style; or the constructor has other parameters.
     """
     if options.style:
-        raise UsageError(f"a style is for the policy expert; {spec} has none.")
+        raise UsageError(f"only the policy expert has a style; {spec} has none.")
     return construct_policy(_load_class(spec), env)
 
 
 def _split(spec: str) -> tuple[Path, str]:
-    """The file and the name of the class, "" if there is none."""
+    """Split into the file and the name of the class, "" without a name."""
     head, colon, name = spec.rpartition(":")
     if not colon or name.endswith(".py"):
         return Path(spec), ""
@@ -76,10 +76,10 @@ def _load_class(spec: str) -> type:
 
 
 def _load_module(path: Path) -> ModuleType:
-    """Import a file as ``python FILE`` would, with its folder on the path; once per content.
+    """Import a file, with its folder on sys.path as for ``python FILE``; each content is imported once.
 
     Raises:
-        UsageError: it cannot be read, or raises.
+        UsageError: the file cannot be read, or raises.
     """
     name = f"mjhab_policy_{path.stem}_{_file_hash(path)[:12]}"
     if name in sys.modules:
@@ -91,7 +91,7 @@ def _load_module(path: Path) -> ModuleType:
     if folder not in sys.path:
         sys.path.insert(0, folder)
     module = importlib.util.module_from_spec(spec)
-    # Dataclasses and pickle look their module up by its name.
+    # Dataclasses and pickle look up their module in sys.modules.
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
@@ -103,9 +103,9 @@ def _load_module(path: Path) -> ModuleType:
 
 
 def _line_of(error: BaseException, path: Path) -> str:
-    """The line of the file that an exception comes from, in words."""
+    """ " (line N)" for the line of the file that raised an exception, or ""."""
     if isinstance(error, SyntaxError):
-        # Its message says the line.
+        # Its message already contains the line.
         return ""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == os.path.abspath(path)]

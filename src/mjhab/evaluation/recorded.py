@@ -1,4 +1,4 @@
-"""Environments like those that recorded episodes come from."""
+"""Environments in which recorded episodes can be simulated again."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
 
 
 def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
-    """An environment (autoreset "disabled") in which the episodes of a run happen again.
+    """Make an environment (autoreset "disabled") that reproduces the episodes of a recorded run.
 
     Args:
-        run: what made the episodes.
-        **options: further fields of `EnvConfig` that change nothing in an episode: worlds, threads, what is seen.
+        run: the recorded run.
+        **options: further fields of `EnvConfig` that do not change an episode: worlds, threads, observations.
 
     Raises:
-        UsageError: a file that the run was recorded with is not there.
+        UsageError: a file that the run was recorded with is missing.
     """
     from mjhab.envs import make, make_train
 
-    # Shards tell lists, configurations hold tuples.
+    # Shards store lists, configurations need tuples.
     config = {key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()}
-    # The options that a profile gives values are recorded; its name would forbid other cameras.
+    # All option values of the profile are recorded; its name would only forbid other cameras.
     config.pop("profile", None)
     for name in ("episodes_file", "spawns"):
         missing = Path(str(config.get(name) or "."))
         if not missing.exists():
             raise UsageError(
-                f"the episodes were recorded with the file {missing} ({name}), which is not there."
+                f"the episodes were recorded with the file {missing} ({name}), which does not exist."
             )
     build = make_train if run.config.get("maker") == TRAIN_MAKER else make
     return build(**config, **options, autoreset="disabled")

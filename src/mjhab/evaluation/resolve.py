@@ -1,8 +1,7 @@
-"""Policies by name: what ``--policy`` of every command, and ``mjhab.evaluate``, understand.
+"""Policies by specification, as for ``--policy`` of every command and for ``mjhab.evaluate``.
 
 Each kind of specification (a name, ``FILE.py:CLASS``, ...) is an entry of ``POLICY_KINDS``. Its code lies in a module
-that is imported when such a policy is asked for, so that a kind may need a heavy library, or a package that is above
-this one in the order of imports.
+that is imported on first use, so that a kind may need a heavy library, or a package that itself imports this one.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from mjhab.rollout.policy import Policy, RolloutEnv
 
 NAMED_POLICIES = ("expert", "random", "zero")
 STUDENT = "student"
-"""The checkpoint of the package for what is to be done; `full_spec` says what that is."""
+"""Name of the checkpoints that come with the package; `full_spec` adds task, subtask and target."""
 
 
 @dataclass(frozen=True)
 class PolicyFacts:
-    """What is known of a policy before its environment is built.
+    """Description of a policy before its environment is built.
 
-    name: what reports and folders call it. identity: plain JSON data that changes when the policy does, e.g. the hash
-    of a file; it goes into the configuration of a run, so that episodes of two policies are never mixed. env_options:
-    fields of `EnvConfig` that the policy needs, e.g. ``{"obs_mode": "depth"}``; what the user asks for goes before it.
+    name: for reports and folders. identity: JSON data that changes with the policy, e.g. the hash of a file; it is part
+    of a run's configuration, so that episodes of two policies are never mixed. env_options: fields of `EnvConfig` that
+    the policy needs, e.g. ``{"obs_mode": "depth"}``; options of the user take precedence.
     """
 
     name: str
@@ -36,20 +35,20 @@ class PolicyFacts:
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """What else decides how a policy acts. seed: of the run. style: of the expert, see `Styles.parse`."""
+    """Options of a policy. seed: of the run. style: style options of the expert, see `Styles.parse`."""
 
     seed: int = 0
     style: tuple[str, ...] = ()
 
 
 class PolicyModule(Protocol):
-    """What the module of a kind offers."""
+    """Interface of the module of a policy kind."""
 
     def inspect_policy(self, spec: str) -> PolicyFacts:
-        """Describe the policy; cheap, and before anything is built.
+        """Describe the policy without building it; this must be cheap.
 
         Raises:
-            UsageError: there is no such policy; the message says what was looked for, and what to give.
+            UsageError: there is no such policy; the message names what was looked for and a valid form.
         """
         ...
 
@@ -66,8 +65,8 @@ class PolicyModule(Protocol):
 class PolicyKind:
     """A kind of policy specification.
 
-    form: how one is written, for messages. matches: whether a specification is of this kind; asked in order of
-    registration. module: full name of a `PolicyModule`.
+    form: pattern of its specifications, for messages. matches: whether a specification is of this kind; kinds are
+    tried in order of registration. module: full name of a `PolicyModule`.
     """
 
     form: str
@@ -75,7 +74,7 @@ class PolicyKind:
     module: str
 
     def load(self) -> PolicyModule:
-        """The module, imported."""
+        """Import the module."""
         return cast(PolicyModule, importlib.import_module(self.module))
 
 
@@ -110,11 +109,11 @@ POLICY_KINDS: list[PolicyKind] = [
         "mjhab.evaluation.policy_file",
     ),
 ]
-"""The kinds that are known; the first that matches is taken."""
+"""All kinds; the first match is used."""
 
 
 def register_policy_kind(kind: PolicyKind) -> None:
-    """Let every command and `mjhab.evaluate` understand another kind of policy."""
+    """Add a kind of policy, for all commands and `mjhab.evaluate`."""
     POLICY_KINDS.append(kind)
 
 
@@ -122,7 +121,7 @@ def inspect_policy(spec: str) -> PolicyFacts:
     """Describe the policy that a specification names, without an environment.
 
     Raises:
-        UsageError: no kind of policy is written so, or there is no such policy.
+        UsageError: the specification matches no kind, or there is no such policy.
     """
     return _kind_of(spec).load().inspect_policy(spec)
 
@@ -131,18 +130,18 @@ def resolve_policy(spec: str, env: RolloutEnv, options: PolicyOptions | None = N
     """Build the policy that a specification names.
 
     Args:
-        spec: "expert", "random", "zero", "FILE.py:CLASS", or what a registered kind understands; see `full_spec`.
-        env: the vector environment it will act in, with autoreset "disabled".
-        options: the seed of the run and the expert's style; seed 0 and no style if None.
+        spec: "expert", "random", "zero", "FILE.py:CLASS", or the form of another registered kind; see `full_spec`.
+        env: the vector environment that it will act in, with autoreset "disabled".
+        options: the seed of the run and the expert's style; None for seed 0 and no style.
 
     Raises:
-        UsageError: no kind of policy is written so, there is no such policy, or it cannot act in this environment.
+        UsageError: the specification matches no kind, there is no such policy, or it cannot act in this environment.
     """
     return _kind_of(spec).load().build_policy(spec, env, options or PolicyOptions())
 
 
 def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> str:
-    """A specification that does without what is to be done: "student" gets it, every other one stays as it is."""
+    """Add task, subtask and target to the specification "student"; others are returned unchanged."""
     return f"{STUDENT}:{task}/{subtask or ''}/{target or ''}" if spec == STUDENT else spec
 
 

@@ -1,8 +1,8 @@
-"""One policy for each subtask of a chain: ``--policy POLICIES.json``. See `evaluation.resolve.PolicyModule`.
+"""A separate policy for each subtask of a chain: ``--policy POLICIES.json``. See `evaluation.resolve.PolicyModule`.
 
-The file is ``{"policies": [{"subtask": "pick", "target": "024_bowl", "checkpoint": "pick.safetensors"}, ...]}``, with
-paths from its own folder. An entry whose target is "" stands for all targets that have none of their own. Navigate
-needs no policy where it is teleported.
+The file is ``{"policies": [{"subtask": "pick", "target": "024_bowl", "checkpoint": "pick.safetensors"}, ...]}``; its
+paths are relative to its folder. An entry with the target "" applies to all targets without an entry of their own.
+Navigate needs no policy in an environment that teleports the robot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _FIELDS = ("subtask", "target", "checkpoint")
 
 @dataclass(frozen=True)
 class Entry:
-    """A checkpoint, and the subtask and type of target ("" for all) that it is for."""
+    """A checkpoint with its subtask and its type of target ("" for all targets)."""
 
     subtask: str
     target: str
@@ -38,14 +38,14 @@ class Entry:
 
 
 def read_entries(path: Path) -> tuple[Entry, ...]:
-    """The entries of a file of policies.
+    """Read a policies file.
 
     Raises:
-        UsageError: there is no such file, or it is another kind of file.
+        UsageError: the file does not exist or has another format, or a subtask is unknown.
     """
     if not path.is_file():
         raise UsageError(
-            f"{path} does not exist; give a JSON file that names a checkpoint per subtask."
+            f"{path} does not exist; give a JSON file that names one checkpoint per subtask."
         )
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["policies"]
@@ -62,7 +62,7 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
 
 
 def entries_text(path: Path, entries: Sequence[Entry]) -> str:
-    """The text of a file of policies at ``path``, with their checkpoints below its folder."""
+    """Text of a policies file at ``path``; the checkpoints must lie below its folder."""
     rows = [
         {
             "subtask": entry.subtask,
@@ -75,10 +75,10 @@ def entries_text(path: Path, entries: Sequence[Entry]) -> str:
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe the policies together: the hash of all, and an environment that shows each what it needs.
+    """Describe the policies together: one hash over all checkpoints, and the environment options that all need.
 
     Raises:
-        UsageError: see `read_entries`; or the policies need environments that differ.
+        UsageError: see `read_entries`; or two policies need different environment options.
     """
     path = Path(spec)
     hashes = []
@@ -91,7 +91,7 @@ def inspect_policy(spec: str) -> PolicyFacts:
         for name, value in facts.env_options.items():
             if options.setdefault(name, value) != value:
                 raise UsageError(
-                    f"the policies of {path} need environments that differ: {name} is {options[name]!r} for one and "
+                    f"the policies of {path} need different environments: {name} is {options[name]!r} for one and "
                     f"{value!r} for {entry.checkpoint}."
                 )
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
@@ -103,7 +103,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """Build all policies.
 
     Raises:
-        UsageError: as `inspect_policy`; a style was asked for; or a subtask of the environment has no policy.
+        UsageError: as `inspect_policy`; ``options`` sets a style; or a subtask of the environment has no policy.
     """
     entries = read_entries(Path(spec))
     config = cast(Any, env).config
@@ -118,10 +118,11 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
 
 
 class PoliciesBySubtask:
-    """Lets the policy of the active subtask act in every world; it begins anew with each subtask.
+    """In every world the policy of the active subtask acts; it is reset at the start of each subtask.
 
     Args:
-        entries, policies: what each policy is for, and the policies. worlds: W. width: numbers of an action.
+        entries: subtask and target of each policy. policies: in the order of ``entries``. worlds: W.
+        width: of an action (A).
     """
 
     name = "policies"
@@ -158,7 +159,7 @@ class PoliciesBySubtask:
         return actions
 
     def _choose(self, episode: Mapping[str, Any] | None, pointer: int) -> int:
-        """Number of the policy for the active subtask of an episode, -1 for none."""
+        """Index of the policy for the active subtask of an episode, -1 for none."""
         if episode is None or pointer >= len(episode["plan"]):
             return -1
         entry = episode["plan"][pointer]

@@ -1,6 +1,6 @@
-"""Checkpoints: weights as safetensors, with the resolved config as JSON in the head of the file. Never a pickle.
+"""Checkpoints: weights as safetensors with the resolved config as JSON in the file's metadata. No pickle is used.
 
-A student file holds the weights that act. A training file holds besides them all that training needs to go on.
+A student file holds the weights of the policy. A training file also holds the state needed to continue training.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _HEAD = "mjhab"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a file holds. about: plain JSON data that the writer added, e.g. how far training is."""
+    """Content of a checkpoint file. about: JSON data added by the writer, e.g. the number of updates."""
 
     config: StudentConfig
     layout: Layout
@@ -41,20 +41,20 @@ class Checkpoint:
 
 
 def save_student(path: Path, student: Student, about: Mapping[str, Any]) -> None:
-    """Write the weights of a student, whole or not at all."""
+    """Write the weights of a student atomically."""
     save_tensors(path, student, student.state_dict(), about)
 
 
 def save_training(path: Path, trainer: Trainer, about: Mapping[str, Any]) -> None:
-    """Write all that training needs to go on, whole or not at all."""
+    """Write the state needed to continue training atomically."""
     save_tensors(path, trainer.student, trainer.tensors(), {**about, "step": trainer.step})
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a file of either kind.
+    """Read a student file or a training file.
 
     Raises:
-        UsageError: there is no such file, or it is not one of these.
+        UsageError: the file does not exist or is not such a checkpoint.
     """
     if not path.is_file():
         raise UsageError(f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`.")
@@ -77,10 +77,10 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def load_student(path: Path) -> Student:
-    """The student of a student file, ready to act.
+    """Load the student of a student file, ready for inference.
 
     Raises:
-        UsageError: see `load_checkpoint`; or the weights are those of a training file or of another network.
+        UsageError: see `load_checkpoint`; or the file is a training file or holds the weights of another network.
     """
     saved = load_checkpoint(path)
     student = make_student(saved.config, saved.layout)
@@ -94,7 +94,7 @@ def load_student(path: Path) -> Student:
 def save_tensors(
     path: Path, student: Student, tensors: Mapping[str, Tensor], about: Mapping[str, Any]
 ) -> None:
-    """Write tensors with the config and layout of the student they belong to, whole or not at all."""
+    """Write tensors atomically, with the config and layout of their student."""
     head = {
         "format": FORMAT,
         "version": __version__,

@@ -1,4 +1,4 @@
-"""What is trained and how: frozen dataclasses, and the presets that have a name.
+"""Configurations of imitation learning: frozen dataclasses and the named presets.
 
 Sources: "paper" is the MS-HAB paper (ICLR 2025) with its published configurations, mshab/configs/bc_pick.yml and
 dp_pick.yml, and its agents, mshab/agents/bc/agent.py and mshab/agents/dp/agent.py.
@@ -20,23 +20,24 @@ DIFFUSION = "diffusion"
 DAGGER = "dagger"
 GAUSSIAN = "gaussian"
 HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN)
-"""Ways to turn what a student sees into a chunk of actions."""
+"""Algorithms that map an observation to a chunk of actions."""
 
 
 @dataclass(frozen=True)
 class InputConfig:
-    """What a student sees.
+    """Inputs of a student. Besides these it always receives the environment's state vector.
 
-    cameras, image_size: square depth images, rendered at that size [px]; no cameras for the state alone.
-    history: observations that it sees, the present one and those before it. stack_state: False for images alone; of the
-    state it then sees the present one only.
-    previous_action: the executed action of the control step before.
-    base_velocity: forward speed [m/s] and turning rate [rad/s] of the base. The 42-D state of the paper has none.
-    link_state: how far the link of the active subtask is open [share of its range], how fast it opens [rad/s or m/s],
-    and the heading of its frame in that of the base (cos, sin); zeros where there is none. Only a simulator knows them.
+    cameras, image_size: square depth images and their side [px]; no cameras for the state only.
+    history: number of observations, the current one included. stack_state: whether the history contains the state;
+    False gives the images of all observations and the state of the current one.
+    previous_action: the action executed in the previous control step.
+    base_velocity: forward speed [m/s] and turning rate [rad/s] of the base, which the 42-D state of the paper lacks.
+    link_state: of the active subtask's furniture link, the opening [fraction of its range], its speed [rad/s or m/s]
+    and the heading of the link's frame in the base frame (cos, sin); zeros without a link. Privileged information:
+    only a simulator provides it.
     condition: one-hot of the active subtask and of the type of its target.
-    normalize: mean 0 and spread 1, by the statistics of the first demonstrations.
-    shift: training images move by up to so many pixels.
+    normalize: normalize to mean 0 and standard deviation 1 with the statistics of the first demonstrations.
+    shift: largest random shift of training images [px].
     """
 
     cameras: tuple[str, ...] = ("fetch_head", "fetch_hand")
@@ -55,10 +56,11 @@ class InputConfig:
 class NetworkConfig:
     """Sizes of the networks.
 
-    encoder: of images, a name of `networks.CAMERA_ENCODERS`, or "paper_dp". image_features: numbers per camera.
-
-    state_features: numbers that the state is turned into before it is joined with the images', 0 to join it as it is.
-    norm: layer norm between the fully connected layers. unet: channels of the levels of a diffusion's UNet.
+    encoder: of images, a name of `networks.CAMERA_ENCODERS`, or "paper_dp". channels: of its convolutions.
+    image_features: features per camera. hidden, layers: width and number of the fully connected layers.
+    state_features: features that a linear layer computes from the state before it joins the images' features; 0 joins
+    the state unchanged. norm: layer norm between the fully connected layers. unet: channels per level of the diffusion
+    policy's UNet.
     """
 
     encoder: str = "small"
@@ -73,7 +75,11 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """How a network is trained. ``schedule``: "constant" or "cosine" (to zero over all updates), after ``warmup``."""
+    """Optimizer settings (AdamW).
+
+    schedule: of the learning rate after the linear warm-up, "constant" or "cosine" (to zero at the last update).
+    warmup: in updates. clip_norm: largest gradient norm, 0 for no limit.
+    """
 
     batch: int = 256
     learning_rate: float = 5e-4
@@ -83,17 +89,17 @@ class OptimizerConfig:
     warmup: int = 200
     clip_norm: float = 1.0
     ema: float = 0.998
-    """Decay of the moving average of the weights, which acts in evaluation; 0 for the weights themselves."""
+    """Decay of the moving average of the weights, which evaluations use; 0 uses the weights themselves."""
 
 
 @dataclass(frozen=True)
 class StudentConfig:
     """A student and its training.
 
-    algorithm: one of HEADS. chunk: control steps that are predicted; execute: those of them that are executed.
-    hold_steps: control steps kept of a demonstration after its first success; -1 keeps all.
-    huber: width of the quadratic part of the loss, in normalized actions; 0 for the squared error.
-    sampling_steps: of a flow or of a diffusion.
+    algorithm: one of HEADS. chunk: number of predicted actions; execute: number of them executed before the next
+    prediction. hold_steps: control steps of a demonstration kept after its first success; -1 keeps all.
+    huber: width of the quadratic part of the Huber loss, in normalized actions; 0 uses the squared error.
+    sampling_steps: of flow matching or diffusion.
     """
 
     algorithm: str = BC
@@ -108,10 +114,10 @@ class StudentConfig:
     sampling_steps: int = 0
     updates: int = 20_000
     demos: int = 500
-    """Demonstrations that are collected when no data are given."""
+    """Number of demonstrations to collect when no data are given."""
     style: tuple[str, ...] = ()
-    """How the expert that is learned from acts, e.g. ("noise=0..0.2",): it acts with noise, and what it intended is
-    learned (DART)."""
+    """Style options of the expert during collection. With ("noise=0..0.2",) it executes noisy actions and the student
+    learns the intended ones (DART)."""
 
     def __post_init__(self) -> None:
         if self.algorithm not in HEADS:
@@ -122,14 +128,15 @@ class StudentConfig:
 
 @dataclass(frozen=True)
 class DaggerConfig:
-    """Take-over DAgger: rounds in which the student begins an episode and the expert finishes it.
+    """Take-over DAgger: in each round the student starts the episodes and the expert finishes them.
 
-    rounds, episodes: so many rounds of so many episodes. updates: after every round. new_share: of every batch that
-    comes from the newest round. first_prefix, prefix_growth: in round r (from 1) the student acts for a number of
-    control steps drawn from 0 to first_prefix + (r - 1) * prefix_growth, at most max_prefix: late take-overs from a
-    student that knows little cannot be saved. horizon: control steps of an episode of collection; more than in
-    evaluation, so that the expert has the time to finish after a late take-over. final_updates: after the last round,
-    from all rounds in equal parts, with a learning rate that falls to zero.
+    rounds: number of rounds after the first one of the expert alone. episodes: per round. updates: per round.
+    new_share: fraction of every batch that comes from the newest round.
+    first_prefix, prefix_growth, max_prefix: in round r (from 1) the student acts for a uniform random number of control
+    steps from 0 to first_prefix + (r - 1) * prefix_growth, at most max_prefix. It starts small because the expert
+    cannot recover from a late take-over from a weak student. horizon: control steps of an episode of collection;
+    longer than in evaluation, to leave the expert time after a late take-over. final_updates: updates after the last
+    round, on all rounds in proportion to their size, with a learning rate that decreases to zero.
     """
 
     rounds: int = 8
@@ -143,7 +150,7 @@ class DaggerConfig:
     final_updates: int = 0
 
     def longest_prefix(self, round_number: int) -> int:
-        """Largest number of control steps that the student acts for in a round; 0 in round 0."""
+        """Largest number of control steps for which the student acts in a round; 0 in round 0."""
         if round_number == 0:
             return 0
         return min(self.max_prefix, self.first_prefix + (round_number - 1) * self.prefix_growth)
@@ -151,21 +158,21 @@ class DaggerConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Everything that decides what a run learns, apart from the task, the data and the seed."""
+    """Everything that determines the result of a run except the task, the data and the seed."""
 
     student: StudentConfig = field(default_factory=StudentConfig)
     dagger: DaggerConfig | None = None
 
     @property
     def algorithm(self) -> str:
-        """The name of the command that trains it."""
+        """Name of the algorithm as in `mjhab train ALGORITHM`."""
         return DAGGER if self.dagger is not None else self.student.algorithm
 
 
 PAPER_INPUTS = InputConfig(
     image_size=128, previous_action=False, condition=False, normalize=False, shift=0
 )
-"""Inputs of the published students: two depth images of 128 pixels and the 42-D state as they are."""
+"""Inputs of the MS-HAB students: two depth images of 128 x 128 px and the 42-D state, not normalized."""
 
 SMALL = StudentConfig()
 
@@ -239,11 +246,11 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
         "act": TrainConfig(ACT_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
     },
 }
-"""Presets by algorithm; the first one is the default."""
+"""Presets by algorithm and name; the first preset of an algorithm is its default."""
 
 
 def preset_of(algorithm: str, name: str = "") -> TrainConfig:
-    """A preset of an algorithm, its first one if no name is given.
+    """Return a preset of an algorithm; without a name, its default preset.
 
     Raises:
         UsageError: no such algorithm, or it has no such preset.
@@ -257,7 +264,7 @@ Preset = TypeVar("Preset")
 def find_preset(
     known: Mapping[str, Mapping[str, Preset]], algorithm: str, name: str = ""
 ) -> Preset:
-    """A preset of an algorithm from a table by algorithm and name, its first one if no name is given.
+    """Look up a preset in a table by algorithm and name; without a name, return the algorithm's first preset.
 
     Raises:
         UsageError: no such algorithm, or it has no such preset.
@@ -273,15 +280,15 @@ def find_preset(
 
 
 def to_plain(config: Any) -> dict[str, Any]:
-    """A config as plain JSON data."""
+    """A config as JSON data."""
     return dataclasses.asdict(config)
 
 
 def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
-    """Read what ``to_plain`` made of a `StudentConfig`, also after JSON.
+    """Build a `StudentConfig` from the dict of ``to_plain``, also after a round trip through JSON.
 
     Raises:
-        UsageError: a name that this version does not know, or one that is missing.
+        UsageError: a field is unknown to this version, or one is missing.
     """
     try:
         parts = {
@@ -292,7 +299,7 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
         return StudentConfig(**{**_tuples(values), **parts})
     except (KeyError, TypeError) as error:
         raise UsageError(
-            f"the config of a student is not one of this version of mjhab: {error}."
+            f"the config of a student does not fit this version of mjhab: {error}."
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Demonstrations in memory: what a student sees in every control step, and what it should do from there on."""
+"""Demonstrations in memory: a student's inputs in every control step, and the actions to imitate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mjhab.learning.layout import Entry, Layout, compare_layouts, profile_of
 from mjhab.learning.runs.take_over import expert_steps
 
 SUCCESSES = "success"
-"""Filter: which episodes are learned from if nothing is said."""
+"""Default filter on the episodes to learn from."""
 MILLIMETRES_PER_METRE = 1000.0
 BYTE = 255
 
@@ -38,17 +38,17 @@ _NEARNESS = _nearness_table()
 
 
 def nearness(depth: np.ndarray) -> np.ndarray:
-    """Depth images [mm, int16] as uint8 of 1 - tanh(m), 255 at the lens (mshab/agents/bc/agent.py)."""
+    """Map int16 depth [mm] to uint8 nearness 255 (1 - tanh(depth / 1 m)), 255 at the lens (mshab/agents/bc)."""
     return _NEARNESS[depth]
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """N control steps of some episodes, one after another.
+    """N control steps of several episodes, in sequence.
 
-    vector (N, D) float32: what the student sees without images, see `Layout.entries`. images (N, C, H, W) uint8
-    nearness. actions (N, A) float32: labels. first, last (N,): first row of the step's episode, and the last one whose
-    label may be in a chunk that begins in the step. usable: rows whose label is to be learned. episodes: how many.
+    vector (N, D) float32: inputs except images, see `Layout.entries`. images (N, C, H, W) uint8: see `nearness`.
+    actions (N, A) float32: actions to imitate. first, last (N,): first and last row of the step's episode.
+    usable (M,): rows at which a training sample may start. episodes: number of episodes.
     """
 
     vector: np.ndarray
@@ -61,7 +61,7 @@ class Demonstrations:
 
     @classmethod
     def join(cls, parts: Sequence[Demonstrations]) -> Demonstrations:
-        """One set after another.
+        """Concatenate several sets.
 
         Raises:
             UsageError: there is nothing to learn from.
@@ -87,10 +87,10 @@ class Demonstrations:
 
 @dataclass(frozen=True, eq=False)
 class Chunks:
-    """B samples of Demonstrations, ready for a network.
+    """B training samples.
 
     vector (B, history * D), images (B, history * C, H, W) uint8, actions (B, chunk, A), valid (B, chunk) bool: False
-    where the demonstration had ended or somebody else acted.
+    after the end of the demonstration.
     """
 
     vector: np.ndarray
@@ -108,13 +108,14 @@ def load_demonstrations(
     """Read shards into memory, each episode until ``hold_steps`` control steps after its first success.
 
     Args:
-        places: shards or folders of them.
+        places: shards, or folders of shards.
         layout: of the student.
-        hold_steps: -1 keeps whole episodes.
-        where: which episodes; those that succeed if None.
+        hold_steps: number of control steps; -1 keeps whole episodes.
+        where: filter on the episodes; None takes the successful ones.
 
     Raises:
-        UsageError: no episode passes; they lack images, or have another state or other actions.
+        UsageError: no episode passes the filter; an episode lacks images, or its state or actions differ from
+            ``layout``.
     """
     found = select(places, where or Filter(SUCCESSES))
     parts: dict[str, Demonstrations] = {}
@@ -122,17 +123,17 @@ def load_demonstrations(
         with open_shard(path) as shard:
             for _, name in members:
                 parts[name] = read_episode(shard.episode(name), layout, hold_steps)
-    # In which shard an episode lies depends on which worker was quicker.
+    # Sorted, because the shard of an episode depends on which worker was faster.
     return Demonstrations.join([parts[name] for name in sorted(parts)])
 
 
 def layout_of_data(
     places: Path | Sequence[Path], inputs: InputConfig, where: Filter | None = None
 ) -> Layout:
-    """The layout of a student that learns from a data set; its targets are those of the episodes that pass.
+    """Layout of a student that learns from a data set; its targets are those of the selected episodes.
 
     Raises:
-        UsageError: no episode passes, or the first one lacks the images.
+        UsageError: no episode passes the filter, or the first one lacks the images.
     """
     found = select(places, where or Filter(SUCCESSES))
     if not found.matched:
@@ -163,18 +164,18 @@ def recorded_profile(episode: Episode) -> str:
 
 
 def nothing_to_learn() -> UsageError:
-    """The error for an empty selection."""
+    """Make the error for an empty selection of episodes."""
     return UsageError(
-        "no demonstration is left to learn from: no episode passes the filter, or none of them succeeds. See what is "
-        "there with: mjhab data stats"
+        "no demonstration is left to learn from: no episode passes the filter, or none of them succeeds. Inspect the "
+        "data with: mjhab data stats"
     )
 
 
 def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstrations:
-    """One episode as Demonstrations.
+    """Read one episode as Demonstrations.
 
     Raises:
-        UsageError: it lacks images, or has another state or other actions than ``layout``.
+        UsageError: the episode lacks images, or its state or actions differ from ``layout``.
     """
     _check_layout(episode, layout)
     executed = episode.array("actions")
@@ -194,7 +195,7 @@ def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstra
 
 
 def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int = 1) -> Chunks:
-    """The samples that begin in the given rows (B,)."""
+    """The samples that start at the given rows (B,)."""
     seen = rows[:, None] + np.arange(1 - history, 1)
     seen = np.maximum(seen, data.first[rows, None])
     ahead = rows[:, None] + np.arange(chunk)
@@ -210,11 +211,13 @@ def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int
 
 
 class BatchSampler:
-    """Draws batches: a share of each from the newest data, the rest from all before. Batch k depends on (seed, k).
+    """Draws batches: a fixed fraction from the newest data, the rest from all older data.
+
+    Batch k is a function of (seed, k).
 
     Args:
-        sources: data sets, the newest last.
-        new_share: of every batch that comes from the newest, where there are several.
+        sources: data sets, the newest last. batch: number of samples.
+        new_share: fraction of a batch that comes from the newest data set, if there are several.
     """
 
     def __init__(
@@ -241,7 +244,7 @@ class BatchSampler:
         return [(source, rows) for source, rows in drawn if len(rows)]
 
     def batch(self, step: int, chunk: int, history: int, shift: int) -> Chunks:
-        """Batch ``step``, its images moved by up to ``shift`` pixels."""
+        """Batch ``step``, with images shifted randomly by up to ``shift`` pixels."""
         parts = [take_chunks(source, rows, chunk, history) for source, rows in self.rows(step)]
         images = np.concatenate([part.images for part in parts])
         if shift and images.size:
@@ -255,7 +258,7 @@ class BatchSampler:
 
 
 def shift_images(images: np.ndarray, most: int, random: np.random.Generator) -> np.ndarray:
-    """Images (B, C, H, W), each moved by a random offset of up to ``most`` pixels; the edge is repeated."""
+    """Shift each image of (B, C, H, W) by a random offset of up to ``most`` pixels; border pixels are repeated."""
     count, channels, height, width = images.shape
     offsets = random.integers(-most, most + 1, (2, count, 1))
     rows = np.clip(np.arange(height) + offsets[0], 0, height - 1)
@@ -281,15 +284,15 @@ def _check_layout(episode: Episode, layout: Layout) -> None:
 
 
 def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarray:
-    """What the student sees without images in every step (N, D) float32."""
+    """The student's inputs except images in every step, (N, D) float32."""
     steps = len(executed)
     parts = [episode.array("obs/state")[:steps]]
     if layout.inputs.base_velocity:
         parts.append(base_velocity_of(episode)[:steps])
     if layout.inputs.link_state:
         raise UsageError(
-            "recorded demonstrations hold no link_state; take a preset with images, or leave out the data: the "
-            "expert then acts in the environment itself."
+            "recorded demonstrations hold no link_state; use a preset with images, or leave out the data: the "
+            "expert then generates demonstrations in the environment."
         )
     if layout.inputs.previous_action:
         parts.append(np.concatenate([np.zeros_like(executed[:1]), executed[:-1]]))
@@ -310,10 +313,10 @@ def base_velocity_of(episode: Episode) -> np.ndarray:
 
 
 def base_velocity(q: Array, qd: Array) -> Array:
-    """Forward speed [m/s] and turning rate [rad/s] of the base, (N, 2) float32, as numpy or torch as ``q`` is.
+    """Forward speed [m/s] and turning rate [rad/s] of the base, (N, 2) float32; numpy or torch, like ``q``.
 
     Args:
-        q: (N, 3+) position x, y [m] and yaw [rad] of the base, then anything. qd: the velocities of ``q``.
+        q: (N, 3+) joint positions that start with x, y [m] and yaw [rad] of the base. qd: their velocities.
     """
     yaw = q[:, BASE_YAW]
     xp = namespace(q)
@@ -346,7 +349,7 @@ def _no_images(episode: Episode, layout: Layout, found: str) -> UsageError:
     size = layout.inputs.image_size
     cameras = " ".join(layout.inputs.cameras)
     return UsageError(
-        f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Draw them from "
+        f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Render them from "
         f"the recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} "
         f"--cameras {cameras} --out FILE.h5"
     )

@@ -1,4 +1,4 @@
-"""The layout of what a student sees and does: named entries, compared when a checkpoint meets an environment."""
+"""Layout of a student's inputs and outputs: named entries, which are compared with those of an environment."""
 
 from __future__ import annotations
 
@@ -14,16 +14,22 @@ from mjhab.learning.configs import InputConfig
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 OLDER_KINDS = ("pick", "place", "navigate", "open", "close")
-"""Kinds of subtasks that students are told apart by whose checkpoints name none."""
+"""Kinds of subtasks in the one-hot condition of older checkpoints, which do not list their kinds."""
 STATE_IMAGE_PREFIX = "sensor_data/"
 BASE_VELOCITY = (("base/forward_speed", 1), ("base/turning_rate", 1))
-LINK_STATE = (("link/opening", 1), ("link/speed", 1), ("link/heading", 2))
+LINK_STATE = (
+    ("link/opening", 1),
+    ("link/speed", 1),
+    ("link/heading", 2),
+    ("link/nearly_closed", 1),
+)
+"""Entries of the optional inputs, see `InputConfig`."""
 Entry = tuple[str, int]
 """Name and width of a part of a vector."""
 
 
 class ObservationTable(Protocol):
-    """What is observed; `envs.parts.observing.ObservedRows` is one."""
+    """Table of an environment's observations; `envs.parts.observing.ObservedRows` is one."""
 
     @property
     def table(self) -> Sequence[Any]:
@@ -32,7 +38,7 @@ class ObservationTable(Protocol):
 
 
 class StudentEnv(Protocol):
-    """What decides whether a student fits an environment."""
+    """The part of an environment that is compared with a student's layout."""
 
     @property
     def config(self) -> Any:
@@ -46,12 +52,12 @@ class StudentEnv(Protocol):
 
     @property
     def observer(self) -> ObservationTable:
-        """What is observed."""
+        """Table of the observations."""
         ...
 
     @property
     def action_table(self) -> Sequence[Any]:
-        """One entry with a ``name`` per number of an action."""
+        """One entry with a ``name`` per dimension of an action."""
         ...
 
 
@@ -60,7 +66,7 @@ class ActingEnv(StudentEnv, Protocol):
 
     @property
     def num_envs(self) -> int:
-        """W."""
+        """Number of worlds W."""
         ...
 
     @property
@@ -69,18 +75,18 @@ class ActingEnv(StudentEnv, Protocol):
         ...
 
     def link_state(self) -> Any:
-        """(W, 4) float32, see `Sensing.link_state`."""
+        """(W, 5) float32, see `Sensing.link_state`."""
         ...
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What goes into a student and comes out of it.
+    """Inputs and outputs of a student.
 
-    state: entries of the state, in order. actions: names of the numbers of an action. targets: types of objects and
-    links it is told apart by. control: of the environment, see `control_of`. profile: of the environment, see
-    `profile_of`; where the student is evaluated if no other is asked for. kinds: the kinds of subtasks it is
-    told apart by.
+    inputs: which inputs it has. state: entries of the state vector, in order. actions: names of the dimensions of an
+    action. targets, kinds: types of targets and kinds of subtasks in the one-hot condition. control: of the
+    environment, see `control_of`. profile: of the environment, see `profile_of`; it is the default profile for
+    evaluations of the student.
     """
 
     inputs: InputConfig
@@ -108,17 +114,17 @@ class Layout:
 
     @property
     def width(self) -> int:
-        """Numbers in the vector of one observation."""
+        """Width of the vector of one observation."""
         return sum(width for _, width in self.entries)
 
     @property
     def state_width(self) -> int:
-        """Numbers in the state."""
+        """Width of the state vector."""
         return sum(width for _, width in self.state)
 
     @property
     def measured_width(self) -> int:
-        """Numbers at the front of the vector that are measured, and so normalized; one-hots follow."""
+        """Width of the first part of the vector, which is measured and normalized; the one-hot condition follows."""
         return self.width - (len(self.kinds) + len(self.targets) if self.inputs.condition else 0)
 
     @property
@@ -129,14 +135,14 @@ class Layout:
         return tuple(f"{STATE_IMAGE_PREFIX}{camera}/depth" for camera in self.inputs.cameras)
 
     def to_plain(self) -> dict[str, Any]:
-        """Plain JSON data without the inputs, which the config of the student holds."""
+        """The layout as JSON data, without the inputs, which are part of the student's config."""
         values = asdict(self)
         del values["inputs"]
         return values
 
     @classmethod
     def from_plain(cls, inputs: InputConfig, values: Mapping[str, Any]) -> Layout:
-        """Read what ``to_plain`` made, also after JSON."""
+        """Build from the dict of ``to_plain``, also after a round trip through JSON."""
         return cls(
             inputs,
             tuple((str(name), int(width)) for name, width in values["state"]),
@@ -148,7 +154,7 @@ class Layout:
         )
 
     def condition(self, subtask: str, target: str) -> np.ndarray:
-        """One-hot of a subtask and of the type of its target, (n,) float32; empty if the student has none.
+        """One-hot condition of a subtask and its type of target, (n,) float32; empty if the student has no condition.
 
         Raises:
             UsageError: the student was not trained on this subtask or target.
@@ -165,12 +171,12 @@ class Layout:
         return one_hot
 
     def check_env(self, env: StudentEnv) -> None:
-        """Refuse an environment that shows or takes something else than what the student was trained with.
+        """Refuse an environment whose observations or actions differ from those that the student was trained with.
 
         Raises:
-            UsageError: the entries that differ, and how to get an environment that fits.
+            UsageError: names the differing entries and the options of a matching environment.
         """
-        # A part that is stationary here and was not in training ignores its actions: allowed, as other profiles are.
+        # Other stationary joint groups than in training are allowed, like another profile: their actions are ignored.
         control = (*control_of(env)[:2], *self.control[2:])
         wrong = compare_layouts(self, state_of(env), actions_of(env), control)
         size = (self.inputs.image_size, self.inputs.image_size, 1)
@@ -189,7 +195,7 @@ class Layout:
             )
 
     def env_options(self) -> dict[str, Any]:
-        """Options of the environment that show the student what it was trained on."""
+        """Options of an environment with the observations, actions and profile that the student was trained with."""
         mode, base = self.control[:2]
         options: dict[str, Any] = {"profile": self.profile, "control_mode": mode, "base": base}
         if tuple(self.control[2:]) != profile_named(self.profile).stationary:
@@ -204,7 +210,7 @@ class Layout:
 
 
 def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> Layout:
-    """The layout of a student that is trained in an environment."""
+    """Layout of a student that is trained in an environment."""
     profile = profile_of(vars(env.config))
     return Layout(
         inputs,
@@ -218,7 +224,7 @@ def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> L
 
 
 def state_of(env: StudentEnv) -> tuple[Entry, ...]:
-    """Entries of the state of an environment, in order."""
+    """Entries of an environment's state vector, in order."""
     entries: list[Entry] = []
     left = env.single_observation_space["state"].shape[0]
     for row in env.observer.table:
@@ -230,20 +236,20 @@ def state_of(env: StudentEnv) -> tuple[Entry, ...]:
 
 
 def actions_of(env: StudentEnv) -> tuple[str, ...]:
-    """Names of the numbers of an action of an environment."""
+    """Names of the dimensions of an environment's actions."""
     return tuple(entry.name for entry in env.action_table)
 
 
 def control_of(env: StudentEnv) -> tuple[str, ...]:
-    """What the actions of an environment mean: control mode, kind of base, and what is held still."""
+    """Control mode, kind of base and stationary joint groups of an environment, which define what its actions do."""
     return (env.config.control_mode, env.config.base, *env.config.stationary)
 
 
 def profile_of(options: Mapping[str, Any]) -> str:
-    """The profile of an environment with these options of `EnvConfig`, also after JSON.
+    """Name of the profile of an environment with these options of `EnvConfig`, also after a round trip through JSON.
 
-    An environment that has every value of a binding profile but the horizon belongs to it: demonstrations that are
-    made there may last longer than an evaluation, see `collection.longer`.
+    Options that match a binding profile in everything except the horizon belong to that profile, because episodes of
+    collection may be longer than those of an evaluation, see `collection.longer`.
     """
     for profile in PROFILES.values():
         values = profile.options(str(options.get("subtask", "")), trains=False)
@@ -262,7 +268,7 @@ def _plain(value: Any) -> Any:
 def compare_layouts(
     layout: Layout, state: Sequence[Entry], actions: Sequence[str], control: tuple[str, ...]
 ) -> list[str]:
-    """What differs from the state, the actions and the control of a layout, in words."""
+    """Describe how state, actions and control differ from a layout; empty if they match."""
     wrong = compare_entries("state", layout.state, state)
     wrong += compare_entries(
         "action", [(name, 1) for name in layout.actions], [(name, 1) for name in actions]
@@ -273,7 +279,7 @@ def compare_layouts(
 
 
 def compare_entries(what: str, wanted: Sequence[Entry], found: Sequence[Entry]) -> list[str]:
-    """What differs between two lists of entries, in words; empty if nothing does."""
+    """Describe how two lists of entries differ; empty if they match."""
     if tuple(wanted) == tuple(found):
         return []
     before = dict(wanted)
@@ -287,9 +293,9 @@ def compare_entries(what: str, wanted: Sequence[Entry], found: Sequence[Entry]) 
         for name, width in before.items()
         if name in now and now[name] != width
     ]
-    return wrong or [f"the entries of {what} stand in another order: {', '.join(now)}"]
+    return wrong or [f"the entries of {what} have another order: {', '.join(now)}"]
 
 
 def describe_options(options: Mapping[str, Any]) -> str:
-    """Options in words."""
+    """Options as "name=value, ..."."""
     return ", ".join(f"{name}={value!r}" for name, value in options.items())

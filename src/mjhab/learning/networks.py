@@ -1,4 +1,4 @@
-"""Networks that the algorithms share: encoders of images and states, and the normalization in front of them."""
+"""Networks that the algorithms share: encoders of images and states, and the normalization of their inputs."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from mjhab.learning.configs import StudentConfig
 from mjhab.learning.layout import Layout
 
 LEAST_SPREAD = 0.02
-"""Inputs and actions that hardly change in the data are not blown up: the least spread that is divided by."""
+"""Smallest standard deviation to divide by, so that nearly constant inputs and actions are not amplified."""
 MOST_SPREADS = 8.0
-"""Inputs farther from their mean than so many spreads are taken for this far: nothing like them was ever seen."""
+"""Normalized inputs are clipped to this absolute value [standard deviations]: the training data hold none beyond."""
 
 
 class Normalizer(nn.Module):
-    """Gives numbers mean 0 and spread 1; what it has learned is part of the weights.
+    """Normalizes to mean 0 and standard deviation 1; the statistics are buffers and saved with the weights.
 
     Args:
-        width: how many numbers.
-        most: they are limited to so many spreads.
+        width: number of columns.
+        most: normalized values are clipped to this absolute value.
     """
 
     mean: Tensor
@@ -37,7 +37,7 @@ class Normalizer(nn.Module):
         self.register_buffer("scale", torch.ones(width))
 
     def fit(self, values: np.ndarray, measured: int) -> None:
-        """Take over the statistics of the first ``measured`` columns of values (N, width); the others stay."""
+        """Fit the first ``measured`` columns to values (N, width); the other columns stay unnormalized."""
         mean = values[:, :measured].mean(axis=0, dtype=np.float64)
         spread = values[:, :measured].std(axis=0, dtype=np.float64)
         self.mean[:measured] = torch.from_numpy(mean.astype(np.float32))
@@ -50,12 +50,12 @@ class Normalizer(nn.Module):
         return ((values - self.mean) / self.scale).clamp(-self.most, self.most)
 
     def restore(self, values: Tensor) -> Tensor:
-        """What was normalized (..., width)."""
+        """Inverse of ``forward``, without the clipping: (..., width)."""
         return values * self.scale + self.mean
 
 
 def mlp(widths: Sequence[int], norm: bool, last: bool = True) -> nn.Sequential:
-    """Linear layers with ReLU, and layer norm before it; ``last``: also after the last one."""
+    """Linear layers, each followed by layer norm (if ``norm``) and ReLU; without ``last`` the last one is linear."""
     layers: list[nn.Module] = []
     for number, (before, after) in enumerate(itertools.pairwise(widths)):
         layers.append(nn.Linear(before, after))
@@ -67,9 +67,10 @@ def mlp(widths: Sequence[int], norm: bool, last: bool = True) -> nn.Sequential:
 
 
 class CameraEncoder(nn.Module):
-    """One image (B, C, H, W) to (B, features): convolutions, then a linear layer, layer norm and tanh.
+    """Encodes an image (B, C, H, W) to (B, features) by convolutions, a linear layer, layer norm and tanh.
 
-    The first one (k6) has stride 4, the others (k3) stride 2: on a CPU this takes half the time of stride 2 throughout.
+    The first convolution has kernel 6 and stride 4, the others kernel 3 and stride 2: on a CPU this takes half the
+    time of stride 2 throughout.
     """
 
     def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
@@ -91,7 +92,7 @@ class CameraEncoder(nn.Module):
 
 
 class PaperCamera(nn.Module):
-    """The published image encoder: k5 s2 three times, k3 s1 twice, a linear layer (mshab/agents/bc/agent.py)."""
+    """Image encoder of MS-HAB's BC: k5 s2 three times, k3 s1 twice, a linear layer (mshab/agents/bc/agent.py)."""
 
     def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
         super().__init__()
@@ -110,7 +111,7 @@ class PaperCamera(nn.Module):
 
 
 class NatureCamera(nn.Module):
-    """The image encoder of the published PPO: k8 s4, k4 s2, k3 s1, a linear layer (mshab/agents/ppo)."""
+    """Image encoder of MS-HAB's PPO: k8 s4, k4 s2, k3 s1, a linear layer (mshab/agents/ppo)."""
 
     KERNELS_AND_STRIDES = ((8, 4), (4, 2), (3, 1))
 
@@ -130,7 +131,7 @@ class NatureCamera(nn.Module):
 
 
 class StridedCamera(nn.Module):
-    """The image encoder of the published SAC: k3 s2 throughout, a linear layer, layer norm, tanh (mshab/agents/sac)."""
+    """Image encoder of MS-HAB's SAC: k3 s2 throughout, a linear layer, layer norm, tanh (mshab/agents/sac)."""
 
     def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
         super().__init__()
@@ -159,7 +160,7 @@ CAMERA_ENCODERS: dict[str, type[nn.Module]] = {
 
 
 class PoolingEncoder(nn.Module):
-    """The published encoder of the diffusion policy: all images at once, k3 with pooling (mshab/agents/dp/agent.py)."""
+    """Image encoder of MS-HAB's diffusion policy: cameras are channels, k3 with pooling (mshab/agents/dp/agent.py)."""
 
     def __init__(self, frames: int, channels: Sequence[int], features: int) -> None:
         super().__init__()
@@ -176,10 +177,10 @@ class PoolingEncoder(nn.Module):
 
 
 class Encoder(nn.Module):
-    """What a student sees, as features: one vector per camera, and the normalized vector.
+    """Encodes a student's observations: features per camera, and the normalized vector.
 
-    ``forward`` takes vector (B, history * D) and images (B, history * C, H, W) uint8; it returns a list of one tensor
-    (B, image_features) per camera, and the vector (B, history * D).
+    ``forward`` takes vector (B, history * D) and images (B, history * C, H, W) uint8. It returns one tensor
+    (B, image_features) per camera, and the normalized vector (B, vector_width).
     """
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
@@ -206,7 +207,7 @@ class Encoder(nn.Module):
         self.width = self.cameras * network.image_features + state_width
 
     def joined(self, vector: Tensor, images: Tensor) -> Tensor:
-        """All features side by side, (B, width)."""
+        """All features concatenated, (B, width)."""
         features, normalized = self(vector, images)
         return torch.cat([*features, self.state(normalized)], dim=1)
 
@@ -223,7 +224,7 @@ class Encoder(nn.Module):
 
 
 class Trunk(nn.Module):
-    """Encoder and fully connected layers: (B, width) features of what a student sees."""
+    """Encoder and fully connected layers, from a student's observations to features (B, width)."""
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__()
@@ -235,7 +236,7 @@ class Trunk(nn.Module):
 
     @property
     def normalizer(self) -> Normalizer:
-        """That of the vector."""
+        """Normalizer of the vector input."""
         return self.encoder.normalizer
 
     def forward(self, vector: Tensor, images: Tensor) -> Tensor:

@@ -14,20 +14,20 @@ from mjhab.learning.layout import ActingEnv
 from mjhab.learning.students.student import Student
 
 INFERENCE_ROWS = 16
-"""Networks are asked in batches of so many worlds, always: how sums are split up depends on the size of a batch, and
-with it the last bits of the actions."""
+"""Fixed batch size of inference [worlds]. The last bits of the actions depend on the batch size, because it changes the
+order of summation."""
 
 
 class StudentPolicy:
-    """Acts by a student: remembers the last action, and executes the first actions of every chunk.
+    """Runs a student network: it keeps the history and executes the first actions of every predicted chunk.
 
     Args:
-        student: what acts, for instance of `checkpoint.load_student`.
-        env: the environment that it will act in; its layout must be that of the student.
-        seed: of the noise that samples of a flow or of a diffusion begin with.
+        student: network, for instance from `checkpoint.load_student`.
+        env: environment that the policy will act in; its layout must match the student's.
+        seed: of the noise that flow matching or diffusion start from.
 
     Raises:
-        UsageError: the environment shows or takes something else than the student knows.
+        UsageError: the environment's observations or actions do not match the student's.
     """
 
     name = "student"
@@ -65,7 +65,7 @@ class StudentPolicy:
         return actions
 
     def _remember(self, obs: Any, info: Mapping[str, Any]) -> None:
-        """Put what is seen now behind what was seen before; at the beginning of an episode it fills the history."""
+        """Append the current observation to the history; the first one of an episode fills the whole history."""
         vector, images = self._see(obs, info)
         begin = self._step == 0
         self._vectors[begin] = vector[begin, None]
@@ -100,7 +100,7 @@ class StudentPolicy:
         return codes
 
     def _plan(self, worlds: np.ndarray, info: Mapping[str, Any]) -> None:
-        """Ask the student for new chunks in some worlds, INFERENCE_ROWS at a time."""
+        """Predict new chunks for the given worlds, INFERENCE_ROWS at a time."""
         for start in range(0, len(worlds), INFERENCE_ROWS):
             some = worlds[start : start + INFERENCE_ROWS]
             rows = np.resize(some, INFERENCE_ROWS)
@@ -112,7 +112,7 @@ class StudentPolicy:
             self._chunks[some] = chunks[: len(some)]
 
     def _noise(self, worlds: np.ndarray, info: Mapping[str, Any]) -> np.ndarray:
-        """Standard normal noise (n, draws, chunk, A): a function of the episode and the control step."""
+        """Standard normal noise (n, draws, chunk, A), a function of the seed, the episode and the control step."""
         config = self.student.config
         shape = (self.student.draws, config.chunk, self._last.shape[1])
         noise = np.zeros((len(worlds), *shape), np.float32)

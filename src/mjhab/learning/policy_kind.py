@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def inspect_policy(spec: str) -> PolicyFacts:
     """Describe a checkpoint: its name, the hash of its bytes, its profile, and the environment that it needs.
 
-    In an environment of another profile the record of a run has both: ``policy_profile`` and ``profile``.
+    The run's records hold the checkpoint's profile as ``policy_profile`` and the environment's as ``profile``.
 
     Raises:
         UsageError: torch is not installed, or the file cannot be read.
@@ -40,11 +40,11 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """Build the policy of a checkpoint.
 
     Raises:
-        UsageError: as `inspect_policy`; the environment shows or takes something else than the student knows; or a
-            style was asked for.
+        UsageError: as `inspect_policy`; the environment's observations or actions do not match the student's; or
+            ``options`` sets a style.
     """
     if options.style:
-        raise UsageError(f"a style is for the policy expert; {spec} has none.")
+        raise UsageError(f"only the policy expert has a style; {spec} has none.")
     require_learn()
     from mjhab.learning.checkpoint import load_student
     from mjhab.learning.policy import StudentPolicy

@@ -1,6 +1,6 @@
 """Checkpoints that come with the package: ``--policy student`` of every command. See `evaluation.resolve.PolicyModule`.
 
-`evaluation.resolve.full_spec` completes "student" by what is to be done: ``student:set_table/close/fridge/top_door``.
+`evaluation.resolve.full_spec` adds the subtask to "student", for instance ``student:set_table/close/fridge/top_door``.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from mjhab.learning import policy_kind
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 FOLDER = Path(__file__).parent / "shipped"
-"""Checkpoints of runs (`student.safetensors`), named ``TASK.SUBTASK.TARGET.safetensors`` with "-" for "/"."""
+"""Folder of checkpoints (`student.safetensors` of runs), named ``TASK.SUBTASK.TARGET.safetensors`` with "-" for "/"."""
 SUFFIX = ".safetensors"
 
 
 def shipped() -> dict[str, Path]:
-    """The checkpoints of the package by their names without the ending."""
+    """The package's checkpoints by file name without the extension."""
     return {path.name.removesuffix(SUFFIX): path for path in sorted(FOLDER.glob(f"*{SUFFIX}"))}
 
 
@@ -28,7 +28,7 @@ def shipped_path(spec: str) -> Path:
     """The checkpoint for ``student:TASK/SUBTASK/TARGET``.
 
     Raises:
-        UsageError: there is none; the message lists those that there are.
+        UsageError: there is none; the message lists the existing ones.
     """
     what = spec.removeprefix(STUDENT).removeprefix(":")
     task, _, rest = what.partition("/")
@@ -36,8 +36,8 @@ def shipped_path(spec: str) -> Path:
     there = shipped()
     if not (task and subtask and target):
         raise UsageError(
-            f"the policy {STUDENT} does one subtask about one target: give --task, --subtask and --target. There are "
-            f"students for: {', '.join(there) or 'nothing'}; others come from `mjhab train`."
+            f"the policy {STUDENT} executes one subtask on one target: give --task, --subtask and --target. The "
+            f"package has students for: {', '.join(there) or 'nothing'}; train others with `mjhab train`."
         )
     name = file_name(task, subtask, target)
     if name not in there:
@@ -46,7 +46,7 @@ def shipped_path(spec: str) -> Path:
 
 
 def file_name(task: str, subtask: str, target: str) -> str:
-    """Name of the file of a student, without its ending."""
+    """File name of a student without the extension."""
     return ".".join((task, subtask, re.sub(r"[^\w-]", "-", target)))
 
 

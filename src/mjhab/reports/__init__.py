@@ -1,1 +1,1 @@
-"""Pages of runs, data sets and benches: numbers, plots, films in one HTML file."""
+"""HTML reports of runs, data sets and benchmarks: tables, plots and films in one file each."""

@@ -1,4 +1,4 @@
-"""Many pictures on one sheet: a PNG, or an HTML page that carries its pictures."""
+"""A sheet of many images, as a PNG or as an HTML page with embedded images."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ PAPER = (250, 249, 246)
 INK = (32, 33, 36)
 PALE = (110, 112, 118)
 ALERT = (176, 58, 20)
+"""Colours of the sheet: background, captions, headings, notes (RGB)."""
 JPEG_QUALITY = 88
 
 _PAGE = """<!doctype html>
@@ -37,7 +38,7 @@ figcaption {{ padding: .3rem .1rem; }} figcaption span {{ display: block; color:
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """One picture (H, W, 3) uint8 with its caption."""
+    """One image (H, W, 3) uint8 with its caption ``name`` and ``note``."""
 
     name: str
     group: str
@@ -46,7 +47,7 @@ class Tile:
 
 
 def save_png(path: Path, title: str, tiles: Sequence[Tile]) -> None:
-    """Write the tiles as a grid, about three wide for two high; a group begins a new row."""
+    """Write the tiles as a grid with an aspect ratio of about 3:2; each group starts a new row."""
     height, width = tiles[0].image.shape[:2]
     columns = max(1, min(len(tiles), round(math.sqrt(len(tiles) * 1.5 * height / width))))
     cells = _cells(tiles, columns)
@@ -74,7 +75,7 @@ def save_png(path: Path, title: str, tiles: Sequence[Tile]) -> None:
 
 
 def _cells(tiles: Sequence[Tile], columns: int) -> list[tuple[int, int]]:
-    """(row, column) of every tile; a group begins a new row."""
+    """(row, column) of every tile; each group starts a new row."""
     cells: list[tuple[int, int]] = []
     row = 0
     column = 0
@@ -88,7 +89,7 @@ def _cells(tiles: Sequence[Tile], columns: int) -> list[tuple[int, int]]:
 
 
 def _fit(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: float) -> str:
-    """The text, or as much of it as fits into ``width`` pixels."""
+    """The text, shortened to fit into ``width`` pixels."""
     if font.getlength(text) <= width:
         return text
     while text and font.getlength(text + "...") > width:
@@ -97,7 +98,7 @@ def _fit(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: f
 
 
 def save_html(path: Path, title: str, tiles: Sequence[Tile]) -> None:
-    """Write one page, its pictures inside, a heading for every group."""
+    """Write an HTML page with embedded images and a heading per group."""
     parts = []
     for group in dict.fromkeys(tile.group for tile in tiles):
         members = [tile for tile in tiles if tile.group == group]

@@ -1,4 +1,4 @@
-"""The report of a data set: labels next to the paper's, films per label, forces. One HTML file without network."""
+"""The report of a data set: labels next to the paper's, films per label, forces. One self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -25,19 +25,18 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
 
 _LABEL_HINT = (
-    "Percent of subtasks of this data set, of which only some labels may have been kept. Published rules: the labels "
-    "of the original's code, which made the paper's columns beside it (Tables 6 to 13, 1,008 episodes each: RL-Per has "
-    "one policy per object, RL-All one for all, IL imitates RL-Per). Own rules: the labels of mjhab, which filters "
-    "call label. Our homes, objects and physics are others than theirs, so this is a comparison of data sets, not of "
-    "policies."
+    "Percent of the subtasks in this data set, from which a filter may have removed some labels. Published rules: the "
+    "labels of MS-HAB's code, as in the columns of the paper (Tables 6 to 13, 1,008 episodes each: RL-Per has one "
+    "policy per object, RL-All one for all objects, IL imitates RL-Per). Own rules: mjhab's labels, the field label of "
+    "filters. Homes, objects and physics differ from the paper's, so this compares data sets, not policies."
 )
 _FILM_HINT = (
-    "Episodes by the label of their last subtask, side by side, four times as fast as life, as the camera that is "
-    "named saw them. An episode that has ended stands still."
+    "Episodes by the label of their last subtask, side by side, at four times real time, from the named camera. An "
+    "episode that has ended shows its last image."
 )
 _FORCE_HINT = (
-    "Contact force on the robot, summed over its links without the fingers, of every subtask. Left: the largest of a "
-    "control step. Right: the sum that the limit of a subtask is about. Axes are logarithmic."
+    "Contact force on the robot in every subtask, summed over its links without the fingers. Left: the largest value "
+    "of a control step. Right: the sum over the subtask, to which the force limit applies. Axes are logarithmic."
 )
 _NO_IMAGES = "No images are stored with these episodes: mjhab replay --render adds them."
 
@@ -51,13 +50,13 @@ def render_data_report(
     """Return the report as one self-contained HTML page.
 
     Args:
-        places: shards or folders of them.
-        open_film: opens a film file (from ``render.film``, which this package may not import), given path and frames/s.
-        where: which episodes; all of them if None.
-        begin: told the number of films; gives what is called after each.
+        places: shards, or folders of shards.
+        open_film: opens a film file for a path and frames/s (from ``render.film``, which this package may not import).
+        where: filter on the episodes; None takes all.
+        begin: called with the number of films; returns a function that is called after each.
 
     Raises:
-        UsageError: no episode passes.
+        UsageError: no episode passes the filter.
     """
     paths = shard_paths(places)
     found = select(paths, where)
@@ -76,7 +75,7 @@ def render_data_report(
         parts.section("Forces", _FORCE_HINT, _pairs(list(plots))),
         parts.section(
             "Homes and targets",
-            "Where the episodes happened and what they were about.",
+            "Homes and targets of the episodes.",
             _counts(records),
         ),
     ]
@@ -84,7 +83,7 @@ def render_data_report(
 
 
 def _policies(members: Sequence[Place]) -> list[str]:
-    """Names of what acted."""
+    """Names of the policies."""
     names: dict[str, None] = {}
     for path in dict.fromkeys(path for path, _ in members):
         with open_shard(path) as shard:

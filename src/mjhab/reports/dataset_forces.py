@@ -13,13 +13,13 @@ from mjhab.rollout.records import SubtaskRecord
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 GENTLE = 1400.0
-"""Force that an industrial safety limit would allow, as the MS-HAB paper (Sec. 6) discusses it [N]."""
+"""Force allowed by an industrial safety limit, as discussed in the MS-HAB paper (Sec. 6) [N]."""
 _COLORS = {"success": "#16a34a", "failure": "#dc2626"}
 _BINS = 32
 
 
 def force_plots(subtasks: Sequence[SubtaskRecord]) -> dict[str, Figure]:
-    """Element id to figure: largest force and sum of forces of every kind of subtask that is there."""
+    """Figures by element id: peak force and cumulative force of every kind of subtask in the data."""
     limits = force_limits()
     figures: dict[str, Figure] = {}
     for kind in SUBTASKS:
@@ -45,7 +45,7 @@ def _histogram(
     title: str,
     lines: Mapping[str, float],
 ) -> Figure:
-    """Stacked bars on a logarithmic axis, in which forces from nothing to crashes can be seen; 1 N and less in one."""
+    """Stacked histogram on a logarithmic axis; the first bin holds all values up to 1 N."""
     values = np.log10(np.maximum([value(member) for member in members], 1.0))
     good = np.array([member.success_once for member in members])
     top = max(float(values.max()), *(np.log10(line) for line in lines.values()), 1.0) * 1.02

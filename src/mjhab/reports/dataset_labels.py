@@ -1,4 +1,4 @@
-"""The table of labels: what was recorded next to what the MS-HAB paper published."""
+"""The table of labels: those of the data set next to those published in the MS-HAB paper."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAPER_EPISODES = 1008
 
 @dataclass(frozen=True)
 class Group:
-    """Subtasks of one kind, task, split and target; ``way``: "" done alone, as in the paper, or CHAINS."""
+    """Subtasks of one kind, task, split and target. way: "" for single subtasks, as in the paper, or CHAINS."""
 
     kind: str
     task: str
@@ -32,7 +32,7 @@ class Group:
 
 
 def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]]:
-    """Subtasks that ended by group, with a group of ALL targets where there are several."""
+    """Finished subtasks by group, with an additional group ALL if there are several targets."""
     groups: dict[Group, list[SubtaskRecord]] = defaultdict(list)
     for record in records:
         for subtask in record.subtasks:
@@ -54,12 +54,12 @@ def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]
 
 
 def _place(group: Group) -> tuple[str | bool, ...]:
-    """Where a group stands: ALL after the targets it sums up."""
+    """Sort key of a group; ALL comes after the targets that it sums up."""
     return group.kind, group.task, group.split, group.way, group.target == ALL, group.target
 
 
 def label_order(kind: str) -> tuple[str, ...]:
-    """Labels of a kind in the order of the paper's tables; where it has none (Navigate), successes before failures."""
+    """Labels of a kind in the order of the paper's tables; without one (Navigate), successes before failures."""
     spec = SUBTASKS[kind]
     columns = spec.published.columns if spec.published else ()
     return columns or tuple(
@@ -68,10 +68,10 @@ def label_order(kind: str) -> tuple[str, ...]:
 
 
 def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> str:
-    """The labels of a kind as HTML: one table per group, a row per label.
+    """The labels of a kind as HTML: one table per group, with a row per label.
 
-    Columns: ours by the published rules (``legacy_label``), ours by our own rules, then the paper's policies on the
-    same task, split and target, whose labels the published rules made.
+    Columns: this data set by the published rules (``legacy_label``) and by mjhab's rules (``label``), then the paper's
+    policies on the same task, split and target by the published rules.
     """
     tables = (
         _group_table(group, _columns(group, members), label_order(kind))
@@ -83,7 +83,7 @@ def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> s
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of a table of labels. Shares are in percent; ``told`` says where the share of a label comes from."""
+    """One column of a table of labels. shares: in percent by label. told: source of each share, by label."""
 
     name: str
     episodes: int
@@ -160,7 +160,7 @@ def _once(column: _Column) -> str:
 
 
 def _share(label: str, column: _Column) -> str:
-    """A cell in the colour of its label, the deeper the larger the share."""
+    """A cell in the colour of its label; the colour is deeper for a larger share."""
     percent = column.shares.get(label, 0.0)
     shade = f"background:color-mix(in srgb,var(--{tone(label)}) {min(70.0, 0.7 * percent):.0f}%,transparent)"
     text = f"{percent:.1f}" if percent else "·"

@@ -1,4 +1,4 @@
-"""Numbers over a set of episode records."""
+"""Metrics of a set of episode records."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Z95 = 1.959964
 
 @dataclass(frozen=True)
 class SubtaskRow:
-    """Success of one group of subtasks: those at one place of the plan, or those of one kind and target.
+    """Success of one group of subtasks: those at one position of the plan, or those of one kind and target.
 
     ``position`` in the plan counts from 0 and is None for a group over positions. ``reached`` counts the subtasks that
     ended, ``successes`` those that succeeded. Rates are over ``reached``, in 0..1, and ``interval`` is the Wilson 95 %
@@ -55,7 +55,7 @@ AloneRates = Mapping[tuple[str, str], float]
 
 
 def alone_rates(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float]:
-    """Return the success-once rates of episodes that hold a single subtask each."""
+    """Return the success-once rates of episodes of a single subtask."""
     outcomes: dict[tuple[str, str], list[bool]] = {}
     for record in records:
         if record.subtask is not None:
@@ -68,11 +68,11 @@ def alone_rates(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float
 def progress_curves(
     records: Sequence[EpisodeRecord], alone: AloneRates | None = None
 ) -> tuple[list[float], list[float]]:
-    """Return progressive completion and its independent upper bound, each with one value per place of the plan.
+    """Return progressive completion and its independent upper bound, each with one value per position of the plan.
 
-    The bound is the running product of the success rates of the subtasks: where ``alone`` knows the kind (and best:
-    the target), the rate of that subtask from a spawned start; elsewhere the rate in this run among the episodes
-    that reached it. Without any ``alone`` rate, the bound therefore coincides with the curve.
+    The bound is the running product of the subtasks' success rates. If ``alone`` has a rate for the kind (preferably
+    for the target), it is the rate from a spawned start; else it is the rate in this run among the episodes that
+    reached the subtask. Without any ``alone`` rate the bound equals the curve.
     """
     rows = rows_by_position(records)
     if not rows:
@@ -89,7 +89,7 @@ def progress_curves(
 def summarize(
     records: Sequence[EpisodeRecord], seconds: float, alone: AloneRates | None = None
 ) -> dict[str, Any]:
-    """Return the summary for machines; fractions in 0..1, 0 where there is no episode.
+    """Return the summary as JSON data; rates are fractions in 0..1, and 0 without episodes.
 
     Args:
         records: finished episodes of one run.
@@ -120,19 +120,19 @@ def summarize(
 
 
 def label_counts(labels: Iterable[str | None]) -> dict[str, int]:
-    """Count every label but None, the most frequent first."""
+    """Count every label except None, the most frequent first."""
     counts = Counter(label for label in labels if label is not None)
     return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 def mean(values: Iterable[float]) -> float:
-    """Return the mean to 4 digits; 0 of nothing."""
+    """Return the mean to 4 digits; 0 for no values."""
     values = list(values)
     return round(float(np.mean(values)), 4) if values else 0.0
 
 
 def rows_by_position(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
-    """Return one row per place of the plan, also for places that no episode reached."""
+    """Return one row per position of the plan, also for positions that no episode reached."""
     rows = []
     for position in range(max((len(record.plan) for record in records), default=0)):
         entries = [record.plan[position] for record in records if position < len(record.plan)]

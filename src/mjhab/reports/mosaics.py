@@ -18,13 +18,13 @@ from mjhab.rollout.films import FILM_FPS, Film
 OpenFilm = Callable[[Path, int], Film]
 """Opens a film file, given its path and frames per second."""
 MOST = 9
-"""Episodes in a mosaic."""
+"""Largest number of episodes in a mosaic."""
 EVERY = 4
-"""A frame every 4th control step of 20 Hz, played at 20 frames/s: four times the speed of life."""
+"""Control steps per frame. Control runs at 20 Hz and films at 20 frames/s, so films show four times real time."""
 TILE = 160
-"""Side of an episode's picture [px]."""
+"""Side of an episode's image [px]."""
 HEAD_CAMERA = "_head"
-"""How the name of a robot's head camera ends."""
+"""Suffix of the name of a robot's head camera."""
 _GAP = 4
 _FAR = 4000.0
 """Depth shown as black [mm]."""
@@ -32,7 +32,7 @@ _FAR = 4000.0
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A film as the bytes of an mp4, its width [px], and of how many episodes and which camera it is."""
+    """A film (bytes of an mp4) with its width [px], its number of episodes, and its camera."""
 
     film: bytes
     width: int
@@ -41,7 +41,7 @@ class Mosaic:
 
 
 def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic | None:
-    """A film of the first MOST of the episodes (shard, name) that have images; None if none has."""
+    """A film of the first MOST episodes (shard, name) that have images; None if none has images."""
     with ExitStack() as stack:
         shown: list[tuple[Episode, str, str]] = []
         for path, name in members:
@@ -71,18 +71,18 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
 
 
 def _best(episode: Episode) -> tuple[str, str] | None:
-    """Camera and output to show: colour before depth; over the shoulder before the head before the hand."""
+    """Camera and output to show: colour before depth; follow camera before head camera before hand camera."""
     shown = [image for image in episode.images if image[1] in ("rgb", "depth")]
     return min(shown, key=lambda image: (image[1] != "rgb", _place(image[0]), image), default=None)
 
 
 def _place(camera: str) -> int:
-    """How soon a camera is shown: over the shoulder, on the head, elsewhere."""
+    """Rank of a camera: 0 follow camera, 1 head camera, 2 others."""
     return 0 if camera == "follow" else 1 if camera.endswith(HEAD_CAMERA) else 2
 
 
 def _tile(episode: Episode, camera: str, output: str, t: int) -> np.ndarray:
-    """One picture (TILE, TILE, 3); after its end an episode stands still."""
+    """One image (TILE, TILE, 3); after its end an episode shows its last image."""
     image = episode.frame(camera, output, min(t, episode.steps))
     if output == "depth":
         near = np.where(image > 0, 1.0 - np.minimum(image / _FAR, 1.0), 0.0)

@@ -1,4 +1,4 @@
-"""What the MS-HAB paper published of its policies: trajectory labels (Tables 6 to 13), success (Tables 1 and 5)."""
+"""Published results of the MS-HAB paper: trajectory labels (Tables 6 to 13) and success rates (Tables 1 and 5)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 
 _COLUMNS = ("i", "ii", "iii", "iv", "v", "vi", "vii", "viii", "ix", "x", "xi", "xii")
 SUCCESS_COLUMNS = ("rl_per", "rl_all", "bc", "dp")
-"""Policies of the tables of success: as POLICIES, and imitation by behaviour cloning and by a diffusion policy."""
+"""Policies in the tables of success rates: RL per object, RL for all objects, behaviour cloning, diffusion policy."""
 POLICIES = ("RL-Per", "RL-All", "IL")
-"""One policy per object, one for all of them (not for Open and Close), and imitation of the former."""
+"""Policies in the tables of labels: RL per object, RL for all objects (not for Open and Close), imitation of RL-Per."""
 
 ABLATIONS: dict[str, dict[str, str]] = {
     "force_limits": {"force_limit_1400": "5 to 20 points less"},
     "long_horizon": {"simplified": "under 20 % of whole tasks"},
 }
-"""What the paper says of other rules, by result and rules; it gives no table of them (MS-HAB, ICLR 2025)."""
+"""Statements of the paper about other rules, by result and rules; it has no table of them (MS-HAB, ICLR 2025)."""
 
 
 @dataclass(frozen=True)
 class PaperRow:
-    """What the paper says of a policy, each number in percent; ``labels`` sum to 100 but for rounding."""
+    """Results of a policy in the paper, in percent; ``labels`` sum to 100 up to rounding. table: its number."""
 
     table: int
     success_once: float
@@ -60,18 +60,18 @@ def paper_row(task: str, subtask: str, split: str, target: str, policy: str) -> 
 
     Args:
         task, subtask, split: as in a record.
-        target: object type or link, with or without the number of the copy, or "all" objects of the task.
+        target: object type or link, with or without the number of the copy, or "all" for all objects of the task.
         policy: one of POLICIES.
     """
     return _rows().get((task, subtask, split, _paper_target(target), policy))
 
 
 def paper_success(task: str, subtask: str, split: str, target: str) -> dict[str, float]:
-    """Success once [%] of the paper's policies by SUCCESS_COLUMNS; empty if the paper has no such row.
+    """Success-once rates [%] of the paper's policies by SUCCESS_COLUMNS; empty if the paper has no such row.
 
     Args:
         task, subtask, split: as in a record.
-        target: of Open and Close: the link. Pick and Place have one row for all objects of a task.
+        target: the link for Open and Close; Pick and Place have one row for all objects of a task.
     """
     articulation = _paper_target(target) if SUBTASKS[subtask].jointed else ""
     wanted = (task, subtask, split, articulation)

@@ -1,4 +1,4 @@
-"""The HTML pieces of the report. Every text that comes from a record is escaped here."""
+"""HTML elements of the report. Every text from a record is escaped here."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ def event_tone(name: str) -> str:
 
 
 def section(title: str, hint: str, body: str) -> str:
-    """A titled block with one sentence that says how to read it."""
+    """A section with a title and one sentence of explanation."""
     return f'<section><h2>{escape(title)}</h2><p class="hint">{escape(hint)}</p>{body}</section>'
 
 
 def empty(text: str) -> str:
-    """A line that says why there is nothing to show."""
+    """A line for an empty section that says why it is empty."""
     return f'<p class="empty">{escape(text)}</p>'
 
 
@@ -53,7 +53,7 @@ def percent(value: float) -> str:
 
 
 def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
-    """The headline numbers."""
+    """Cards with the main numbers."""
     total = len(records)
     low, high = wilson(sum(record.success_once for record in records), total)
     length = max((len(record.plan) for record in records), default=0)
@@ -98,7 +98,7 @@ def _rate_bar(row: SubtaskRow) -> str:
 
 
 def success_table(rows: Sequence[SubtaskRow]) -> str:
-    """Success per row with its interval; a first column with the place in the plan where rows have one."""
+    """Success per row with its interval; the first column is the position in the plan, if rows have one."""
     placed = any(row.position is not None for row in rows)
     heads = [("#", "n")] if placed else []
     heads += [
@@ -207,7 +207,7 @@ def _event_list(record: EpisodeRecord) -> str:
 
 
 def episode_table(records: Sequence[EpisodeRecord]) -> str:
-    """One line per episode, sortable by a click on a head."""
+    """One line per episode; clicking a column head sorts the table."""
     heads = "".join(
         f'<th class="{css}">{name}</th>'
         for name, css in (
@@ -245,7 +245,7 @@ def _episode_row(record: EpisodeRecord) -> str:
 
 
 def taint_table(records: Sequence[EpisodeRecord]) -> str:
-    """Which flags the simulation raised, and in which episodes."""
+    """Table of the simulation's fault flags and the episodes that have them."""
     by_name: dict[str, list[int]] = {}
     for record in records:
         for name in record.taint:

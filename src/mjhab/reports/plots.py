@@ -1,4 +1,4 @@
-"""The charts of the report, as plotly figures in plain data; colours of text and grid come from the page."""
+"""The charts of the report as plotly figures in JSON data; the page sets the colours of text and grid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FAIR_STARTS = ("success_then", "dubious", "winding", "dropped_to_goal")
 
 
 def kind_color(kind: str) -> str:
-    """Colour of a kind of subtask; of other things a grey."""
+    """Colour of a kind of subtask; grey for unknown kinds."""
     return SUBTASKS[kind].color if kind in SUBTASKS else OTHER_COLOR
 
 
@@ -46,7 +46,7 @@ def force_limits() -> dict[str, float]:
 def progress_figure(
     rows: Sequence[SubtaskRow], curve: Sequence[float], bound: Sequence[float]
 ) -> Figure:
-    """Progressive completion over the places of the plan, with its upper bound."""
+    """Progressive completion over the positions of the plan, with its upper bound."""
     names = [f"{(row.position or 0) + 1} {row.kind}" for row in rows]
     hover = [f"{row.kind} {row.target}" for row in rows]
     common = {"x": names, "type": "scatter", "text": hover}
@@ -83,7 +83,7 @@ def progress_figure(
 
 
 def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ()) -> Figure:
-    """Stacked bars: share of every trajectory label within each kind of subtask, or of whatever ``order`` names."""
+    """Stacked bars with the fraction of every trajectory label, per kind of subtask or per name in ``order``."""
     kinds = [kind for kind in order or SUBTASKS if kind in counts]
     totals = {kind: sum(counts[kind].values()) for kind in kinds}
     labels = sorted({label for kind in kinds for label in counts[kind]}, key=_label_order)
@@ -113,7 +113,7 @@ def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ())
             "bargap": 0.35,
             "xaxis": {"range": [0, 1.001], "tickformat": ".0%"},
             "yaxis": {"autorange": "reversed"},
-            # Plotly leaves the legend out where there is one label only.
+            # By default plotly hides the legend if there is only one label.
             "showlegend": True,
             "legend": {"orientation": "h", "y": -0.18, "traceorder": "normal"},
         },
@@ -125,7 +125,7 @@ def _label_order(label: str) -> tuple[int, str]:
 
 
 def force_figure(record: EpisodeRecord) -> Figure:
-    """Robot force of every control step, and its sum within the subtask against the limit."""
+    """Robot force in every control step, and its sum within the subtask with the limit."""
     limits = force_limits()
     force = np.asarray(record.force, float)
     data: list[dict[str, Any]] = []
@@ -164,7 +164,7 @@ def force_figure(record: EpisodeRecord) -> Figure:
 
 
 def _spans(record: EpisodeRecord) -> list[tuple[str, str, int, int]]:
-    """Kind, target, start and end step of every stretch; what no subtask covers (a cut episode) comes last."""
+    """Kind, target, start and end step of every span; steps after the last finished subtask form the last span."""
     spans = [
         (s.kind, s.target, s.start_step, min(s.end_step, record.steps)) for s in record.subtasks
     ]

@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that opens without network, with charts, films and tables."""
+"""The report of a run: one self-contained HTML file with charts, films and tables."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ from mjhab.reports.plots import force_figure, labels_figure, progress_figure
 from mjhab.rollout.records import EpisodeRecord
 
 FORCE_EPISODES = 12
-"""Episodes whose force can be looked at; more would make the file large."""
+"""Number of episodes with a force plot; more would make the file large."""
 TIMELINES_WITHOUT_FILM = 4
+"""Number of episodes with a timeline if there are no films."""
 
 
 def render_report(
@@ -38,10 +39,10 @@ def render_report(
 
     Args:
         records: finished episodes; may be fewer than ``config["episodes"]``, even none.
-        config: resolved options of the run; "task", "subtask", "policy" and "episodes" are used in words.
+        config: resolved options of the run; titles use "task", "subtask", "policy" and "episodes".
         seconds: wall time of the run [s].
-        film_path: where the film of an episode would be; episodes whose file exists are shown.
-        film_problem: why films are missing, for the reader.
+        film_path: path of an episode's film; films that exist are embedded.
+        film_problem: why films are missing, shown in the report.
         alone: rates for the upper bound, see ``metrics.progress_curves``.
     """
     records = sorted(records, key=lambda record: record.index)
@@ -61,14 +62,14 @@ def render_report(
             )
         )
     body.append(
-        parts.section("Run", "The options this run resolved to.", parts.config_list(config))
+        parts.section("Run", "The resolved options of this run.", parts.config_list(config))
     )
     return render_page(_title(config), "\n".join(body), _figures(records, alone))
 
 
 _TAINT_HINT = (
-    "Contact overflow, NaN, deep penetration and engine warnings make the physics of an episode doubtful. Flagged "
-    "episodes stay in the rates above and never enter a filtered dataset."
+    "Contact overflow, NaN, deep penetration and engine warnings make the physics of an episode unreliable. Flagged "
+    "episodes count in the rates above, but filtered data sets exclude them."
 )
 
 
@@ -111,12 +112,12 @@ def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list
     if chain:
         bound = (
             "The dotted line multiplies the success rates of the subtasks evaluated alone, from spawned starts: "
-            "the most a chain of them could reach if none suffered from what came before."
+            "an upper bound for a chain whose subtasks do not affect each other."
             if alone
             else "The dotted line multiplies the success rates of the subtasks among the episodes that reached "
             "them. Give --alone with runs of single subtasks to bound the chain by those instead."
         )
-        hint = f"Share of episodes that completed at least this much of the plan. {bound}"
+        hint = f"Fraction of episodes that completed at least this much of the plan. {bound}"
         out.append(parts.section("Progressive completion", hint, '<div id="progress-plot"></div>'))
         hint = "In plan order. A subtask counts only where an episode reached it; whiskers are Wilson 95 % intervals."
         out.append(parts.section("Success along the plan", hint, parts.success_table(rows)))
@@ -124,7 +125,7 @@ def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list
     out.append(
         parts.section("Success per subtask", hint, parts.success_table(rows_by_kind(records)))
     )
-    hint = "How subtasks went. Green: clean success; yellow: success with a flaw; red shades: kinds of failure."
+    hint = "Outcomes of subtasks. Green: clean success; yellow: success with a flaw; red shades: kinds of failure."
     labels = (
         '<div id="labels-plot"></div>'
         if labels_by_kind(records)
@@ -153,8 +154,8 @@ def _films(
     shown = filmed or list(records[:TIMELINES_WITHOUT_FILM])
     figures = "".join(parts.film(record, paths.get(record.index)) for record in shown)
     hint = (
-        "Films run at twice the speed of life. Below each: the subtasks in the colours of their labels, and what "
-        "happened as small marks (green: progress, red: setback, grey: other)."
+        "Films run at twice real time. Below each: the subtasks in the colours of their labels, and events as small "
+        "marks (green: progress, red: setback, grey: other)."
     )
     note = f'<div class="banner">Films stopped: {escape(problem)}</div><br>' if problem else ""
     return parts.section("Films and timelines", hint, f'{note}<div class="films">{figures}</div>')
@@ -172,7 +173,7 @@ def _figures(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> dict
 
 
 def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
-    """A page in the house style: ``body`` is its HTML; ``figures["plots"]`` maps element ids to plotly figures."""
+    """Render a page in the common style: ``body`` is HTML, ``figures["plots"]`` maps element ids to plotly figures."""
     from plotly.offline import get_plotlyjs
 
     here = files("mjhab.reports")

@@ -1,7 +1,7 @@
-"""``python -m mjhab.reports.students FILE.json RUN EVALUATION ...``: what students cost and what they can do.
+"""``python -m mjhab.reports.students FILE.json RUN EVALUATION ...``: table of training cost and success of students.
 
-RUN is a folder of `mjhab train dagger`, EVALUATION one of `mjhab eval` of its checkpoint. Rows of the file that are of
-the same student (task, subtask, target, preset, seed) are replaced, the others stay.
+RUN is a folder of `mjhab train dagger`, EVALUATION a folder of `mjhab eval` of its checkpoint. Rows of the same student
+(task, subtask, target, preset, seed) in the file are replaced, others stay.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from mjhab.rollout.store import read_records, write_text
 
 SECONDS_PER_MINUTE = 60.0
 IDENTITY = ("task", "subtask", "target", "preset", "seed")
-"""What a row is told by."""
+"""Keys that identify a row."""
 
 
 def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
-    """One row: what a student learned from, what that took, and how it does.
+    """One row: training data, training cost and success of a student.
 
     Raises:
-        UsageError: a folder holds something else, or the evaluation is of another checkpoint.
+        UsageError: a folder is not such a run, or the evaluation is of another checkpoint.
     """
     config = read_json(run / "config.json")
     summary = read_json(run / "summary.json")
@@ -70,10 +70,10 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """What a file of a run folder holds.
+    """Read a JSON file of a run folder.
 
     Raises:
-        UsageError: there is no such file.
+        UsageError: the file does not exist.
     """
     if not path.is_file():
         raise UsageError(
@@ -83,7 +83,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:
-    """What a student learned from, and what that took."""
+    """Training data and training cost of a student."""
     data = []
     commits = set()
     for folder in sorted((run / "data").glob("round_*")):
@@ -113,7 +113,7 @@ def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict
 
 
 def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Put rows into the file, in place of those of the same students."""
+    """Write rows to the file; rows of the same students are replaced."""
     earlier = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
     table = {tuple(row[name] for name in IDENTITY): row for row in [*earlier, *rows]}
     content = {

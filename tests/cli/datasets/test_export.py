@@ -81,10 +81,10 @@ def test_a_stopped_export_goes_on(
     monkeypatch.setattr(Episode, "array", array)
     assert (
         main(command) == INTERRUPTED
-        and "The same command with --resume goes on" in capsys.readouterr().err
+        and "The same command with --resume continues" in capsys.readouterr().err
     )
     assert not (tmp_path / "set").exists() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-    assert main(command) == USAGE and "begun and stopped" in capsys.readouterr().err
+    assert main(command) == USAGE and "is unfinished" in capsys.readouterr().err
     assert main([*command, "--resume"]) == OK and "3 episodes" in capsys.readouterr().out
 
 

@@ -155,7 +155,7 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
 ) -> None:
     out = ("--out", str(tmp_path / "new"))
     for args, words in (
-        (("generate", "--subtask", "pick", *out), "say when to stop"),
+        (("generate", "--subtask", "pick", *out), "the number of episodes is missing"),
         (("generate", "--subtask", "pik", "--episodes", "1", *out), "Did you mean 'pick'"),
         (("generate", "--episodes", "1", "--keep", "lable == 'x'", *out), "column 1"),
         (("generate", "--episodes", "1", "--workers", "0", *out), "--workers must be at least 1"),

@@ -397,7 +397,7 @@ def test_a_style_needs_the_expert_and_valid_names(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("--style", "speed=0.5") == 2
-    assert "style is for the policy expert" in capsys.readouterr().err
+    assert "only the policy expert has a style" in capsys.readouterr().err
     assert run("--style", "sped=0.5", policy="expert") == 2
     assert "Did you mean 'speed'?" in capsys.readouterr().err
 

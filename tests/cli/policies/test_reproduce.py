@@ -35,7 +35,7 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
         (("--column", "rl_al"), "Did you mean 'rl_all'"),
         (("--column", "rl_all", "--preset", "small"), "preset"),
-        (("--policies", "nowhere"), "no folder of `mjhab reproduce`"),
+        (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
     ],
 )
 def test_bad_input(

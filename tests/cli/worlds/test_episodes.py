@@ -92,7 +92,7 @@ def test_check_compares_with_the_manifest(
     file.episodes[1].rigid_objs[0][1][0, 3] += 0.001
     write_hab(copy, file)
     manifest_path(copy).write_bytes(manifest_path(made).read_bytes())
-    assert "episodes[1] is not what groceries.manifest.json lists" in refused(
+    assert "episodes[1] differs from groceries.manifest.json" in refused(
         capsys, 1, "check", str(copy)
     )
 

@@ -182,7 +182,7 @@ def test_choice_filter_and_bad_input(source: Path, tmp_path: Path) -> None:
         export(source, tmp_path / "b", "3")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("dear")
-    with pytest.raises(UsageError, match="something else than an export"):
+    with pytest.raises(UsageError, match="does not hold an export"):
         export(source, tmp_path / "mine", overwrite=True)
     assert (tmp_path / "mine/letter.txt").exists() and not (tmp_path / "b").exists()
 

@@ -189,10 +189,11 @@ def test_what_was_begun_is_not_mixed_with_something_else(
     out = tmp_path / "set"
     with pytest.raises(KeyboardInterrupt):
         export(source, out, begin=stop_after(2))
-    with pytest.raises(UsageError, match=r"begun and stopped; add --resume .* --overwrite"):
+    with pytest.raises(UsageError, match=r"is unfinished; add --resume .* --overwrite"):
         export(source, out)
     with pytest.raises(
-        UsageError, match=r"begun with another episodes \(episodes: '5 of .*now '2 of "
+        UsageError,
+        match=r"unfinished export to .* has another episodes \(episodes: '5 of .*now '2 of ",
     ):
         export(source, out, where=Filter("subtask == 'pick'"), resume=True)
     export(source, out, where=Filter("subtask == 'pick'"), overwrite=True)
@@ -209,7 +210,9 @@ def test_what_was_begun_is_not_mixed_with_something_else(
 def test_options_of_films_and_images_must_be_the_same(source: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         lerobot(source, tmp_path / "set", options={"quality": 18}, begin=stop_after(1))
-    with pytest.raises(UsageError, match="begun with another depth, quality, version"):
+    with pytest.raises(
+        UsageError, match=r"unfinished export to .* has another depth, quality, version"
+    ):
         lerobot(
             source,
             tmp_path / "set",

@@ -204,10 +204,10 @@ def test_a_file_of_the_original(tmp_path: Path) -> None:
                 "name": "ms_hab rl"
             }
             with pytest.raises(
-                UsageError, match=r"states/qpos is not there. Its source lacks states/initial"
+                UsageError, match=r"without states/qpos. Its source lacks states/initial"
             ):
                 episode.array("states/qpos")
-            with pytest.raises(UsageError, match="imported from data without it: states/initial"):
+            with pytest.raises(UsageError, match="imported from data without states/initial"):
                 episode.initial()
 
 
@@ -328,7 +328,7 @@ def test_bad_files(tmp_path: Path) -> None:
     rewrite(path, episodes={})
     refused("no list 'episodes'")
     path.with_suffix(".json").write_text("{")
-    refused("is no JSON")
+    refused("is not valid JSON")
     path.with_suffix(".json").write_text(
         good.replace(f'"elapsed_steps": {STEPS}', '"elapsed_steps": 9')
     )
@@ -345,7 +345,7 @@ def test_bad_files(tmp_path: Path) -> None:
         file["data"] = 1
     refused(r"has no groups traj_0, traj_1, .* It has: data")
     path.write_bytes(b"nothing")
-    refused("is no HDF5 file")
+    refused("is not an HDF5 file")
     path.unlink()
     refused("does not exist")
     path = tmp_path / "a.h5"

@@ -158,7 +158,9 @@ def test_a_full_disk_stops_and_can_be_resumed(
     with monkeypatch.context() as patch:
         patch.setattr(ShardWriter, "_change", change)
         crew = InlineCrew()
-        with pytest.raises(StorageError, match=r"the disk is full.*goes on with --resume"):
+        with pytest.raises(
+            StorageError, match=r"the disk is full.*Continue with `mjhab generate --resume`"
+        ):
             generate(work, crew)
         assert crew.stopped and len(kept(tmp_path)) == 8
     assert generate(work, InlineCrew(), resume=True).complete and kept(tmp_path) == reference
@@ -198,7 +200,7 @@ def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="another keep"):
         generate(job(tmp_path / "a", "success", episodes=3), InlineCrew(), resume=True)
     (tmp_path / "a" / CONFIG).unlink()
-    with pytest.raises(UsageError, match="has not made"):
+    with pytest.raises(UsageError, match="did not write"):
         generate(job(tmp_path / "a", episodes=3), InlineCrew(), resume=True)
     with pytest.raises(UsageError, match="is a file"):
         generate(job(tmp_path / "a" / "shard_000.h5", episodes=3), InlineCrew())

@@ -113,7 +113,7 @@ def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:
     data = WindowDataset(path, images=[DEPTH])
     path.write_bytes(bytes(path.stat().st_size))
     with pytest.raises(
-        DamagedError, match=r"image 3 of fetch_head depth .* Has the file been replaced"
+        DamagedError, match=r"image 3 of fetch_head depth .* The file may have been replaced"
     ):
         data[3]
 

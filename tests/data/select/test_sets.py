@@ -120,7 +120,7 @@ def test_split_refuses(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"a.h5 exists already"):
         split([folder], tmp_path / "out", {"a": 0.5})
     merge([folder / "pick.h5"], folder / "again.h5")
-    with pytest.raises(UsageError, match="comes twice"):
+    with pytest.raises(UsageError, match="occurs twice"):
         split([folder], tmp_path / "more", {"a": 0.5})
 
 

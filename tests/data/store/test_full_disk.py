@@ -21,8 +21,8 @@ from mjhab.render.film import FilmWriter, join_films
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
-ANEW = "the disk is full. Nothing of it was left; free some space and give the same command again"
-RESUME = "the disk is full. What is done stays beside it; free some space and give the same command with --resume"
+ANEW = "the disk is full. Nothing was left behind; free some space and run the same command again"
+RESUME = "the disk is full. Finished parts are kept; free some space and run the same command with --resume"
 Write = Callable[..., Any]
 
 

@@ -169,7 +169,7 @@ def test_a_server_of_mjhab_says_what_it_lacks() -> None:
         assert "this server has the asset pack 'builtin'" in record.error
         served._config = {"env": {"episodes_file": "/etc/passwd"}}
         (record,) = rollout(env, served, [1], seed=0, max_steps=3)
-        assert "opens no files that clients name" in record.error
+        assert "clients may not set options that name files" in record.error
         served._needs = set()
         (record,) = rollout(env, served, [2], seed=0, max_steps=3)
         assert "mjhab eval --policy ws://" in record.error

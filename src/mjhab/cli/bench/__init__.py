@@ -1,1 +1,1 @@
-"""``mjhab bench``: parse, call a bench, print what it found."""
+"""``mjhab bench``: parse options, run a benchmark, print its results."""

@@ -1,4 +1,4 @@
-"""``mjhab bench sim`` and ``bench grasp``: how fast this machine is, and whether grasps hold."""
+"""``mjhab bench sim`` and ``bench grasp``: simulation speed, and slip of grasped objects."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bench_sim(options: BenchSimOptions) -> int:
 
 
 def bench_grasp(options: BenchGraspOptions) -> int:
-    """Print how far objects slip in the moving gripper; fails if one is dropped."""
+    """Print how far objects slip in the moving gripper; returns 1 if one is dropped."""
     at_least("seed", options.seed, 0)
     at_least("seconds", options.seconds, 0.1)
     from mjhab.bench.grasp import grasp_table

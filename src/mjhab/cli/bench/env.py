@@ -1,4 +1,4 @@
-"""``mjhab bench env``: how fast an environment is, and where its time goes."""
+"""``mjhab bench env``: speed of an environment, and the time of its stages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mjhab.cli.output import at_least, print_json, print_table
 
 
 def bench_env(options: BenchEnvOptions) -> int:
-    """Print what `measure` finds."""
+    """Print the results of `measure`."""
     for name in ("steps", "rounds", "camera-size"):
         at_least(name, getattr(options, name.replace("-", "_")), 1)
     at_least("worlds", min(options.worlds, default=0), 1)

@@ -17,7 +17,7 @@ from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.cli.output import at_least, print_json, print_table
 
 CHAIN_WEIGHT = 8.0
-"""A whole task takes about as long as so many single subtasks; for the estimate of what is left."""
+"""Duration of a whole task in units of a single subtask, for the estimate of the remaining time."""
 
 
 def bench_experts(options: BenchExpertsOptions) -> int:
@@ -35,7 +35,7 @@ def bench_experts(options: BenchExpertsOptions) -> int:
 
 @contextmanager
 def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
-    """A bar over all rows, on stderr; gives a function that says how many episodes of a row there are."""
+    """Show a progress bar over all rows on stderr; yields a function that sets a row's number of finished episodes."""
     columns = (
         TextColumn("[bold]{task.description}"),
         BarColumn(bar_width=10),
@@ -68,7 +68,7 @@ def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
 
 
 def _weight(counts: Mapping[Row, int]) -> float:
-    """Work in so many episodes of each row, in single subtasks."""
+    """Work of the given numbers of episodes per row, in units of single subtasks."""
     return sum(
         count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0) for row, count in counts.items()
     )
@@ -82,7 +82,7 @@ def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> N
         print(f"mjhab: {row.name} could not be measured: {error}", file=sys.stderr)
     if left:
         print(
-            f"mjhab: stopped, {left} episodes are left. The same command with --resume goes on.",
+            f"mjhab: stopped, {left} episodes are left. The same command with --resume continues.",
             file=sys.stderr,
         )
     singles = [result for result in results if result.subtask != CHAIN]
@@ -122,7 +122,7 @@ def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> N
 
 
 def name_of(result: Result) -> str:
-    """Name of a row for machines."""
+    """Name of a row in the JSON output."""
     words = (result.pack, result.task, result.subtask, result.target, result.navigate)
     return " ".join(filter(None, words))
 

@@ -20,7 +20,7 @@ _HEADS = {
 
 
 def bench_interact(options: BenchInteractOptions) -> int:
-    """Print and write what `measure_interact` finds."""
+    """Print and write the results of `measure_interact`."""
     for name in ("seeds", "steps"):
         at_least(name, getattr(options, name), 1)
     at_least("worlds", min(options.worlds, default=0), 1)

@@ -1,4 +1,4 @@
-"""``mjhab bench learner``: how fast reinforcement collects and learns."""
+"""``mjhab bench learner``: speed of collection and updates in reinforcement learning."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mjhab.learning.require import require_learn
 
 
 def bench_learner(options: BenchLearnerOptions) -> int:
-    """Print what `measure_learner` finds."""
+    """Print the results of `measure_learner`."""
     for name, least in (("worlds", 0), ("rounds", 1), ("updates", 1), ("threads", 0), ("seed", 0)):
         at_least(name, getattr(options, name), least)
     at_least("batches", min(options.batches, default=0), 2)

@@ -1,4 +1,4 @@
-"""``mjhab bench parity``: how far the two simulators drift apart, and whether they agree on what matters."""
+"""``mjhab bench parity``: divergence of the two simulators, and agreement of their outcomes, labels and rewards."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mjhab.cli.output import at_least, print_json, print_table
 
 
 def bench_parity(options: BenchParityOptions) -> int:
-    """Print what `measure_parity` finds."""
+    """Print the results of `measure_parity`."""
     for name in ("worlds", "steps"):
         at_least(name, getattr(options, name), 1)
     for name in ("episodes", "threads", "seed"):

@@ -1,4 +1,4 @@
-"""``mjhab bench reward``: does the dense reward tell success from failure?"""
+"""``mjhab bench reward``: how well the dense reward separates success from failure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mjhab.cli.output import at_least, print_json, print_table
 
 
 def bench_reward(options: BenchRewardOptions) -> int:
-    """Print and write what `measure_reward` finds."""
+    """Print and write the results of `measure_reward`."""
     for name in ("episodes", "worlds"):
         at_least(name, getattr(options, name), 1)
     found = measure_rewards(options)

@@ -1,4 +1,4 @@
-"""``mjhab bench serving``: what a policy behind a websocket costs, and what happens when its server is killed."""
+"""``mjhab bench serving``: latency of a served policy, and the effect of killing its server."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mjhab.cli.output import at_least, print_json, print_table
 
 
 def bench_serving(options: BenchServingOptions) -> int:
-    """Print what requests cost and what became of episodes; fails if one of them was lost or requests are slow."""
+    """Print request latencies and results of episodes; returns 1 if an episode was lost or requests are too slow."""
     for name in ("worlds", "steps", "requests"):
         at_least(name, getattr(options, name), 1)
     at_least("restarts", options.restarts, 0)

@@ -1,4 +1,4 @@
-"""``mjhab bench soak``: does anything break or grow over a long time?"""
+"""``mjhab bench soak``: errors and memory growth in a long run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PICTURE = "memory.svg"
 
 
 def bench_soak(options: BenchSoakOptions) -> int:
-    """Print what `soak` finds; fails if memory changed by more than 3 % over the second half."""
+    """Print the results of `soak`; returns 1 if memory changed by more than 3 % over the second half."""
     for name in ("steps", "worlds"):
         at_least(name, getattr(options, name), 1)
     for name in ("threads", "seed", "generate"):

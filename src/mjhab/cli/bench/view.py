@@ -1,4 +1,4 @@
-"""``mjhab bench view``: what the viewer sends to a page, how often, and what that costs."""
+"""``mjhab bench view``: frame rate, data rate and CPU time of the viewer."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mjhab.cli.output import at_least, print_json, print_table
 
 
 def bench_view(options: BenchViewOptions) -> int:
-    """Print a row per number of worlds; returns 1 if a single world is shown too seldom."""
+    """Print a row per number of worlds; returns 1 if the frame rate of a single world is too low."""
     at_least("seconds", options.seconds, 1)
     found = measure_view(options)
     if options.json:

@@ -1,4 +1,4 @@
-"""``mjhab bench windows``: what reading a data set for training costs."""
+"""``mjhab bench windows``: speed of reading a data set for training."""
 
 from __future__ import annotations
 

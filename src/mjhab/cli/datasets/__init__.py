@@ -1,1 +1,1 @@
-"""Commands that make, replay, select and export recorded episodes."""
+"""Commands that generate, replay, select and export recorded episodes."""

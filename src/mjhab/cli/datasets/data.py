@@ -1,4 +1,4 @@
-"""``mjhab data ...`` and ``mjhab label``: what can be done with recorded episodes without a simulator."""
+"""``mjhab data ...`` and ``mjhab label``: operations on recorded episodes without a simulator."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from mjhab.rollout.records import EpisodeRecord
 
 _MOST_ROWS = 20
 IMPORTS = ("ms_hab",)
-"""What `mjhab data import` can read."""
+"""Formats that `mjhab data import` can read."""
 
 
 def run_data(options: Any) -> int:
@@ -79,7 +79,7 @@ def _query(options: DataQueryOptions) -> int:
     print(f"{len(found.matched)} of {found.of} episodes")
     if found.tainted:
         print(
-            f"{found.tainted} more are tainted and left out; a filter that speaks of `tainted` decides itself"
+            f"{found.tainted} more are tainted and left out; a filter that uses `tainted` can include them"
         )
     return 0
 
@@ -209,7 +209,7 @@ def _import(options: DataImportOptions) -> int:
         )
         return 0
     print(f"{episodes} episodes, {frames:,} frames in {options.out}; {present} were there already")
-    print(f"The data lack {', '.join(ABSENT)}: they cannot be replayed, rendered or labelled anew.")
+    print(f"The data lack {', '.join(ABSENT)}: they cannot be replayed, rendered or relabelled.")
     return 0
 
 
@@ -243,10 +243,10 @@ def _check(options: DataCheckOptions) -> int:
         )
     for path in report.unfinished:
         print(
-            f"{path}: a writer was stopped in the middle of an episode; the next one, or repair, clears that up"
+            f"{path}: a writer was stopped within an episode; the next writer, or repair, completes the file"
         )
     for name in report.doubled[:_MOST_ROWS]:
-        print(f"episode {name} is there more than once")
+        print(f"episode {name} occurs more than once")
     older = sum(count for schema, count in report.schemas.items() if schema < VERSION)
     if older:
         print(
@@ -292,7 +292,7 @@ def _repaired(done: Repair) -> str:
         return (
             f"{done.path}: {done.kept} episodes saved, {lost}; the damaged file is {done.kept_as}"
         )
-    what = "the last episode's writing was cleared up" if done.finished else "nothing to do"
+    what = "an interrupted write was completed or undone" if done.finished else "nothing to do"
     return f"{done.path}: {done.kept} episodes, {what}"
 
 

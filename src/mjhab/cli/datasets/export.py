@@ -19,7 +19,7 @@ from mjhab.data.select.until import Until
 from mjhab.render.film import FilmWriter, join_films
 
 _KEYFRAMES = 2
-"""As LeRobot's own films have them: every frame is quick to reach."""
+"""Frames per keyframe, as in LeRobot's own videos; it makes random access fast."""
 
 
 def run_export(options: ExportLerobotOptions | ExportManiskillOptions) -> int:
@@ -33,7 +33,7 @@ def run_export(options: ExportLerobotOptions | ExportManiskillOptions) -> int:
             )
     except KeyboardInterrupt:
         print(
-            f"mjhab: stopped; what is done stays beside {options.out}. The same command with --resume goes on.",
+            f"mjhab: stopped; finished parts of {options.out} are kept. The same command with --resume continues.",
             file=sys.stderr,
         )
         return 130
@@ -41,7 +41,7 @@ def run_export(options: ExportLerobotOptions | ExportManiskillOptions) -> int:
 
 @contextmanager
 def _interrupted_by_sigterm() -> Iterator[None]:
-    """While it is open, SIGTERM does what Ctrl-C does."""
+    """Within this context SIGTERM has the effect of Ctrl-C."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

@@ -1,4 +1,4 @@
-"""``mjhab generate``: parse, generate, print."""
+"""``mjhab generate``: parse options, generate a data set, print the results."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def run_generate(options: GenerateOptions) -> int:
 
 
 def generate_spec(options: GenerateOptions) -> GenerateSpec:
-    """What the options ask for.
+    """Convert the options to a `GenerateSpec`.
 
     Raises:
-        UsageError: an unknown name, a number out of range, a filter that cannot be understood.
+        UsageError: a name is unknown, a number out of range, or a filter invalid.
     """
     at_least("workers", options.workers, 1)
     return GenerateSpec(
@@ -100,7 +100,7 @@ def _tell(options: GenerateOptions, made: GeneratedData, interrupted: bool) -> N
     numbers = made.summary
     if interrupted:
         print(
-            f"mjhab: stopped; {done.kept} episodes are kept in {made.path}. The same command with --resume goes on.",
+            f"mjhab: stopped; {done.kept} episodes are kept in {made.path}. The same command with --resume continues.",
             file=sys.stderr,
         )
     elif made.is_short:

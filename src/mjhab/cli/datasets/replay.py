@@ -1,4 +1,4 @@
-"""``mjhab replay``: are recorded episodes what the simulator does? And images of recorded states."""
+"""``mjhab replay``: verify that the simulator reproduces recorded episodes, or render recorded states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST_ROWS = 20
 
 
 def run_replay(options: ReplayOptions) -> int:
-    """Run the command; returns 0, or 1 if an episode does not come out as it was recorded."""
+    """Run the command; returns 0, or 1 if a replayed episode differs from its recording."""
     at_least("worlds", options.worlds, 1)
     at_least("threads", options.threads, 0)
     if options.verify == (options.render is not None):
@@ -54,19 +54,19 @@ def _verify(options: ReplayOptions) -> int:
         )
         if found.moved:
             print(
-                f"{len(found.moved)} of them begin elsewhere here and were replayed from the recorded first state."
+                f"{len(found.moved)} of them have another start state here and were replayed from the recorded one."
             )
         if found.wrong and found.unlike:
             print(
-                "Other model: the home is compiled to another one here than where it was recorded; another version of "
-                "mjhab or of its assets made it (see `versions` and `commit` in the shard)."
+                "Other model: the home compiles to another model here than when it was recorded, with another version "
+                "of mjhab or of its assets (see `versions` and `commit` in the shard)."
             )
     return 0 if found.exact == found.episodes else 1
 
 
 def _render(options: ReplayOptions) -> int:
     if options.out is None:
-        raise UsageError("--render needs --out FILE.h5: the recorded shard stays as it is.")
+        raise UsageError("--render needs --out FILE.h5: the recorded shard is not changed.")
     if any(path.resolve() == options.out.resolve() for path in shard_paths(options.places)):
         raise UsageError(f"--out {options.out} is one of the shards to replay; give a new file.")
     if len(options.camera_size) > 2:
@@ -102,7 +102,7 @@ def _count(options: ReplayOptions) -> int:
 
 
 def _maker(options: ReplayOptions) -> Callable[[RunInfo], RecordedEnv]:
-    """What makes an environment like that of a recorded run, with the cameras that are asked for."""
+    """Make a function that builds the environment of a recorded run with the cameras of the options."""
     # None stands for all cameras of the robot, which the environment knows.
     robot_cameras = None
     if options.cameras is not None:

@@ -1,1 +1,1 @@
-"""Commands about this machine: what is installed, what fits into memory, compiled kernels."""
+"""Commands about this machine: installation, memory estimates, compiled kernels."""

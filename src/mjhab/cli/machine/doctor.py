@@ -1,4 +1,4 @@
-"""``mjhab doctor``: what this machine offers."""
+"""``mjhab doctor``: installed libraries, renderers, GPU, cores and caches of this machine."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ EXTRAS = {
     "scale": ("ray",),
     "robots": ("robosuite",),
 }
-"""Extra of the package to the modules that it brings; those of pyproject.toml but "all" and "dev"."""
+"""Modules that each extra of the package installs, as in pyproject.toml (without "all" and "dev")."""
 
 
 def run_doctor(options: DoctorOptions) -> int:
-    """Print the findings; fails if MuJoCo is missing or is not the version the benchmark is defined on."""
+    """Print the findings; returns 1 if MuJoCo is missing or does not have the version that the benchmark requires."""
     if options.estimate:
         from mjhab.cli.machine.estimate import run_estimate
 
@@ -44,12 +44,12 @@ def run_doctor(options: DoctorOptions) -> int:
 
 
 def diagnose() -> dict[str, Any]:
-    """What this machine offers, as plain data.
+    """Properties of this machine and installation, as JSON data.
 
     Returns:
         ``python`` and ``mujoco``: versions; ``renderers``: whether each works, by name; ``gpu``: its name or None;
-        ``cores``; ``cache``: its folder; ``memory_cache_mb``: limit of what a process remembers [MB]; ``plugins``:
-        name, origin, what each registered, and its error ("" for none).
+        ``cores``; ``cache``: its folder; ``memory_cache_mb``: limit of a process's cache in memory [MB]; ``plugins``:
+        name, origin, registered names, and error ("" for none) of each.
     """
     from mjhab.render.gl_probe import renderer_probe
 

@@ -1,4 +1,4 @@
-"""``mjhab doctor --estimate``: what memory a number of worlds takes, and how many would fit."""
+"""``mjhab doctor --estimate``: memory that a number of worlds takes, and the number that would fit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def run_estimate(options: DoctorOptions) -> int:
     """Print the estimate.
 
     Raises:
-        UsageError: the worlds fit on no backend whose memory is known; says how many would.
+        UsageError: the worlds fit on no backend whose memory is known; the message says how many would.
     """
     at_least("num-envs", options.num_envs, 1)
     at_least("camera-size", options.camera_size, 8)

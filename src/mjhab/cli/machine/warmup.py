@@ -1,4 +1,4 @@
-"""``mjhab warmup``: compile now what would be compiled at first use."""
+"""``mjhab warmup``: compile homes and kernels before their first use."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WORLDS = 2
 
 
 def run_warmup(options: WarmupOptions) -> int:
-    """Do the work of `warmup` and print how long each part took."""
+    """Run `warmup` and print the duration of each part."""
     TASKS.check(options.task)
     backend = resolve(options.backend)
     seconds = warmup(options, backend)
@@ -29,7 +29,7 @@ def run_warmup(options: WarmupOptions) -> int:
 
 
 def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
-    """Compile homes and kernels for a task; seconds that each part took. A line on stderr says what is under way."""
+    """Compile homes and kernels for a task; returns the duration of each part [s]. Progress goes to stderr."""
     from mjhab.config.env import EnvConfig, task_config
     from mjhab.episodes.rosters import roster
     from mjhab.episodes.starts import StartMaker

@@ -1,1 +1,1 @@
-"""Options of the commands, as dataclasses that tyro reads."""
+"""Options of the commands, as dataclasses for tyro."""

@@ -28,31 +28,31 @@ Joints = Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME")]
 
 @dataclass(frozen=True, kw_only=True)
 class MemoryOptions:
-    """The option of commands that run long; `cli.main.run` obeys it."""
+    """The option of long-running commands; `cli.main.run` applies it."""
 
     cache_mb: Annotated[float | None, tyro.conf.arg(metavar="MB")] = None
-    """Limit of what a process remembers of homes, maps and episodes; $MJHAB_CACHE_MB, else 512, if absent. Changes
-    the speed, never the results."""
+    """Limit of the cache of homes, maps and episodes in memory [MB]; $MJHAB_CACHE_MB, else 512, if absent. Changes the
+    speed, never the results."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProfileOptions(ProfileChoice):
-    """Options that all commands share which build environments for policies."""
+    """Options of all commands that build environments for policies."""
 
     profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = DEFAULT_PROFILE
     """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md)."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Robot that does the work (see: mjhab robots list); fetch if absent."""
+    """The robot (see: mjhab robots list); fetch if absent."""
     starts: Annotated[str | None, tyro.conf.arg(metavar="front_box|published")] = None
-    """Where Pick and Place at a drawer or fridge begin, and with which arm Place begins (spawn_rule of an environment);
-    the profile's if absent."""
+    """Start positions of Pick and Place at a drawer or fridge, and start posture of the arm in Place (spawn_rule of an
+    environment); the profile's if absent."""
     stillness: Annotated[str | None, tyro.conf.arg(metavar="absolute|published")] = None
     """Whether a joint that moves backwards counts as moving (absolute) or as still; the profile's if absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyProfileOptions(ProfileOptions):
-    """`ProfileOptions` of commands whose policy, or data, may bring a profile."""
+    """`ProfileOptions` of commands whose policy or data may have a profile of their own."""
 
     profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = ""
     """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md). If
@@ -61,7 +61,7 @@ class PolicyProfileOptions(ProfileOptions):
 
 @dataclass(frozen=True)
 class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
-    """Run a policy in furnished homes; write records, numbers, films and a report.
+    """Evaluate a policy in furnished homes; write records, a summary, films and a report.
 
     A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`
 
@@ -81,19 +81,19 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
-    """What acts: expert (scripted, knows the state), student (a learned one of the package, with --subtask and
-    --target), random, zero (stands still), a CHECKPOINT.safetensors, your own: FILE.py:CLASS (see
+    """The policy: expert (scripted, reads the simulator state), student (a trained one of the package, with --subtask
+    and --target), random, zero (stands still), a CHECKPOINT.safetensors, your own: FILE.py:CLASS (see
     docs/evaluation.md), or one that is served elsewhere: ws://host:port (see docs/serving.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
-    """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
-    episode draws its own. Names: speed, grasp, release, drop_height, close, look, noise, base_noise, noise_kind,
-    hold, dither (see docs/data.md)."""
+    """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
+    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, look, noise, base_noise,
+    noise_kind, hold, dither (see docs/data.md)."""
     episodes: Number = 20
-    """How many episodes: those with index 0 to N-1. The same index is the same episode for every policy."""
+    """Number of episodes, with indices 0 to N-1. The same index is the same episode for every policy."""
     worlds: Number = 8
-    """How many episodes run at the same time. Changes the speed, never the results."""
+    """Number of parallel episodes. Changes the speed, never the results."""
     seed: Number = 0
-    """Seed of the run; with the index it fixes the episode."""
+    """Seed of the run; seed and index determine an episode."""
     split: Name = "train"
     """Which homes: train, val or test."""
     assets: Assets = "builtin"
@@ -105,18 +105,18 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     episodes_file: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """Run the episodes of this file (HAB format, .json or .json.gz) instead of generated ones, in the file's homes."""
     navigate: Name = "teleport"
-    """Of a whole task: teleport puts the robot near every goal, as the paper does; drive leaves it to the policy."""
+    """In a whole task: teleport puts the robot near every goal, as in the paper; drive leaves driving to the policy."""
     spawns: Annotated[str | None, tyro.conf.arg(metavar="FILE.npz")] = None
-    """With --subtask: begin where this set of starts says (see: mjhab spawns make)."""
+    """With --subtask: use the start states of this file (see: mjhab spawns make)."""
     home: MaybeName = None
     """Use only this home, or the homes that fit a pattern such as 'v3_sc0_*', in turn (see: mjhab homes list)."""
     obs: MaybeName = None
-    """What the policy sees: state, depth, rgb, rgbd, seg, pointcloud, several joined by +. What it asks for, or state,
-    if absent."""
+    """Observation mode: state, depth, rgb, rgbd, seg, pointcloud, or several joined by +. That of the policy, else
+    state, if absent."""
     control: MaybeName = None
-    """Control mode of its actions, e.g. pd_ee_delta_pose. What it asks for, or pd_joint_delta_pos, if absent."""
+    """Control mode of the actions, e.g. pd_ee_delta_pose. That of the policy, else pd_joint_delta_pos, if absent."""
     camera_size: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """With images: their side [px]. What the policy asks for, or 128, if absent."""
+    """Side of the camera images [px]. That of the policy, else 128, if absent."""
     threads: Number = 0
     """Threads of the physics; 0 takes all cores. Changes the speed, never the results."""
     films: Number = 4
@@ -124,9 +124,9 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder of the results; runs/<task>_<subtask>_<policy>_seed<seed> if absent."""
     resume: bool = False
-    """Continue the run in --out: only episodes that have no record yet are run."""
+    """Continue the run in --out: only episodes without a record are run."""
     overwrite: bool = False
-    """Start the run in --out again; deletes what an earlier run left there and nothing else."""
+    """Start the run in --out again; deletes the files of the earlier run and nothing else."""
     alone: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER ...")] = ()
     """Folders of --subtask runs, whose success rates give the upper bound of progressive completion."""
     json: bool = False
@@ -135,14 +135,14 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """See it work: the expert sets the table in four furnished homes; films and report in runs/demo.
+    """Run a demonstration: the expert sets the table in four furnished homes; films and report go to runs/demo.
 
-    The same as `mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4`. The first time
-    it compiles for about a minute; then it takes two minutes on two cores.
+    The same as `mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4`. The first run
+    compiles for about a minute; then it takes two minutes on two cores.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/demo")
-    """Folder of the results; what an earlier run left there is replaced."""
+    """Folder of the results; results of an earlier run are replaced."""
     json: bool = False
     """Print the summary as one line of JSON at the end, as eval does."""
 
@@ -175,11 +175,11 @@ class HomesShowOptions:
 
 @dataclass(frozen=True)
 class HomesCheckOptions:
-    """Check that homes compile into one layout, that a robot gets everywhere and that what opens opens fully.
+    """Check that homes compile into one layout, that a robot reaches all places, and that doors and drawers open fully.
 
     For instance: `mjhab homes check --split val`
 
-    Fails if a home cannot be used. Places out of reach are remarked upon; tasks draw their places from the others.
+    Fails if a home cannot be used. Places out of reach are reported; tasks do not use them.
     """
 
     assets: Assets = "builtin"
@@ -241,12 +241,12 @@ class HomesCommand:
 
 @dataclass(frozen=True)
 class EpisodesMakeOptions:
-    """Make episodes and write them in the HAB format, with a manifest beside the file.
+    """Generate episodes and write them in the HAB format, with a manifest beside the file.
 
     `mjhab episodes make --task tidy_house --split val --count 100 --out episodes/tidy.json.gz`
 
-    Every episode comes to rest in simulation before it is written, and depends on (task, split, seed, index) alone.
-    Ctrl-C keeps what is finished; the same command continues.
+    Every episode comes to rest in simulation before it is written, and depends on (task, split, seed, index) only.
+    Ctrl-C keeps finished episodes; the same command continues.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.json.gz")]
@@ -256,9 +256,9 @@ class EpisodesMakeOptions:
     split: Name = "train"
     """Which homes: train, val or test."""
     count: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How many episodes; 10000 of train, 1000 of val and test if absent."""
+    """Number of episodes; 10000 of train, 1000 of val and test if absent."""
     first: Number = 0
-    """Index of the first one: any one can be made without the others."""
+    """Index of the first episode; every episode can be made without the others."""
     seed: Number = 0
     """Seed of the episodes."""
     assets: Assets = "builtin"
@@ -268,16 +268,16 @@ class EpisodesMakeOptions:
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     workers: Number = 0
-    """Processes; 0 takes all cores. Changes the speed, never the episodes."""
+    """Number of processes; 0 takes all cores. Changes the speed, never the episodes."""
     overwrite: bool = False
-    """Replace the file, and what an interrupted run with other options left beside it."""
+    """Replace the file and the unfinished files of an interrupted run with other options."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class EpisodesCheckOptions:
-    """Load a file of episodes, simulate each for 2 s and tell which objects do not stay where the file puts them.
+    """Load a file of episodes, simulate each for 2 s and report objects that do not stay where the file puts them.
 
     `mjhab episodes check tidy_house.json.gz --assets data`
     """
@@ -326,9 +326,9 @@ class AssetsFetchOptions:
 
     For instance: `mjhab assets fetch replica_cad --accept-licence`
 
-    A broken download continues with the same command. HF_ENDPOINT names a mirror of the hub; http_proxy, https_proxy
-    and no_proxy are honoured. Without a network: zip the folder that `mjhab assets where` names on another machine, and
-    give the file to --offline.
+    An interrupted download continues with the same command. HF_ENDPOINT names a mirror of the hub; http_proxy,
+    https_proxy and no_proxy are honoured. Without a network: zip the folder that `mjhab assets where` names on another
+    machine, and give the file to --offline.
     """
 
     name: DataSet
@@ -336,7 +336,7 @@ class AssetsFetchOptions:
     offline: Annotated[Path | None, tyro.conf.arg(metavar="BUNDLE")] = None
     """Install from this zip or tar archive; nothing is downloaded."""
     accept_licence: bool = False
-    """Accept the terms of the data set, which are not those of mjhab, without being asked."""
+    """Accept the licence of the data set, which differs from that of mjhab, without being asked."""
     overwrite: bool = False
     """Replace an installed data set."""
     repo: MaybeName = None
@@ -351,7 +351,7 @@ class AssetsFetchOptions:
 class AssetsVerifyOptions:
     """Compare the files of an installed data set with the hashes recorded when it was installed.
 
-    A folder that came here another way has no record: its hashes are recorded now, and it is trusted from then on.
+    A folder that was not installed by mjhab has no record: its hashes are recorded now and used from then on.
     """
 
     name: DataSet
@@ -362,7 +362,7 @@ class AssetsVerifyOptions:
 
 @dataclass(frozen=True)
 class AssetsWhereOptions:
-    """Print the folder of a data set, or the one that holds them all: MJHAB_ASSETS chooses it."""
+    """Print the folder of a data set, or the folder of all data sets, which MJHAB_ASSETS sets."""
 
     name: Annotated[
         tyro.conf.Positional[str], tyro.conf.arg(metavar="replica_cad|ycb|hab_episodes")
@@ -374,7 +374,7 @@ class AssetsWhereOptions:
 
 @dataclass(frozen=True)
 class AssetsCommand:
-    """Get, check and find public data sets."""
+    """List, install, verify and locate public data sets."""
 
     command: (
         Annotated[AssetsListOptions, Sub("list")]
@@ -389,15 +389,15 @@ class BenchSimOptions(EngineSpec):
     """Measure control steps per second: the bare engine, and the whole environment without cameras."""
 
     worlds: Number = EngineSpec.worlds
-    """How many worlds step at the same time."""
+    """Number of worlds that step in parallel."""
     threads: Number = EngineSpec.threads
     """Threads of the physics; 0 takes all cores."""
     task: Name = EngineSpec.task
-    """Whose homes and objects: set_table, tidy_house, prepare_groceries or one of a plugin."""
+    """Task that sets homes and objects: set_table, tidy_house, prepare_groceries or one of a plugin."""
     steps: Number = EngineSpec.steps
     """Control steps per block; blocks of engine and environment alternate."""
     rounds: Number = EngineSpec.rounds
-    """Pairs of blocks; the medians count."""
+    """Pairs of blocks; the results are medians over them."""
     seed: Number = EngineSpec.seed
     """Seed of the episodes."""
     assets: Assets = EngineSpec.assets
@@ -424,15 +424,15 @@ class BenchGraspOptions:
 
 @dataclass(frozen=True)
 class DoctorOptions:
-    """Tell what is installed, which renderers work, how many cores there are and where caches live.
+    """Show installed libraries, working renderers, the number of cores, and the folders of caches.
 
-    `mjhab doctor --estimate --num-envs 4096 --obs rgbd` tells what memory that takes on either backend.
+    `mjhab doctor --estimate --num-envs 4096 --obs rgbd` estimates the memory of that many worlds on either backend.
     """
 
     estimate: bool = False
     """Estimate memory instead; fails if --num-envs worlds fit neither here nor on the GPU."""
     num_envs: Number = 4096
-    """With --estimate: how many worlds."""
+    """With --estimate: number of worlds."""
     obs: Name = "state"
     """With --estimate: observation mode, e.g. rgbd."""
     camera_size: Number = 128

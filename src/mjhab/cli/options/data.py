@@ -23,7 +23,7 @@ class DataQueryOptions:
 
     `mjhab data query runs/pick --where "label == 'straightforward_success' and max_force < 1400 and not dropped"`
 
-    Tainted episodes pass only if the filter speaks of `tainted` or `taints`. Names: `mjhab data fields`.
+    Tainted episodes pass only if the filter uses `tainted` or `taints`. Names: `mjhab data fields`.
     """
 
     places: Places
@@ -40,7 +40,7 @@ class DataQueryOptions:
 
 @dataclass(frozen=True)
 class DataFieldsOptions:
-    """Print the names that filters know, with their meanings, and the filters that have names."""
+    """Print the names that filters can use, with their meanings, and the predefined filters."""
 
     json: bool = False
     """Print one line of JSON instead of tables."""
@@ -62,7 +62,7 @@ class DataStatsOptions:
 
 @dataclass(frozen=True)
 class DataMergeOptions:
-    """Copy the episodes that pass a filter into one shard, byte for byte; the sources stay as they are.
+    """Copy the episodes that pass a filter into one shard, byte for byte; the sources are not changed.
 
     `mjhab data merge runs/pick runs/place --preset gentle --out gentle.h5`
     """
@@ -70,7 +70,7 @@ class DataMergeOptions:
     places: Places
     """Shards (*.h5) or folders of shards."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.h5")]
-    """The shard to make, or to add to."""
+    """The shard to make or to extend."""
     where: Where = None
     """Which episodes; all if absent."""
     preset: Preset = None
@@ -81,7 +81,7 @@ class DataMergeOptions:
 
 @dataclass(frozen=True)
 class DataSplitOptions:
-    """Divide recorded episodes into shards, one per part; the sources stay as they are.
+    """Divide recorded episodes into shards, one per part; the sources are not changed.
 
     `mjhab data split runs/pick --parts train=0.9 val=0.1 --by home --out runs/pick_split`
     """
@@ -89,23 +89,23 @@ class DataSplitOptions:
     places: Places
     """Shards (*.h5) or folders of shards."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    """Where to: every part becomes <part>.h5 in it."""
+    """Output folder; every part becomes <part>.h5 in it."""
     parts: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SHARE ...")] = (
         "train=0.9",
         "val=0.1",
     )
-    """Names and shares of the parts, at most 1 in sum."""
+    """Names and fractions of the parts; their sum is at most 1."""
     by: Annotated[str, tyro.conf.arg(metavar="episode|home|target")] = "episode"
-    """What stays together in one part."""
+    """Episodes with the same value stay together in one part."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Another seed deals them out in another order."""
+    """Seed of the random assignment to parts."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class DataCheckOptions:
-    """Read every byte of recorded episodes and compare it with what was written; fails if anything is wrong."""
+    """Read recorded episodes completely and compare them with their digests; fails if anything is damaged."""
 
     places: Places
     """Shards (*.h5) or folders of shards."""
@@ -115,9 +115,9 @@ class DataCheckOptions:
 
 @dataclass(frozen=True)
 class DataRepairOptions:
-    """Put shards in order: finish what a killed process left, drop damaged episodes.
+    """Repair shards: complete interrupted writes and drop damaged episodes.
 
-    A file from which episodes are dropped stays beside the new one, as *.damaged.
+    If episodes are dropped, the damaged file is kept as *.damaged.
     """
 
     places: Places
@@ -133,7 +133,7 @@ class DataReportOptions:
     places: Places
     """Shards (*.h5) or folders of shards."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.html")]
-    """The page to write; it opens without network."""
+    """The self-contained HTML file to write."""
     where: Where = None
     """Only these episodes, as in `mjhab data query`."""
     preset: Preset = None
@@ -144,25 +144,25 @@ class DataReportOptions:
 
 @dataclass(frozen=True)
 class DataImportOptions:
-    """Write data of another system as shards, so that filters, statistics, reports and training work on it.
+    """Convert data of another system to shards, so that filters, statistics, reports and training can use them.
 
     `mjhab data import ms_hab rearrange-dataset/set_table/pick/024_bowl.h5 --out runs/imported`
 
     ms_hab: files of MS-HAB's data set or generator, one per task, subtask and target, each with its .json beside it.
-    They hold no states, so the episodes can neither be replayed nor rendered nor labelled anew. Given again, the same
-    command goes on where it stopped.
+    They hold no states, so the episodes cannot be replayed, rendered or relabelled. The same command continues an
+    interrupted import.
     """
 
     format: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ms_hab")]
-    """What the data are."""
+    """Format of the files."""
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE.h5 ...")]
     """The files to read."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    """The folder of shards; <task>/<subtask>/<name>.h5 in it are made, or added to."""
+    """The folder of shards; <task>/<subtask>/<name>.h5 in it are made or extended."""
     task: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Task of the files; the folder above that of the subtask if absent."""
     split: Annotated[str, tyro.conf.arg(metavar="train|val|test")] = "train"
-    """Split of the homes, where the files do not say it; the published data are of train."""
+    """Split of the homes, if the files do not contain it; the published data are of train."""
     json: bool = False
     """Print one line of JSON at the end."""
 
@@ -186,7 +186,7 @@ class DataCommand:
 
 @dataclass(frozen=True)
 class BenchWindowsOptions(WindowsSpec):
-    """Measure how many training windows a core reads from recorded episodes with images.
+    """Measure how many training windows per second a core reads from recorded episodes with images.
 
     `mjhab generate --subtask close --episodes 20 --images depth --out runs/close`
 
@@ -204,20 +204,20 @@ class BenchWindowsOptions(WindowsSpec):
     batch: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.batch
     """Windows in a batch."""
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = WindowsSpec.seconds
-    """How long later passes are measured."""
+    """Duration of the measurement of later passes [s]."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.seed
-    """Order of the windows."""
+    """Seed of the order of the windows."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 
 
 @dataclass(frozen=True)
 class LabelOptions:
-    """Compute labels and events of recorded episodes anew from their signals, and tell what changes. No simulation."""
+    """Recompute labels and events of recorded episodes from their signals, without simulation, and print changes."""
 
     places: Places
     """Shards (*.h5) or folders of shards."""
     write: bool = False
-    """Put the new labels into the shards."""
+    """Write the new labels into the shards."""
     json: bool = False
     """Print one line of JSON instead of a table."""

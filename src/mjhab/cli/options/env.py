@@ -27,7 +27,7 @@ from mjhab.cli.options.common import (
 
 @dataclass(frozen=True)
 class RobotsListOptions:
-    """List the robots: joints that move, numbers in an action of the default control mode and in `state`."""
+    """List the robots with their number of joints and the widths of an action (default control mode) and `state`."""
 
     json: bool = False
     """Print one line of JSON instead of a table."""
@@ -48,7 +48,7 @@ class RobotsShowOptions:
 
 @dataclass(frozen=True)
 class RobotsCommand:
-    """What robots there are, and what they consist of."""
+    """List and describe robots."""
 
     command: Annotated[RobotsListOptions, Sub("list")] | Annotated[RobotsShowOptions, Sub("show")]
 
@@ -58,7 +58,7 @@ EnvId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ID")]
 
 @dataclass(frozen=True)
 class EnvsListOptions:
-    """List the environment ids that `gymnasium.make` and `gymnasium.make_vec` know after `import mjhab`."""
+    """List the environment ids of `gymnasium.make` and `gymnasium.make_vec` after `import mjhab`."""
 
     json: bool = False
     """Print one line of JSON instead of a table."""
@@ -83,7 +83,7 @@ class EnvsDescribeOptions(ProfileOptions):
 
 @dataclass(frozen=True)
 class EnvsCommand:
-    """What environments there are, and what goes in and out of them."""
+    """List environments and describe their observations, actions and rewards."""
 
     command: (
         Annotated[EnvsListOptions, Sub("list")] | Annotated[EnvsDescribeOptions, Sub("describe")]
@@ -92,22 +92,22 @@ class EnvsCommand:
 
 @dataclass(frozen=True)
 class BenchSoakOptions(MemoryOptions, ProfileOptions, SoakSpec):
-    """Step all training environments with random actions for a long time: does anything break or grow?
+    """Step all training environments with random actions for a long time, to find errors and memory growth.
 
-    With --generate, make recorded episodes with the expert instead. Fails if memory changes by more than 3 % over the
-    second half. For instance: `mjhab bench soak --steps 1000000 --worlds 16 --out runs/soak`
+    With --generate, record episodes with the expert instead. Fails if memory changes by more than 3 % over the second
+    half. For instance: `mjhab bench soak --steps 1000000 --worlds 16 --out runs/soak`
     """
 
     steps: Number = SoakSpec.steps
     """Control steps over all worlds and subtasks."""
     generate: Number = SoakSpec.generate
-    """Make so many episodes with the expert instead, in this process; they are deleted at the end."""
+    """Record this number of episodes with the expert instead, in this process; they are deleted at the end."""
     subtask: MaybeName = SoakSpec.subtask
     """With --generate: episodes of one subtask, such as pick; the whole task if absent."""
     worlds: Number = SoakSpec.worlds
     """Worlds of each subtask."""
     task: Name = SoakSpec.task
-    """Whose homes and objects; subtasks that the task lacks are left out."""
+    """Task that sets homes and objects; subtasks that the task lacks are left out."""
     threads: Number = SoakSpec.threads
     """Threads of the physics; 0 takes all cores."""
     seed: Number = SoakSpec.seed
@@ -120,16 +120,16 @@ class BenchSoakOptions(MemoryOptions, ProfileOptions, SoakSpec):
 
 @dataclass(frozen=True)
 class BenchRewardOptions(ProfileOptions, RewardSpec):
-    """Does the dense reward mean success? Run the expert, compare the returns of its successes and failures.
+    """Measure how well the dense reward separates success from failure, in episodes of the expert.
 
-    Writes a page with the reward over time of every subtask. The AUC is the chance that a successful episode has a
-    higher return than a failed one: 1 is right, 0.5 is chance.
+    Writes a page with the reward over time of every subtask. The AUC is the probability that a successful episode has a
+    higher return than a failed one: 1 is ideal, 0.5 is chance.
     """
 
     episodes: Number = RewardSpec.episodes
     """Episodes of every subtask."""
     worlds: Number = RewardSpec.worlds
-    """How many episodes run at the same time. Changes the speed, never the results."""
+    """Number of parallel episodes. Changes the speed, never the results."""
     seed: Number = RewardSpec.seed
     """Seed of the episodes."""
     subtasks: Name = RewardSpec.subtasks
@@ -144,20 +144,20 @@ class BenchRewardOptions(ProfileOptions, RewardSpec):
 
 @dataclass(frozen=True)
 class BenchEnvOptions(ProfileOptions, EnvBenchSpec):
-    """Measure an environment: steps per second beside the bare engine, where the time goes, memory, cold start."""
+    """Measure an environment: steps per second compared with the bare engine, time per stage, memory, cold start."""
 
     env: Name = EnvBenchSpec.env
     """The environment id (see: mjhab envs list)."""
     obs: Name = EnvBenchSpec.obs
     """Observation mode: state, depth, rgb, rgbd, seg, pointcloud, or several joined by +."""
     worlds: Numbers = EnvBenchSpec.worlds
-    """Numbers of worlds that step at the same time, measured one after the other."""
+    """Numbers of parallel worlds, measured one after the other."""
     backend: Backend = EnvBenchSpec.backend
     """cpu: C MuJoCo and the CPU rasterizer; warp: environments on a GPU; auto: warp where there is a CUDA device."""
     device: Device = EnvBenchSpec.device
-    """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
+    """Device of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
     threads: Number = EnvBenchSpec.threads
-    """Threads of physics and pictures; 0 takes all cores. Of the cpu backend."""
+    """Threads of physics and rendering in the cpu backend; 0 takes all cores."""
     camera_size: Number = EnvBenchSpec.camera_size
     """Side of the camera images [px]."""
     reward: MaybeName = EnvBenchSpec.reward
@@ -167,7 +167,7 @@ class BenchEnvOptions(ProfileOptions, EnvBenchSpec):
     steps: Number = EnvBenchSpec.steps
     """Control steps per block; blocks of engine and environment alternate."""
     rounds: Number = EnvBenchSpec.rounds
-    """Pairs of blocks; the medians count."""
+    """Pairs of blocks; the results are medians over them."""
     seed: Number = EnvBenchSpec.seed
     """Seed of the episodes and of the motion."""
     assets: Assets = EnvBenchSpec.assets

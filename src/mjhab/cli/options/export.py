@@ -19,13 +19,13 @@ class ExportLerobotOptions:
 
     `mjhab export lerobot runs/pick --preset pick_paper --out exported/pick`
 
-    Colour images become films, depth images columns of millimetres. Needs the extra `data` (pyarrow).
+    Colour images become videos, depth images become columns in millimetres. Needs the extra `data` (pyarrow).
     """
 
     places: Places
     """Shards (*.h5) or folders of shards."""
     out: Out
-    """The data set to make; it appears whole or not at all."""
+    """Folder of the data set; it is written atomically."""
     version: Annotated[str, tyro.conf.arg(metavar="3.0|2.1")] = "3.0"
     """Version of the format."""
     where: Where = None
@@ -39,18 +39,18 @@ class ExportLerobotOptions:
     no_depth: bool = False
     """Leave out depth images, which are by far the largest part."""
     quality: Annotated[int, tyro.conf.arg(metavar="N")] = 18
-    """Films: 0 (without loss) to 51 (small)."""
+    """Constant rate factor of videos: 0 (lossless) to 51 (smallest)."""
     overwrite: bool = False
-    """Take the place of a data set that is there."""
+    """Replace an existing data set."""
     resume: bool = False
-    """Go on with an export that was stopped; with the same options and episodes."""
+    """Continue an interrupted export; options and episodes must be the same."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class ExportManiskillOptions:
-    """Write recorded episodes in the layout of MS-HAB's own data set, one HDF5 file per task, subtask and target.
+    """Write recorded episodes in the format of MS-HAB's data set, one HDF5 file per task, subtask and target.
 
     `mjhab export maniskill runs/pick --preset pick_paper --out rearrange-dataset`
     """
@@ -58,7 +58,7 @@ class ExportManiskillOptions:
     places: Places
     """Shards (*.h5) or folders of shards."""
     out: Out
-    """The folder to make; it appears whole or not at all."""
+    """Folder of the files; it is written atomically."""
     where: Where = None
     """Which episodes; all if absent."""
     preset: Preset = None
@@ -66,9 +66,9 @@ class ExportManiskillOptions:
     until: Until = ""
     """How much of an episode: success+N ends it N control steps after its first success; all of it if absent."""
     overwrite: bool = False
-    """Take the place of an export that is there."""
+    """Replace an existing export."""
     resume: bool = False
-    """Go on with an export that was stopped; with the same options and episodes."""
+    """Continue an interrupted export; options and episodes must be the same."""
     json: bool = False
     """Print one line of JSON at the end."""
 

@@ -24,13 +24,13 @@ from mjhab.cli.options.data import Places, Preset, Until, Where
 
 @dataclass(frozen=True)
 class GenerateOptions(MemoryOptions, PolicyProfileOptions):
-    """Make recorded episodes with several workers until every target has its quota; failures are kept by default.
+    """Record episodes with several workers until every target has its quota; failures are kept by default.
 
     `mjhab generate --subtask pick --per-target 1000 --keep "label == 'straightforward_success'" --workers 2 --out
     runs/pick`
 
-    Ctrl-C and SIGTERM keep the finished episodes; the same command with `--resume` goes on. Which episodes are kept
-    does not depend on the number of workers: of those that pass, the ones with the lowest indices.
+    Ctrl-C and SIGTERM keep the finished episodes; the same command with `--resume` continues. Of the episodes that pass
+    the filter, those with the lowest indices are kept, whatever the number of workers.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -42,45 +42,45 @@ class GenerateOptions(MemoryOptions, PolicyProfileOptions):
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
-    """What acts: expert (scripted, knows the state), student (a learned one of the package, with --subtask and
-    --target), random, zero (stands still), a CHECKPOINT.safetensors, or your own: FILE.py:CLASS (see
+    """The policy: expert (scripted, reads the simulator state), student (a trained one of the package, with --subtask
+    and --target), random, zero (stands still), a CHECKPOINT.safetensors, or your own: FILE.py:CLASS (see
     docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
-    """How the expert acts, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; of a range or a list (a,b) every
-    episode draws its own. Names: speed, grasp, release, drop_height, close, look, noise, base_noise, noise_kind,
-    hold, dither (see docs/data.md)."""
+    """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
+    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, look, noise, base_noise,
+    noise_kind, hold, dither (see docs/data.md)."""
     per_target: Number = 0
-    """Episodes to keep of every target (of all together for chains and Navigate); 0 for no limit."""
+    """Episodes to keep per target (in total for chains and Navigate); 0 for no limit."""
     per_label: Number = 0
-    """Episodes to keep of every label of every target; 0 for no limit."""
+    """Episodes to keep per target and label; 0 for no limit."""
     episodes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Try the episodes 0 to N-1 at most; needed without --per-target, else 20 times what is to be kept."""
+    """Try at most the episodes 0 to N-1; needed without --per-target, else 20 times the number to keep."""
     keep: Where = None
     """Which episodes to keep, as in `mjhab data query`; all if absent."""
     preset: Preset = None
     """A filter with a name, see `mjhab data fields`; with --keep, both must hold."""
     images: Annotated[str, tyro.conf.arg(metavar="none|depth|rgb|rgbd|seg")] = "none"
-    """Camera images to store; several joined by +. `mjhab replay --render` draws them later, too."""
+    """Camera images to store; several joined by +. `mjhab replay --render` can also render them later."""
     cameras: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None
-    """Of which cameras of the robot; all if absent."""
+    """Cameras of the robot; all if absent."""
     camera_size: Number = 128
     """Side of the images [px]."""
     rgb: Annotated[str, tyro.conf.arg(metavar="png|jpeg")] = "png"
-    """How colour is stored; png is without loss."""
+    """Format of colour images; png is lossless."""
     no_states: bool = False
-    """Leave out positions and velocities: smaller, but nothing can be rendered later."""
+    """Leave out positions and velocities: files are smaller, but images cannot be rendered later."""
     reward: Annotated[str, tyro.conf.arg(metavar="MODE")] = ""
     """Reward to store, e.g. dense with all its terms; that of an evaluation if absent."""
     workers: Number = 1
-    """Processes that make episodes. Changes the speed, never the results."""
+    """Number of processes. Changes the speed, never the results."""
     worlds: Number = 4
-    """Episodes that a worker runs at the same time. Changes the speed, never the results."""
+    """Parallel episodes per worker. Changes the speed, never the results."""
     threads: Number = 0
     """Threads of the physics of each worker; 0 divides the cores among them."""
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Let the workers be actors on this Ray cluster ("local" starts one here); --out must be a folder all can see."""
+    """Run the workers as actors of this Ray cluster ("local" starts one here); all nodes must see the folder --out."""
     seed: Number = 0
-    """Seed of the run; with the index it fixes the episode."""
+    """Seed of the run; seed and index determine an episode."""
     split: Name = "train"
     """Which homes: train, val or test."""
     home: MaybeName = None
@@ -92,19 +92,19 @@ class GenerateOptions(MemoryOptions, PolicyProfileOptions):
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     navigate: Annotated[str | None, tyro.conf.arg(metavar="drive|teleport")] = None
-    """Of a whole task: drive leaves the way to the policy (the default); teleport puts the robot near every goal, as in
-    the paper's evaluation: then nobody has driven, and every row says so."""
+    """In a whole task: drive leaves driving to the policy (the default); teleport puts the robot near every goal, as in
+    the paper's evaluation, and the recorded instructions say so."""
     until: Until = ""
-    """Of one subtask: success+N ends an episode N control steps after its first success, or after too much force."""
+    """In one subtask: success+N ends an episode N control steps after its first success, or after too much force."""
     resume: bool = False
-    """Go on in --out; --workers, --episodes and the quotas may differ."""
+    """Continue in --out; --workers, --episodes and the quotas may differ."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Simulate recorded actions again and compare every bit (--verify), or draw images from recorded states (--render).
+    """Simulate recorded actions again and compare every bit (--verify), or render recorded states (--render).
 
     `mjhab replay runs/pick --verify`
 
@@ -116,21 +116,21 @@ class ReplayOptions:
     verify: bool = False
     """Simulate the actions on the CPU and compare positions and velocities of every step; fails unless all agree."""
     render: Annotated[str | None, tyro.conf.arg(metavar="depth|rgb|rgbd|seg|pointcloud")] = None
-    """Draw these images of every state into a new shard; several joined by +. Nothing is simulated."""
+    """Render these images of every state into a new shard, without simulation; several joined by +."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h5")] = None
-    """With --render: the shard to make, or to go on with."""
+    """With --render: the shard to make or to continue."""
     cameras: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None
-    """With --render: cameras of the robot (all if absent), and follow, which looks over its shoulder (colour only)."""
+    """With --render: cameras of the robot (all if absent), and follow, a camera behind the robot (colour only)."""
     camera_size: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N|HEIGHT WIDTH")] = (128,)
     """With --render: side of the images, or height and width [px]."""
     rgb: Annotated[str, tyro.conf.arg(metavar="png|jpeg")] = "png"
-    """With --render: how colour is stored; png is without loss."""
+    """With --render: format of colour images; png is lossless."""
     where: Where = None
     """Only these episodes, as in `mjhab data query`."""
     preset: Preset = None
     """A filter with a name, see `mjhab data fields`."""
     worlds: Number = 8
-    """How many episodes run (or frames are drawn) at the same time. Changes the speed, never the results."""
+    """Number of episodes simulated, or frames rendered, in parallel. Changes the speed, never the results."""
     threads: Number = 0
     """Threads; 0 takes all cores."""
     json: bool = False

@@ -38,11 +38,11 @@ class BenchInteractOptions(InteractSpec):
     worlds: Numbers = InteractSpec.worlds
     """Numbers of worlds, measured one after the other."""
     seeds: Number = InteractSpec.seeds
-    """How often each is measured. Nothing in the benchmark is random: seeds 1 to K are repetitions."""
+    """Number of repetitions, named seeds as in the paper; nothing in the benchmark is random."""
     no_render: bool = InteractSpec.no_render
     """Physics only, without 2 x 128 x 128 RGB and depth."""
     steps: Number = InteractSpec.steps
-    """Control steps of a run: the first of the 200 that are recorded."""
+    """Control steps of a run: the first N of the 200 recorded ones."""
     device: Device = InteractSpec.device
     """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
     threads: Number = InteractSpec.threads
@@ -54,36 +54,36 @@ class BenchInteractOptions(InteractSpec):
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     out: Folder = InteractSpec.out
-    """Folder of the results; what an earlier run left there is replaced."""
+    """Folder of the results; results of an earlier run are replaced."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class BenchParityOptions(ParitySpec):
-    """How far both simulators drift apart from the same starts under the same actions, and whether they agree.
+    """Measure the divergence of the two simulators from equal starts, and the agreement of whole episodes.
 
-    Divergence: actions of the expert on the cpu backend, applied to both, whatever they lead to. Agreement: with
-    --episodes, whole episodes of the expert, under the same actions on both and with the expert acting on each by
-    itself, whose outcomes, labels and rewards are compared one by one.
+    Divergence: both backends execute the expert's actions computed on the cpu backend. Agreement: with --episodes, the
+    outcomes, labels and rewards of expert episodes are compared one by one, once with equal actions and once with the
+    expert acting on each backend separately.
 
     `mjhab bench parity --worlds 8 --task all --subtask all --episodes 200 --log parity.jsonl`
     """
 
     worlds: Number = ParitySpec.worlds
-    """Starts whose divergence is measured: episodes 0 to N-1 of every subtask; also the worlds stepped together."""
+    """Number of starts for the divergence: episodes 0 to N-1 of every subtask; also the number of parallel worlds."""
     steps: Number = ParitySpec.steps
     """Control steps; divergence is printed after 1, 10, 100 and 200 of them."""
     episodes: Number = ParitySpec.episodes
-    """Expert episodes for the agreement, spread over the subtasks; 0 judges the --worlds runs alone."""
+    """Expert episodes for the agreement, spread over the subtasks; 0 compares only the --worlds runs."""
     task: Name = ParitySpec.task
     """Task whose episodes are used, or all."""
     subtask: Name = ParitySpec.subtask
     """Subtask, or all that the task has."""
     log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = ParitySpec.log
-    """Finished episodes are kept in this file (JSON lines), and the same command goes on where it was stopped."""
+    """File for finished episodes (JSON lines); with it the same command continues an interrupted run."""
     grasp_seconds: Annotated[float, tyro.conf.arg(metavar="S")] = ParitySpec.grasp_seconds
-    """How long held objects are shaken on both; 0 leaves the test out."""
+    """Duration of shaking grasped objects on both backends [s]; 0 leaves the test out."""
     device: Device = ParitySpec.device
     """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent, else cpu."""
     threads: Number = ParitySpec.threads
@@ -96,18 +96,19 @@ class BenchParityOptions(ParitySpec):
 
 @dataclass(frozen=True)
 class WarmupOptions(ProfileOptions):
-    """Compile what is compiled at first use, and keep it: kernels of the rasterizer and of the experts' planning, and
-    those of MuJoCo Warp.
+    """Compile and cache everything that is compiled at first use: homes, kernels of the rasterizer and of the experts'
+    planning, and those of MuJoCo Warp.
 
-    With `--profile ms_hab` the arms that hold objects are made, too, in which Place then begins.
+    With `--profile ms_hab` it also computes the arm postures with a held object in which Place starts.
 
-    Minutes the first time, seconds later. Compiled kernels of Warp lie in $WARP_CACHE_PATH, else ~/.cache/warp.
+    It takes minutes the first time and seconds later. Kernels of Warp are cached in $WARP_CACHE_PATH, else
+    ~/.cache/warp.
     """
 
     backend: Backend = "auto"
     """cpu: rasterizer and planning; warp: also MuJoCo Warp; auto: warp where there is a CUDA device."""
     task: Name = "tidy_house"
-    """Whose objects the layout has: buffers of the warp backend are measured for it, too."""
+    """Task that sets the objects in the layout; the buffer sizes of the warp backend are also measured for it."""
     device: Device = ""
     """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent."""
     assets: Assets = "builtin"

@@ -1,4 +1,4 @@
-"""Ranges of options by their type and name, checked for every command before it begins."""
+"""Ranges of options by type and name, checked for every command before it starts."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ INT_RANGES: dict[str, tuple[int, int]] = {
     "camera_size": (1, 4096),
     "max_message_mb": (0, 4096),
 }
-"""Least and largest value of options with whole numbers, by name; others are from 0 to `MAX_NUMBER`. Where a command
-needs more than its name says, it says so itself."""
+"""Least and largest value of integer options by name; other options range from 0 to `MAX_NUMBER`. Commands check
+narrower ranges themselves."""
 OUTPUTS = ("out", "page", "export", "log", "record")
-"""Options that name what is written."""
+"""Options that name output files or folders."""
 
 
 def check_limits(options: Any) -> None:
-    """Refuse values that no command can work with.
+    """Refuse option values that are invalid for every command.
 
     Args:
         options: dataclass of a command's options.
 
     Raises:
-        UsageError: names the option, the range and what was given.
+        UsageError: a value is out of range; the message names the option, the range and the value.
     """
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)

@@ -14,23 +14,23 @@ from mjhab.cli.options.served import ServedOptions
 
 @dataclass(frozen=True)
 class ScoreOptions(ServedOptions):
-    """Score a policy on the fixed episodes of a track, check the score of others, or make a table of scores.
+    """Score a policy on the fixed episodes of a track, verify a score, or make a table of scores.
 
     A score: `mjhab score --policy my.safetensors --track subtasks --out scores/mine`
 
-    A check: `mjhab score --check scores/mine/result.json` plays a hundred of its episodes again.
+    A check: `mjhab score --check scores/mine/result.json` replays a hundred of its episodes.
 
     A table: `mjhab score --table scores/*/result.json --page docs/leaderboard.md`
 
-    Ctrl-C keeps the finished episodes; the same command goes on.
+    Ctrl-C keeps the finished episodes; the same command continues.
     """
 
     policy: PolicyName = "expert"
-    """What acts, as for `mjhab eval`."""
+    """The policy, as for `mjhab eval`."""
     track: Annotated[str, tyro.conf.arg(metavar="subtasks|chains")] = "subtasks"
     """The episodes: single subtasks, or whole household tasks."""
     split: Name = "test"
-    """Which homes: train, val or test. Scores that count are of the test homes."""
+    """Which homes: train, val or test. Official scores use the test homes."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder of the runs and of result.json; scores/<policy>_<track>_<split> if absent."""
     worlds: Number = 8
@@ -38,7 +38,7 @@ class ScoreOptions(ServedOptions):
     threads: Number = 0
     """Threads of the physics; 0 takes all cores. Changes the speed, never the results."""
     episodes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """At most N episodes of each row: a quick look, which is marked as incomplete."""
+    """At most N episodes per row, for a quick estimate; the score is marked as incomplete."""
     check: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Check this result file instead."""
     table: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE ...")] = ()
@@ -46,7 +46,6 @@ class ScoreOptions(ServedOptions):
     page: Annotated[Path | None, tyro.conf.arg(metavar="FILE.md")] = None
     """With --table: write it to this file instead of printing it."""
     starts: bool = False
-    """Write the digests of the starts of the track, where they are missing, into the package instead; for those who
-    change where episodes begin."""
+    """Write the missing start digests of the track into the package instead; needed after a change of start states."""
     json: bool = False
     """Print one line of JSON at the end: track, score, episodes, digest."""

@@ -1,4 +1,4 @@
-"""Options of every command whose policy may be served elsewhere."""
+"""Options of all commands that accept a remote policy."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class ServedOptions:
-    """How a policy at --policy ws://host:port is asked; what is absent has the default of docs/serving.md."""
+    """Options for requests to a remote policy (--policy ws://host:port); docs/serving.md lists the defaults."""
 
     dialect: Annotated[str | None, tyro.conf.arg(metavar="openpi|roboarena|behavior")] = None
-    """With --policy ws://host:port: what its server speaks; openpi if absent."""
+    """With --policy ws://host:port: message format of the server; openpi if absent."""
     execute: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """With --policy ws://host:port: actions of a chunk that are executed before it is asked again; 8 if absent."""
+    """With --policy ws://host:port: actions of a chunk that are executed before the next request; 8 if absent."""
     actions: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """With --policy ws://host:port: what it sends: joint (13 numbers), ee (end effector, gripper, base: 9),
-    joint_position or joint_velocity (arm, gripper: 8). What its server says, or joint, if absent."""
+    """With --policy ws://host:port: action space: joint (13 numbers), ee (end effector, gripper, base: 9),
+    joint_position or joint_velocity (arm, gripper: 8). That of the server, else joint, if absent."""
     prompt: Annotated[str | None, tyro.conf.arg(metavar="subtask|task")] = None
-    """With --policy ws://host:port: the instruction it gets: of the active subtask (default) or of the whole task."""
+    """With --policy ws://host:port: instruction in requests: of the active subtask (default) or of the whole task."""
     timeout: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """With --policy ws://host:port: longest wait for an answer; 30 s if absent, 300 s for the first one."""
     batch: bool = False
@@ -28,7 +28,7 @@ class ServedOptions:
 
     @property
     def served(self) -> dict[str, Any]:
-        """What was given, by the names of `serving.address.Address`."""
+        """The given options by the field names of `serving.address.Address`."""
         given: dict[str, Any] = {
             "dialect": self.dialect,
             "execute": self.execute,

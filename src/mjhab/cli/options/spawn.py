@@ -22,11 +22,11 @@ from mjhab.cli.options.common import (
 
 @dataclass(frozen=True)
 class SpawnsMakeOptions(ProfileOptions):
-    """Make starts of a subtask once, for many runs: nothing is settled or searched when they are used.
+    """Compute start states of a subtask once, for use in many runs without settling or search.
 
     `mjhab spawns make --task set_table --subtask pick --count 1000 --out spawns/pick.npz`
 
-    Use them with `EnvConfig(..., spawns="spawns/pick.npz")`. Ctrl-C keeps what is finished; the same command continues.
+    Use them with `EnvConfig(..., spawns="spawns/pick.npz")`. Ctrl-C keeps finished starts; the same command continues.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz")]
@@ -42,13 +42,13 @@ class SpawnsMakeOptions(ProfileOptions):
     home: MaybeName = None
     """Use only this home, or the homes that fit a pattern, in turn (see: mjhab homes list)."""
     count: Number = 1000
-    """How many starts: those of the episodes 0 to N-1."""
+    """Number of starts: those of the episodes 0 to N-1."""
     pool: Number = 0
-    """How many arrangements of objects the starts share; 0 gives each its own, which takes most of the time."""
+    """Number of object arrangements that the starts share; 0 gives each its own, which takes most of the time."""
     seed: Number = 0
     """Seed of the episodes."""
     harvested: bool = False
-    """Place and navigate: begin with grasps that were added on this machine, too, not only with those found."""
+    """Place and navigate: also use grasps recorded on this machine, not only the computed ones."""
     assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
@@ -58,20 +58,20 @@ class SpawnsMakeOptions(ProfileOptions):
     threads: Number = 0
     """Threads; 0 takes all cores. Changes the speed, never the starts."""
     overwrite: bool = False
-    """Replace the file, and what an interrupted run with other options left beside it."""
+    """Replace the file and the unfinished files of an interrupted run with other options."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class SpawnsListOptions:
-    """List sets of starts: what they were made for, how many they are, the layout they fit.
+    """List sets of starts with their task, number of starts, and layout.
 
     `mjhab spawns list spawns`
     """
 
     path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|FILE")] = Path()
-    """A spawn set, or a folder with some."""
+    """A set of starts, or a folder of sets."""
     json: bool = False
     """Print one line of JSON instead of a table."""
 
@@ -85,7 +85,7 @@ class SpawnsCommand:
 
 @dataclass(frozen=True)
 class BenchSpawnOptions(ProfileOptions):
-    """Measure how many starts are found per second, and how long settling a new arrangement of objects takes."""
+    """Measure how many starts are computed per second, and how long settling a new object arrangement takes."""
 
     task: Name = "tidy_house"
     """Which task: set_table, tidy_house, prepare_groceries or one of a plugin."""
@@ -94,13 +94,13 @@ class BenchSpawnOptions(ProfileOptions):
     target: MaybeName = None
     """The object or link to act on. All of them if absent."""
     count: Number = 400
-    """Starts in the measured part."""
+    """Number of measured starts."""
     pool: Number = 16
-    """Arrangements of objects the starts share; all are seen once before the clock runs."""
+    """Number of object arrangements that the starts share; all are loaded once before the measurement."""
     fresh: Number = 4
-    """New arrangements to time."""
+    """Number of new arrangements to time."""
     threads: Number = 1
-    """Threads; 0 takes all cores. One is fastest where the engine's share of a start is small."""
+    """Threads; 0 takes all cores. One is fastest if the simulation takes a small part of the time."""
     seed: Number = 0
     """Seed of the episodes."""
     assets: Assets = "builtin"

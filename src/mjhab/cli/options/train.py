@@ -29,26 +29,26 @@ MaybeNumber = Annotated[int | None, tyro.conf.arg(metavar="N")]
 
 @dataclass(frozen=True)
 class RunOptions(PolicyProfileOptions):
-    """What all of ``mjhab train`` have in common."""
+    """Options of all algorithms of ``mjhab train``."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Folder of the run: checkpoints, collected data, curves, report."""
     preset: Name = ""
-    """Sizes and settings with a name; the first one if absent."""
+    """Named configuration of network and training; the algorithm's first one if absent."""
     task: Name = "set_table"
-    """Where to learn: set_table, tidy_house, prepare_groceries or one of a plugin."""
+    """The task: set_table, tidy_house, prepare_groceries or one of a plugin."""
     subtask: Name = "close"
-    """What to learn: pick, place, navigate, open, close or one of a plugin."""
+    """The subtask to learn: pick, place, navigate, open, close or one of a plugin."""
     target: MaybeName = None
     """The object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3; one policy for all of them if absent."""
     budget_minutes: Minutes = 0.0
-    """Stop in time for the last evaluation to be over after so many minutes; 0 for no limit."""
+    """Time limit of the whole run, including the final evaluation [min]; 0 for no limit."""
     eval_episodes: Number = 100
-    """Episodes of the last evaluation; 0 for none."""
+    """Episodes of the final evaluation; 0 for none."""
     round_episodes: Number = 32
-    """Episodes of the evaluations on the way; 0 for none."""
+    """Episodes of the evaluations during training; 0 for none."""
     films: Number = 0
-    """Film so many episodes of the first and of the last evaluation."""
+    """Number of episodes to film in the first and in the last evaluation."""
     seed: Number = 0
     """Seed of everything: weights, batches, episodes."""
     split: Name = "train"
@@ -62,51 +62,52 @@ class RunOptions(PolicyProfileOptions):
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     threads: Number = 0
-    """Threads of physics and network; 0 takes all cores. The last bits of what is learned depend on it."""
+    """Threads of physics and network; 0 takes all cores. The last bits of the weights depend on it."""
     resume: bool = False
-    """Go on with the run in --out, exactly where its last checkpoint is."""
+    """Continue the run in --out from its last checkpoint."""
     json: bool = False
     """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)
 class TrainOptions(RunOptions):
-    """What all algorithms of imitation have in common."""
+    """Options of all imitation learning algorithms."""
 
     data: DataPlaces = ()
     """Learn from these demonstrations: shards or folders of them, with images of the preset's size. If absent, the
-    expert makes demonstrations first."""
+    expert generates demonstrations first."""
     where: Where = None
-    """With --data: which episodes, as in `mjhab data query`; those that succeed if absent."""
+    """With --data: which episodes, as in `mjhab data query`; the successful ones if absent."""
     demos: MaybeNumber = None
-    """Without --data: episodes that the expert tries; as the preset says if absent."""
+    """Without --data: number of episodes that the expert tries; that of the preset if absent."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
-    """How the expert acts that is learned from, as in `mjhab generate`; with noise=0..0.2 it acts with noise, and what
-    it intended is learned."""
+    """Style of the demonstrating expert, as in `mjhab generate`; with noise=0..0.2 it executes noisy actions, and the
+    student learns the intended ones."""
     updates: MaybeNumber = None
-    """Updates of the network (of dagger: in the first round); as the preset says if absent."""
+    """Updates of the network (in dagger: of the first round); those of the preset if absent."""
     worlds: Number = 16
-    """Episodes that run at the same time in a process. Changes the speed, never what is collected."""
+    """Parallel episodes per process. Changes the speed, never the collected data."""
     workers: Number = 1
-    """Processes that collect; 1 collects in this one. Changes the speed, never what is collected."""
+    """Processes for collection; 1 uses this process. Changes the speed, never the collected data."""
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Let actors on this Ray cluster collect ("local" starts one here); --out must be a folder all can see."""
+    """Collect with actors of this Ray cluster ("local" starts one here); all nodes must see the folder --out."""
 
 
 @dataclass(frozen=True)
 class ReinforcementOptions(RunOptions):
-    """What all algorithms of reinforcement have in common."""
+    """Options of all reinforcement learning algorithms."""
 
     samples: MaybeNumber = None
-    """Control steps of single worlds to learn from, in all; as the preset says if absent."""
+    """Total number of samples (control steps of single worlds); that of the preset if absent."""
     worlds: MaybeNumber = None
-    """Episodes that run at the same time; part of what is learned. As the preset says if absent."""
+    """Number of parallel worlds; it changes the result. That of the preset if absent."""
     start: Annotated[Path | None, tyro.conf.arg(metavar="CHECKPOINT")] = None
-    """Let the actor begin from this checkpoint of `mjhab train`, e.g. a student to polish."""
+    """Start the actor from this checkpoint of `mjhab train`, e.g. a student to fine-tune."""
     privileged_critic: bool | None = None
-    """Whether the critic sees forces, velocities and time left, which no robot knows; the policy never does."""
+    """Whether the critic receives simulator state such as forces, velocities and remaining time; the policy never
+    does."""
     backend: Name = "cpu"
-    """Engine of the environment: cpu, warp (on a GPU), or auto."""
+    """Simulation backend: cpu, warp (on a GPU), or auto."""
     device: Name = ""
     """With backend warp: cuda:0, cuda:1, ...; the first one if absent."""
 
@@ -119,7 +120,7 @@ class TrainPpoOptions(ReinforcementOptions):
     `mjhab train ppo --task set_table --subtask close --target kitchen_counter/drawer3 --preset fast
     --budget-minutes 20 --out runs/ppo`
 
-    `torchrun --nproc-per-node 2 -m mjhab.cli.main train ppo ...` lets two processes learn together.
+    `torchrun --nproc-per-node 2 -m mjhab.cli.main train ppo ...` trains with two processes.
     """
 
 
@@ -128,53 +129,53 @@ class TrainSacOptions(ReinforcementOptions):
     """Soft actor-critic with distributional critics. Presets: fast (32 px depth), state, paper."""
 
     capacity: MaybeNumber = None
-    """Control steps in the replay buffer; as the preset says if absent."""
+    """Control steps in the replay buffer; that of the preset if absent."""
 
 
 @dataclass(frozen=True)
 class TrainRlpdOptions(TrainSacOptions):
-    """Soft actor-critic of which half of every batch are demonstrations by the expert. Presets: demos, state."""
+    """Soft actor-critic with demonstrations of the expert in half of every batch. Presets: demos, state."""
 
     demonstrations: MaybeNumber = None
-    """Episodes by the expert; as the preset says if absent."""
+    """Number of expert episodes; that of the preset if absent."""
     data: DataPlaces = ()
-    """Take recorded demonstrations: shards or folders of them. If absent, the expert makes demonstrations."""
+    """Use recorded demonstrations: shards or folders of them. If absent, the expert generates demonstrations."""
     where: Where = None
-    """With --data: which episodes, as in `mjhab data query`; those that succeed if absent."""
+    """With --data: which episodes, as in `mjhab data query`; the successful ones if absent."""
     recompute_rewards: bool = False
-    """With --data: also take what was recorded in another profile or with other rewards. Actions are simulated again
+    """With --data: accept episodes recorded with another profile or other rewards. Their actions are simulated again
     from the recorded first state, with the profile and the rewards of this run."""
 
 
 @dataclass(frozen=True)
 class TrainBcOptions(TrainOptions):
-    """Behaviour cloning: predict what was demonstrated. Presets: small, quick, paper.
+    """Behaviour cloning: predict the demonstrated actions. Presets: small, quick, paper.
 
     `mjhab train bc --subtask close --target kitchen_counter/drawer3 --out runs/bc`
 
-    Preset paper is the published student, with depth images of 128 pixels; small has chunks of actions, images of 32
-    pixels, normalized states and the last action.
+    Preset paper is MS-HAB's student with depth images of 128 px; small predicts chunks of actions from images of 32 px,
+    normalized states and the last action.
     """
 
 
 @dataclass(frozen=True)
 class TrainFlowOptions(TrainOptions):
-    """Flow matching: samples chunks of actions, where demonstrations do one thing or another. Presets: flow, quick."""
+    """Flow matching: samples chunks of actions, for multimodal demonstrations. Presets: flow, quick."""
 
 
 @dataclass(frozen=True)
 class TrainActOptions(TrainOptions):
-    """Chunks of actions by a small transformer with a latent style (ACT). Presets: act, quick."""
+    """Action chunking with a small transformer and a latent variable (ACT). Presets: act, quick."""
 
 
 @dataclass(frozen=True)
 class TrainDiffusionOptions(TrainOptions):
-    """The published diffusion policy, with truncation at success and averaged weights. Preset: paper_dp."""
+    """MS-HAB's diffusion policy, with demonstrations truncated at success and averaged weights. Preset: paper_dp."""
 
 
 @dataclass(frozen=True)
 class TrainDaggerOptions(TrainOptions):
-    """Take-over DAgger: the student begins, the expert finishes, the student learns from that; round after round.
+    """Take-over DAgger: in each round the student starts episodes, the expert finishes them, and the student learns.
 
     `mjhab train dagger --task set_table --subtask close --target kitchen_counter/drawer3 --preset quick
     --budget-minutes 20 --out runs/close`
@@ -183,31 +184,32 @@ class TrainDaggerOptions(TrainOptions):
     """
 
     rounds: MaybeNumber = None
-    """Rounds after the first; as the preset says if absent."""
+    """Rounds after the first; those of the preset if absent."""
     round_updates: MaybeNumber = None
-    """Updates after every round but the first; as the preset says if absent."""
+    """Updates after every round except the first; those of the preset if absent."""
     takeovers: MaybeNumber = None
-    """Episodes of every round but the first; as the preset says if absent."""
+    """Episodes of every round except the first; those of the preset if absent."""
     final_updates: MaybeNumber = None
-    """Updates after the last round, from all rounds in equal parts, with a learning rate that falls to zero."""
+    """Updates after the last round, on all rounds, with a learning rate that decreases to zero."""
     first_prefix: MaybeNumber = None
-    """In the first round with take-overs the student acts for up to so many control steps."""
+    """Largest number of control steps for which the student acts in the first round with take-overs."""
     prefix_growth: MaybeNumber = None
-    """So many more in every later round. Where the expert saves nearly all episodes, more of them teach faster."""
+    """Increase of this number per round. If the expert finishes nearly all episodes, a larger value trains faster."""
 
 
 @dataclass(frozen=True)
 class BenchLearnerOptions(LearnerSpec):
-    """Measure reinforcement: control steps/s of PPO beside its environment alone, updates/s of SAC."""
+    """Measure reinforcement learning: control steps/s of PPO and of its environment alone, updates/s of SAC."""
 
     worlds: MaybeNumber = LearnerSpec.worlds
     """Worlds of PPO; those of preset fast if absent."""
     batches: Numbers = LearnerSpec.batches
-    """Sizes of the batches of SAC, measured one after the other."""
+    """Batch sizes of SAC, measured one after the other."""
     rounds: Number = LearnerSpec.rounds
-    """Rollouts with their updates, each followed by as many control steps of the environment alone; medians count."""
+    """Rollouts with their updates, each followed by as many control steps of the environment alone; the results are
+    medians."""
     updates: Number = LearnerSpec.updates
-    """Updates of SAC that are timed."""
+    """Number of timed updates of SAC."""
     threads: Number = LearnerSpec.threads
     """Threads of physics and networks; 0 takes all cores."""
     seed: Number = LearnerSpec.seed
@@ -218,7 +220,7 @@ class BenchLearnerOptions(LearnerSpec):
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Train a policy that acts from what the robot sees; needs pip install 'mjhab[learn]'."""
+    """Train a policy on the robot's observations; needs pip install 'mjhab[learn]'."""
 
     command: (
         Annotated[TrainBcOptions, Sub("bc")]

@@ -25,7 +25,7 @@ from mjhab.cli.options.data import Preset, Where
 
 @dataclass(frozen=True)
 class ViewOptions(PolicyProfileOptions):
-    """Look at recorded episodes, or at running worlds, in the browser; drive by hand; write an episode as one page.
+    """View recorded episodes or running worlds in the browser, drive by hand, or write an episode as one page.
 
     Recorded: `mjhab view runs/pick`
 
@@ -42,22 +42,22 @@ class ViewOptions(PolicyProfileOptions):
     places: Annotated[
         tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[SHARD|FOLDER ...]")
     ] = ()
-    """Shards (*.h5) or folders of shards to look at. Without any, worlds run."""
+    """Shards (*.h5) or folders of shards to view. Without any, new worlds run."""
     task: Name = "set_table"
-    """Of running worlds, what to do: set_table, tidy_house or prepare_groceries."""
+    """Task of running worlds: set_table, tidy_house or prepare_groceries."""
     subtask: MaybeName = None
-    """Likewise: one subtask instead of the whole chain: pick, place, navigate, open or close."""
+    """Subtask of running worlds instead of the whole chain: pick, place, navigate, open or close."""
     target: MaybeName = None
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
-    """What acts, as in `mjhab eval`, or human: a person drives in the page, from the first step on. Others can be
+    """The policy, as in `mjhab eval`, or human: a person drives in the page from the first step on. Others can be
     chosen in the page."""
     policies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Further policies that the page offers."""
     worlds: Number = 1
-    """How many worlds run; the page shows one of them."""
+    """Number of running worlds; the page shows one of them."""
     episode: Number = 0
-    """Index of the first episode; with --export, which of the episodes to write, in their order."""
+    """Index of the first episode; with --export, position of the episode to write, from 0."""
     seed: Number = 0
     """Seed of the episodes."""
     split: Name = "train"
@@ -65,7 +65,7 @@ class ViewOptions(PolicyProfileOptions):
     home: MaybeName = None
     """Only this home."""
     navigate: Annotated[str, tyro.conf.arg(metavar="teleport|drive")] = "teleport"
-    """How Navigate subtasks of a chain are done, as in `mjhab eval`."""
+    """Execution of Navigate subtasks in a chain, as in `mjhab eval`."""
     reward: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     """Reward to show: dense, normalized_dense or sparse; that of an evaluation if absent."""
     assets: Assets = "builtin"
@@ -75,17 +75,17 @@ class ViewOptions(PolicyProfileOptions):
     articulate: Joints = None
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     where: Where = None
-    """Of recorded episodes, only these, as in `mjhab data query`."""
+    """With recorded episodes: only these, as in `mjhab data query`."""
     preset: Preset = None
     """A filter with a name, see `mjhab data fields`."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h5")] = None
-    """Of running worlds: record every episode that ends in this shard; episodes of an older one are kept."""
+    """With running worlds: record every finished episode in this shard; existing episodes in it are kept."""
     export: Annotated[Path | None, tyro.conf.arg(metavar="FILE.html")] = None
-    """Write a recorded episode as one page that needs no network, instead of serving."""
+    """Write a recorded episode as a self-contained page instead of serving."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "localhost"
-    """Address to listen on. Others than localhost let everybody drive who can reach this machine."""
+    """Address to listen on. With addresses other than localhost, everybody who can reach this machine can drive."""
     port: Number = 8080
-    """Port to listen on; if it is in use, the next free one is taken, and said."""
+    """Port to listen on; if it is in use, the next free one is used and printed."""
     threads: Number = 0
     """Threads of the physics; 0 takes all cores."""
     json: bool = False
@@ -98,19 +98,19 @@ class BenchViewOptions(ViewSpec):
 
     `mjhab bench view --worlds 1 4 16`
 
-    The page of this measurement counts and draws nothing. Fails below 30 frames per second with a single world.
+    The test client counts frames without drawing. Fails below 30 frames per second with a single world.
     """
 
     worlds: Numbers = ViewSpec.worlds
-    """How many worlds run; one measurement for each number."""
+    """Numbers of running worlds, measured one after the other."""
     policy: PolicyName = ViewSpec.policy
-    """What acts, as in `mjhab eval`."""
+    """The policy, as in `mjhab eval`."""
     task: Name = ViewSpec.task
-    """What the worlds do: set_table, tidy_house or prepare_groceries."""
+    """Task of the worlds: set_table, tidy_house or prepare_groceries."""
     subtask: Name = ViewSpec.subtask
-    """One subtask of it."""
+    """Subtask of the worlds."""
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = ViewSpec.seconds
-    """How long frames are counted."""
+    """Duration of counting frames [s]."""
     threads: Number = ViewSpec.threads
     """Threads of the physics; 0 takes all cores."""
     assets: Assets = ViewSpec.assets

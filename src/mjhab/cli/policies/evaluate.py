@@ -1,4 +1,4 @@
-"""``mjhab eval``: parse, evaluate, print."""
+"""``mjhab eval``: parse options, evaluate a policy, print the results."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def run_eval(options: EvalOptions) -> int:
 
 
 def run_demo(options: DemoOptions) -> int:
-    """Run the evaluation that shows most in little time; returns what `run_eval` does."""
+    """Run the demonstration; returns the exit code of `run_eval`."""
     code = run_eval(
         EvalOptions(
             task="set_table",
@@ -57,10 +57,10 @@ def run_demo(options: DemoOptions) -> int:
 
 
 def eval_spec(options: EvalOptions) -> EvalSpec:
-    """What the options ask for.
+    """Convert the options to an `EvalSpec`.
 
     Raises:
-        UsageError: an unknown name, or a number out of range.
+        UsageError: a name is unknown, or a number out of range.
     """
     asked = {
         "obs_mode": options.obs,
@@ -97,7 +97,7 @@ class ProgressSink(Sink[RolloutEnv]):
     """Shows episodes done, control steps per second and the success rate so far."""
 
     REFRESH = 0.25
-    """Seconds between updates."""
+    """Time between updates [s]."""
 
     def __init__(self, spec: EvalSpec) -> None:
         self._bar = Progress(
@@ -118,18 +118,18 @@ class ProgressSink(Sink[RolloutEnv]):
         self._won = 0
 
     def on_begin(self, env: RolloutEnv, episodes: Sequence[int]) -> None:
-        """Show the bar, which starts behind the episodes of earlier starts."""
+        """Show the bar; it starts after the episodes that a resumed run already has."""
         self._started = time.perf_counter()
         self._bar.start()
         self._bar.start_task(self._task)
         self._bar.update(self._task, completed=self._total - len(episodes))
 
     def close(self) -> None:
-        """Leave the bar as it is."""
+        """Stop updating the bar."""
         self._bar.stop()
 
     def on_step(self, env: RolloutEnv, step: StepView) -> None:
-        """Count control steps and show the rate now and then."""
+        """Count control steps and update the rate."""
         self._steps += int(step.active.sum())
         now = time.perf_counter()
         if now - self._shown > self.REFRESH:
@@ -137,7 +137,7 @@ class ProgressSink(Sink[RolloutEnv]):
             self._bar.update(self._task, rate=f"{self._steps / (now - self._started):,.0f} steps/s")
 
     def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
-        """Move the bar."""
+        """Advance the bar by one episode."""
         self._done += 1
         self._won += record.success_once
         self._bar.update(

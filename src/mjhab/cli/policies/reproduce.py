@@ -1,4 +1,4 @@
-"""``mjhab reproduce``: policies for results of the MS-HAB paper, and a page with both."""
+"""``mjhab reproduce``: train and evaluate policies for results of the MS-HAB paper."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mjhab.learning.reproduce.spec import TableSpec
 
 
 def run_reproduce(options: ReproduceOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (what is done is kept)."""
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (finished parts are kept)."""
     spec = table_spec(options)
     with sigterm_interrupts():
         results, interrupted = reproduce(
@@ -29,10 +29,10 @@ def run_reproduce(options: ReproduceOptions) -> int:
 
 
 def table_spec(options: ReproduceOptions) -> TableSpec:
-    """What the options ask for.
+    """Convert the options to a `TableSpec`.
 
     Raises:
-        UsageError: a number out of range.
+        UsageError: a number is out of range.
     """
     for name, least in (("episodes", 1), ("worlds", 1), ("films", 0), ("seed", 0), ("threads", 0)):
         at_least(name, getattr(options, name), least)
@@ -66,7 +66,7 @@ def tell(
 ) -> None:
     """Print the table, or its JSON."""
     if interrupted:
-        print("mjhab: interrupted. The same command with --resume goes on.", file=sys.stderr)
+        print("mjhab: interrupted. The same command with --resume continues.", file=sys.stderr)
     if options.json:
         print_json({"rows": list(results), "report": str(options.out / REPORT)})
         return

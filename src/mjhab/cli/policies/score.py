@@ -1,4 +1,4 @@
-"""``mjhab score``: parse, score or check or tabulate, print."""
+"""``mjhab score``: parse options; score, check or tabulate; print the results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MOST_SHOWN = 10
 
 
 def run_score(options: ScoreOptions) -> int:
-    """Run the command; returns 0, 1 if a check finds episodes that went another way, or 130 after Ctrl-C."""
+    """Run the command; returns 0, 1 if a check finds episodes with another outcome, or 130 after Ctrl-C."""
     modes = [bool(options.check), bool(options.table), options.starts]
     if sum(modes) > 1:
         raise UsageError("--check, --table and --starts exclude each other.")
@@ -101,7 +101,7 @@ def _tell(result: Result, out: Path) -> None:
     )
     if not summary["complete"]:
         print(
-            f"incomplete: episodes are missing, or began elsewhere than the manifest says ({summary['other_starts']})"
+            f"incomplete: episodes are missing, or have another start than in the manifest ({summary['other_starts']})"
         )
     print(f"result: {out / 'result.json'}")
 
@@ -115,7 +115,7 @@ def _check(path: Path, options: ScoreOptions) -> int:
         print(f"{name}: {what}", file=sys.stderr)
     exact = found.episodes - len(found.wrong) - len(found.inexact)
     print(
-        f"{found.episodes} episodes played again: {exact} exact, {len(found.inexact)} with the same outcome but other "
+        f"{found.episodes} episodes replayed: {exact} exact, {len(found.inexact)} with the same outcome but other "
         f"states (another machine or version?), {len(found.wrong)} with another outcome"
     )
     if options.json:

@@ -1,4 +1,4 @@
-"""``mjhab serve``: a policy of mjhab behind a websocket."""
+"""``mjhab serve``: serve a policy of mjhab over websockets."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def run_serve(options: ServeOptions) -> int:
 
 
 def _run(server: PolicyServer) -> None:
-    """Serve until one of the signals comes that ask for the end."""
+    """Serve until SIGINT or SIGTERM."""
     ended = threading.Event()
     signals = (signal.SIGINT, signal.SIGTERM)
     before = [signal.signal(number, lambda *_: ended.set()) for number in signals]

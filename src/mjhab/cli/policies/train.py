@@ -1,4 +1,4 @@
-"""``mjhab train``: options to a request, and what is told at the end."""
+"""``mjhab train``: convert options to a training request, train, print the results."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ DAGGER_NUMBERS = {
     "prefix_growth": ("prefix_growth", 0),
     "final_updates": ("final_updates", 0),
 }
-"""Field of `DaggerConfig` that an option changes, and the least value of it."""
+"""Field of `DaggerConfig` that an option sets, and its least value."""
 SECONDS_PER_MINUTE = 60.0
 
 
@@ -81,10 +81,10 @@ def _train(options: RunOptions) -> TrainingResult:
 
 
 def make_scene(options: RunOptions) -> Scene:
-    """Check what all algorithms have in common, and turn it into a scene.
+    """Check the options that all algorithms share and convert them to a scene.
 
     Raises:
-        UsageError: an unknown name, or a number out of range.
+        UsageError: a name is unknown, or a number out of range.
     """
     from mjhab.learning.runs.collection import Scene
 
@@ -170,7 +170,7 @@ def make_request(options: TrainOptions) -> Request:
 
 
 def resolved(options: TrainOptions) -> TrainConfig:
-    """The preset with what the options change in it."""
+    """The preset with the changes of the options."""
     from mjhab.learning.configs import preset_of
 
     config = preset_of(ALGORITHMS[type(options)], options.preset)
@@ -198,8 +198,8 @@ def _tell(options: RunOptions, result: TrainingResult) -> None:
     summary = result.summary
     if result.interrupted:
         print(
-            f"mjhab: interrupted; the last checkpoint is kept in {options.out}. The same command with --resume goes "
-            "on.",
+            f"mjhab: interrupted; the last checkpoint is kept in {options.out}. The same command with --resume "
+            "continues.",
             file=sys.stderr,
         )
     if options.json:

@@ -1,1 +1,1 @@
-"""Commands about what there is: data sets of homes, homes, robots, environments, episodes, starts."""
+"""Commands about asset data sets, homes, robots, environments, episode files and sets of starts."""

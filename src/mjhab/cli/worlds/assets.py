@@ -1,4 +1,4 @@
-"""``mjhab assets``: get, check and find public data sets."""
+"""``mjhab assets``: list, install, verify and locate public data sets."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run_assets(
 
 
 def list_assets(options: AssetsListOptions) -> int:
-    """Print every data set that can be fetched."""
+    """Print all installable data sets."""
     rows: list[dict[str, Any]] = [
         {
             "name": source.name,
@@ -102,17 +102,17 @@ def fetch_assets(options: AssetsFetchOptions) -> int:
 
 
 def _agree(source: Source, accepted: bool) -> None:
-    """Show the licence of a data set; ask whether it is accepted, where somebody can answer.
+    """Show the licence of a data set and, in a terminal, ask whether the user accepts it.
 
     Raises:
-        UsageError: it is not accepted.
+        UsageError: the licence is not accepted.
     """
     print(f"{source.title}\nLicence: {source.licence}\nTerms: {source.terms}", file=sys.stderr)
     if accepted:
         return
     if not sys.stdin.isatty():
         raise UsageError(
-            f"{source.name} has a licence of its own (above); add --accept-licence to accept it."
+            f"{source.name} has its own licence (above); add --accept-licence to accept it."
         )
     print("Do you accept these terms? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
@@ -138,7 +138,7 @@ def _bars(name: str) -> Iterator[Progress]:
 
 
 def verify_assets(options: AssetsVerifyOptions) -> int:
-    """Check one installed data set; fails if files are missing or not what they were."""
+    """Check one installed data set; returns 1 if files are missing or changed."""
     folder = assets_dir() / source_named(options.name).name
     found = verify(folder)
     good = not (found.missing or found.changed)
@@ -164,10 +164,10 @@ def verify_assets(options: AssetsVerifyOptions) -> int:
             ("file", "is"),
             problems,
         )
-        print(f"`mjhab assets fetch {options.name} --overwrite` gets them again.")
+        print(f"`mjhab assets fetch {options.name} --overwrite` installs them again.")
     elif found.first_use:
         print(
-            f"{folder}: no record was there; the hashes of its {found.files} files are recorded now."
+            f"{folder}: it had no record; the hashes of its {found.files} files are recorded now."
         )
     else:
         print(f"{folder}: {found.files} files are as installed.")
@@ -175,7 +175,7 @@ def verify_assets(options: AssetsVerifyOptions) -> int:
 
 
 def where(options: AssetsWhereOptions) -> int:
-    """Print a folder."""
+    """Print the folder of a data set, or of all data sets."""
     folder = assets_dir() / source_named(options.name).name if options.name else assets_dir()
     if options.json:
         print_json({"folder": str(folder), "installed": folder.is_dir()})

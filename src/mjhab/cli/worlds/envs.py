@@ -1,4 +1,4 @@
-"""``mjhab envs``: what environments there are, and what goes in and out of them."""
+"""``mjhab envs``: list environments and describe their observations, actions and rewards."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def describe_env(options: EnvsDescribeOptions) -> int:
 
 
 def description(options: EnvsDescribeOptions) -> dict[str, Any]:
-    """What an environment takes and gives, as plain values."""
+    """Observations, actions and rewards of an environment, as JSON data."""
     import dataclasses
 
     from mjhab.envs import make_by_id

@@ -1,4 +1,4 @@
-"""``mjhab episodes``: make and check files of episodes in the HAB format."""
+"""``mjhab episodes``: generate and check files of episodes in the HAB format."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def make(options: EpisodesMakeOptions) -> int:
 
 
 def check(options: EpisodesCheckOptions) -> int:
-    """Load and settle the episodes of a file; 1 if it is not what its manifest says."""
+    """Load and simulate the episodes of a file, and print which objects do not stay in place."""
     at_least("threads", options.threads, 0)
     if options.task is not None:
         TASKS.check(options.task)
@@ -140,7 +140,7 @@ def check_manifest(file: HabFile) -> None:
             min(len(found), len(listed)),
         )
         raise MjhabError(
-            f"{file.path}: episodes[{k}] is not what {beside.name} lists; make the file again."
+            f"{file.path}: episodes[{k}] differs from {beside.name}; make the file again."
         )
 
 
@@ -156,7 +156,7 @@ def _load(options: EpisodesCheckOptions, file: HabFile) -> FileEpisodes:
 
 
 def task_of(file: HabFile) -> str:
-    """Task of a file: what its first episode says, else what its name contains, else tidy_house."""
+    """Task of a file: from its first episode, else from the file name, else tidy_house."""
     told: Any = file.episodes[0].info.get("task")
     if told in TASKS:
         return str(told)

@@ -1,4 +1,4 @@
-"""Homes by name and by split, for the commands about homes."""
+"""Look-up of homes by name and by split."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from mjhab.core.errors import unknown_name
 
 
 def find_home(assets: str, name: str) -> Any:
-    """The home of that name.
+    """Return a home by name.
 
     Raises:
-        UsageError: unknown pack or home.
+        UsageError: the pack or the home is unknown.
     """
     from mjhab.scenes.packs import open_pack
 

@@ -49,7 +49,7 @@ def list_homes(options: HomesListOptions) -> int:
 
 
 def _variety(homes: list[dict[str, Any]]) -> str:
-    """How many macro layouts the homes of every split have: the rest of them are the same rooms with small shifts."""
+    """Describe how many macro layouts each split has; homes of one macro layout differ by small shifts only."""
     parts = []
     for split in dict.fromkeys(home["split"] for home in homes):
         macros = {home["macro"] for home in homes if home["split"] == split}

@@ -1,4 +1,4 @@
-"""``mjhab homes check``: do the homes of a pack compile into one layout, and can a robot work in them."""
+"""``mjhab homes check``: check that the homes of a pack compile into one layout and that a robot can work in them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mjhab.core.progress import progress_bar
 
 
 def check(options: HomesCheckOptions) -> int:
-    """Print what was found; fails if a home cannot be used."""
+    """Print the findings; returns 1 if a home cannot be used."""
     from mjhab.layout.check import check_homes
     from mjhab.layout.layout import Layout
     from mjhab.scenes.packs import open_pack
@@ -28,7 +28,7 @@ def check(options: HomesCheckOptions) -> int:
 
 
 def roster_of(pack: Any) -> tuple[str, ...]:
-    """Objects to compile with the homes: those of TidyHouse where the pack has them, else one of each it has."""
+    """Objects to compile with the homes: those of TidyHouse if the pack has them, else one of each of the pack's."""
     from mjhab.episodes.rosters import roster
 
     usual = roster("tidy_house")
@@ -36,7 +36,7 @@ def roster_of(pack: Any) -> tuple[str, ...]:
 
 
 def as_json(report: Any) -> dict[str, Any]:
-    """The report for machines."""
+    """The report as JSON data."""
     return {
         "homes": report.homes,
         "ok": report.ok,

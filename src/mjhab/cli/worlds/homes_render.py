@@ -1,4 +1,4 @@
-"""``mjhab homes render``: one home into a picture, or all homes of a pack into one sheet."""
+"""``mjhab homes render``: an image of one home, or a sheet with all homes of a pack."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ PNG = ".png"
 HTML = ".html"
 ONE_SIZE = (1200, 900)
 SHEET_SIZE = (400, 300)
+"""Default width and height of a single image, and of each image on a sheet [px]."""
 
 
 def render(options: HomesRenderOptions) -> int:
-    """Draw what was asked for."""
+    """Render one home or a sheet of homes."""
     width, height = SHEET_SIZE if options.all else ONE_SIZE
     size = (
         width if options.width is None else options.width,
@@ -39,10 +40,10 @@ def render(options: HomesRenderOptions) -> int:
 
 
 def check_out(out: Path, endings: tuple[str, ...]) -> None:
-    """Refuse a file that the pictures cannot go into.
+    """Refuse an invalid output file.
 
     Raises:
-        UsageError: another ending, or a folder.
+        UsageError: the file has another extension, or is a folder.
     """
     if out.suffix.lower() not in endings:
         raise UsageError(f"--out must end with {' or '.join(endings)}, got {out}.")

@@ -1,4 +1,4 @@
-"""``mjhab robots``: which robots there are, and what they consist of."""
+"""``mjhab robots``: list and describe robots."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def show_robot(options: RobotsShowOptions) -> int:
 
 
 def robot_rows() -> list[dict[str, Any]]:
-    """Name of every robot, its number of joints, and the sizes of an action and of the observation ``state``."""
+    """Name of every robot, its number of joints, and the widths of an action and of the observation ``state``."""
     from mjhab.envs.observations import state_dim
     from mjhab.robots.registry import ROBOTS
 

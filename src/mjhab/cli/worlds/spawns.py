@@ -1,4 +1,4 @@
-"""``mjhab spawns``: make and list sets of starts; ``mjhab bench spawn``: how fast starts are found."""
+"""``mjhab spawns``: compute and list sets of starts; ``mjhab bench spawn``: speed of computing starts."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ def make(options: SpawnsMakeOptions) -> int:
 
 
 def listing(options: SpawnsListOptions) -> int:
-    """Print what the sets at a path are."""
+    """Print a table of the sets at a path."""
     from mjhab.episodes.spawn_sets import SUFFIX, SpawnSet
 
     path = options.path
     if not path.exists():
         raise UsageError(
-            f"there is nothing at {path}; `mjhab spawns make --out FILE{SUFFIX}` makes a set."
+            f"{path} does not exist; `mjhab spawns make --out FILE{SUFFIX}` makes a set."
         )
     files = sorted(path.glob(f"[!.]*{SUFFIX}")) if path.is_dir() else [path]
     found = []
@@ -119,7 +119,7 @@ def listing(options: SpawnsListOptions) -> int:
 
 
 def bench_spawn(options: BenchSpawnOptions) -> int:
-    """Print what `measure_spawns` finds."""
+    """Print the results of `measure_spawns`."""
     for name in ("count", "pool", "fresh"):
         at_least(name, getattr(options, name), 1)
     for name in ("threads", "seed"):
@@ -140,11 +140,11 @@ def bench_spawn(options: BenchSpawnOptions) -> int:
 
 
 def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
-    """Time starts in arrangements seen before, and apart from them the making of new arrangements.
+    """Time the computation of starts in cached object arrangements and, separately, of new arrangements.
 
     Returns:
-        ``spawns_per_s``, ``tries_mean``, ``fallbacks``, ``count``, ``threads``; ``episode_s``: seconds on one core for
-        one arrangement of objects that is in no cache.
+        ``spawns_per_s``, ``tries_mean``, ``fallbacks``, ``count``, ``threads``; ``episode_s``: time on one core for one
+        object arrangement that is not cached [s].
     """
     from mjhab.episodes.spawn_factory import SpawnFactory
     from mjhab.episodes.spawn_sets import SpawnRecipe
@@ -163,7 +163,7 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
     )
     factory = SpawnFactory(recipe)
     threads = options.threads or cores()
-    # Index count + i is another start in the same arrangement: homes, maps and grasps are known when the clock runs.
+    # Index count + i is another start in the same arrangement: this caches homes, maps and grasps before the timing.
     warm = [factory.episode(options.count + i) for i in range(max(options.pool, 2 * threads))]
     factory.starts.starts(warm, threads)
     episodes = [factory.episode(i) for i in range(options.count)]

@@ -1,1 +1,1 @@
-"""Recorded episodes in the layouts of others."""
+"""Export of recorded episodes to the formats of LeRobot and ManiSkill (MS-HAB)."""

@@ -1,4 +1,4 @@
-"""A folder that appears whole or not at all, and that another process can go on to fill when one was stopped."""
+"""A folder that is written atomically, and that a later process can complete after an interruption."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from mjhab.data.store.shard import StorageError, is_full
 JOB = "job.json"
 WHOLE = "whole"
 WORK = "work"
-"""What lies in ``.<name>.part``: what is being made, what it is to become, and what is needed on the way."""
+"""Content of the temporary folder ``.<name>.part``: description of the job, the future folder, and work files."""
 
 
 @dataclass(frozen=True)
 class Filling:
-    """A folder that is being filled. ``root``: what appears in the end; ``work``: for what is not part of it."""
+    """A folder that is being filled. root: becomes the final folder. work: for temporary files."""
 
     root: Path
     work: Path
@@ -34,10 +34,10 @@ class Filling:
 
 @dataclass(frozen=True)
 class Target:
-    """Where a folder is to appear.
+    """The folder to write.
 
-    out: its name. overwrite: it may take the place of one in which something fits the pattern ``mark``. resume: go on
-    with what a stopped process has left.
+    out: its path. overwrite: replace an existing folder that contains a file matching the pattern ``mark``.
+    resume: continue what an interrupted process has left.
     """
 
     out: Path
@@ -47,33 +47,35 @@ class Target:
 
     @property
     def part(self) -> Path:
-        """The folder that is filled."""
+        """The temporary folder that is filled."""
         return self.out.with_name(f".{self.out.name}.part")
 
     @property
     def old(self) -> Path:
-        """Where the one that is replaced stays until the new one has its name."""
+        """Temporary name of the replaced folder until the new one is in place."""
         return self.out.with_name(f".{self.out.name}.old")
 
     @property
     def begun(self) -> bool:
-        """Whether a stopped process has left something to go on with."""
+        """Whether an interrupted process has left something to continue."""
         return (self.part / JOB).is_file() and (self.part / WHOLE).is_dir()
 
 
 @contextmanager
 def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
-    """Give a folder beside ``target.out`` to fill; without an error ``root`` takes that name at the end.
+    """Context manager that yields a temporary folder to fill; on success it is renamed to ``target.out``.
 
-    What was filled stays when the process is stopped or killed, or the disk is full, for a later one with ``resume``.
-    A folder that is replaced stays until the new one is complete.
+    If the process is interrupted or killed, or the disk is full, the files stay for a later call with ``resume``.
+    A replaced folder stays until the new one is complete.
 
     Args:
-        job: plain data that decides what is made; that of a resumed one must be equal, as must the version of mjhab.
+        target: the folder to write.
+        job: JSON data that determines the content. A resumed job and its version of mjhab must be equal.
 
     Raises:
-        UsageError: ``out`` exists and may not be overwritten; something was begun that is not to be gone on with, or
-            is another job; or another process is filling it. One that is raised inside leaves nothing.
+        UsageError: ``out`` exists and may not be overwritten; an unfinished folder exists and ``resume`` is not set,
+            or it belongs to another job; or another process is filling it. If the body of the context raises a
+            UsageError, the temporary folder is deleted.
         StorageError: the disk is full or broken.
     """
     target.out.parent.mkdir(parents=True, exist_ok=True)
@@ -90,7 +92,7 @@ def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
             shutil.rmtree(target.part, ignore_errors=True)
             raise
         except (OSError, MjhabError) as error:
-            # ffmpeg says in words of its own that the disk is full.
+            # ffmpeg reports a full disk only in the text of its error.
             if isinstance(error, OSError) or is_full(error):
                 raise _stopped(target.out, error) from error
             raise
@@ -99,30 +101,30 @@ def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """How the job that a folder was begun with differs from another one, in words; empty if it does not."""
+    """Describe how the job of an unfinished folder differs from the present one; "" if they are equal."""
     other = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
     values = "; ".join(f"{key}: {before.get(key)!r}, now {now.get(key)!r}" for key in other)
     return f"{', '.join(other)} ({values})" if other else ""
 
 
 def broken(out: Path, error: Exception) -> StorageError:
-    """The error for something that is written as a whole and could not be."""
+    """Make the error for an atomic write that failed."""
     if is_full(error):
         return StorageError(
-            f"cannot write {out}: the disk is full. Nothing of it was left; free some space and give the same command "
+            f"cannot write {out}: the disk is full. Nothing was left behind; free some space and run the same command "
             "again."
         )
     return StorageError(
-        f"cannot write {out}: {_reason(error)}. Give the same command again when that is mended."
+        f"cannot write {out}: {_reason(error)}. Fix that and run the same command again."
     )
 
 
 def _stopped(out: Path, error: Exception) -> StorageError:
     what, then = (
-        ("the disk is full", "free some space") if is_full(error) else (_reason(error), "mend that")
+        ("the disk is full", "free some space") if is_full(error) else (_reason(error), "fix that")
     )
     return StorageError(
-        f"cannot write {out}: {what}. What is done stays beside it; {then} and give the same command with --resume."
+        f"cannot write {out}: {what}. Finished parts are kept; {then} and run the same command with --resume."
     )
 
 
@@ -131,7 +133,7 @@ def _reason(error: Exception) -> str:
 
 
 def _begin(target: Target, job: dict[str, Any]) -> Filling:
-    """The folder to fill: the one that was begun, or a new one."""
+    """The folder to fill: the unfinished one, or a new one."""
     part = target.part
     if not (target.begun and target.resume):
         for left in (part, target.old):
@@ -162,7 +164,7 @@ def _check(target: Target, job: dict[str, Any]) -> None:
             )
         if any(out.iterdir()) and not any(out.glob(target.mark)):
             raise UsageError(
-                f"{out} holds something else than an export (no {target.mark}), so it is not overwritten."
+                f"{out} does not hold an export (no {target.mark}), so it is not overwritten."
             )
     if not target.begun:
         return
@@ -170,10 +172,10 @@ def _check(target: Target, job: dict[str, Any]) -> None:
         other = differences(read_json_object(target.part / JOB), job)
         if other:
             raise UsageError(
-                f"the export to {out} was begun with another {other}. Give the same options and episodes, or "
-                "--overwrite without --resume to begin anew."
+                f"the unfinished export to {out} has another {other}. Give the same options and episodes, or "
+                "--overwrite without --resume to start again."
             )
     elif not target.overwrite:
         raise UsageError(
-            f"an export to {out} was begun and stopped; add --resume to go on with it, or --overwrite to begin anew."
+            f"an export to {out} is unfinished; add --resume to continue it, or --overwrite to start again."
         )

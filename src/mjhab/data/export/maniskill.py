@@ -1,9 +1,9 @@
-"""Recorded episodes in the layout of MS-HAB's own data set, for its behaviour cloning and diffusion policy scripts.
+"""Export to the format of MS-HAB's data set, for its behaviour cloning and diffusion policy scripts.
 
-``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` beside each, as mshab/envs/wrappers/record.py writes them. Its
-scripts join ``obs/agent`` and then ``obs/extra`` to the state in the order in which groups list their members: groups
-keep the order of our ``obs/state``. They train on ``actions``, those that were executed; ``actions_intended`` and
-``actor`` (a place in "actors" of the ``.json``) stand beside them.
+The files are ``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` each, as mshab/envs/wrappers/record.py writes
+them. MS-HAB's scripts concatenate the members of ``obs/agent`` and then ``obs/extra`` in the order of the HDF5 groups,
+so these keep the order of mjhab's ``obs/state``. They train on ``actions``, the executed actions. ``actions_intended``
+and ``actor`` (an index into "actors" of the ``.json``) are additional datasets.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from mjhab.rollout.records import EpisodeRecord
 CHAIN = "sequential_task"
 """Name of the folder of whole chains."""
 _GZIP = 5
-"""As in the original; for images only."""
+"""Compression level of images, as in MS-HAB."""
 
 
 @dataclass(frozen=True)
 class ManiSkillSet:
-    """What was written. ``without_depth``: episodes without depth images, which the original's scripts cannot use."""
+    """Result of an export. without_depth: number of episodes without depth images; MS-HAB's scripts cannot use them."""
 
     episodes: int
     frames: int
@@ -59,16 +59,16 @@ def export_maniskill(
     resume: bool = False,
     begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> ManiSkillSet:
-    """Write the episodes that pass the filter as files of trajectories, in a folder that appears whole or not.
+    """Write the episodes that pass the filter as trajectory files, atomically in one folder.
 
     Args:
-        places: shards or folders of them.
-        out: the folder; it holds what the original calls rearrange-dataset.
-        where: which episodes; all of them if None. The original keeps one label per subtask, see the presets.
-        until: how much of each episode; all of it if None.
-        overwrite: take the place of an export that is there.
-        resume: go on with an export that was stopped: what it has is not written again.
-        begin: told the number of episodes; gives what is called after each.
+        places: shards, or folders of shards.
+        out: the folder; it corresponds to MS-HAB's rearrange-dataset.
+        where: filter on the episodes; None takes all. MS-HAB keeps one label per subtask, see `query.PRESETS`.
+        until: end of the exported part of each episode; None exports whole episodes.
+        overwrite: replace an existing export.
+        resume: continue an interrupted export; finished episodes are not written again.
+        begin: called with the number of episodes; returns a function that is called after each episode.
 
     Raises:
         UsageError, StorageError: no episode passes; see ``whole_folder``.
@@ -102,7 +102,7 @@ def export_maniskill(
 
 
 def place_of(record: EpisodeRecord) -> Path:
-    """Where an episode goes: task/subtask/target.h5, with the piece of furniture as the target of a link."""
+    """File of an episode: task/subtask/target.h5; for a link the target is its piece of furniture."""
     if not record.subtask:
         return Path(record.task, CHAIN, "all.h5")
     target = target_of(record)
@@ -110,7 +110,7 @@ def place_of(record: EpisodeRecord) -> Path:
 
 
 class _File:
-    """One file of trajectories while it is written; one that a stopped process has left is gone on with."""
+    """A trajectory file that is being written; an unfinished file is continued."""
 
     def __init__(self, path: Path, work: Path, until: Until) -> None:
         self._path = path
@@ -127,7 +127,7 @@ class _File:
         self._runs: dict[str, Any] = {}
 
     def add(self, episode: Episode) -> int:
-        """Add an episode as the next trajectory, unless it is there; returns its control steps."""
+        """Add an episode as the next trajectory, unless the file has it; returns its number of control steps."""
         number = len(self._episodes)
         steps = self._until.steps(episode.array("reward/success"))
         if number >= self._present:
@@ -142,7 +142,7 @@ class _File:
         return steps
 
     def describe(self) -> None:
-        """Write what is said of the trajectories beside them."""
+        """Write the JSON file with the metadata of the trajectories."""
         env = next(iter(self._runs.values()))["config"].get("env", {})
         subtask = env.get("subtask")
         value = {
@@ -193,7 +193,7 @@ def _put(group: h5py.Group, episode: Episode, steps: int) -> None:
 
 
 def _observations(episode: Episode, rows: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Keys of the environment and arrays (rows, ...): the parts of the state in their order, then cameras."""
+    """Pairs of observation key and array (rows, ...): the parts of the state in order, then camera images."""
     for key, whole in episode.table("obs/state").items():
         values = whole[:rows]
         yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in TRUTHS else values
@@ -213,7 +213,7 @@ def _episode_info(number: int, episode: Episode, steps: int) -> dict[str, Any]:
     return {
         "episode_id": number,
         "episode_seed": [record.seed],
-        # Indices into the original's asset files; home and index say here which episode it was.
+        # Indices into MS-HAB's asset files have no counterpart; home and index identify the episode.
         **dict.fromkeys(
             ("build_config_idx", "task_plan_idx", "init_config_idx", "spawn_selection_idx")
         ),

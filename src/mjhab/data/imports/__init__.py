@@ -1,1 +1,1 @@
-"""Data of others as recorded episodes."""
+"""Import of other projects' data as recorded episodes."""

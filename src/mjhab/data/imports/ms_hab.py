@@ -1,8 +1,8 @@
-"""Data files of MS-HAB as our shards: HDF5 of trajectories with a JSON beside it (mshab/envs/wrappers/record.py).
+"""Import of MS-HAB data files (HDF5 trajectories with a JSON file, mshab/envs/wrappers/record.py) into shards.
 
-What such a file does not hold is marked absent in the run of its episodes: states of the simulator above all, so they
-cannot be simulated again or rendered, and the signals that labels are computed from. Everything else works on them:
-filters, statistics, reports, exports and windows to train on.
+Datasets that such a file lacks are listed in `RunInfo.absent`: simulator states, so the episodes cannot be replayed or
+rendered, and the signals that labels are computed from. Filters, statistics, reports, exports and training windows work
+as for other episodes.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ ABSENT = (
     "subtasks/checks",
     "reward/terms",
 )
-"""Datasets of our schema that the files do not hold."""
+"""Datasets of the shard schema that the files lack."""
 ARRAYS = ("actions", "terminated", "truncated", "success", "fail", "rewards")
 GROUPS = ("obs/agent", "obs/extra")
-"""What every trajectory must hold."""
+"""Datasets and groups that every trajectory must hold."""
 EPISODE_KEYS = ("episode_id", "elapsed_steps", "label", "events_verbose")
-"""What the JSON must say of every trajectory."""
+"""Keys that the JSON file must have for every trajectory."""
 SPLITS = ("train", "val", "test")
 LINKS = {"fridge": "fridge/top_door", "kitchen_counter": "kitchen_counter/drawer3"}
-"""The link of a piece of furniture that the original opens and closes (mshab/utils/gen/gen_task_plans.py)."""
+"""The link of each piece of furniture that MS-HAB opens and closes (mshab/utils/gen/gen_task_plans.py)."""
 POSE = re.compile(r"pose_wrt_base$")
 _CAMERAS = "sensor_data"
 _PARAMETERS = "sensor_param"
@@ -56,7 +56,7 @@ _PARAMETERS = "sensor_param"
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written. ``present``: episodes that were in the shard already; ``absent``: datasets they do not have."""
+    """Result of an import. present: number of episodes that the shard already had. absent: datasets they lack."""
 
     episodes: int
     frames: int
@@ -67,7 +67,7 @@ class Imported:
 
 @dataclass(frozen=True)
 class Origin:
-    """What the place of a file says that is not in it: task and split of its episodes; None: told by its folder."""
+    """Task and split of a file's episodes, which the file does not contain. task: None takes it from the folder."""
 
     task: str | None = None
     split: str = "train"
@@ -85,26 +85,24 @@ def import_ms_hab(
     origin: Origin | None = None,
     begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> Imported:
-    """Write the trajectories of a file of MS-HAB into ``out/<task>/<subtask>/<name>.h5``, as episodes of ours.
+    """Write the trajectories of an MS-HAB file into the shard ``out/<task>/<subtask>/<name>.h5``.
 
-    Episodes that are there already are left alone, so an import that was stopped goes on.
+    Existing episodes are skipped, so the same call continues an interrupted import.
 
     Args:
-        path: the HDF5 file; its JSON lies beside it, as name.json.
+        path: the HDF5 file; its JSON file lies in the same folder, as name.json.
         out: a folder for shards.
-        origin: what its folders do not say.
-        begin: told the number of trajectories; gives what is called after each.
+        origin: task and split of the episodes.
+        begin: called with the number of trajectories; returns a function that is called after each.
 
     Raises:
-        UsageError: not such a file, or without the keys that are needed.
+        UsageError: it is not an MS-HAB file, or lacks required keys.
         StorageError: the disk is full or broken.
     """
     source = _Source.read(path, origin or Origin())
     shard = out / source.task / source.subtask / path.name
     if shard.resolve() == path.resolve():
-        raise UsageError(
-            f"--out {out} would put the shard in the place of {path}; give another folder."
-        )
+        raise UsageError(f"--out {out} would overwrite {path} with the shard; give another folder.")
     after = begin(len(source.told)) if begin else None
     written = frames = present = 0
     run = source.run()
@@ -128,7 +126,7 @@ def import_ms_hab(
 
 @dataclass(frozen=True)
 class _Source:
-    """A file and what its JSON says: ``said`` of the whole, ``told`` of each trajectory."""
+    """A file and its JSON metadata. said: of the whole file. told: of each trajectory."""
 
     path: Path
     said: Mapping[str, Any]
@@ -144,13 +142,13 @@ class _Source:
         beside = path.with_suffix(".json")
         if not beside.is_file():
             raise UsageError(
-                f"{path} has no {beside.name} beside it, which says what its trajectories are."
+                f"{path} has no {beside.name} beside it, which describes its trajectories."
             )
         text = beside.read_bytes()
         try:
             said = parse_json(text)
         except ValueError as error:
-            raise UsageError(f"{beside} is no JSON: {error}") from error
+            raise UsageError(f"{beside} is not valid JSON: {error}") from error
         if not isinstance(said, Mapping) or not isinstance(said.get("episodes"), list):
             raise UsageError(
                 f"{beside} has no list 'episodes'; give a file as MS-HAB's generator writes it."
@@ -176,11 +174,11 @@ class _Source:
 
     @property
     def is_ours(self) -> bool:
-        """Whether our own exporter has made it."""
+        """Whether mjhab's exporter wrote the file."""
         return self.said.get("source_type") == SOURCE_TYPE
 
     def run(self) -> RunInfo:
-        """What made the episodes, as far as the file says."""
+        """Description of the run that made the episodes, as far as the file has it."""
         control = str(
             next((each["control_mode"] for each in self.told if "control_mode" in each), "")
         )
@@ -208,7 +206,7 @@ class _Source:
         )
 
     def indices(self) -> list[int]:
-        """Indices of the episodes: those of the original episode where that is told and tells them apart."""
+        """Indices of the episodes: the recorded ones if the file has them and they are unique, else their numbers."""
         indices = [int(each.get("episode_index", each["episode_id"])) for each in self.told]
         names = {(_seed(each), index) for each, index in zip(self.told, indices, strict=True)}
         return (
@@ -224,7 +222,7 @@ class _Source:
         name = f"{TRAJECTORY}{told['episode_id']}"
         if name not in file:
             raise UsageError(
-                f"{self.path} has no {name}, which {self.path.with_suffix('.json').name} speaks of."
+                f"{self.path} has no {name}, which {self.path.with_suffix('.json').name} lists."
             )
         trajectory = group(file, name)
         missing = [key for key in (*ARRAYS, *GROUPS) if key not in trajectory]
@@ -253,7 +251,7 @@ class _Source:
         peak = round(max(force), 3)
         total = round(sum(force), 3)
         target = self._target(told)
-        # The rules that made the labels of the original are the published ones; their names are ours, too.
+        # MS-HAB's labels follow its published rules, which are mjhab's legacy labels.
         legacy = told.get("legacy_label", None if self.is_ours else label)
         subtask = SubtaskRecord(
             index=0,
@@ -300,14 +298,14 @@ class _Source:
 def _check_file(path: Path) -> None:
     if not path.is_file():
         raise UsageError(
-            f"{path} does not exist or is no file; give a file of MS-HAB's data set, such as 024_bowl.h5."
+            f"{path} does not exist or is not a file; give a file of MS-HAB's data set, such as 024_bowl.h5."
         )
     try:
         with h5py.File(path, "r") as file:
             names = list(file)
             is_shard = file.attrs.get("format") in (FORMAT, FORMAT.encode())
     except OSError as error:
-        raise UsageError(f"{path} is no HDF5 file: {error}") from error
+        raise UsageError(f"{path} is not an HDF5 file: {error}") from error
     if is_shard:
         raise UsageError(f"{path} is a shard of mjhab already; there is nothing to import.")
     if not any(name.startswith(TRAJECTORY) for name in names):
@@ -318,7 +316,7 @@ def _check_file(path: Path) -> None:
 
 
 def _task(path: Path, origin: Origin) -> str:
-    """The task of a file, which the original names by the folder above that of the subtask."""
+    """The task of a file; MS-HAB names the folder above the subtask's folder after it."""
     folder = path.resolve().parent.parent.name
     if origin.task is None and folder not in TASKS:
         raise UsageError(
@@ -342,13 +340,13 @@ def _subtask(path: Path, said: Mapping[str, Any]) -> str:
 
 
 def _seed(told: Mapping[str, Any]) -> int:
-    """The seed of an episode; a vectorised environment tells one per world, all alike."""
+    """The seed of an episode; vectorized environments write one per world, all equal."""
     seed = told.get("episode_seed", 0)
     return int(np.ravel(seed)[0]) if np.size(seed) else 0
 
 
 def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
-    """Datasets of an episode by their paths in our schema, and the names of columns."""
+    """Datasets of an episode by their paths in the shard schema, and the names of their columns."""
     actions = dataset(trajectory, "actions")[()].astype(np.float32)
     steps = len(actions)
     parts = _state_parts(trajectory)
@@ -362,7 +360,7 @@ def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tu
         "reward/fail": dataset(trajectory, "fail")[()].astype(np.uint8),
         "obs/state": np.concatenate(list(parts.values()), axis=1),
     }
-    # The policy's own actions are executed in the original: no noise is added to them.
+    # MS-HAB executes the policy's actions without noise, so the intended actions equal the executed ones.
     told = {
         name: dataset(trajectory, name)[()]
         for name in ("actions_intended", "actor")
@@ -375,9 +373,9 @@ def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tu
 
 
 def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
-    """Parts of the state (N+1, n) float32, in the order in which the original's scripts join them: as listed.
+    """Parts of the state (N+1, n) float32, in the order of the file, in which MS-HAB's scripts concatenate them.
 
-    Quaternions have w >= 0, as in our observations.
+    Quaternions have w >= 0, as in mjhab's observations.
     """
     parts: dict[str, np.ndarray] = {}
     for folder in ("agent", "extra"):
@@ -392,7 +390,7 @@ def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
 
 
 def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
-    """Parameters of cameras as they are, images encoded as in our shards."""
+    """Camera parameters unchanged, and images encoded as in shards."""
     arrays: dict[str, np.ndarray] = {}
     obs = group(trajectory, "obs")
     for path in dataset_paths(obs):
@@ -409,7 +407,7 @@ def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
 
 
 def _ending(trajectory: h5py.Group) -> str:
-    """How an episode of the original ended; its "fail" is too much force, or an object that left its goal."""
+    """How an episode ended. MS-HAB's "fail" means too much force or an object that left its goal."""
     if not dataset(trajectory, "terminated")[()][-1]:
         return "timeout"
     return "success" if dataset(trajectory, "success")[()][-1] else "force_exceeded"

@@ -10,11 +10,11 @@ from mjhab.tasks.labelling.legacy import extend
 from mjhab.tasks.subtasks.registry import number_of
 
 TRAJECTORY = "traj_"
-"""Groups of a file are named by this and the "episode_id" of the file's JSON."""
+"""Prefix of a trajectory's group; the "episode_id" of the JSON file follows."""
 TRUTHS = frozenset({"is_grasped"})
-"""Observations that are yes or no there, without an axis of their own."""
+"""Boolean observations of shape (N+1,), without a column axis."""
 SOURCE_TYPE = "mjhab"
-"""What files of ours call their "source_type"."""
+""""source_type" in the files that mjhab exports."""
 COLLISION = "collision"
 _THEIRS = {
     "at_goal": "obj_at_goal",
@@ -25,15 +25,18 @@ _OURS = {theirs: ours for ours, theirs in _THEIRS.items()}
 
 
 def to_events(kind: str, events: Iterable[Event]) -> list[str]:
-    """The "events" of an episode of one subtask: those that its label counts, without immediate repeats."""
+    """The "events" of an episode of one subtask: those that determine its label, without immediate repeats."""
     counted: list[str] = []
     extend(counted, number_of(kind), (name for _, name in events))
     return [_THEIRS.get(name, name) for name in counted]
 
 
 def to_verbose(events: Iterable[Event], force: Sequence[float]) -> list[list[Any]]:
-    """The "events_verbose" of an episode: [step, name, null], and [steps, "collision", forces [N]] of steps in which
-    the robot met a force, merged while nothing else happens. Steps count from 0, the one of the first action."""
+    """The "events_verbose" of an episode.
+
+    Entries are [step, name, null], and [steps, "collision", forces [N]] for consecutive steps with a force on the robot
+    and no other event. Steps count from 0, the step of the first action.
+    """
     by_step: dict[int, list[str]] = {}
     for step, name in events:
         by_step.setdefault(step, []).append(_THEIRS.get(name, name))
@@ -54,7 +57,7 @@ def to_verbose(events: Iterable[Event], force: Sequence[float]) -> list[list[Any
 def from_verbose(
     told: Iterable[Sequence[Any]], steps: int
 ) -> tuple[tuple[Event, ...], tuple[float, ...]]:
-    """Events (steps from 1) and force [N] of every control step, from an "events_verbose"."""
+    """Events (with steps from 1) and the force [N] in every control step, from an "events_verbose"."""
     events: list[Event] = []
     force = [0.0] * steps
     for step, name, values in told:

@@ -1,1 +1,1 @@
-"""How episodes come to be recorded: the recorder, generation by several workers, replay."""
+"""Recording of episodes: the recorder, generation with several workers, and replay."""

@@ -1,4 +1,4 @@
-"""Workers that make episodes: what one does, the messages it is led by, and a crew of processes of this machine."""
+"""Workers that record episodes: the worker, the messages between workers and coordinator, and local processes."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ from mjhab.rollout.sinks import Sink, StepView
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 ALL = "all"
-"""What quotas are counted by where a subtask has no target of its own."""
+"""Name of the only target of whole tasks and Navigate in quotas."""
 _LONGEST_STOP = 15.0
-"""A process that does not stop within so many seconds (it may be in the middle of a reset) is ended."""
+"""Time after which a process that does not stop, e.g. during a long reset, is killed [s]."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What a worker acts in: the environment (autoreset "disabled"), the policy and its description.
+    """Environment and policy of a worker.
 
-    ``targets``: all that quotas count by; ``licence``: terms of the assets, see `provenance.describe_run`.
+    env: with autoreset "disabled". about: description of the policy as JSON data. targets: all targets that quotas
+    count. licence: of the assets, see `provenance.describe_run`.
     """
 
     env: RecordedEnv
@@ -49,9 +50,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class WorkerSpec:
-    """How to make a worker in another process; all of it can be pickled.
+    """Picklable description of a worker.
 
-    build: makes the stage. keep: filter, "" keeps everything. states, images: see `Recorder`.
+    build: makes the stage. seed: of the episodes. keep: filter, "" keeps all episodes. states, images: see `Recorder`.
     """
 
     build: Callable[[], Stage]
@@ -63,8 +64,11 @@ class WorkerSpec:
 
 @dataclass(frozen=True)
 class Request:
-    """Work for a worker: indices to roll out, which of them are to be kept whatever happens, who is sure to be kept,
-    and what was decided about episodes that the worker holds back."""
+    """Work for a worker.
+
+    indices: episodes to roll out. keep: those to keep in any case. sure: targets whose episodes are certainly kept.
+    decided: whether to keep episodes that the worker holds back in memory, by index.
+    """
 
     indices: tuple[int, ...]
     keep: frozenset[int] = frozenset()
@@ -74,7 +78,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Ready:
-    """A worker is up. ``run``: what its episodes come from."""
+    """A worker has started. run: description of its episodes' source. targets: see `Stage`."""
 
     run: RunInfo
     targets: tuple[str, ...]
@@ -82,7 +86,7 @@ class Ready:
 
 @dataclass(frozen=True)
 class Report:
-    """An episode is finished; ``stored``: it is on the disk."""
+    """An episode is finished. stored: it is on the disk; otherwise the worker holds it back or has dropped it."""
 
     outcome: Outcome
     stored: bool
@@ -97,12 +101,12 @@ class Stored:
 
 @dataclass(frozen=True)
 class Done:
-    """A request was carried out."""
+    """A request is finished."""
 
 
 @dataclass(frozen=True)
 class Failed:
-    """A worker gives up; ``kind``: "usage", "storage" or "error"."""
+    """A worker failed with an error. kind: "usage", "storage" or "error"."""
 
     kind: str
     text: str
@@ -110,50 +114,50 @@ class Failed:
 
 @dataclass(frozen=True)
 class Gone:
-    """A worker is no more: killed, crashed, or stopped when it was asked to."""
+    """A worker has ended: it was killed, crashed, or stopped on request."""
 
 
 Message = Ready | Report | Stored | Done | Failed | Gone
 
 
 class Crew(Protocol):
-    """Workers by number. A number may be started again when its worker is gone."""
+    """A group of workers, addressed by number. A number may be started again after its worker has ended."""
 
     def start(self, number: int, spec: WorkerSpec, shard: Path) -> None:
-        """Start a worker; it says Ready, or Failed."""
+        """Start a worker, which writes to ``shard``; it answers with Ready or Failed."""
         ...
 
     def send(self, number: int, request: Request) -> None:
-        """Give it work; it answers with Reports, and Done."""
+        """Send a request to a worker; it answers with Reports and then Done."""
         ...
 
     def messages(self, seconds: float) -> list[tuple[int, Message]]:
-        """What workers said; waits at most so long for something."""
+        """New messages as (worker, message); waits at most ``seconds`` for the first one."""
         ...
 
     def stop(self) -> None:
-        """End all workers, in the middle of episodes; returns when they are gone. Finished episodes are on the disk."""
+        """End all workers, also within episodes, and wait for them. Finished episodes stay on the disk."""
         ...
 
 
 class Stopped(Exception):
-    """A worker was asked to stop in the middle of its work."""
+    """A worker was asked to stop during a request."""
 
 
 class _StopSink(Sink[RolloutEnv]):
-    """Looks after every control step whether to go on."""
+    """Checks after every control step whether the worker should stop."""
 
     def __init__(self, stopped: Callable[[], bool]) -> None:
         self._stopped = stopped
 
     def on_step(self, env: RolloutEnv, step: StepView) -> None:
-        """Leave the rollout if somebody asked for it."""
+        """Leave the rollout if the worker should stop."""
         if self._stopped():
             raise Stopped
 
 
 class Worker:
-    """Rolls out episodes into a shard of its own. Episodes whose fate is open are held back in memory."""
+    """Rolls out episodes into its own shard. Episodes that are not yet decided on are held back in memory."""
 
     def __init__(self, spec: WorkerSpec, shard: Path) -> None:
         self._spec = spec
@@ -175,16 +179,17 @@ class Worker:
 
     @property
     def ready(self) -> Ready:
-        """What it says when it is up."""
+        """The message of a started worker."""
         return Ready(self._recorder.run, self._stage.targets)
 
     def run(
         self, request: Request, tell: Callable[[Message], object], stopped: Callable[[], bool]
     ) -> None:
-        """Carry out a request.
+        """Execute a request.
 
         Raises:
-            StorageError: the disk is full. Stopped: ``stopped`` said so.
+            StorageError: the disk is full.
+            Stopped: ``stopped`` returned True.
         """
         self._request = request
         self._tell = tell
@@ -199,7 +204,7 @@ class Worker:
         tell(Done())
 
     def append(self, data: EpisodeData) -> int:
-        """Take an episode that passed from the recorder."""
+        """Store or hold back an episode from the recorder; returns the bytes by which the shard has grown."""
         outcome = outcome_of(data.record, True)
         if outcome.index in self._request.keep or self._request.sure(outcome.target):
             grown = self._writer.append(data)
@@ -222,18 +227,18 @@ class Worker:
 
 
 def _has_target(subtask: str | None) -> bool:
-    """Whether episodes of it are about an object or a link: chains and ways to drive are not."""
+    """Whether the subtask has a target object or link; whole tasks and Navigate have none."""
     return bool(subtask) and not SUBTASKS[subtask].navigates
 
 
 def outcome_of(record: EpisodeRecord, passes: bool) -> Outcome:
-    """What counts of an episode. Objects and links have quotas of their own; chains and Navigate have one."""
+    """The part of an episode that quotas count. Each object or link has its own quota; chains and Navigate have one."""
     target = target_of(record) if _has_target(record.subtask) else ALL
     return Outcome(record.index, target, last_label(record), passes)
 
 
 def failure(error: Exception) -> Failed:
-    """How a worker tells of an exception."""
+    """Convert an exception to a message."""
     if isinstance(error, StorageError):
         return Failed("storage", str(error))
     if isinstance(error, UsageError):
@@ -242,7 +247,7 @@ def failure(error: Exception) -> Failed:
 
 
 class ProcessCrew:
-    """Workers that are processes of this machine, each started anew (spawned), led through pipes."""
+    """Workers as spawned processes of this machine, connected by pipes."""
 
     def __init__(self) -> None:
         self._context = multiprocessing.get_context("spawn")
@@ -258,13 +263,13 @@ class ProcessCrew:
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=_serve, args=(theirs, spec, shard), daemon=True)
         process.start()
-        # Ours alone holds the other end now: its death ends the pipe.
+        # Only the worker holds its end of the pipe now, so the pipe ends when the worker dies.
         theirs.close()
         self._members[number] = (process, ours)
 
     def send(self, number: int, request: Request) -> None:
         """See `Crew`."""
-        # If it is gone, its pipe says so when it is read.
+        # If the worker is gone, reading its pipe will show it.
         with contextlib.suppress(OSError):
             self._members[number][1].send(request)
 
@@ -292,14 +297,14 @@ class ProcessCrew:
     def stop(self) -> None:
         """See `Crew`."""
         for _, pipe in self._members.values():
-            # A worker takes the end of its pipe as a sign to stop.
+            # A worker stops when its pipe is closed.
             pipe.close()
         for number in list(self._members):
             self._leave(number)
 
 
 class InlineCrew:
-    """One worker in this process: nothing has to be started, and its stage may be kept from one job to the next."""
+    """A single worker in this process; no process is started, and its stage may be reused for the next job."""
 
     def __init__(self) -> None:
         self._workers: dict[int, Worker] = {}
@@ -321,7 +326,7 @@ class InlineCrew:
             self._said.append((number, failure(error)))
 
     def messages(self, seconds: float) -> list[tuple[int, Message]]:
-        """See `Crew`; nothing more comes by waiting."""
+        """See `Crew`; it never waits."""
         said = self._said
         self._said = []
         return said
@@ -334,8 +339,8 @@ class InlineCrew:
 
 
 def _serve(pipe: Connection, spec: WorkerSpec, shard: Path) -> None:
-    """A worker process: carries out what comes through the pipe until that is closed."""
-    # Ctrl-C reaches the whole group of processes: the one that leads decides what becomes of it.
+    """Main function of a worker process: executes requests from the pipe until it is closed."""
+    # Ctrl-C reaches all processes of the group; only the coordinator reacts to it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     worker = None
 
@@ -368,4 +373,4 @@ def _next(pipe: Connection) -> Request | None:
 
 
 def _nobody(message: Message) -> None:
-    """There is nobody to tell yet."""
+    """Ignore a message."""

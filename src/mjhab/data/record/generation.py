@@ -1,11 +1,11 @@
-"""Making data sets: workers roll out episodes into shards of one folder until quotas are full.
+"""Generation of data sets: workers roll out episodes into the shards of one folder until quotas are full.
 
-generation.json    what is made: configuration, filter, seed; a resumed run must match it
-tried.jsonl        one line per episode that was tried and not kept, so that a resumed run leaves it out
+generation.json    configuration, filter and seed; a resumed run must match it
+tried.jsonl        one line per episode that was tried and not kept, so that a resumed run skips it
 shard_000.h5 ...   the kept episodes, one shard per worker
 
-The shards are the truth: what is in them is kept. A worker that dies is started again and does what it had not
-finished; what it had written is found in its shard. So nothing is lost and nothing comes twice.
+The content of the shards decides which episodes are kept. A worker that dies is started again; the episodes that it had
+written are found in its shard, and the others are simulated again. So no episode is lost or stored twice.
 """
 
 from __future__ import annotations
@@ -44,17 +44,18 @@ from mjhab.data.store.shard import StorageError
 CONFIG = "generation.json"
 TRIED = "tried.jsonl"
 _PATIENCE = 0.2
-"""Seconds between looks at whether to stop."""
+"""Longest time to wait for messages before checking whether to stop [s]."""
 _MOST_DEATHS = 3
-"""A worker that dies so often without finishing an episode in between will not get further."""
+"""Number of deaths of a worker, without a finished episode in between, after which generation fails."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What to make.
+    """A data set to generate.
 
-    config: plain data that decides what is made, compared when a run is resumed. episodes: indices 0 to N-1 are tried
-    at most. chunk: episodes that a worker takes at once. per_target, per_label: see `Quotas`.
+    spec: of the workers. config: JSON data that determines the data set, compared when a run is resumed. out: folder.
+    episodes: largest number N of episodes to try, with indices 0 to N-1. workers: their number. chunk: episodes per
+    request to a worker. per_target, per_label: see `Quotas`.
     """
 
     spec: WorkerSpec
@@ -69,8 +70,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Standing:
-    """How far a job is. ``written``: by this run; ``kept``, ``tried``, ``passed``: in all; ``wanted``: kept, in the
-    end, 0 where there is no quota; ``labels``: of the kept ones."""
+    """Progress of a job, in episodes.
+
+    written: by this run. kept, tried, passed: in total; passed counts those that pass the filter. wanted: number to
+    keep, 0 without a quota. labels: of the kept episodes. complete: the job is finished. bytes: size of the shards.
+    """
 
     written: int
     kept: int
@@ -89,17 +93,17 @@ def generate(
     stopped: Callable[[], bool] = bool,
     resume: bool = False,
 ) -> Standing:
-    """Make a data set. Which episodes are kept depends on the job alone, not on the number of workers or on kills.
+    """Generate a data set. The kept episodes depend on the job only, not on the number of workers or on interruptions.
 
     Args:
-        job: what to make, and where.
-        crew: of workers that are to be started; they are gone when this returns or raises.
-        tell: called when something has changed.
-        stopped: asked several times a second; when it says True the workers are stopped and finished episodes stay.
-        resume: go on in a folder that a run of the same config has left; quotas and workers may differ.
+        job: the data set.
+        crew: its workers are started here, and have ended when this returns or raises.
+        tell: called with the progress after every change.
+        stopped: called several times per second; when it returns True the workers stop and finished episodes are kept.
+        resume: continue in the folder of a run with the same config; quotas and workers may differ.
 
     Raises:
-        UsageError: the folder holds something else, or another process is at work in it.
+        UsageError: the folder holds other data, or another process is writing to it.
         StorageError: the disk is full; the same job can be resumed.
         MjhabError: a worker failed.
     """
@@ -114,8 +118,8 @@ def generate(
         return run.standing(final=True)
     except OSError as error:
         raise StorageError(
-            f"cannot write to {job.out}: {error.strerror or error}. Give the same command with --resume when that is "
-            "mended. Every episode finished before is safe."
+            f"cannot write to {job.out}: {error.strerror or error}. Fix that and run the same command with --resume. "
+            "Every episode finished before is safe."
         ) from error
     finally:
         lock.release()
@@ -123,7 +127,11 @@ def generate(
 
 @dataclass
 class _Member:
-    """What a worker has been given. ``held``: finished episodes that it holds back."""
+    """Bookkeeping of a worker.
+
+    open: indices in progress. held: finished episodes that it holds back in memory. decided: decisions to send to it.
+    deaths: since its last finished episode.
+    """
 
     shard: Path
     ready: bool = False
@@ -144,7 +152,7 @@ class _Run:
         self.quotas = Quotas((), job.per_target, job.per_label)
         self.configs: set[str] = set()
         self.promised: set[int] = set()
-        """Indices that are to be kept whose data were lost with a worker."""
+        """Indices that were decided to be kept, but whose data were lost with a worker."""
         self.again: list[int] = []
         self.next = self.written = 0
         self._take_stock()
@@ -152,12 +160,12 @@ class _Run:
         self.members: dict[int, _Member] = {}
 
     def _take_stock(self) -> None:
-        """Take in what earlier runs left."""
+        """Load the episodes of earlier runs."""
         for path in sorted(self.job.out.glob("*.h5")):
             for outcome in self._stored(path):
                 self.quotas.report(outcome, True)
         for outcome in _read_tried(self.job.out / TRIED):
-            # A quota may have been raised since: then what was dropped for it is to be made again.
+            # If the quota has been raised since, episodes dropped because of it must be simulated again.
             if not outcome.passes or self.quotas.would_drop(outcome):
                 self.quotas.report(outcome, False)
 
@@ -179,7 +187,7 @@ class _Run:
 
     @property
     def finished(self) -> bool:
-        """Whether everything that is to be kept is on the disk and nothing else can be kept."""
+        """Whether all episodes to keep are on the disk and no further one can be kept."""
         if self.promised or any(
             keep for member in self.members.values() for keep in member.decided.values()
         ):
@@ -195,7 +203,7 @@ class _Run:
         return not self.again and self.next >= self.job.episodes
 
     def step(self) -> None:
-        """Give work to workers that have none, and hear what the others say."""
+        """Send requests to idle workers and process new messages."""
         for number in range(self.job.workers if not self.members else 0):
             self._start(number, 0)
         for number, member in self.members.items():
@@ -221,7 +229,7 @@ class _Run:
         )
         member.open.update(indices)
         member.busy = True
-        # What is to be kept stays in the books until it is told to be on the disk.
+        # An episode to keep stays in ``held`` until the worker reports it as stored.
         member.held -= {index for index, keep in member.decided.items() if not keep}
         member.decided = {index: True for index, keep in member.decided.items() if keep}
         self.crew.send(number, request)
@@ -229,7 +237,7 @@ class _Run:
     def _next_indices(self) -> list[int]:
         indices: list[int] = []
         if self.quotas.full:
-            # Of what was lost only the promised ones, which the quotas count, are still wanted.
+            # Of the lost episodes only the promised ones, which the quotas count, are still needed.
             self.again = sorted(self.promised.intersection(self.again))
         while len(indices) < self.job.chunk and self.again:
             indices.append(heapq.heappop(self.again))
@@ -259,7 +267,7 @@ class _Run:
                 member.busy = False
             case Failed(kind, text):
                 if kind == "storage":
-                    raise StorageError(f"{text} `mjhab generate` goes on with --resume.")
+                    raise StorageError(f"{text} Continue with `mjhab generate --resume`.")
                 raise (
                     UsageError(text) if kind == "usage" else MjhabError(f"a worker failed:\n{text}")
                 )
@@ -284,7 +292,7 @@ class _Run:
         self.written += 1
 
     def _reclaim(self, member: _Member) -> None:
-        """Look in a worker's shard for what it was given and did not report."""
+        """Find episodes of a dead worker that are in its shard but were not reported."""
         missing = member.open | {index for index, keep in member.decided.items() if keep}
         if not missing:
             return
@@ -295,7 +303,7 @@ class _Run:
                 self._settle(member, outcome.index)
 
     def _bury(self, number: int, member: _Member) -> None:
-        """A worker died: what it had not written goes to others, and another one takes its place."""
+        """Handle a dead worker: its unwritten episodes go to other workers, and it is started again."""
         self._reclaim(member)
         lost = set(member.open)
         for index in member.held:
@@ -309,7 +317,7 @@ class _Run:
         if member.deaths + 1 >= _MOST_DEATHS:
             raise MjhabError(
                 f"worker {number} died {_MOST_DEATHS} times without finishing an episode (its episodes: "
-                f"{sorted(lost)}). Is there enough memory? Every episode finished before is safe."
+                f"{sorted(lost)}). Check that there is enough memory. Every episode finished before is safe."
             )
         self._start(number, member.deaths + 1)
 
@@ -326,7 +334,7 @@ class _Run:
             file.write(json.dumps(asdict(outcome), separators=(",", ":")) + "\n")
 
     def standing(self, final: bool = False) -> Standing:
-        """How far it is; at the end, counted anew from what is on the disk."""
+        """Progress of the job; if ``final``, counted from the shards on the disk."""
         outcomes = self.quotas.outcomes.values()
         wanted = self.job.per_target * len(self.quotas.targets)
         passed = sum(outcome.passes for outcome in outcomes)
@@ -338,7 +346,7 @@ class _Run:
         stored = [outcome for path in paths for outcome in self._stored(path)]
         labels = Counter(outcome.label for outcome in stored)
         size = sum(path.stat().st_size for path in paths)
-        # What was written when nobody listened any more counts as well.
+        # Episodes written after the last processed message count as well.
         written = len(stored) - self.before
         return Standing(
             written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size
@@ -346,7 +354,7 @@ class _Run:
 
 
 def _open_folder(job: Job, resume: bool) -> WriteLock:
-    """Make the folder, or check that what is in it can be gone on with; returns the lock that keeps others out."""
+    """Make the folder, or check that its content can be continued; returns the lock against other processes."""
     path = job.out / CONFIG
     config = json.loads(json.dumps(job.config))
     check_output(job.out)
@@ -355,7 +363,7 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
     there = job.out.is_dir() and any(job.out.iterdir())
     if there and not resume:
         raise UsageError(
-            f"{job.out} is not empty; add --resume to go on with what is in it, or choose another --out."
+            f"{job.out} is not empty; add --resume to continue its data set, or choose another --out."
         )
     if there and path.exists():
         other = differences(read_json_object(path), config)
@@ -365,7 +373,7 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
             )
     elif there and any(job.out.glob("*.h5")):
         raise UsageError(
-            f"{job.out} holds shards that `mjhab generate` has not made; choose another --out."
+            f"{job.out} holds shards that `mjhab generate` did not write; choose another --out."
         )
     job.out.mkdir(parents=True, exist_ok=True)
     lock = WriteLock(path, job.out)
@@ -376,7 +384,7 @@ def _open_folder(job: Job, resume: bool) -> WriteLock:
 
 
 def _read_tried(path: Path) -> list[Outcome]:
-    """What was tried and not kept. A line that a kill left half is dropped from the file."""
+    """Read the episodes that were tried and not kept. An incomplete last line is removed from the file."""
     if not path.exists():
         return []
     try:

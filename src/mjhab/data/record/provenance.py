@@ -1,4 +1,4 @@
-"""Where data comes from: configuration, versions, commit, machine, models."""
+"""Provenance of recorded data: configuration, versions, commit, machine, models."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _FREE = frozenset(
         "buffers",
     }
 )
-"""Options of an environment that change nothing in an episode; its seed is kept with each episode. What is recorded
-comes from the CPU: the options of the other backend are not in force."""
+"""Environment options that do not change an episode. The seed is stored with each episode; options of the GPU backend
+have no effect, because recording uses the CPU backend."""
 _VIEW = frozenset(
     {
         "obs_mode",
@@ -50,19 +50,19 @@ _VIEW = frozenset(
         "reward_normaliser",
     }
 )
-"""Options that change what is seen and said of an episode, not what happens in it."""
+"""Environment options that change the observations and rewards of an episode, but not its physics or outcome."""
 TRAIN_MAKER = "make_train"
-"""``config["maker"]`` of runs in SubtaskTrain environments; the others have none: `mjhab.envs.make` builds them."""
+"""``config["maker"]`` of runs in SubtaskTrain environments; runs in environments of `mjhab.envs.make` have none."""
 BUILTIN_LICENCE = "Apache-2.0: homes, furniture and objects made by the code of mjhab"
 
 
 def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "") -> RunInfo:
-    """Describe what is about to make episodes.
+    """Describe the run of a policy in an environment.
 
     Args:
         env: a SequentialTask or SubtaskTrain environment on the CPU.
-        policy: its name and every option that changes what it does, as plain JSON data: {"name": "expert", ...}.
-        licence: terms of the assets; needed for other assets than the built-in ones.
+        policy: its name and every option that changes its actions, as JSON data: {"name": "expert", ...}.
+        licence: of the assets; needed for assets other than the built-in ones.
     """
     options = {name: _plain(value) for name, value in dataclasses.asdict(env.config).items()}
     config: dict[str, Any] = {
@@ -70,7 +70,7 @@ def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "")
         "policy": dict(policy),
     }
     if getattr(env.config, "trains", False):
-        # Its arrangements come from a pool that is drawn with the seed of the environment.
+        # The start states come from a pool that depends on the environment's seed.
         config["env"]["seed"] = options["seed"]
         config["maker"] = TRAIN_MAKER
     layout = env.layout
@@ -103,8 +103,10 @@ def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "")
 
 
 def describe_views(views: Views) -> dict[str, Any]:
-    """What a run's layout tells of camera images: "cameras" with their calibration, and with segmentation "segments",
-    the names of its ids; nothing without images."""
+    """Entries of a run's layout that describe camera images; empty without images.
+
+    "cameras" holds the calibration of each camera. With segmentation, "segments" holds the names of its ids.
+    """
     outputs = getattr(views, "outputs", ())
     if not outputs:
         return {}
@@ -115,7 +117,7 @@ def describe_views(views: Views) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, mjhab and the libraries that decide about a bit."""
+    """Versions of Python, mjhab and the libraries that affect bit-exact results."""
     found = {"python": platform.python_version(), "mjhab": __version__}
     for name in _LIBRARIES:
         try:
@@ -136,7 +138,7 @@ def source_commit() -> str:
         return done.stdout.strip()
 
     try:
-        # Someone else's repository may surround a virtual environment: it must be ours that tracks this file.
+        # A virtual environment may lie inside another repository, so git must track this file.
         git("ls-files", "--error-unmatch", "__init__.py")
         return git("rev-parse", "HEAD") + (
             "+changes" if git("status", "--porcelain", "--", ".") else ""
@@ -158,13 +160,13 @@ def model_hash(model: Any) -> str:
 
 
 def _columns(addresses: Any) -> dict[str, list[int]]:
-    """Where qpos and qvel hold what: robot joints, then the first column of each object and of each link."""
+    """Columns of qpos and qvel: robot joints, then the first column of each object and of each link."""
     names = ("robot_q", "robot_v", "object_q", "object_v", "link_q")
     return {name: np.asarray(getattr(addresses, name)).astype(int).tolist() for name in names}
 
 
 def _text(assets: Any) -> str:
-    """A pack by its place, or a pack with options as JSON."""
+    """An asset pack as text: its place, or its place and options as JSON."""
     return assets if isinstance(assets, str) else json.dumps(assets, sort_keys=True)
 
 

@@ -1,8 +1,8 @@
-"""Which finished episodes are kept: a rule that speaks of their indices alone, however many workers finish them when.
+"""The rule for keeping finished episodes. It does not depend on the number of workers or the order of finishing.
 
-An episode is kept if it passes the filter and fewer than the quota of episodes with lower indices were kept for its
-target (and label). So the set is what one worker would keep that takes the indices in order. An episode is decided as
-soon as no lower index that is still open can change the answer; far from the quota that is at once.
+An episode is kept if it passes the filter and fewer episodes with lower indices than the quota allows are kept for its
+target (and label). So the kept set is that of a single worker that takes the indices in order. An episode is decided as
+soon as no open lower index can change the decision; far below the quota this is immediately.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _NONE = 1 << 62
 
 @dataclass(frozen=True)
 class Outcome:
-    """What counts of a finished episode; ``target`` is what quotas are counted by."""
+    """The part of a finished episode that quotas count. passes: it passes the filter."""
 
     index: int
     target: str
@@ -29,24 +29,24 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Surety:
-    """For which targets an episode that passes will be kept for certain, so that it can be written at once."""
+    """Targets for which an episode that passes the filter is certainly kept, so that it can be written at once."""
 
     default: bool
     others: frozenset[str] = frozenset()
-    """Targets for which it is the other way round."""
+    """Targets to which the opposite of ``default`` applies."""
 
     def __call__(self, target: str) -> bool:
-        """Whether it is certain for ``target``."""
+        """Whether episodes of ``target`` are certainly kept."""
         return self.default != (target in self.others)
 
 
 class Quotas:
-    """Keeps count. Indices are open until they are reported.
+    """Counts kept episodes against quotas. An index is open until it is reported.
 
     Args:
-        targets: those that must be full before all is done; others may turn up and have quotas too.
-        per_target: episodes to keep of every target; 0 for no limit.
-        per_label: episodes to keep of every label of every target; 0 for no limit.
+        targets: targets whose quotas must be full at the end; other targets may occur and have the same quotas.
+        per_target: number of episodes to keep per target; 0 for no limit.
+        per_label: number of episodes to keep per target and label; 0 for no limit.
 
     Raises:
         UsageError: a negative quota.
@@ -57,7 +57,7 @@ class Quotas:
     ) -> None:
         if per_target < 0 or per_label < 0:
             raise UsageError(
-                f"quotas are at least 0 (no limit); got {per_target} per target, {per_label} per label."
+                f"quotas must be at least 0 (no limit); got {per_target} per target, {per_label} per label."
             )
         self.targets = tuple(targets)
         self._per_target = per_target or _NONE
@@ -67,7 +67,7 @@ class Quotas:
         self._frontier = 0
         self._beyond = set[int]()
         self.outcomes: dict[int, Outcome] = {}
-        """Of all reported episodes, by index."""
+        """Outcomes of all reported episodes by index."""
 
     @property
     def labels(self) -> Counter[str]:
@@ -91,19 +91,19 @@ class Quotas:
 
     @property
     def full(self) -> bool:
-        """Whether every target has its quota: nothing that is still open can be kept."""
+        """Whether the quota of every target is full, so that no open index can be kept."""
         return bool(self.targets) and all(
             self.count(target) >= self._per_target for target in self.targets
         )
 
     def is_open(self, index: int) -> bool:
-        """Whether an index was not reported yet."""
+        """Whether an index has not been reported yet."""
         return index >= self._frontier and index not in self._beyond
 
     def report(self, outcome: Outcome, kept: bool | None = None) -> None:
-        """Take in a finished episode; an index that was reported before changes nothing.
+        """Count a finished episode; an index that was reported before is ignored.
 
-        ``kept``: what was decided about it in an earlier run; None leaves that to the rule.
+        ``kept`` is the decision of an earlier run; None applies the rule.
         """
         if not self.is_open(outcome.index):
             return
@@ -118,7 +118,7 @@ class Quotas:
             self._waiting[outcome.index] = outcome
 
     def forget(self, index: int) -> bool:
-        """Open an index again whose data were lost before it was decided; returns whether it was undecided."""
+        """Reopen an undecided index whose data were lost; returns whether it was undecided."""
         if self._waiting.pop(index, None) is None:
             return False
         del self.outcomes[index]
@@ -129,12 +129,12 @@ class Quotas:
         return True
 
     def would_drop(self, outcome: Outcome) -> bool:
-        """Whether lower indices that are kept already have filled its quota."""
+        """Whether kept episodes with lower indices already fill the quota."""
         low, label_low = (bisect_left(self._kept[key], outcome.index) for key in _keys(outcome))
         return low >= self._per_target or label_low >= self._per_label
 
     def decide(self) -> dict[int, bool]:
-        """Decide what can be decided; returns whether to keep, by index, of those that could now be."""
+        """Decide on all episodes that can be decided now; returns whether to keep them, by index."""
         decided: dict[int, bool] = {}
         for index in sorted(self._waiting):
             outcome = self._waiting[index]
@@ -149,7 +149,7 @@ class Quotas:
         return decided
 
     def surety(self, last: int) -> Surety:
-        """For which targets every open episode up to index ``last`` will be kept if it passes."""
+        """Targets for which every open episode up to index ``last`` is kept if it passes."""
         unknown = self._open_below(last + 1)
         default = unknown <= min(self._per_target, self._per_label)
         waiting = Counter(key for outcome in self._waiting.values() for key in _keys(outcome))

@@ -1,4 +1,4 @@
-"""A crew of Ray actors: the same workers, on a cluster. Needs the extra ``scale``."""
+"""Workers as Ray actors on a cluster. Needs the extra ``scale``."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from mjhab.data.record.crew import (
 LOCAL = "local"
 _LONGEST_STOP = 15.0
 _LONGEST_CALL = 10.0
-"""Seconds until an actor that does not stop is ended, and until an address that does not answer is given up."""
+"""Time until an actor that does not stop is killed, and time limit for connecting to an address [s]."""
 
 
 class _Actor:
-    """A worker as a Ray actor: answers come back together when a request is carried out."""
+    """A worker as a Ray actor; its messages are returned together at the end of a request."""
 
     def __init__(self) -> None:
         self._stop = threading.Event()
@@ -45,7 +45,7 @@ class _Actor:
             return [failure(error)]
 
     def run(self, request: Request) -> list[Message]:
-        """Carry out a request."""
+        """Execute a request."""
         assert self._worker is not None, "begin was not called, or failed"
         said: list[Message] = []
         try:
@@ -57,7 +57,7 @@ class _Actor:
         return said
 
     def stop(self) -> None:
-        """Leave the request in hand after the next control step; runs in a thread of its own."""
+        """Abort the current request after the next control step; runs in a second thread."""
         self._stop.set()
 
 
@@ -88,7 +88,7 @@ class RayCrew:
             )
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise UsageError(f"no Ray cluster can be reached at {address!r}: {error}") from error
-        # Two threads: one works, one hears that it has to stop.
+        # Two threads: one works, the other receives the request to stop.
         self._class = ray.remote(num_cpus=1, max_concurrency=2, max_restarts=0)(_Actor)
         self._actors: dict[int, Any] = {}
         self._calls: dict[Any, int] = {}
@@ -96,7 +96,7 @@ class RayCrew:
     def start(self, number: int, spec: WorkerSpec, shard: Path) -> None:
         """See `Crew`."""
         self._actors[number] = self._class.remote()
-        # Workers may run in other folders.
+        # Workers may have another current directory.
         self._calls[self._actors[number].begin.remote(spec, shard.resolve())] = number
 
     def send(self, number: int, request: Request) -> None:
@@ -112,7 +112,7 @@ class RayCrew:
             try:
                 found += [(number, message) for message in self._ray.get(call)]
             except self._ray.exceptions.RayActorError:
-                # Its process may linger on a node that cannot be reached.
+                # The process may still run on a node that cannot be reached.
                 with contextlib.suppress(self._ray.exceptions.RayError):
                     self._ray.kill(self._actors[number])
                 found.append((number, Gone()))
@@ -121,7 +121,7 @@ class RayCrew:
         return found
 
     def stop(self) -> None:
-        """See `Crew`. Ends the connection to the cluster, too."""
+        """See `Crew`. Also closes the connection to the cluster."""
         for actor in self._actors.values():
             with contextlib.suppress(self._ray.exceptions.RayError):
                 actor.stop.remote()
@@ -136,10 +136,10 @@ class RayCrew:
 
 
 def _check_reachable(address: str) -> None:
-    """Ray itself would try for minutes.
+    """Check an address quickly, because Ray itself would try for minutes.
 
     Raises:
-        UsageError: nobody listens at a "host:port" or "ray://host:port".
+        UsageError: no server listens at the "host:port" or "ray://host:port".
     """
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if not host or not port.isdigit():

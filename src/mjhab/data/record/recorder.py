@@ -1,4 +1,4 @@
-"""The recorder: a sink that puts every finished episode of a rollout into a shard."""
+"""The recorder: a sink that writes every finished episode of a rollout to a shard."""
 
 from __future__ import annotations
 
@@ -23,29 +23,30 @@ _IMAGE = "sensor_data/"
 
 
 class Appends(Protocol):
-    """What takes episodes: a `ShardWriter`, or something in front of one."""
+    """A destination of episodes, such as a `ShardWriter`."""
 
     def append(self, data: EpisodeData) -> int:
-        """Take an episode; returns the bytes that this took."""
+        """Store an episode; returns the number of bytes used."""
         ...
 
 
 class Recorder(Sink[RecordedEnv]):
     """Records the episodes of an environment with autoreset "disabled" into an open shard.
 
+    ``seen`` and ``kept`` count finished and stored episodes, ``labels`` the labels of the finished ones; ``bytes`` is
+    the growth of the shard.
+
     Args:
-        writer: where to; it stays open.
-        env: what is rolled out.
-        policy: name and options of what acts, see `provenance.describe_run`.
-        keep: which episodes to keep, told from their records; all of them, failures too, if not given.
-        states: keep positions and velocities of every state; without them nothing can be rendered later.
-        images: how to keep the camera images among the observations; None leaves them out.
-        licence: terms of the assets, if they are not the built-in ones.
+        writer: destination; it stays open.
+        env: the environment of the rollout.
+        policy: name and options of the policy, see `provenance.describe_run`.
+        keep: decides from the record whether to store an episode; None stores all, failures included.
+        states: store positions and velocities of every state; without them images cannot be rendered later.
+        images: format of the camera images among the observations; None leaves them out.
+        licence: of the assets, if they are not the built-in ones.
 
     Raises:
         UsageError: the observations of the environment have nested keys.
-
-    ``seen`` and ``kept`` count episodes, ``labels`` the labels seen, ``bytes`` what the shard has grown by.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class Recorder(Sink[RecordedEnv]):
         licence: str = "",
     ) -> None:
         if not env.config.has_flat_keys:
-            raise UsageError("recording takes flat observation keys: leave out obs_keys='nested'.")
+            raise UsageError("recording needs flat observation keys: leave out obs_keys='nested'.")
         self.run = describe_run(env, policy, licence)
         self.seen = self.kept = self.bytes = 0
         self.labels: Counter[str] = Counter()
@@ -72,7 +73,7 @@ class Recorder(Sink[RecordedEnv]):
         self._models: dict[str, str] = {}
 
     def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
-        """Begin buffers with the first states of the worlds in ``mask``."""
+        """Start buffers with the first states of the worlds in ``mask``."""
         obs = env.observer.observe(env.state, env.focus, env.signals, env.homes)
         checks, forces = signal_rows(env.signals)
         for w in np.flatnonzero(mask).tolist():
@@ -98,10 +99,10 @@ class Recorder(Sink[RecordedEnv]):
                 buffer.enter(int(step.steps[w]), now, begun[w])
 
     def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
-        """Write the episode, if it is to be kept.
+        """Write the episode if it is to be kept.
 
         Raises:
-            MjhabError: it does not fit the schema: numbers that are not finite, sizes that are not those of the env.
+            MjhabError: it does not fit the schema: numbers are not finite, or sizes differ from those of the env.
         """
         buffer = self._open.pop(world)
         self.seen += 1
@@ -118,12 +119,14 @@ class Recorder(Sink[RecordedEnv]):
                 record, self.run, model, _ending(env, world), arrays, columns, buffer.actors
             )
         except ValueError as error:
-            raise MjhabError(f"{error}. It was not recorded; those before it are safe.") from error
+            raise MjhabError(
+                f"{error}. The episode was not recorded; those before it are safe."
+            ) from error
         self.bytes += self._writer.append(data)
         self.kept += 1
 
     def close(self) -> None:
-        """Forget the episodes that were cut short."""
+        """Drop the unfinished episodes."""
         self._open.clear()
 
     def _physics(self, env: RecordedEnv, world: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -150,7 +153,7 @@ class _Buffer:
         self._rows.setdefault(path, []).append(value)
 
     def enter(self, step: int, index: int, checks: np.ndarray) -> None:
-        """A subtask begins after control step ``step``."""
+        """Record that a subtask starts after control step ``step``."""
         self._put("subtasks/step", np.int32(step))
         self._put("subtasks/index", np.int16(index))
         self._put("subtasks/checks", checks)
@@ -163,7 +166,7 @@ class _Buffer:
         info: Mapping[str, Any],
         world: int,
     ) -> None:
-        """Add what holds in a state of ``world``."""
+        """Add physics, checks, forces and active subtask of a state of ``world``."""
         if physics is not None:
             self._put("states/qpos", physics[0])
             self._put("states/qvel", physics[1])
@@ -176,7 +179,7 @@ class _Buffer:
     def add_obs(
         self, obs: Mapping[str, np.ndarray], world: int, images: ImageFormat | None
     ) -> None:
-        """Add the observation of a state of ``world``: those that ``state`` joins are kept once."""
+        """Add the observation of a state of ``world``; parts that ``state`` already contains are not stored twice."""
         if not self._parts:
             self._parts = joined_parts(obs)
         self._put(f"obs/{STATE}", obs[STATE][world].copy())
@@ -191,7 +194,7 @@ class _Buffer:
                 self._put(f"obs/{key}", values[world].copy())
 
     def add_action(self, step: StepView, world: int, terms: dict[str, float]) -> None:
-        """Add an action and what it brought."""
+        """Add an action and its reward and outcome."""
         self._put("actions", np.array(step.actions[world], np.float32))
         self._put("actions_intended", np.array(step.notes.intended[world], np.float32))
         self._put("actor", np.uint8(step.notes.actor[world]))
@@ -205,12 +208,12 @@ class _Buffer:
         return tuple(dict.fromkeys(name for terms in self._terms for name in terms))
 
     def columns(self) -> dict[str, tuple[str, ...]]:
-        """Names of the columns of the observations and of the terms of the reward."""
+        """Column names of the state observation and of the reward terms."""
         parts = tuple(f"{key}:{size}" for key, size in self._parts.items())
         return {f"obs/{STATE}": parts, "reward/terms": self._term_names()}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All datasets of the episode but its record."""
+        """All datasets of the episode except its record."""
         arrays = {path: np.stack(rows) for path, rows in self._rows.items()}
         arrays["states/initial"] = to_bytes(self.initial)
         names = self._term_names()
@@ -234,7 +237,7 @@ def signal_rows(signals: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def joined_parts(obs: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """Observations that stand side by side in ``state``, in that order, with their widths; empty if they do not."""
+    """Observations that ``state`` concatenates, in order, with their widths; empty if it is not a concatenation."""
     parts = {
         key: v.shape[1]
         for key, v in obs.items()

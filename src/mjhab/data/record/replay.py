@@ -1,4 +1,4 @@
-"""Replay: do the recorded actions give the recorded states again, bit by bit? And images from recorded states."""
+"""Replay: check that the recorded actions reproduce the recorded states bit by bit; render recorded states."""
 
 from __future__ import annotations
 
@@ -22,17 +22,20 @@ from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter
 
 FOLLOW = "follow"
-"""The camera that looks over the robot's shoulder."""
+"""Name of a camera that follows the robot from behind."""
 _IMAGE = "sensor_data/"
 MakeEnv = Callable[[RunInfo], RecordedEnv]
-"""Makes an environment (autoreset "disabled") like the one that a run was recorded in."""
+"""Makes an environment (autoreset "disabled") equal to the one that a run was recorded in."""
 
 
 @dataclass
 class Verified:
-    """``max_error``: largest difference of a position or velocity [m, rad, m/s, rad/s]; infinite if one is not a
-    number. ``wrong``: by episode, what differs. ``unlike``: episodes whose home is compiled to another model here.
-    ``moved``: episodes that begin elsewhere here; they were replayed from the recorded first state."""
+    """Result of ``verify``.
+
+    exact: number of bit-exact episodes. max_error: largest difference of a position or velocity [m, rad, m/s, rad/s];
+    infinite if a value is NaN. wrong: the difference, by episode. unlike: episodes whose home compiles to another
+    model here. moved: episodes whose start state differs here; they were replayed from the recorded first state.
+    """
 
     episodes: int = 0
     exact: int = 0
@@ -44,7 +47,7 @@ class Verified:
 
 @dataclass(frozen=True)
 class Rendered:
-    """What ``render`` did; ``present``: episodes that were in the shard already."""
+    """Result of ``render``. present: number of episodes that the shard already had."""
 
     episodes: int
     frames: int
@@ -60,10 +63,10 @@ def verify(
 ) -> Verified:
     """Simulate recorded actions again and compare positions and velocities of every state, bit by bit.
 
-    Of episodes without states only the last one can be compared, by the hash in their record.
+    Episodes without states are only compared in the last state, by the hash in their record.
 
     Args:
-        places: shards or folders. where: only these episodes.
+        places: shards, or folders of shards. where: filter on the episodes.
         make_env: called once for every config.
         tell: called after every episode.
 
@@ -89,10 +92,10 @@ def verify(
 def _batches(
     places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None
 ) -> Iterator[tuple[RecordedEnv, list[Episode]]]:
-    """Episodes of one shard and one config, no more than the environment has worlds, with the environment."""
+    """Batches of an environment and episodes of one shard and config, at most as many as it has worlds."""
     envs: dict[str, RecordedEnv] = {}
     for path in shard_paths(places):
-        # An episode can be read while its shard is open.
+        # Episodes are read faster while their shard is open.
         with open_shard(path) as shard:
             groups: dict[str, list[Episode]] = defaultdict(list)
             for episode in shard:
@@ -108,10 +111,10 @@ def _batches(
 
 
 def require_states(members: Sequence[Episode]) -> None:
-    """Refuse imported episodes, which no simulator of ours has made.
+    """Refuse imported episodes, which mjhab did not simulate.
 
     Raises:
-        UsageError: the source of one of them had no states.
+        UsageError: the source of an episode had no states.
     """
     for episode in members:
         if "states/initial" in episode.run.absent:
@@ -123,7 +126,7 @@ def require_states(members: Sequence[Episode]) -> None:
 
 
 class _Comparison:
-    """States of one episode, compared as they come."""
+    """Comparison of one episode's states during a replay."""
 
     def __init__(self, episode: Episode) -> None:
         self.actions = episode.array("actions")
@@ -140,7 +143,7 @@ class _Comparison:
         return len(self.actions)
 
     def begins_with(self, state: Mapping[str, np.ndarray]) -> bool:
-        """Whether a state is the first one."""
+        """Whether a state equals the recorded first state."""
         return all(_same_bits(state[name], self.first[name]) for name in ("qpos", "qvel"))
 
     def compare(self, t: int, state: Mapping[str, np.ndarray], digest: str) -> None:
@@ -168,8 +171,11 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _verify_batch(env: RecordedEnv, batch: list[Episode]) -> list[tuple[Episode, str, float, bool]]:
-    """Of each of at most W episodes of one config what is wrong ("" if nothing), the largest difference, and whether
-    it begins elsewhere here."""
+    """Replay at most W episodes of one config.
+
+    Returns:
+        Per episode: itself, what is wrong ("" if nothing), the largest difference, and whether its start state differs.
+    """
     compared = [_Comparison(episode) for episode in batch]
     moved = _begin(env, batch, compared)
     longest = max(one.steps for one in compared)
@@ -189,7 +195,7 @@ def _verify_batch(env: RecordedEnv, batch: list[Episode]) -> list[tuple[Episode,
 
 
 def _begin(env: RecordedEnv, batch: list[Episode], compared: list[_Comparison]) -> list[bool]:
-    """Reset worlds to episodes; where the start has another state here, take the recorded one, and say True."""
+    """Reset worlds to episodes; where the start state differs, set the recorded one. Returns which ones differed."""
     mask = np.arange(env.num_envs) < len(batch)
     seeds = [episode.record.seed for episode in batch] + [None] * (env.num_envs - len(batch))
     indices = np.array([episode.record.index for episode in batch])
@@ -213,15 +219,15 @@ def render(
     where: Filter | None = None,
     tell: Callable[[], object] = bool,
 ) -> Rendered:
-    """Draw images of recorded states into a new shard; nothing is simulated. Episodes that it has are left out.
+    """Render images of recorded states into a new shard, without simulation. Episodes that it already has are skipped.
 
-    What was recorded is kept, but images of the same cameras in another size.
+    All recorded data are copied, except images that are rendered again.
 
     Args:
-        places: shards or folders. out: the shard to make, or to go on with.
-        make_env: its ``observer`` says what is drawn (obs_mode, cameras, camera_size).
-        cameras: as wanted, all of the robot if None; FOLLOW may be among them.
-        images: how colour is stored. where: only these episodes. tell: called after every episode.
+        places: shards, or folders of shards. out: the shard to make or to continue.
+        make_env: its ``observer`` determines the images (obs_mode, cameras, camera_size).
+        cameras: names of cameras, FOLLOW may be among them; None takes all cameras of the robot.
+        images: format of colour images. where: filter on the episodes. tell: called after every episode.
 
     Raises:
         UsageError: an episode has no states; ``out`` is among the places.
@@ -256,7 +262,7 @@ def render(
 def _draw(
     env: RecordedEnv, episode: Episode, follow: bool, images: ImageFormat
 ) -> dict[str, np.ndarray]:
-    """Datasets of an episode's images, and what else the observer makes of them, by path."""
+    """Datasets of an episode's images and of observations that the observer derives from them, by path."""
     qpos = episode.array("states/qpos")
     home = episode.record.home
     files: dict[str, list[bytes]] = {}
@@ -265,7 +271,7 @@ def _draw(
     for start in range(0, len(qpos), env.num_envs):
         part = qpos[start : start + env.num_envs]
         worlds = list(range(len(part)))
-        # Positions alone decide what is seen: the worlds are put into the states, and not stepped.
+        # Images depend on positions only, so the worlds are set to the states and not stepped.
         padded = np.concatenate([part, np.repeat(part[-1:], env.num_envs - len(part), axis=0)])
         env.sim.reset(range(env.num_envs), [home] * env.num_envs, padded)
         state = env.sim.state()
@@ -292,7 +298,7 @@ def _draw(
 def _with_images(
     episode: Episode, drawn: dict[str, np.ndarray], env: RecordedEnv, cameras: Sequence[str]
 ) -> EpisodeData:
-    """The episode with other images; its run tells what they are and which version has drawn them."""
+    """The episode with new images; its run describes them and the version that rendered them."""
     arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
     size = tuple(env.observer.size)
     for camera, output in episode.images:

@@ -1,4 +1,4 @@
-"""What data asks of an environment of W worlds, to record its episodes and to play them again."""
+"""Protocols of an environment of W worlds for recording, replaying and rendering its episodes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Physics(Protocol):
 
     @property
     def addresses(self) -> Any:
-        """Where qpos and qvel hold what: int arrays by name, see `layout.Addresses`."""
+        """Columns of qpos and qvel by name, int arrays, see `layout.Addresses`."""
         ...
 
     def model(self, home: str, /) -> Any:
@@ -25,11 +25,11 @@ class Physics(Protocol):
         ...
 
     def get_world(self, world: int, /) -> dict[str, np.ndarray]:
-        """Copies of "qpos", "qvel", "ctrl" and what else the physics of one world depends on."""
+        """Copies of "qpos", "qvel", "ctrl" and all other physics state of one world."""
         ...
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, /) -> None:
-        """Put worlds into homes at rest in the states ``qpos`` (n, nq)."""
+        """Set worlds ``ids`` to homes, at rest, with positions ``qpos`` (n, nq)."""
         ...
 
     def state(self) -> Any:
@@ -38,35 +38,35 @@ class Physics(Protocol):
 
 
 class Views(Protocol):
-    """What is seen in the worlds; `envs.parts.observing.Observer` is one."""
+    """Observations and images of the worlds; `envs.parts.observing.Observer` is one."""
 
     @property
     def outputs(self) -> Sequence[str]:
-        """What is drawn or derived of pictures."""
+        """Image outputs, such as "rgb" and "depth"."""
         ...
 
     @property
     def cameras(self) -> Sequence[str]:
-        """Names of the cameras that see."""
+        """Names of the cameras."""
         ...
 
     @property
     def size(self) -> tuple[int, int]:
-        """(height, width) of the pictures [px]."""
+        """(height, width) of the images [px]."""
         ...
 
     @property
     def segmentation_names(self) -> Sequence[str]:
-        """Name of every segmentation id, index = id."""
+        """Name of every segmentation id; the index is the id."""
         ...
 
     def calibration(self) -> dict[str, dict[str, Any]]:
-        """Size, intrinsic matrix and mount of each camera as plain data."""
+        """Size, intrinsic matrix and mount of each camera as JSON data."""
         ...
 
     @property
     def renderer(self) -> Any:
-        """Draws human views: ``follow_view(state, home, world, width, height)`` (H, W, 3) uint8."""
+        """Renderer with ``follow_view(state, home, world, width, height)``, (H, W, 3) uint8."""
         ...
 
     def observe(
@@ -76,31 +76,31 @@ class Views(Protocol):
         ...
 
     def draw(self, state: Any, homes: Sequence[str], /) -> dict[str, np.ndarray]:
-        """What cameras see in the worlds of ``state``."""
+        """Camera images of all worlds in ``state``, by observation key."""
         ...
 
 
 class Names(Protocol):
-    """Names and order of what all homes share; `layout.layout.Layout` has them."""
+    """Names of the objects and links that all homes share; `layout.layout.Layout` is one."""
 
     @property
     def object_names(self) -> Sequence[str]:
-        """Of the object slots."""
+        """Names of the object slots."""
         ...
 
     @property
     def robot(self) -> Any:
-        """The `robots.robot.Robot` that works there."""
+        """The `robots.robot.Robot` in the homes."""
         ...
 
     @property
     def link_ids(self) -> Sequence[str]:
-        """Of the drawers and doors."""
+        """Names of the drawers and doors."""
         ...
 
 
 class RecordedEnv(RolloutEnv, Protocol):
-    """An environment on the CPU whose episodes can be recorded, replayed and drawn; those of `mjhab.make` are."""
+    """A CPU environment whose episodes can be recorded, replayed and rendered, such as those of `mjhab.make`."""
 
     @property
     def config(self) -> Any:
@@ -114,17 +114,17 @@ class RecordedEnv(RolloutEnv, Protocol):
 
     @property
     def action_table(self) -> Sequence[Any]:
-        """One entry with a ``name`` per number of an action."""
+        """One entry with a ``name`` per dimension of an action."""
         ...
 
     @property
     def sim(self) -> Physics:
-        """The worlds' physics."""
+        """The simulator of the worlds."""
         ...
 
     @property
     def observer(self) -> Views:
-        """What is seen."""
+        """Observations and images of the worlds."""
         ...
 
     @property
@@ -134,7 +134,7 @@ class RecordedEnv(RolloutEnv, Protocol):
 
     @property
     def focus(self) -> Any:
-        """What the active subtasks are about."""
+        """Targets of the active subtasks."""
         ...
 
     @property
@@ -144,12 +144,12 @@ class RecordedEnv(RolloutEnv, Protocol):
 
     @property
     def signals(self) -> Signals | None:
-        """Of the active subtasks; None before the first reset."""
+        """Signals of the active subtasks; None before the first reset."""
         ...
 
     @property
     def judged(self) -> Signals | None:
-        """Those that decided the last step."""
+        """Signals that determined the outcome of the last step."""
         ...
 
     @property
@@ -165,13 +165,13 @@ class RecordedEnv(RolloutEnv, Protocol):
     def reset(
         self, *, seed: int | Sequence[int | None], options: dict[str, Any]
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes; ``seed``: one for all worlds or (W,) one each, None where it stays. See `RolloutEnv`."""
+        """Start episodes. ``seed`` is one for all worlds, or one per world with None to keep it. See `RolloutEnv`."""
         ...
 
     def get_state(self, world: int, /) -> dict[str, Any]:
-        """Everything one world is."""
+        """Complete state of one world."""
         ...
 
     def set_state(self, world: int, state: dict[str, Any], /) -> None:
-        """Put one world into a state from `get_state`."""
+        """Set one world to a state from `get_state`."""
         ...

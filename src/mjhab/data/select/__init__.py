@@ -1,1 +1,1 @@
-"""What is made of recorded episodes: filters, sets, statistics, labels anew, torch windows."""
+"""Use of recorded episodes: filters, merging and splitting, statistics, relabelling, torch windows."""

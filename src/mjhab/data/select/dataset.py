@@ -1,6 +1,6 @@
-"""Windows of recorded episodes for torch: some observations up to a step, and the actions from it on.
+"""A torch Dataset of windows of recorded episodes: observations up to a control step, and the actions from it on.
 
-The only module of the package that imports torch.
+This is the only module of `mjhab.data` that imports torch.
 """
 
 from __future__ import annotations
@@ -31,51 +31,52 @@ ACTION = "action"
 EXECUTED = "executed"
 INTENDED = "intended"
 LABELS: dict[str, str] = {EXECUTED: "actions", INTENDED: "actions_intended"}
-"""Actions that a policy can be trained on, and the datasets that they lie in."""
+"""Kinds of action labels, and the datasets that hold them."""
 PLACES = ("episode", "step")
-"""Entries of a window that are plain numbers."""
+"""Entries of a window that are plain integers."""
 AUTO = "auto"
 MEMORY = "memory"
 DECODE = "decode"
 MEMORY_SHARE = 0.5
-"""Share of the free memory that "auto" takes for decoded images."""
+"""Fraction of the free memory that "auto" uses for decoded images."""
 
 
 class WindowDataset(Dataset[dict[str, Any]]):
     """One window per control step t of every episode.
 
-    An item holds
-    ``state`` (history, D) float32 and ``<camera>/<output>`` (history, C, H, W) of states t-history+1 to t, the first
-    state repeated where there is none before it; rgb is uint8, depth int16 [mm];
-    ``action`` (chunk, A) float32 of steps t to t+chunk-1, the last one repeated after the end;
-    ``action_is_pad`` (chunk,) bool;
-    ``actor`` (chunk,) uint8, who acted in these steps as a place in ``actors``, the last one repeated after the end;
-    ``episode`` and ``step``.
+    An item is a dict with
+    ``state`` (history, D) float32 and ``<camera>/<output>`` (history, C, H, W): states t-history+1 to t; the first
+    state of the episode is repeated where there are none before it. rgb is uint8, depth int16 [mm];
+    ``action`` (chunk, A) float32: actions of steps t to t+chunk-1; the last one is repeated after the end;
+    ``action_is_pad`` (chunk,) bool: True after the end;
+    ``actor`` (chunk,) uint8: who acted in these steps, as an index into ``actors``; padded like ``action``;
+    ``episode`` and ``step``: indices of the window.
 
-    A sequence of indices gives a batch, which is quicker than its windows one by one: let a `BatchSampler` be the
-    loader's ``sampler``, with ``batch_size=None``.
+    A sequence of indices gives a batch with a leading axis. This is faster than collating single windows: pass a
+    `BatchSampler` as the loader's ``sampler`` and ``batch_size=None``.
 
-    States and actions are held in memory; images are decoded when they are first asked for. HDF5 is done with when this
-    is made: what workers do needs no open HDF5 file, so they may be forked or spawned. Forked workers share what one of
-    them has decoded.
+    States and actions are held in memory; images are decoded on first access. Data loader workers may be forked or
+    spawned, because HDF5 files are only read during construction. Forked workers share decoded images.
 
     Args:
-        places: shards or folders of them.
-        history: observations in a window.
-        chunk: actions in a window.
-        labels: "executed" takes the actions that moved the robot, "intended" those that were meant, without noise.
+        places: shards, or folders of shards.
+        history: number of observations in a window.
+        chunk: number of actions in a window.
+        labels: "executed" for the actions that moved the robot, "intended" for those without the expert's noise.
         images: camera images, such as "fetch_head/depth".
-        where: which episodes; all of them if None.
+        where: filter on the episodes; None takes all.
         until: "success+N" ends every episode N control steps after its first success, see `Until.parse`.
-        normalize: "spread" gives states and actions with mean 0 and spread 1, "range" from -1 to 1, "" as they are.
-        statistics: those to normalize with, of another set; those of this one if not given.
-        cache: file to keep the statistics in; read if it is of this data, else written.
-        frames: what becomes of decoded images. "memory" keeps them; "decode" keeps none; a folder keeps them in a file
-            without a name there, which may be larger than memory; "auto" is "memory" where they take less than half of
-            what is free, else "decode".
+        normalize: "spread" normalizes states and actions to mean 0 and standard deviation 1, "range" to [-1, 1]; ""
+            leaves them unchanged.
+        statistics: for the normalization, e.g. of the training set; None takes those of this data set.
+        cache: file for the statistics; it is read if it belongs to this data, else written.
+        frames: storage of decoded images. "memory" keeps them in memory; "decode" decodes on every access; a folder
+            keeps them in an unnamed file there, which may be larger than the memory; "auto" is "memory" if they take
+            less than MEMORY_SHARE of the free memory, else "decode".
 
     Raises:
-        UsageError: no episode passes, episodes differ in their sizes or lack an image; no such labels; no room.
+        UsageError: no episode passes the filter, episodes differ in their sizes or lack an image, ``labels`` is
+            unknown, or there is no room for the images.
     """
 
     def __init__(
@@ -153,7 +154,9 @@ class WindowDataset(Dataset[dict[str, Any]]):
             )
         sizes = [each[-1].shape[1] for each in (self._states, self._actions)]
         if sizes != [each[0].shape[1] for each in (self._states, self._actions)]:
-            raise UsageError(f"{where} has other sizes of state and action than the ones before.")
+            raise UsageError(
+                f"{where} differs from those before it in the sizes of state and action."
+            )
         for image, frames in self._frames.items():
             frames.append(EncodedFrames.of(episode, image, steps + 1))
 
@@ -185,14 +188,14 @@ class WindowDataset(Dataset[dict[str, Any]]):
         return self._batch(np.asarray(index, np.int64))
 
     def _batch(self, indices: np.ndarray) -> dict[str, torch.Tensor]:
-        """The windows ``indices`` (B,), each entry with B in front."""
+        """The windows ``indices`` (B,); every entry has B as its first axis."""
         wrong = indices[(indices < 0) | (indices >= len(self))]
         if len(wrong):
             raise IndexError(int(wrong[0]))
         episode = np.searchsorted(self._starts, indices, side="right") - 1
         first = self._firsts[episode]
         step = indices - first
-        # An episode has one state more than it has actions.
+        # An episode has one more state than actions.
         seen = np.maximum(step[:, None] + np.arange(1 - self.history, 1), 0)
         seen = seen + (first + episode)[:, None]
         ahead = step[:, None] + np.arange(self.chunk)
@@ -215,7 +218,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
 def _stores(
     frames: Mapping[str, Sequence[EncodedFrames]], where: str | Path
 ) -> dict[str, FrameStore]:
-    """Stores of the images of every camera output; ``where``: as in `WindowDataset`."""
+    """Make the store of each camera output; ``where`` is ``frames`` of `WindowDataset`."""
     if isinstance(where, Path):
         return {image: FrameStore(each, True, where) for image, each in frames.items()}
     if where not in (AUTO, MEMORY, DECODE):
@@ -227,9 +230,9 @@ def _stores(
 
 
 class SeededSampler(Sampler[int]):
-    """Every index once per epoch, in an order that seed and epoch alone decide.
+    """Yields every index once per epoch, in an order that depends on seed and epoch only.
 
-    Call ``set_epoch`` before each epoch, or let it count the epochs itself.
+    Call ``set_epoch`` before each epoch; otherwise the sampler counts the epochs itself.
     """
 
     def __init__(self, size: int, seed: int = 0) -> None:
@@ -238,7 +241,7 @@ class SeededSampler(Sampler[int]):
         self._epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
-        """The number of the epoch that begins next."""
+        """Set the number of the next epoch."""
         self._epoch = epoch
 
     def __iter__(self) -> Iterator[int]:

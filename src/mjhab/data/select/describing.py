@@ -1,4 +1,4 @@
-"""Recorded episodes in words and names: what exports and reports say about them."""
+"""Instructions and column names of recorded episodes, for exports and reports."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OLD_JOINTS: tuple[str, ...] = (
     "r_gripper_finger",
     "l_gripper_finger",
 )
-"""Joints of the robot of shards that do not name them, without the base (breadth-first, as MS-HAB)."""
+"""Joints of the robot in shards that do not name them, without the base (breadth-first order, as in MS-HAB)."""
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PARTS: dict[str, tuple[str, ...]] = {
     "extra/tcp_pose_wrt_base": _POSE,
@@ -40,20 +40,20 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "extra/goal_pos_wrt_base": ("x", "y", "z"),
     "agent/base_vel": ("forward", "left", "yaw"),
 }
-"""Names of the numbers of an observation."""
+"""Column names of observations."""
 _OF_JOINTS = ("agent/qpos", "agent/qvel")
-"""Observations with a number per joint."""
+"""Observations with one column per joint."""
 
 
 def subtask_words(record: EpisodeRecord) -> list[str]:
-    """The instruction of every subtask of an episode; made from the plan where the record is too old to have them."""
+    """The instruction of every subtask of an episode; derived from the plan if an old record lacks them."""
     if record.instructions:
         return list(record.instructions)
     return [subtask_instruction(Request(entry.kind, entry.target)) for entry in record.plan]
 
 
 def task_words(record: EpisodeRecord) -> str:
-    """What an episode is asked to do: the subtask that is done alone, or the whole task."""
+    """The instruction of an episode: that of its single subtask, or of the whole task."""
     if record.instruction:
         return record.instruction
     if record.subtask:
@@ -63,14 +63,14 @@ def task_words(record: EpisodeRecord) -> str:
 
 
 def navigates_by_teleport(episode: Episode) -> bool:
-    """Whether the environment did the navigation of an episode: the robot was put near every goal."""
+    """Whether the environment teleported the robot to every goal of an episode instead of letting it drive."""
     if episode.record.subtask or episode.run.config.get("env", {}).get("navigate") != "teleport":
         return False
     return any(_is_way(entry.kind) for entry in episode.record.plan)
 
 
 def teleported_steps(episode: Episode) -> np.ndarray:
-    """(N+1,) bool: states in which a navigation is active that the environment does."""
+    """(N+1,) bool: states in which a Navigate subtask is active that the environment executes by teleport."""
     plan = episode.record.plan
     ways = np.array([_is_way(entry.kind) for entry in plan]) & navigates_by_teleport(episode)
     return ways[np.minimum(episode.array("subtasks/active"), len(plan) - 1)]
@@ -81,7 +81,7 @@ def _is_way(kind: str) -> bool:
 
 
 def instructions_of(episode: Episode) -> Instructions:
-    """The sentences of an episode, which tell the ways that the environment did from those that the robot drove."""
+    """The instructions of an episode; teleported Navigate subtasks are marked as such."""
     record = episode.record
     told = Instructions(task_words(record), tuple(subtask_words(record)))
     if not navigates_by_teleport(episode):
@@ -90,7 +90,7 @@ def instructions_of(episode: Episode) -> Instructions:
 
 
 def state_names(columns: Mapping[str, int], layout: Mapping[str, Any]) -> list[str]:
-    """A name for every number of ``obs/state``.
+    """A name for every column of ``obs/state``.
 
     Args:
         columns: names and widths of its parts (`Episode.columns`).

@@ -1,4 +1,4 @@
-"""What a filter can ask about an episode."""
+"""The names of the filter language: facts about an episode that a filter can test."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TEXTS = "a list of texts"
 
 @dataclass(frozen=True)
 class Fact:
-    """One thing that is known of an episode. ``choices``: all values it can have; empty for any."""
+    """A named value of an episode. kind: its type, for messages. choices: all possible values; empty for any."""
 
     name: str
     kind: str
@@ -33,7 +33,7 @@ class Fact:
 
 
 def target_of(record: EpisodeRecord) -> str:
-    """Object type or link of the last subtask that ended; of the first of the plan if none did."""
+    """Object type or link of the last subtask that ended; if none ended, of the plan's first subtask."""
     return kind_of(record.subtasks[-1].target if record.subtasks else record.plan[0].target)
 
 
@@ -55,7 +55,7 @@ def _event(name: str) -> Fact:
 
 
 def _asked() -> tuple[Fact, ...]:
-    """Facts about what was to be done, by whom and where; choices are those of what is registered now."""
+    """Facts about task, policy and home; the choices include registered plugins."""
     return (
         Fact("task", TEXT, "task", lambda r, _: r.task, TASKS.names()),
         Fact(
@@ -109,7 +109,7 @@ def _subjects() -> tuple[Fact, ...]:
 
 
 def _judged() -> tuple[Fact, ...]:
-    """Facts about labels and success; choices are those of what is registered now."""
+    """Facts about labels and success; the choices include registered plugins."""
     labels = all_labels()
     return (
         Fact(
@@ -200,7 +200,7 @@ def _styled(name: str) -> Fact:
 
 
 def facts() -> Mapping[str, Fact]:
-    """Every name of the filter language; events and labels of plugins are among them."""
+    """All names of the filter language, including events and labels of plugins."""
     return _facts((SUBTASKS.version, TASKS.version))
 
 
@@ -228,4 +228,5 @@ FUNCTIONS: dict[str, tuple[str, Callable[[EpisodeRecord, str], float]]] = {
         lambda r, event: max(_steps_of(r, event), default=float("nan")),
     ),
 }
-"""Functions of the filter language: name to meaning and value. No comparison with a step that is not holds."""
+"""Functions of the filter language: meaning and implementation by name. ``first`` and ``last`` of an event that did not
+occur are NaN, with which every comparison is false."""

@@ -1,7 +1,7 @@
-"""Camera images of many episodes for training: decoded once, then copied from memory.
+"""Camera images of many episodes for training, decoded once and then copied from memory.
 
-Decoding a PNG of 128 x 128 takes about a third of a millisecond, copying its pixels three microseconds. Decoded images
-are kept in one mapping per camera image, shared with the worker processes of a data loader that were forked.
+Decoding a PNG of 128 x 128 px takes about 0.3 ms, copying its pixels 3 us. The decoded images of each camera output lie
+in one memory mapping, which forked data loader workers share.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.schema import DamagedError
 
 _OPEN = 64
-"""Shards that a process keeps open."""
+"""Largest number of shards that a process keeps open."""
 
 
 @dataclass(frozen=True)
 class EncodedFrames:
-    """Where the images of one camera of an episode lie: ``offset`` in the file, and ``ends`` from there on.
+    """Location of the encoded images of one camera of an episode.
 
-    ``shape`` (C, H, W) and ``dtype``: of each of its ``count`` images once decoded.
+    path: the shard. name: of the episode. offset: of the first image in the file [bytes]. ends (count,): end of each
+    image from there [bytes]; None if only HDF5 can read them. shape (C, H, W), dtype: of a decoded image.
     """
 
     path: Path
@@ -48,7 +49,7 @@ class EncodedFrames:
         """The first ``count`` images "<camera>/<output>" of an episode.
 
         Raises:
-            UsageError: it has no such images.
+            UsageError: the episode has no such images.
         """
         camera, _, output = image.partition("/")
         offset, ends = episode.frame_places(camera, output) or (0, None)
@@ -62,7 +63,7 @@ class EncodedFrames:
         """The image of state t (C, H, W).
 
         Raises:
-            DamagedError: it cannot be read.
+            DamagedError: the image cannot be read.
         """
         if self.ends is None:
             with open_shard(self.path) as shard:
@@ -77,13 +78,13 @@ class EncodedFrames:
         except (OSError, ValueError) as error:
             raise DamagedError(
                 f"image {t} of {self.camera} {self.output} in episode {self.name} of {self.path} cannot be read: "
-                f"{error}. Has the file been replaced? See what is wrong with: mjhab data check {self.path}"
+                f"{error}. The file may have been replaced; check it with: mjhab data check {self.path}"
             ) from error
         return image
 
 
 class OpenFiles:
-    """Files open for reading. Reads give their place themselves, so processes may share them after a fork."""
+    """Files open for reading. All reads pass their own offset, so processes may share them after a fork."""
 
     def __init__(self) -> None:
         self._open: OrderedDict[Path, int] = OrderedDict()
@@ -103,16 +104,16 @@ class OpenFiles:
 
 
 class FrameStore:
-    """The images of one camera output of all episodes, one row per state, episodes one after another.
+    """The images of one camera output of all episodes, in sequence, one row per state.
 
     Args:
-        episodes: where the images lie; all have one size.
-        keeps: keep what was decoded.
-        folder: where a file without a name backs what is kept, so that it may be larger than memory; None keeps it in
-            memory.
+        episodes: locations of the images; all must have the same size.
+        keeps: keep decoded images.
+        folder: folder of an unnamed file that holds the decoded images, so that they may be larger than the memory;
+            None keeps them in memory.
 
     Raises:
-        UsageError: sizes of images differ, or the folder has no room.
+        UsageError: the sizes of the images differ, or the folder has no room.
     """
 
     def __init__(
@@ -130,7 +131,7 @@ class FrameStore:
         self._pixels: np.ndarray | None = None
         if self._keeps:
             rows = int(self._starts[-1])
-            # Nothing takes memory before it is written: a row that was never asked for is never there.
+            # The mapping takes memory only for rows that are written, that is, rows that were requested.
             whole = _mapping(self.nbytes + rows, self._folder)
             pixels = np.frombuffer(whole, self._dtype, self.nbytes // self._dtype.itemsize)
             self._pixels = pixels.reshape(rows, *self._shape)
@@ -148,7 +149,7 @@ class FrameStore:
             return np.stack([self._decoded(row) for row in unique.tolist()])[back]
         for row in np.unique(rows[self._known[rows] == 0]).tolist():
             self._pixels[row] = self._decoded(row)
-            # After the pixels: another process that sees the mark finds them whole.
+            # Set after the pixels, so that another process that sees the mark finds complete pixels.
             self._known[row] = 1
         return self._pixels[rows]
 
@@ -157,7 +158,7 @@ class FrameStore:
         return self._episodes[episode].read(row - int(self._starts[episode]), self._files)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a process that is not a fork is given: it decodes for itself."""
+        """State for a spawned process, which decodes its own images."""
         return {k: v for k, v in self.__dict__.items() if k not in ("_files", "_pixels", "_known")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -185,7 +186,7 @@ def _one_size(episodes: Sequence[EncodedFrames]) -> tuple[tuple[int, ...], np.dt
 
 
 def _mapping(size: int, folder: Path | None) -> mmap.mmap:
-    """Zeros that processes forked from this one share, in memory or in a file without a name."""
+    """A zero-filled mapping that forked processes share, in memory or in an unnamed file in ``folder``."""
     if folder is None:
         return mmap.mmap(-1, size)
     try:
@@ -194,6 +195,6 @@ def _mapping(size: int, folder: Path | None) -> mmap.mmap:
             return mmap.mmap(file.fileno(), size)
     except OSError as error:
         raise UsageError(
-            f"decoded images take {size / 2**30:.1f} GiB, which cannot be had in {folder}: {error.strerror}. Name a "
-            "folder with room, or give frames='decode' to read them anew each time."
+            f"decoded images take {size / 2**30:.1f} GiB, which {folder} cannot hold: {error.strerror}. Name a folder "
+            "with enough space, or give frames='decode' to decode them on every access."
         ) from error

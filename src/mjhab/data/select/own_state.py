@@ -1,4 +1,4 @@
-"""The state observations of a recorded episode, divided by who can know them: the robot, or the simulation alone."""
+"""The state observations of a recorded episode, divided into proprioception and privileged state."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ OWN_KEYS: tuple[str, ...] = (
     BASE_VELOCITY,
     "extra/tcp_pose_wrt_base",
 )
-"""Observations that a robot has by its own sensors (proprioception), in the order of the mode "proprioception"."""
+"""Observations from the robot's own sensors, in the order of the observation mode "proprioception"."""
 
 
 @dataclass(frozen=True)
 class SplitState:
-    """State observations (N+1, n) float32 by key. ``own``: of OWN_KEYS; ``task``: object, goal, grasp and the like."""
+    """State observations (N+1, n) float32 by key. own: those of OWN_KEYS. task: object, goal, grasp and others."""
 
     own: dict[str, np.ndarray]
     task: dict[str, np.ndarray]
@@ -30,8 +30,8 @@ class SplitState:
 def split_state(episode: Episode) -> SplitState:
     """Divide the state observations of an episode.
 
-    The velocity of the base is computed from the recorded states where the observations lack it, and left out where
-    the episode has no states.
+    If the observations lack the velocity of the base, it is computed from the recorded states; without states it is
+    left out.
     """
     parts = {key: values.reshape(len(values), -1) for key, values in _parts(episode).items()}
     if BASE_VELOCITY not in parts and "states/qvel" in episode.paths:
@@ -41,12 +41,12 @@ def split_state(episode: Episode) -> SplitState:
 
 
 def _parts(episode: Episode) -> dict[str, np.ndarray]:
-    """The named parts of ``obs/state``; all of it under its own name where the parts have none."""
+    """The named parts of ``obs/state``; all of it as "state" if the parts have no names."""
     return episode.table("obs/state") or {"state": episode.array("obs/state")}
 
 
 def base_velocity(episode: Episode) -> np.ndarray:
-    """(N+1, 3) float32 velocity of the base in its own frame: forward, to the left [m/s], yaw rate [rad/s]."""
+    """Velocity of the base in its own frame (N+1, 3) float32: forward, left [m/s], yaw rate [rad/s]."""
     columns = episode.run.layout["columns"]
     q = episode.array("states/qpos")[:, columns["robot_q"][BASE]]
     qd = episode.array("states/qvel")[:, columns["robot_v"][BASE]]

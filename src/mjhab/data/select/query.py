@@ -1,8 +1,9 @@
-"""The filter language: yes-or-no questions about episodes, checked before anything is read.
+"""The filter language: boolean expressions about episodes, validated before any episode is read.
 
 `label in ('straightforward_success', 'winding_success') and max_force < 1400 and not dropped`
 
-Python's parser reads the text; what it may mean is decided here, node by node. Nothing of it is ever executed.
+Python's parser parses the text, and this module checks and compiles the syntax tree node by node. The text is never
+executed as Python code.
 """
 
 from __future__ import annotations
@@ -82,16 +83,16 @@ PRESETS: dict[str, tuple[str, str]] = {
     "gentle": ("success and max_force < 1400", "reached the goal, never more than 1,400 N"),
     "chain": ("subtask == '' and success", "whole chains that were completed"),
 }
-"""Named filters: the demonstrations of MS-HAB paper App. A.6.1 by our rules of labels, those of its published code by
-the rules of that code, and two of ours."""
+"""Named filters as (filter, meaning). NAME_paper selects the demonstrations of the MS-HAB paper, App. A.6.1, by mjhab's
+labels; NAME_published those of MS-HAB's code, by the labels of that code."""
 
 
 SHOWN_CHARACTERS = 120
-"""Characters of a filter that its error shows before and behind the column."""
+"""Number of characters of a filter that an error shows before and after the column."""
 
 
 class FilterError(UsageError):
-    """A filter that cannot be understood; ``column`` (from 1) is where."""
+    """A filter is invalid; ``column`` (from 1) is the position of the error."""
 
     def __init__(self, text: str, column: int, problem: str) -> None:
         self.column = column
@@ -103,7 +104,10 @@ class FilterError(UsageError):
 
 @dataclass(frozen=True)
 class _Part:
-    """A checked piece of a filter: the kind of its value, how to get it, the fact it is or the literals in it."""
+    """A compiled node of a filter.
+
+    kind: type of its value. get: computes the value. fact: set if the node is a name. literals: texts in the node.
+    """
 
     kind: str
     get: Callable[[EpisodeRecord, RunInfo], Any]
@@ -112,13 +116,13 @@ class _Part:
 
 
 class Filter:
-    """A question about episodes, asked with ``filter(record, run)``.
+    """A compiled filter on episodes, called as ``filter(record, run)``.
 
-    A tainted episode is not let through unless the text itself speaks of ``tainted`` or ``taints``: its physics cannot
-    be trusted, so it enters no filtered data set by accident.
+    Tainted episodes do not pass unless the text uses ``tainted`` or ``taints``: their physics is not reliable, so they
+    must not enter a data set by accident.
 
     Raises:
-        FilterError: with the position and, where there is one, the nearest name.
+        FilterError: the text is invalid; the message shows the position and, if possible, the nearest valid name.
     """
 
     def __init__(self, text: str) -> None:
@@ -129,7 +133,7 @@ class Filter:
 
     @classmethod
     def preset(cls, name: str) -> Filter:
-        """One of PRESETS.
+        """The filter of one of PRESETS.
 
         Raises:
             UsageError: no preset of that name.
@@ -140,11 +144,11 @@ class Filter:
 
     @property
     def lets_taint_in(self) -> bool:
-        """Whether the text itself decides about tainted episodes."""
+        """Whether the text itself selects or excludes tainted episodes."""
         return bool(self.names & {"tainted", "taints"})
 
     def holds(self, record: EpisodeRecord, run: RunInfo) -> bool:
-        """What the text says about an episode, tainted or not."""
+        """Value of the expression for an episode, whether tainted or not."""
         return bool(self._root.get(record, run))
 
     def __call__(self, record: EpisodeRecord, run: RunInfo) -> bool:
@@ -153,10 +157,10 @@ class Filter:
 
 
 def read_filter(where: str | None, preset: str | None) -> Filter | None:
-    """Make the filter that passes what both a text and a preset pass; None if neither is given.
+    """Combine a filter text and a preset; episodes must pass both. None if neither is given.
 
     Raises:
-        UsageError: it cannot be understood; the message says where and what was probably meant.
+        UsageError: the text is invalid or the preset unknown.
     """
     if preset is None:
         return None if where is None else Filter(where)
@@ -167,7 +171,7 @@ def read_filter(where: str | None, preset: str | None) -> Filter | None:
 
 
 class _Compiler:
-    """Turns the text of one filter into parts, checking every node."""
+    """Compiles and validates the text of a filter."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -175,7 +179,7 @@ class _Compiler:
         self._lead = self._depth = 0
 
     def compile(self) -> _Part:
-        """The part of the whole text."""
+        """Compile the whole text."""
         if not self.text.strip():
             raise FilterError(
                 self.text, 1, "the filter is empty; for instance: success and max_force < 1400"
@@ -334,7 +338,7 @@ class _Compiler:
         if isinstance(node, ast.Name):
             name = node.id
         elif isinstance(node.value, ast.Name):
-            # Not an attribute of anything: the name of a fact with a point in it, as style.speed.
+            # This is the name of a fact with a dot, such as style.speed, not an attribute access.
             name = f"{node.value.id}.{node.attr}"
         else:
             raise self._error(node, "only names with one point are known, as in style.speed")

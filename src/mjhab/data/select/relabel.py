@@ -1,4 +1,4 @@
-"""Labels computed anew from stored signals: no simulator, no policy."""
+"""Relabelling: labels computed again from stored signals, without simulator or policy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mjhab.tasks.subtasks.registry import number_of
 
 @dataclass(frozen=True)
 class Change:
-    """A subtask of an episode whose ``what`` ("label", "legacy_label" or "events") has become another."""
+    """A change of a subtask's record. what: "label", "legacy_label" or "events"."""
 
     subtask: int
     what: str
@@ -27,9 +27,9 @@ class Change:
 
 
 def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
-    """The record of an episode with labels and events by the rules of today, and what that changes.
+    """The record of an episode with labels and events by the current rules, and its changes.
 
-    Subtasks that had not ended when the episode was cut have no label, as in the record.
+    Subtasks that had not ended when the episode was cut keep having no label.
     """
     record = episode.record
     changes = []
@@ -72,9 +72,9 @@ def relabel_subtask(old: SubtaskRecord, history: History) -> SubtaskRecord:
 
 
 def _changing(history: History) -> tuple[History, np.ndarray]:
-    """The rows of a history in which something changes, and their steps: a repeated row changes no label, no event.
+    """The rows of a history that differ from the row before, and their steps; repeated rows do not affect labels.
 
-    Rows 0 and 1 are always among them: the published labels look at the first step by itself.
+    Rows 0 and 1 are always included, because the legacy labels treat the first step separately.
     """
     names = [f.name for f in dataclasses.fields(History)]
     rows = np.concatenate([getattr(history, name) for name in names], axis=1)

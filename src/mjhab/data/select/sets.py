@@ -1,4 +1,4 @@
-"""Whole data sets: select, count, merge, split."""
+"""Operations on whole data sets: select, count, merge, split."""
 
 from __future__ import annotations
 
@@ -27,15 +27,18 @@ GROUPINGS: dict[str, Callable[[Episode], str]] = {
     "home": lambda episode: episode.record.home,
     "target": lambda episode: target_of(episode.record),
 }
-"""What stays together when a set is split."""
+"""Groupings by name: episodes of a group stay together when a data set is split."""
 Place = tuple[Path, str]
 """Shard and name of an episode."""
 
 
 @dataclass
 class Selection:
-    """Episodes that pass a filter. ``of``: how many there were; ``tainted``: how many were left out for that alone;
-    ``digests``: of the contents of those that pass."""
+    """Episodes that pass a filter.
+
+    matched, records, digests: location, record and content digest of each. of: number of all episodes. tainted: number
+    of episodes that were excluded only because they are tainted.
+    """
 
     matched: list[Place] = field(default_factory=list)
     records: list[EpisodeRecord] = field(default_factory=list)
@@ -45,7 +48,7 @@ class Selection:
 
     @property
     def fingerprint(self) -> str:
-        """A short text that is another one for other episodes, other contents or another order."""
+        """Hash of the names, contents and order of the episodes."""
         lines = (
             f"{name} {digest}\n"
             for (_, name), digest in zip(self.matched, self.digests, strict=True)
@@ -54,7 +57,7 @@ class Selection:
 
 
 def select(places: Path | Sequence[Path], where: Filter | None = None) -> Selection:
-    """Ask every episode; all of them pass if there is no filter.
+    """Apply a filter to every episode; without a filter all pass.
 
     Raises:
         UsageError, DamagedError: see ``open_shard``.
@@ -74,14 +77,14 @@ def select(places: Path | Sequence[Path], where: Filter | None = None) -> Select
 
 
 def nothing_passes() -> UsageError:
-    """The error for a filter that leaves nothing to write."""
-    return UsageError("no episode passes; see what is there with: mjhab data stats")
+    """Make the error for a filter that no episode passes."""
+    return UsageError("no episode passes the filter; inspect the data with: mjhab data stats")
 
 
 def stats(places: Path | Sequence[Path], where: Filter | None = None) -> dict[str, Any]:
-    """Numbers of a data set as plain data: totals, and one row per task, subtask and target.
+    """Statistics of a data set as JSON data: totals, and one row per task, subtask and target.
 
-    Forces are the largest of an episode [N]: median, 95th percentile, largest.
+    Forces are the peak forces of the episodes [N]: median, 95th percentile, maximum.
     """
     paths = shard_paths(places)
     found = select(paths, where)
@@ -89,7 +92,7 @@ def stats(places: Path | Sequence[Path], where: Filter | None = None) -> dict[st
     for record in found.records:
         target = target_of(record) if record.subtask else "all"
         rows[record.task, record.subtask or "chain", target].append(record)
-    # Shares of the files: HDF5 does not say what an episode takes with all its bookkeeping.
+    # Estimated from the file sizes, because HDF5 does not report the size of a group with its metadata.
     size = sum(path.stat().st_size for path in paths)
     return {
         "shards": len(paths),
@@ -124,7 +127,7 @@ def _numbers(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Merged:
-    """Episodes ``written``, left out by the filter, and ``repeated``: the same bytes were there already."""
+    """Numbers of episodes written, left out by the filter, and repeated (identical copies)."""
 
     written: int
     left_out: int
@@ -132,10 +135,10 @@ class Merged:
 
 
 def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Merged:
-    """Copy the episodes that pass into one shard, which is made or added to. What was written stays if it is stopped.
+    """Copy the episodes that pass into one shard, which is made or extended. After an interruption it stays readable.
 
     Raises:
-        UsageError: ``out`` is among the sources; or an episode comes with two different contents.
+        UsageError: ``out`` is among the sources; or an episode occurs twice with different contents.
     """
     paths = shard_paths(places)
     if any(path.resolve() == out.resolve() for path in paths):
@@ -175,15 +178,15 @@ def split(
 ) -> dict[str, int]:
     """Divide a data set into shards ``out/<part>.h5``; returns the number of episodes in each.
 
-    Groups (see GROUPINGS) are put in an order that depends on their name and ``seed`` alone, and dealt out until each
-    part has its share. Groups are never divided, so shares of few groups are rough.
+    Groups (see GROUPINGS) are ordered by a hash of their name and ``seed`` and assigned in turn until each part has its
+    share. Groups are never divided, so the shares are approximate if there are few groups.
 
     Raises:
-        UsageError: shares that are not positive or exceed 1 in sum; a part whose name is none, or that exists; doubled
-            episodes.
+        UsageError: shares are not positive or their sum exceeds 1; a part has an invalid name or exists; or an episode
+            occurs twice.
     """
     if not parts or min(parts.values()) <= 0 or sum(parts.values()) > 1 + 1e-9:
-        raise UsageError(f"shares must be positive and not exceed 1 in sum; got {dict(parts)}.")
+        raise UsageError(f"shares must be positive and sum to at most 1; got {dict(parts)}.")
     try:
         targets = {name: below(out, f"{check_name('name of a part', name)}.h5") for name in parts}
     except ValueError as error:
@@ -196,7 +199,7 @@ def split(
     for episode in episodes(places):
         if episode.name in names:
             raise UsageError(
-                f"episode {episode.name} comes twice; merge the shards into one first."
+                f"episode {episode.name} occurs twice; merge the shards into one first."
             )
         names.add(episode.name)
         groups[GROUPINGS[by](episode)].append((episode.shard.path, episode.name))
@@ -206,7 +209,7 @@ def split(
 
 
 def _write_parts(dealt: Mapping[Path, Sequence[Place]]) -> None:
-    """Write shards under hidden names, which no command reads, and give them their own when all are complete."""
+    """Write shards under hidden names, which no command reads, and rename them when all are complete."""
     hidden = {path: path.with_name(f".{path.name}") for path in dealt}
     try:
         for path, members in dealt.items():

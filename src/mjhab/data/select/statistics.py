@@ -1,4 +1,4 @@
-"""Normalization statistics of recorded episodes: computed once, kept in a file beside the data."""
+"""Normalization statistics of recorded episodes, with a file format to cache them."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _FORMAT = "mjhab-statistics-1"
 SPREAD = "spread"
 RANGE = "range"
 NORMALS = (SPREAD, RANGE)
-"""Ways to normalize: mean 0 and spread 1, or all values from -1 to 1, as diffusion needs it."""
+"""Ways to normalize: to mean 0 and standard deviation 1, or to [-1, 1] (for diffusion policies)."""
 _LEAST = 1e-3
-"""Numbers that hardly change are not blown up: the least spread that is divided by."""
+"""Smallest scale to divide by, so that nearly constant columns are not amplified."""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Mean, spread, smallest and largest of every number of some arrays, each (D,) float32, by the array's name.
+    """Mean, standard deviation, minimum and maximum per column of arrays, each (D,) float32, by the array's name.
 
-    ``fingerprint`` tells the data they were computed of.
+    ``fingerprint`` identifies the data that they were computed from.
     """
 
     mean: Mapping[str, np.ndarray]
@@ -37,7 +37,7 @@ class Statistics:
 
     @classmethod
     def of(cls, arrays: Mapping[str, Sequence[np.ndarray]], fingerprint: str = "") -> Statistics:
-        """Compute them over all rows of lists of arrays (n, D), in float64."""
+        """Compute the statistics over all rows of lists of arrays (n, D), in float64."""
         parts: dict[str, dict[str, np.ndarray]] = {"mean": {}, "std": {}, "low": {}, "high": {}}
         for name, pieces in arrays.items():
             count = sum(len(piece) for piece in pieces)
@@ -54,16 +54,16 @@ class Statistics:
         return cls(**parts, fingerprint=fingerprint)
 
     def normalize(self, name: str, values: np.ndarray, how: str = SPREAD) -> np.ndarray:
-        """Values (..., D) with mean 0 and spread 1, or with ``how`` = RANGE from -1 to 1.
+        """Normalize values (..., D) to mean 0 and standard deviation 1, or with ``how`` = RANGE to [-1, 1].
 
         Raises:
-            UsageError: ``how`` is none of NORMALS.
+            UsageError: ``how`` is not one of NORMALS.
         """
         centre, scale = self._frame(name, how)
         return ((values - centre) / scale).astype(np.float32)
 
     def restore(self, name: str, values: np.ndarray, how: str = SPREAD) -> np.ndarray:
-        """What was normalized, (..., D)."""
+        """Inverse of ``normalize``, (..., D)."""
         centre, scale = self._frame(name, how)
         return (values * scale + centre).astype(np.float32)
 
@@ -77,7 +77,7 @@ class Statistics:
         return (low + high) / 2, np.maximum((high - low) / 2, _LEAST)
 
     def save(self, path: Path) -> None:
-        """Write them as npz, without pickles, whole or not at all."""
+        """Write the statistics atomically as npz without pickles."""
         arrays = {
             f"{part}/{name}": value
             for part in _PARTS
@@ -95,10 +95,10 @@ class Statistics:
 
     @classmethod
     def load(cls, path: Path) -> Statistics:
-        """Read what ``save`` wrote.
+        """Read a file of ``save``.
 
         Raises:
-            UsageError: no such file, or not one of these.
+            UsageError: the file does not exist or has another format.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
@@ -112,7 +112,7 @@ class Statistics:
                         parts[part][name] = file[key]
         except (OSError, ValueError, KeyError) as error:
             what = f"{path} cannot be read as statistics of mjhab: {error}"
-            raise UsageError(f"{what}. Delete it to have it made anew.") from error
+            raise UsageError(f"{what}. Delete it to compute them again.") from error
         return cls(**parts, fingerprint=head["of"])
 
 

@@ -1,4 +1,4 @@
-"""How much of an episode is used: a demonstration that goes on after its success is mostly standing still."""
+"""The used part of an episode. A demonstration that continues after its success mostly stands still."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WHOLE = -1
 
 @dataclass(frozen=True)
 class Until:
-    """``hold_steps``: control steps that are used after the one of the first success; WHOLE uses all of an episode.
+    """The used part of an episode: up to ``hold_steps`` control steps after its first success; WHOLE uses all of it.
 
     An episode that never succeeds is used to its end.
     """
@@ -23,10 +23,10 @@ class Until:
 
     @classmethod
     def parse(cls, text: str) -> Until:
-        """Read "success+20" (20 steps after the first success), "success", or "end" or "" for the whole.
+        """Parse "success+20" (20 steps after the first success), "success" (none after it), or "end" or "" for all.
 
         Raises:
-            UsageError: it is none of these.
+            UsageError: the text is none of these.
         """
         if text in ("", "end"):
             return cls()
@@ -44,11 +44,11 @@ class Until:
 
     @property
     def text(self) -> str:
-        """What ``parse`` reads."""
+        """Text form, as ``parse`` reads it."""
         return "end" if self.is_whole else f"success+{self.hold_steps}"
 
     def steps(self, success: np.ndarray) -> int:
-        """Control steps to use of an episode with ``success`` (N,), 0 or 1 after each of its steps: at most N."""
+        """Number of control steps to use of an episode whose ``success`` (N,) is 0 or 1 after each step."""
         reached = np.flatnonzero(success)
         if self.is_whole or not len(reached):
             return len(success)

@@ -1,1 +1,1 @@
-"""How episodes lie on the disk: schema, shards, journal, checks, repair."""
+"""Storage of episodes on disk: schema, shards, journal, checks, repair."""

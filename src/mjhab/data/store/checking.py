@@ -1,4 +1,4 @@
-"""Is a data set whole? And if it is not: save what can be saved."""
+"""Checking data sets for damage, and repairing shards."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from mjhab.data.store.wreck import Wreck
 
 @dataclass
 class CheckReport:
-    """What was found. ``damaged``: what is wrong, by shard and episode; ``unreadable``: by shard.
+    """Result of a check.
 
-    ``schemas``: number of whole episodes by the version of the schema that they were recorded in.
-    ``unfinished``: shards whose writer was killed in the middle of an episode; they are whole, and the next writer or
-    ``repair`` puts them in order. ``doubled``: episodes that are in more than one place.
+    episodes, ok: numbers of all and of undamaged episodes. damaged: problems by shard and episode. unreadable: errors
+    by shard. unfinished: shards whose writer was killed within an episode; they are not damaged, and the next writer or
+    ``repair`` completes them. doubled: episodes that occur more than once. schemas: number of undamaged episodes by
+    schema version.
     """
 
     episodes: int = 0
@@ -38,16 +39,17 @@ class CheckReport:
 
     @property
     def clean(self) -> bool:
-        """Nothing is damaged, unreadable or doubled."""
+        """Whether nothing is damaged, unreadable or duplicated."""
         return not (self.damaged or self.unreadable or self.doubled)
 
 
 @dataclass(frozen=True)
 class Repair:
-    """What became of one shard: episodes kept and lost; ``kept_as``: where the damaged file was put, if it was.
+    """Result of a repair.
 
-    ``indexed``: whether the index of episodes could be read. Without it, ``lost`` names only the episodes of which some
-    part is still there.
+    finished: an interrupted commit was completed or undone. kept: number of kept episodes. lost: problems by name of
+    the lost episodes. kept_as: new path of the damaged file, if it was replaced. indexed: the index of episodes could
+    be read; otherwise ``lost`` names only episodes of which a part still exists.
     """
 
     path: Path
@@ -61,10 +63,10 @@ class Repair:
 def check(
     places: Path | Sequence[Path], on_shard: Callable[[], object] | None = None
 ) -> CheckReport:
-    """Read every byte of every episode and compare it with its digest and with the schema.
+    """Read every episode completely and compare it with its digest and with the schema.
 
     Raises:
-        UsageError: nothing there, or a shard of another schema version.
+        UsageError: there is no shard, or one has an unsupported schema version.
     """
     report = CheckReport()
     seen: Counter[str] = Counter()
@@ -91,14 +93,14 @@ def check(
 
 
 def repair(path: Path) -> Repair:
-    """Put one shard in order: finish what a killed writer left, and drop episodes that are damaged.
+    """Repair one shard: complete an interrupted write, and drop damaged episodes.
 
-    Every episode whose bytes are all there is kept, also when the file is cut or its index is damaged (see `wreck`).
-    If episodes are dropped, the damaged file is kept beside the new one, with ".damaged" behind its name.
+    Every intact episode is kept, even if the file is truncated or its index is damaged (see `wreck`). If episodes are
+    dropped, the damaged file is kept with ".damaged" appended to its name.
 
     Raises:
-        UsageError: it is being written, or of another schema version.
-        DamagedError: not one episode can be read; the file stays as it is.
+        UsageError: another process writes the shard, or its schema version is not supported.
+        DamagedError: no episode can be read; the file stays unchanged.
         StorageError: the disk is full.
     """
     if not path.is_file():
@@ -122,7 +124,7 @@ def repair(path: Path) -> Repair:
 
 
 def _count_if_whole(path: Path) -> int | None:
-    """Number of episodes of a shard with which nothing is wrong; None if something is."""
+    """Number of episodes of an undamaged shard; None if it is damaged."""
     try:
         with open_shard(path) as shard:
             return None if any(shard.problems(name) for name in shard.names) else len(shard)
@@ -138,7 +140,7 @@ def _salvage(path: Path, cut: bool) -> Repair:
     aside = _free_name(path)
     source = path
     if cut:
-        # HDF5 refuses a file that is shorter than it says: a copy is filled up with zeros, which no digest fits.
+        # HDF5 refuses a truncated file, so a copy is padded with zeros; digests will not match there.
         source = path.with_name(f".{path.name}.padded")
         shutil.copyfile(path, source)
         os.truncate(source, committed_length(path))
@@ -159,7 +161,7 @@ def _salvage(path: Path, cut: bool) -> Repair:
             def fill(temporary: Path) -> None:
                 with ShardWriter(temporary) as writer:
                     writer.adopt(shard, names)
-                # The damaged file keeps a name of its own before the new one takes its place.
+                # The damaged file gets another name before the new one replaces it.
                 os.link(path, aside)
 
             write_atomic(path, fill)

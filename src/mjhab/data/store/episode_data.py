@@ -1,4 +1,4 @@
-"""One finished episode in memory, on its way into a shard; and how plain data becomes bytes."""
+"""A finished episode in memory, ready for a shard, and the encoding of JSON data as bytes."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _ARRAY = "__array__"
 
 @dataclass(frozen=True)
 class RunInfo:
-    """What made an episode, as plain JSON data. Episodes of equal ``config``, seed and index are the same episode.
+    """Provenance of an episode, as JSON data. (config, seed, index) identifies an episode.
 
-    config: what decides what happens in an episode besides its seed and index: options of the environment and the
-    policy, not how many worlds or threads. options: what changes only how it is seen (images, reward). versions:
-    engine, libraries. commit: of the source, "" if unknown, with "+changes" if it had any. machine: processor and
-    system; bit-exact replay may need the same. layout: names and sizes that give the columns of states their meaning.
-    assets, licence: the pack and the terms of what is in it.
-    absent: paths of datasets that its episodes do not have since their source had none (imported data).
+    config: options of environment and policy that determine an episode together with its seed and index; numbers of
+    worlds and threads are not among them. options: those that affect only images and rewards. versions: of engine and
+    libraries. commit: of the source, "" if unknown, with "+changes" if files were modified. machine: processor and
+    system; bit-exact replay may need the same ones. layout: names and sizes that define the columns of states.
+    assets, licence: the asset pack and its licence.
+    absent: paths of datasets that the episodes lack because their source had none (imported data).
     """
 
     config: dict[str, Any]
@@ -41,12 +41,12 @@ class RunInfo:
 
     @property
     def config_id(self) -> str:
-        """Hash of the config: 8 hexadecimal digits."""
+        """Hash of the config, 8 hexadecimal digits."""
         return _hash(self.config)[:8]
 
     @property
     def id(self) -> str:
-        """Name of the run in a shard: hash of everything in it."""
+        """Name of the run in a shard, a hash of all fields."""
         return run_id(vars(self))
 
     @property
@@ -60,20 +60,21 @@ class RunInfo:
 
 
 def run_id(values: Mapping[str, Any]) -> str:
-    """Name of a run in a shard, of the fields of a `RunInfo` and of whatever else is told there."""
+    """Name of a run in a shard: a hash of the fields of a `RunInfo` and of any further entries."""
     return f"{_hash(values['config'])[:8]}-{_hash(dict(values))[:8]}"
 
 
 @dataclass(frozen=True)
 class EpisodeData:
-    """What a shard takes: the record, every dataset by its path (without ``record``), names of their columns.
+    """An episode to store in a shard.
 
-    A column name "name:n" stands for n columns. ``actors``: names that the numbers of the dataset ``actor`` stand for;
-    the policy of the run alone if not given. ``schema``: version that the datasets are of.
+    arrays: every dataset by its path, without ``record``. columns: names of a dataset's columns; "name:n" stands for n
+    columns. model: hash of the compiled home. ending: see `schema.ATTRIBUTES`. actors: names that the dataset ``actor``
+    indexes; without any, the policy of the run. schema: version of the datasets.
 
     Raises:
-        ValueError: the datasets do not fit the schema or the layout of the run: not N+1 states for N actions, actions
-            of another width, numbers that are not finite.
+        ValueError: the datasets do not fit the schema or the layout of the run, e.g. not N+1 states for N actions,
+            another width of actions, or numbers that are not finite.
     """
 
     record: EpisodeRecord
@@ -107,7 +108,7 @@ class EpisodeData:
 
 
 def unnamed_actors(arrays: Mapping[str, np.ndarray], actors: Sequence[str]) -> list[str]:
-    """What is wrong with the dataset ``actor`` of an episode, in words: a number that none of the names belongs to."""
+    """Describe problems of the dataset ``actor``: an index without a name; empty if there are none."""
     actor = arrays.get("actor", np.zeros(0, np.uint8))
     if not actor.size or int(actor.max()) < len(actors):
         return []
@@ -115,7 +116,7 @@ def unnamed_actors(arrays: Mapping[str, np.ndarray], actors: Sequence[str]) -> l
 
 
 def record_problems(record: EpisodeRecord) -> list[str]:
-    """What is wrong with the numbers of a record, in words; empty if nothing is."""
+    """Describe problems of the numbers in a record; empty if there are none."""
     found = []
     if len(record.force) != record.steps:
         found.append(
@@ -138,7 +139,7 @@ def record_problems(record: EpisodeRecord) -> list[str]:
 
 
 def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 over names, types, shapes and bytes of all datasets of an episode, its record among them."""
+    """SHA-256 over names, types, shapes and bytes of all datasets of an episode, including its record."""
     digest = hashlib.sha256()
     for path in sorted(arrays):
         array = np.ascontiguousarray(arrays[path])
@@ -148,22 +149,22 @@ def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def record_bytes(record: EpisodeRecord) -> np.ndarray:
-    """A record as (n,) uint8 JSON; without the wall time, so that equal episodes are equal bytes."""
+    """Encode a record as JSON, (n,) uint8, without the wall time, so that equal episodes have equal bytes."""
     return to_bytes({**record.to_dict(), "seconds": 0.0})
 
 
 def to_bytes(value: Any) -> np.ndarray:
-    """Nested dicts and lists of plain data and numpy arrays as (n,) uint8 JSON, without loss."""
+    """Encode nested dicts and lists of JSON data and numpy arrays as JSON, (n,) uint8, without loss."""
     return np.frombuffer(
         json.dumps(value, default=_plain, separators=(",", ":")).encode(), np.uint8
     )
 
 
 def from_bytes(data: np.ndarray) -> Any:
-    """What ``to_bytes`` was given; tuples come back as lists.
+    """Decode the bytes of ``to_bytes``; tuples become lists.
 
     Raises:
-        ValueError: not JSON.
+        ValueError: the bytes are not JSON.
     """
     return parse_json(np.asarray(data, np.uint8).tobytes(), _restore)
 

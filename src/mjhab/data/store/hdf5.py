@@ -1,7 +1,6 @@
-"""Telling our HDF5 files from others, this version of the schema from others, groups from datasets; changing files.
+"""Helpers for HDF5 files: checking format and schema version, typed access to groups and datasets, atomic changes.
 
-HDF5 itself never writes to a disk here: where that is full it fails at places of its own and may take the process
-along.
+The HDF5 library never writes to the disk itself here: on a full disk it may crash the process.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from mjhab.data.store.journal import Overlay, commit, committed_length
 from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
 LIBVER = ("v110", "v110")
-"""File format of HDF5 1.10 (2016): small files, and every reader knows it."""
+"""File format of HDF5 1.10 (2016): files are small, and all current readers support it."""
 
 
 def make_file(path: Path, attributes: Mapping[str, Any], groups: Sequence[str] = ()) -> None:
@@ -42,10 +41,10 @@ def make_file(path: Path, attributes: Mapping[str, Any], groups: Sequence[str] =
 
 
 def change_file(path: Path, fill: Callable[[h5py.File], None]) -> int:
-    """Let ``fill`` change a file of `make_file`, all of it or nothing; returns by how many bytes it has grown.
+    """Apply the changes of ``fill`` to a file of `make_file` atomically; returns by how many bytes it has grown.
 
     Raises:
-        OSError: the disk is full or broken; the file is as before.
+        OSError: the disk is full or broken; the file is unchanged.
     """
     fd = os.open(path, os.O_RDONLY)
     try:
@@ -59,10 +58,10 @@ def change_file(path: Path, fill: Callable[[h5py.File], None]) -> int:
 
 
 def put_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
-    """Set attributes of a group or dataset; text at its fixed length.
+    """Set attributes of a group or dataset; text is stored with fixed length.
 
-    h5py's own way, text of variable length, puts it into the one part of the file that has no checksum: a bit turned
-    there changes the text unseen, or HDF5 goes round in it for ever.
+    h5py's default, text of variable length, is stored in the only part of the file without a checksum: a flipped bit
+    there changes the text unnoticed, or sends HDF5 into an endless loop.
     """
     for name, value in values.items():
         if isinstance(value, str):
@@ -73,7 +72,7 @@ def put_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -
 
 
 def read_attributes(item: h5py.Group | h5py.Dataset) -> dict[str, Any]:
-    """The attributes of a group or dataset as values of Python."""
+    """The attributes of a group or dataset as Python values."""
     return {str(name): _plain(value) for name, value in item.attrs.items()}
 
 
@@ -83,11 +82,11 @@ def _plain(value: Any) -> Any:
 
 
 def check_format(file: h5py.File, path: Path) -> int:
-    """Refuse files that this version of mjhab cannot read; returns the version of the schema.
+    """Refuse files that this version of mjhab cannot read; returns the schema version.
 
     Raises:
-        DamagedError: some other HDF5 file, or one that lost its parts.
-        UsageError: a shard of another schema version; the message says how to read it.
+        DamagedError: it is not a shard, or parts are missing.
+        UsageError: the schema version is not supported; the message says how to read the shard.
     """
     told = read_attributes(file)
     if told.get("format") != FORMAT:
@@ -103,7 +102,7 @@ def check_format(file: h5py.File, path: Path) -> int:
             how = f"Update mjhab to {maker} or later: pip install --upgrade 'mjhab>={maker}'."
         else:
             how = (
-                f"Read it with mjhab {maker} in an environment of its own, or record its episodes anew: the same "
+                f"Read it with mjhab {maker} in a separate environment, or record its episodes again: the same "
                 "options of `mjhab generate` give the same seeds and indices."
             )
         raise UsageError(
@@ -126,7 +125,7 @@ def group(parent: h5py.Group, path: str | h5py.Reference) -> h5py.Group:
     """
     item = parent[path]
     if not isinstance(item, h5py.Group):
-        raise KeyError(f"{path} is no group")
+        raise KeyError(f"{path} is not a group")
     return item
 
 
@@ -138,12 +137,12 @@ def dataset(parent: h5py.Group, path: str) -> h5py.Dataset:
     """
     item = parent[path]
     if not isinstance(item, h5py.Dataset):
-        raise KeyError(f"{path} is no dataset")
+        raise KeyError(f"{path} is not a dataset")
     return item
 
 
 def dataset_paths(parent: h5py.Group) -> list[str]:
-    """Paths of all datasets in a group and the groups in it."""
+    """Paths of all datasets in a group and its subgroups."""
     found: list[str] = []
     parent.visititems(
         lambda path, item: found.append(path) if isinstance(item, h5py.Dataset) else None

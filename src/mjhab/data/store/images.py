@@ -1,4 +1,4 @@
-"""Camera images as bytes: colour as PNG or JPEG, depth and segmentation as 16-bit PNG without loss."""
+"""Encoding of camera images: colour as PNG or JPEG, depth and segmentation as lossless 16-bit PNG."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST = int(np.iinfo(np.uint16).max)
 
 @dataclass(frozen=True)
 class ImageFormat:
-    """How colour is stored; depth and segmentation are always stored without loss. ``quality`` is JPEG's, 1 to 95."""
+    """Format of colour images; depth and segmentation are always lossless. quality: of JPEG, 1 to 95."""
 
     rgb: str = "png"
     quality: int = 92
@@ -30,10 +30,10 @@ class ImageFormat:
 
 
 def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
-    """One frame as a file: rgb (H, W, 3) uint8, or depth or seg (H, W, 1) whole numbers from 0 to 65,535.
+    """Encode one frame: rgb (H, W, 3) uint8, or depth or seg (H, W, 1) integers from 0 to 65,535.
 
     Raises:
-        ValueError: a number out of range.
+        ValueError: a value is out of range.
     """
     file = io.BytesIO()
     if output == "rgb":
@@ -52,7 +52,7 @@ def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
 
 
 def decode(data: bytes, output: str) -> np.ndarray:
-    """The frame behind ``encode``: rgb (H, W, 3) uint8, depth (H, W, 1) int16, seg (H, W, 1) int32."""
+    """Decode a frame of ``encode``: rgb (H, W, 3) uint8, depth (H, W, 1) int16, seg (H, W, 1) int32."""
     image = np.asarray(Image.open(io.BytesIO(data)))
     if output == "rgb":
         return image

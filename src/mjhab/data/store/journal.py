@@ -1,18 +1,18 @@
 """Appending to an HDF5 file so that a kill at any moment leaves it readable.
 
-HDF5 itself changes a file in many places and in an order of its own: killed in the middle, it may lose all of it. Here
-HDF5 writes into an `Overlay` in memory. What it wrote reaches the disk in `commit`, in four steps:
+The HDF5 library changes a file in many places and in no defined order: a kill in between may destroy all of it. Here
+HDF5 writes into an `Overlay` in memory, and `commit` brings its changes to the disk in four steps:
 
-1. the new bytes beyond the present end (HDF5 ignores them until the superblock says otherwise);
-2. the changed old pages, into a journal beside the file, closed by a hash;
-3. the same pages, into the file;
-4. the journal is deleted.
+1. write the new bytes beyond the present end (HDF5 ignores them until the superblock contains the new length);
+2. write the changed old pages into a journal beside the file, followed by a hash;
+3. write the same pages into the file;
+4. delete the journal.
 
-Nobody opens the file during steps 2 to 4 (`locking.quiet`). Who opened it before reads on: what is in use of it does
-not change, but for the index of episodes and the superblock.
+No process opens the file during steps 2 to 4 (`locking.quiet`). Processes that have it open can continue to read: of
+the parts in use, only the index of episodes and the superblock change, and these were read on opening.
 
-Killed in step 1 or 2, the file is what it was: the journal is absent or its hash is wrong. Killed in step 3 or 4, the
-journal is whole and `recover` repeats step 3. Each step is on the disk (fsync) before the next one begins.
+After a kill in step 1 or 2 the file is unchanged, and the journal is absent or its hash is wrong. After a kill in step
+3 or 4 the journal is complete, and `recover` repeats step 3. Each step is on the disk (fsync) before the next starts.
 """
 
 from __future__ import annotations
@@ -38,7 +38,11 @@ _END_OF_FILE = 28
 
 @dataclass(frozen=True)
 class Journal:
-    """A whole journal: length of the file before and after, hash of its first page before, and the new old pages."""
+    """A complete journal.
+
+    before, after: length of the file before and after the commit [bytes]. first_page: hash of the file's first page
+    before the commit. pages: new content of old pages by page number.
+    """
 
     before: int
     after: int
@@ -47,17 +51,17 @@ class Journal:
 
 
 def journal_path(path: Path) -> Path:
-    """Where the journal of a shard lies."""
+    """Path of a shard's journal."""
     return path.with_name(f"{path.name}.journal")
 
 
 class Overlay(io.RawIOBase):
-    """A file seen through changes that are kept in memory; what h5py takes for a file.
+    """A file object for h5py that combines a file with changes in memory.
 
     Args:
-        fd: the file, open for reading.
-        length: its length; what lies beyond is ignored.
-        pages: changes to begin with, by page number.
+        fd: descriptor of the file, open for reading.
+        length: of the file [bytes]; bytes beyond it are ignored.
+        pages: initial changes by page number.
     """
 
     def __init__(self, fd: int, length: int, pages: dict[int, bytes] | None = None) -> None:
@@ -70,7 +74,7 @@ class Overlay(io.RawIOBase):
 
     @property
     def length(self) -> int:
-        """Length of the file with its changes."""
+        """Length of the file with its changes [bytes]."""
         return self.base + len(self.tail)
 
     def readable(self) -> bool:
@@ -93,11 +97,11 @@ class Overlay(io.RawIOBase):
         return self._at
 
     def tell(self) -> int:
-        """The present offset."""
+        """The current offset [bytes]."""
         return self._at
 
     def readinto(self, buffer) -> int:  # type: ignore[override]
-        """Fill a buffer from the present offset on; returns the number of bytes there were."""
+        """Read into a buffer from the current offset; returns the number of bytes read."""
         view = memoryview(buffer).cast("B")
         count = max(0, min(len(view), self.length - self._at))
         view[:count] = self._read(self._at, count)
@@ -105,7 +109,7 @@ class Overlay(io.RawIOBase):
         return count
 
     def write(self, data) -> int:  # type: ignore[override]
-        """Write at the present offset, in memory."""
+        """Write at the current offset, in memory."""
         view = memoryview(data).cast("B")
         old = max(0, min(len(view), self.base - self._at))
         if old:
@@ -118,7 +122,7 @@ class Overlay(io.RawIOBase):
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:
-        """Set the length; the file never gets shorter than it was."""
+        """Set the length [bytes], which is never less than the original length of the file."""
         size = max(self._at if size is None else size, self.base)
         del self.tail[size - self.base :]
         self.tail.extend(bytes(size - self.length))
@@ -151,10 +155,10 @@ class Overlay(io.RawIOBase):
 
 
 def committed_length(path: Path) -> int:
-    """Length [bytes] that the superblock of a shard gives; what lies beyond was never finished.
+    """Length of a shard according to its superblock [bytes]; bytes beyond it belong to an unfinished write.
 
     Raises:
-        DamagedError: not an HDF5 file, or none that mjhab wrote.
+        DamagedError: it is not an HDF5 file, or mjhab did not write it.
     """
     with open(path, "rb") as file:
         head = file.read(_END_OF_FILE + 8)
@@ -170,10 +174,10 @@ def committed_length(path: Path) -> int:
 
 
 def commit(path: Path, overlay: Overlay) -> None:
-    """Bring the changes of an overlay over ``path`` to the disk: all of them or, for whoever opens it next, none.
+    """Write the changes of an overlay to ``path`` atomically for all processes that open it later.
 
     Raises:
-        OSError: the disk is full or broken. Before the journal is whole, the file is put back to what it was.
+        OSError: the disk is full or broken. If the journal was not complete, the file is restored.
     """
     fd = os.open(path, os.O_RDWR)
     try:
@@ -203,7 +207,7 @@ def _put_in_place(path: Path, fd: int, overlay: Overlay) -> None:
 
 
 def recover(path: Path) -> bool:
-    """Finish or undo what a killed writer left of its last commit; returns whether the last episode was completed.
+    """Complete or undo the last commit of a killed writer; returns whether it was completed.
 
     Raises:
         DamagedError: the journal belongs to another file.
@@ -225,10 +229,10 @@ def recover(path: Path) -> bool:
 
 
 def read_journal(path: Path) -> Journal | None:
-    """The journal of a shard if there is a whole one.
+    """Read the journal of a shard; None if there is no complete one.
 
     Raises:
-        DamagedError: it belongs to another file.
+        DamagedError: the journal belongs to another file.
     """
     try:
         data = journal_path(path).read_bytes()
@@ -252,7 +256,7 @@ def read_journal(path: Path) -> Journal | None:
 
 
 def sync_folder(path: Path) -> None:
-    """Bring the entry of ``path`` in its folder to the disk."""
+    """Flush the directory entry of ``path`` to the disk."""
     fd = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(fd)
@@ -291,7 +295,7 @@ def _write_journal(path: Path, data: bytes) -> None:
 
 
 def _apply(fd: int, pages: dict[int, bytes]) -> None:
-    # The first page holds the superblock: last, it turns the file from the old one into the new one.
+    # The first page holds the superblock. It is written last, because it makes the changes valid.
     for number in sorted(pages, reverse=True):
         _write(fd, number * PAGE, pages[number])
     os.fsync(fd)

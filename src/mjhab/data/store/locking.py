@@ -1,4 +1,4 @@
-"""No reader opens a shard while it changes: an advisory lock that dies with its process."""
+"""An advisory lock that keeps readers from opening a shard while it changes; it ends with its process."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from pathlib import Path
 
 @contextmanager
 def quiet(path: Path, change: bool = False) -> Iterator[None]:
-    """Nobody else changes the shard meanwhile or, with ``change``, opens it either. For milliseconds.
+    """Lock a shard for milliseconds against changes or, with ``change``, also against being opened.
 
-    HDF5 that reads the index of a file while it changes may bring down its process. The lock is on the folder: who
-    looks at a shard with h5py locks the file itself, for as long as it is open. A file system without such locks goes
-    without.
+    HDF5 may crash if it reads the index of a file that changes. The lock is on the folder, because h5py locks the file
+    itself for as long as a reader has it open. File systems without such locks are used without one.
     """
     fd = os.open(path.parent, os.O_RDONLY)
     try:

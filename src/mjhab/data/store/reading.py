@@ -52,14 +52,14 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labelling.state import History
 
 BROKEN = (OSError, RuntimeError, ValueError, KeyError)
-"""What h5py raises over a damaged file."""
+"""Exceptions that h5py raises for damaged files."""
 
 
 def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
-    """Shards among files and in folders (and folders in them), in order of their names.
+    """Shards among the given files and, recursively, in the given folders; sorted by name within a folder.
 
     Raises:
-        UsageError: a place that does not exist, or a folder without shards.
+        UsageError: a place does not exist, or a folder has no shards.
     """
     found: list[Path] = []
     for place in [places] if isinstance(places, Path) else places:
@@ -76,9 +76,9 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
 
 
 class Episode:
-    """One recorded episode; arrays are read when they are asked for.
+    """One recorded episode; arrays are read on access.
 
-    Once its shard is closed, the file is opened again for each reading.
+    After its shard is closed, every access opens the file again.
     """
 
     def __init__(self, shard: Shard, name: str) -> None:
@@ -89,7 +89,7 @@ class Episode:
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Have the group open, and turn what h5py says about damage into what the user can do about it."""
+        """Keep the group open, and convert h5py's errors about damage to messages with a remedy."""
         with ExitStack() as stack:
             if not self._group:
                 self.shard = stack.enter_context(open_shard(self.shard.path))
@@ -115,7 +115,7 @@ class Episode:
 
     @property
     def run(self) -> RunInfo:
-        """What made it: config, versions, layout."""
+        """The run that made it: config, versions, layout."""
         with self._reading():
             return self.shard.runs[str(self.attributes["run"])]
 
@@ -132,20 +132,19 @@ class Episode:
 
     @property
     def terminated(self) -> bool:
-        """Whether the environment said "terminated" in the last step; otherwise the episode was truncated."""
+        """Whether the environment returned "terminated" in the last step; otherwise the episode was truncated."""
         return str(self.attributes["ending"]) in TERMINAL
 
     @property
     def schema(self) -> int:
-        """Version of the schema that it was recorded in."""
+        """Schema version that it was recorded in."""
         return int(self.attributes.get("schema", 1))
 
     @property
     def lacks(self) -> tuple[str, ...]:
-        """Datasets that its older schema does not have: ``array`` gives what stands in for them.
+        """Datasets that its older schema lacks and that ``array`` derives from others.
 
-        Without ``actions_intended`` the executed actions are taken for intended; without ``actor`` the policy of the
-        run has acted all the time.
+        A missing ``actions_intended`` equals the executed actions; a missing ``actor`` is the policy of the run.
         """
         with self._reading():
             return tuple(
@@ -154,13 +153,13 @@ class Episode:
 
     @property
     def actors(self) -> tuple[str, ...]:
-        """Names that the numbers of ``array("actor")`` stand for."""
+        """Names that ``array("actor")`` indexes."""
         names = self.attributes.get("actors")
         return (self.run.policy,) if names is None else tuple(json.loads(names))
 
     @property
     def nbytes(self) -> int:
-        """Bytes that its data takes in the file, without HDF5's own bookkeeping."""
+        """Size of its data in the file without HDF5's metadata [bytes]."""
         with self._reading():
             return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
 
@@ -169,7 +168,7 @@ class Episode:
         return from_bytes(self.array("states/initial"))
 
     def copy_to(self, parent: h5py.Group) -> None:
-        """Copy it as it is into a group of another file."""
+        """Copy it unchanged into a group of another file."""
         with self._reading():
             parent.copy(self._group, parent, self.name)
 
@@ -192,8 +191,8 @@ class Episode:
             return stand_in(path, self.array(STAND_INS[path]))
         if path in self.run.absent:
             raise UsageError(
-                f"episode {self.name} was imported from data without it: {path} is not there. Its source lacks "
-                f"{', '.join(self.run.absent)}, so it can neither be simulated again nor rendered nor labelled anew."
+                f"episode {self.name} was imported from data without {path}. Its source lacks "
+                f"{', '.join(self.run.absent)}, so it cannot be simulated again, rendered or relabelled."
             )
         if path.startswith("states/"):
             raise UsageError(
@@ -203,7 +202,7 @@ class Episode:
         raise unknown_name("dataset", path, self.paths)
 
     def _as_of_now(self, path: str, array: np.ndarray) -> np.ndarray:
-        """A dataset as the present schema has it."""
+        """Convert a dataset to the present schema."""
         if self.schema >= 2:
             return array
         if path == "obs/state":
@@ -212,7 +211,7 @@ class Episode:
         return canonical_poses(array, {key: array.shape[1]}) if key in POSES else array
 
     def columns(self, path: str) -> dict[str, int]:
-        """Names of the columns of a two-dimensional dataset, and how many columns each name stands for."""
+        """Column names of a two-dimensional dataset, with the number of columns of each name (0 for a plain column)."""
         split = [name.rpartition(":") for name in self._column_names(path)]
         return {head or tail: int(tail) if head else 0 for head, _, tail in split}
 
@@ -222,7 +221,7 @@ class Episode:
         return [name for name in str(told.get(COLUMNS, "")).split(",") if name]
 
     def table(self, path: str) -> dict[str, np.ndarray]:
-        """A two-dimensional dataset as its columns, e.g. "signals/checks": (N+1,) each, or (N+1, n) for n columns."""
+        """A two-dimensional dataset by column name, e.g. "signals/checks": (N+1,) each, or (N+1, n) for n columns."""
         array = self.array(path)
         at = 0
         table = {}
@@ -291,8 +290,8 @@ class Episode:
     def frame_places(self, camera: str, output: str) -> tuple[int, np.ndarray] | None:
         """Offset of the first frame in the file and ends (N+1,) of all frames from there on [bytes].
 
-        For those who read many single frames without HDF5, see `images.decode`. None if a journal or a layout that is
-        not contiguous stands in between: then `frame` reads them all the same.
+        With these, frames can be read without HDF5 and decoded by `images.decode`. None if the file has a journal or
+        the dataset is not contiguous; `frame` still reads them.
 
         Raises:
             UsageError: no such image was recorded.
@@ -306,9 +305,9 @@ class Episode:
             return int(offset), dataset(self._group, f"{place}/ends")[()]
 
     def history(self, k: int) -> tuple[int, History]:
-        """Index in the plan of the k-th subtask that was reached, and its signals for `tasks.labelling.labels`.
+        """Plan index of the k-th subtask that was reached, and its signals for `tasks.labelling.labels`.
 
-        Signals are bool of shape (T+1, 1), T the control steps of the subtask.
+        Signals are bool (T+1, 1), where T is the number of the subtask's control steps.
         """
         starts = [*self.array("subtasks/step").tolist(), self.steps]
         first = self.array("subtasks/checks")[k : k + 1]
@@ -321,7 +320,7 @@ class Episode:
         )
 
     def problems(self) -> list[str]:
-        """What is wrong with it, in words: parts that are missing or do not fit, or bytes that have changed."""
+        """Describe missing or inconsistent parts and changed bytes; empty if the episode is undamaged."""
         with self._reading():
             arrays = read_arrays(self._group)
             widths = column_widths(
@@ -354,16 +353,16 @@ class Episode:
         return wrong
 
     def refuse_damage(self) -> None:
-        """Read all of it and go on only if nothing is wrong with it: for what makes other files of it.
+        """Check the whole episode before other files are made from it.
 
         Raises:
-            DamagedError: says what is wrong.
+            DamagedError: the episode is damaged; the message says how.
         """
         wrong = self.problems()
         if wrong:
             raise DamagedError(
-                f"episode {self.name} of {self.shard.path} is damaged: {'; '.join(wrong)}. Nothing is made of it; "
-                f"`mjhab data repair {self.shard.path}` leaves it out."
+                f"episode {self.name} of {self.shard.path} is damaged: {'; '.join(wrong)}. Remove it with: "
+                f"mjhab data repair {self.shard.path}"
             )
 
 
@@ -389,7 +388,7 @@ class Shard:
             raise
 
     def _read_index(self) -> None:
-        """Read all that a writer changes, so that nothing leads there later: where episodes lie, and the runs."""
+        """Read everything that a writer may change (locations of episodes, runs) once, when the shard is opened."""
         index = group(self.file, EPISODES)
         self._places = {
             str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT) for name in index
@@ -403,7 +402,7 @@ class Shard:
         journal = read_journal(self.path)
         if journal is None:
             return h5py.File(self.path, "r", locking=False)
-        # A writer was killed while it put the last episode in place: look at the file as it will be.
+        # A writer was killed while it committed the last episode: read the file as it will be after recovery.
         self._fd = os.open(self.path, os.O_RDONLY)
         return h5py.File(Overlay(self._fd, journal.after, journal.pages), "r")
 
@@ -414,13 +413,13 @@ class Shard:
 
     @functools.cached_property
     def told(self) -> dict[str, dict[str, Any]]:
-        """What the file tells of each run, by name; a later version may tell more than a `RunInfo` holds."""
+        """JSON data of each run by name; those of later versions may have more entries than a `RunInfo`."""
         runs = group(self.file, RUNS)
         return {str(name): from_bytes(dataset(runs, str(name))[()]) for name in runs}
 
     @functools.cached_property
     def runs(self) -> dict[str, RunInfo]:
-        """What made the episodes, by name."""
+        """The runs that made the episodes, by name."""
         known = RunInfo.__dataclass_fields__
         return {
             name: RunInfo(**{k: v for k, v in run.items() if k in known})
@@ -438,11 +437,11 @@ class Shard:
         return Episode(self, name)
 
     def open_group(self, name: str) -> h5py.Group:
-        """The group of an episode of ``names``, found without the index."""
+        """The HDF5 group of an episode in ``names``, found without the file's index."""
         return group(self.file, self._places[name])
 
     def problems(self, name: str) -> list[str]:
-        """What is wrong with an episode, in words; it may be damaged beyond opening."""
+        """Describe what is wrong with an episode, even if it cannot be opened; empty if nothing is."""
         try:
             return Episode(self, name).problems()
         except DamagedError as error:
@@ -471,11 +470,11 @@ class Shard:
 
 
 def open_shard(path: Path | str) -> Shard:
-    """Open a shard for reading, also while another process appends to it: it shows what was there when it was opened.
+    """Open a shard for reading; another process may append to it, which does not change the opened shard.
 
     Raises:
-        UsageError: there is no such file, or it is of another schema version.
-        DamagedError: not an HDF5 file, a foreign one, or a damaged one.
+        UsageError: the file does not exist, or its schema version is not supported.
+        DamagedError: it is not an HDF5 file, not a shard, or damaged.
     """
     path = Path(path)
     if not path.is_file():
@@ -484,8 +483,10 @@ def open_shard(path: Path | str) -> Shard:
 
 
 def episodes(places: Path | Sequence[Path]) -> Iterator[Episode]:
-    """Every episode of shards and folders. They may be kept: once the next shard is reached, each reading of an episode
-    of the one before opens that file again."""
+    """Iterate over the episodes of shards and folders.
+
+    Episodes remain usable after the iteration; once their shard is closed, every access opens the file again.
+    """
     for path in shard_paths(places):
         with open_shard(path) as shard:
             yield from shard
@@ -498,7 +499,7 @@ def _camera_output(key: str) -> tuple[str, str]:
 
 def _unreadable(path: Path, error: Exception) -> DamagedError:
     if is_written(path):
-        return DamagedError(f"{path} is being written at this moment; try again.")
+        return DamagedError(f"{path} is being written by another process; try again.")
     there = path.stat().st_size
     whole = committed_length(path)
     if there < whole:

@@ -1,4 +1,4 @@
-"""What a shard holds: names, shapes, units and the version of the format. `docs/data.md` prints this table."""
+"""The schema of shards: names, shapes and units of datasets, and its version. `docs/data.md` prints this table."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from mjhab.core.errors import MjhabError
 
 FORMAT = "mjhab-episodes"
-"""Root attribute ``format``: what tells a shard from any other HDF5 file."""
+"""Root attribute ``format``, which identifies a shard."""
 VERSION = 2
-"""Root attribute ``schema`` of a file and attribute of each episode. It grows with every change that a reader of the
-old one could not read, or would read as something else. Optional datasets, attributes and keys of the JSON can be added
-without: readers pass over names that they do not know.
+"""Schema version: root attribute ``schema`` of a file, and attribute of each episode. It increases with every change
+that older readers could not read or would misread. Adding optional datasets, attributes or JSON keys does not increase
+it, because readers ignore unknown names.
 
-1: the first. 2: intended actions and who acted are stored; quaternions among the observations are canonical."""
+1: the first version. 2: adds intended actions and actors; quaternions in observations are canonical."""
 OLDEST = 1
-"""Oldest schema that is read; `Episode` gives the contents of an older one as those of VERSION."""
+"""Oldest supported schema version; `Episode` converts older content to that of VERSION."""
 EPISODES = "episodes"
 RUNS = "runs"
 
@@ -43,21 +43,22 @@ CHECKS: tuple[str, ...] = (
     "must_hold",
     "ee_contact",
 )
-"""Columns of ``signals/checks``: the boolean fields of `tasks.measure.Signals`; labels need nothing else.
-Shards of versions without ``ee_contact`` have all columns but this last one, see ``checks_by_name``."""
+"""Columns of ``signals/checks``: the boolean fields of `tasks.measure.Signals`, which suffice to compute labels.
+Older shards lack the last column, ``ee_contact``, see ``checks_by_name``."""
 FORCES: tuple[str, ...] = ("robot_force", "target_force", "cumulative_force")
 """Columns of ``signals/forces``: the float fields of `tasks.measure.Signals`."""
 COLUMNS = "columns"
-"""Attribute of a two-dimensional dataset: names of its columns, joined by commas; "name:n" stands for n of them."""
+"""Attribute of a two-dimensional dataset: names of its columns, joined by commas; "name:n" stands for n columns."""
 TERMINAL = frozenset({"success", "force_exceeded", "place_broken"})
-"""Endings with which an environment says "terminated"; the others are truncations."""
+"""Endings for which the environment returned "terminated"; the others are truncations."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """One dataset of an episode. ``rows``: "N" control steps, "N+1" states, "K" subtasks entered, "" anything.
+    """One dataset of an episode.
 
-    ``since``: first schema that has it.
+    rows: number of rows: "N" control steps, "N+1" states, "K" subtasks reached, "" for any. since: first schema version
+    that has it.
     """
 
     path: str
@@ -227,11 +228,11 @@ ATTRIBUTES: dict[str, str] = {
 
 
 class DamagedError(MjhabError):
-    """A file that cannot be read as what it claims to be."""
+    """A file is damaged or has an unexpected format."""
 
 
 def field_of(path: str) -> Field | None:
-    """The row of FIELDS that a dataset of an episode belongs to; None if there is none."""
+    """The entry of FIELDS for a dataset of an episode; None if there is none."""
     for field in FIELDS:
         if field.path == path:
             return field
@@ -249,7 +250,7 @@ def column_widths(
     """Number of columns that datasets must have, by path.
 
     Args:
-        layout: of the run, see `RunInfo`; what it does not tell is not asked for.
+        layout: of the run, see `RunInfo`; sizes that it lacks are not checked.
         columns: names of the columns by path; "name:n" stands for n of them.
     """
     widths = {path: sum(_width(name) for name in names) for path, names in columns.items() if names}
@@ -267,9 +268,9 @@ def _width(name: str) -> int:
 
 
 def checks_by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Columns of ``signals/checks`` or ``subtasks/checks``, (n, C) to (n, 1) bool by the names of CHECKS.
+    """Split ``signals/checks`` or ``subtasks/checks`` (n, C) into (n, 1) bool arrays by the names of CHECKS.
 
-    Where ``ee_contact`` was not recorded it is ``touch``: contact of any link, as the labels of that version read it.
+    If ``ee_contact`` was not recorded, ``touch`` (contact of any link) replaces it, as in the labels of that version.
     """
     table = {name: rows[:, column : column + 1].astype(bool) for column, name in enumerate(CHECKS)}
     if rows.shape[1] < len(CHECKS):
@@ -285,15 +286,14 @@ def problems(
     widths: Mapping[str, int] | None = None,
     absent: Collection[str] = (),
 ) -> list[str]:
-    """What is wrong with the datasets of an episode of ``steps`` actions, in words; empty if nothing is.
+    """Describe how the datasets of an episode violate the schema; empty if they do not.
 
-    Every field that is not optional must be there, with its type and shape; N actions go with N+1 states, and every
-    number is finite.
+    Every required field must exist with its type and shape, N actions need N+1 states, and all numbers must be finite.
 
     Args:
         arrays: every dataset by its path.
-        steps: N.
-        others: datasets that are not of this schema may be there, too: a later version may have added them.
+        steps: number N of actions.
+        others: allow datasets outside this schema, which a later version may have added.
         schema: version of the episode.
         widths: number of columns by path, from `column_widths`.
         absent: paths of fields that the source of the episode did not have (`RunInfo.absent`).
@@ -324,7 +324,7 @@ def problems(
 
 
 def _has_dimensions(field: Field, array: np.ndarray) -> bool:
-    """Whether an array has as many dimensions as the shape of its field tells: "(N, A)", "(N+1, ...)" or "bytes"."""
+    """Whether an array has the number of dimensions of its field's shape: "(N, A)", "(N+1, ...)" or "bytes"."""
     sizes = [size for size in field.shape.strip("()").split(",") if size.strip()]
     return array.ndim >= 1 if "..." in field.shape else array.ndim == len(sizes)
 

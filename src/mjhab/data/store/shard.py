@@ -1,4 +1,4 @@
-"""Writing shards: one HDF5 file of episodes, which a kill at any moment leaves readable (see `journal`)."""
+"""Writing shards: HDF5 files of episodes that stay readable after a kill at any moment (see `journal`)."""
 
 from __future__ import annotations
 
@@ -40,26 +40,26 @@ if TYPE_CHECKING:
 
 _GZIP = 4
 _SMALL = 256
-"""Arrays of fewer bytes lie in the header of their dataset, uncompressed."""
+"""Arrays smaller than this are stored uncompressed in the header of their dataset [bytes]."""
 _CHUNK = 4 << 20
-"""Largest chunk [bytes]."""
+"""Largest HDF5 chunk [bytes]."""
 _BATCH = 32 << 20
-"""Episodes are copied in batches of about so many bytes, which are held in memory."""
+"""Approximate size of a batch of episodes that is copied at once and held in memory [bytes]."""
 
 
 class StorageError(MjhabError):
-    """The disk is full or broken. What was written before is safe."""
+    """The disk is full or broken. Data written before are safe."""
 
 
 class ShardWriter:
     """A shard open for writing; ``append`` returns when the episode is on the disk. A context manager.
 
-    A shard that does not exist is made. One that a killed process left is put in order first; ``recovered`` then says
-    whether the last episode of that process was completed.
+    The shard is made if it does not exist. If its last writer was killed, the shard is recovered first, and
+    ``recovered`` tells whether that writer's last episode was completed.
 
     Raises:
-        UsageError: another process is writing it, or it is of another schema version.
-        DamagedError: the file is none of ours or cannot be read.
+        UsageError: another process is writing the shard, or its schema version is not supported.
+        DamagedError: the file is not a shard or cannot be read.
         StorageError: the disk is full or broken.
     """
 
@@ -97,15 +97,15 @@ class ShardWriter:
         return frozenset(self._names)
 
     def has(self, run: RunInfo, seed: int, index: int) -> bool:
-        """Whether an episode is in it already, so that a resumed run leaves it out."""
+        """Whether the shard has an episode already, so that a resumed run skips it."""
         return run.episode_name(seed, index) in self._names
 
     def append(self, data: EpisodeData) -> int:
         """Add an episode; returns by how many bytes the file has grown.
 
         Raises:
-            UsageError: the episode is in the shard already.
-            StorageError: the disk is full or broken; the shard is as before. Make a new writer to go on.
+            UsageError: the shard has the episode already.
+            StorageError: the disk is full or broken; the shard is unchanged. Make a new writer to continue.
         """
         if data.name in self._names:
             raise UsageError(
@@ -124,7 +124,7 @@ class ShardWriter:
         return grown
 
     def replace_records(self, records: dict[str, EpisodeRecord]) -> None:
-        """Give episodes, by name, other records (labels computed anew), all at once."""
+        """Replace the records of episodes, by name, atomically (for relabelling)."""
 
         def fill(file: h5py.File) -> None:
             for name, record in records.items():
@@ -137,11 +137,11 @@ class ShardWriter:
         self._change(fill)
 
     def adopt(self, shard: Shard, names: Sequence[str]) -> int:
-        """Copy episodes of another shard as they are; returns by how many bytes the file has grown.
+        """Copy episodes of another shard unchanged; returns by how many bytes the file has grown.
 
         Raises:
-            UsageError: one of them is in this shard already.
-            StorageError: the disk is full or broken; what was copied before is safe.
+            UsageError: this shard already has one of them.
+            StorageError: the disk is full or broken; episodes copied before are safe.
         """
         taken = self._names.intersection(names)
         if taken:
@@ -164,7 +164,7 @@ class ShardWriter:
         return grown
 
     def _raise_schema(self, file: h5py.File) -> None:
-        """Give a file of an older schema the present one: what is added is of it, what is there says that it is not."""
+        """Mark a file of an older schema with the present version, and its existing episodes with their own version."""
         if self._schema < VERSION:
             put_attributes(file, {"schema": VERSION, "mjhab": __version__})
             self._schema = VERSION
@@ -179,7 +179,7 @@ class ShardWriter:
             raise _storage_error(self.path, error) from error
 
     def close(self) -> None:
-        """Let others write; may be called again."""
+        """Release the lock of the shard; may be called repeatedly."""
         if self._lock is not None:
             self._lock.release()
             self._lock = None
@@ -197,7 +197,7 @@ def last_label(record: EpisodeRecord) -> str:
 
 
 def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
-    """Names in groups that need no more than about _BATCH bytes."""
+    """Divide names into batches of about _BATCH bytes."""
     batch: list[str] = []
     size = 0
     for name in names:
@@ -247,7 +247,7 @@ def _put(
     if array.nbytes < _SMALL:
         plist.set_layout(h5py.h5d.COMPACT)
     elif not path.startswith("images/"):
-        # Frames are compressed already and read one at a time, so they lie in the file as they are.
+        # Frames are compressed already and read one at a time, so the dataset is contiguous and uncompressed.
         rows = max(1, min(len(array), _CHUNK // max(1, array.nbytes // len(array))))
         plist.set_chunk((rows, *array.shape[1:]))
         plist.set_shuffle()
@@ -263,14 +263,14 @@ def _put(
 
 
 def is_full(error: Exception) -> bool:
-    """Whether an error, of Python or of a library that tells the number in words alone, says that the disk is full."""
+    """Whether an error reports a full disk, by its errno or, for libraries without one, by its text."""
     number = getattr(error, "errno", None)
     return number in (errno.ENOSPC, errno.EDQUOT) or os.strerror(errno.ENOSPC) in str(error)
 
 
 def _storage_error(path: Path, error: OSError) -> StorageError:
     if is_full(error):
-        what = "the disk is full. Free some space and give the same command again: it goes on where it stopped"
+        what = "the disk is full. Free some space and run the same command again: it continues where it stopped"
     else:
-        what = f"{error.strerror or error}. Give the same command again when that is mended"
+        what = f"{error.strerror or error}. Fix that and run the same command again"
     return StorageError(f"cannot write {path}: {what}. Every episode finished before is safe.")

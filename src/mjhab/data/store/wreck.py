@@ -1,8 +1,8 @@
-"""Episodes of a shard that is cut or whose index is damaged, found by their own headers.
+"""Recovery of episodes from a truncated shard, or one with a damaged index, by searching for their headers.
 
-The index of episodes (a heap and a B-tree of HDF5) grows with the shard and comes to lie near the end of the file: a
-shard cut there has lost it, with nearly all episodes still in the bytes. What an episode consists of was appended in
-one piece, and every part of it lies behind a header that begins with the same four bytes and carries a checksum.
+The index of episodes (a heap and a B-tree of HDF5) lies near the end of the file, so a truncated shard has lost it
+although nearly all episodes are still there. An episode is stored in one contiguous piece, and each of its objects has
+a header that starts with the same four bytes and has a checksum.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from mjhab.data.store.hdf5 import read_attributes
 from mjhab.data.store.reading import BROKEN, Shard
 
 HEADER = b"OHDR"
-"""What the header of a group or dataset begins with (HDF5 format specification, data object headers of version 2)."""
+"""First bytes of the header of a group or dataset (HDF5 format specification, data object headers of version 2)."""
 MAX_RUN_BYTES = 1 << 20
-"""A dataset that is larger does not tell of a run [bytes]."""
+"""Largest dataset that is considered as the description of a run [bytes]."""
 _RUN_BEGINS = b'{"config":'
 
 
 class Wreck(Shard):
-    """A damaged shard: what its index still leads to, and every other episode and run that lies in its bytes.
+    """A damaged shard: the episodes in its index, and all other episodes and runs found by their headers.
 
-    ``indexed``: whether the index of episodes could be read; otherwise nobody knows how many episodes there were.
+    ``indexed``: whether the index of episodes could be read; otherwise the number of lost episodes is unknown.
     """
 
     def _read_index(self) -> None:
@@ -51,7 +51,7 @@ class Wreck(Shard):
 
     @functools.cached_property
     def told(self) -> dict[str, dict[str, Any]]:
-        """What the file tells of each run, by name."""
+        """JSON data of each run by name."""
         with suppress(*BROKEN):
             return super().told
         found = (_run(self.file, reference) for reference in self._references)
@@ -59,7 +59,7 @@ class Wreck(Shard):
 
 
 def _header_offsets(path: Path) -> list[int]:
-    """Places in a file where headers may begin [bytes]."""
+    """Offsets in a file at which headers may start [bytes]."""
     found: list[int] = []
     with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         at = data.find(HEADER)
@@ -70,9 +70,9 @@ def _header_offsets(path: Path) -> list[int]:
 
 
 def _references(offsets: Sequence[int]) -> list[h5py.Reference]:
-    """References of HDF5 to what begins at these places of a file.
+    """HDF5 object references to the headers at these offsets.
 
-    An object reference on the disk is the place of a header; h5py makes one only of an object that is open already.
+    On the disk an object reference is the offset of a header, but h5py can only make one from an open object.
     """
     if not offsets:
         return []
@@ -83,14 +83,14 @@ def _references(offsets: Sequence[int]) -> list[h5py.Reference]:
 
 
 def _open(file: h5py.File, reference: h5py.Reference) -> Any:
-    """The group or dataset whose header a reference leads to; None if there is none that is whole."""
+    """Open the group or dataset of a reference; None if its header is not intact."""
     with suppress(*BROKEN):
         return file[reference]
     return None
 
 
 def _episode_name(file: h5py.File, reference: h5py.Reference) -> str:
-    """Name of the episode whose group this is, as its attributes give it; "" if it is none."""
+    """Name of the episode stored in this group, from its attributes; "" if it is not an episode."""
     found = _open(file, reference)
     if not isinstance(found, h5py.Group):
         return ""
@@ -102,7 +102,7 @@ def _episode_name(file: h5py.File, reference: h5py.Reference) -> str:
 
 
 def _run(file: h5py.File, reference: h5py.Reference) -> dict[str, Any] | None:
-    """What a dataset tells of a run; None if it tells something else."""
+    """JSON data of the run that a dataset describes; None if it holds something else."""
     found = _open(file, reference)
     if not isinstance(found, h5py.Dataset) or found.dtype != np.uint8 or found.ndim != 1:
         return None

@@ -1,1 +1,1 @@
-"""A score that counts: fixed episodes, a result file that can be checked, and a table made of such files."""
+"""Benchmark scores: fixed episodes, a result file that can be verified, and a leaderboard of such files."""

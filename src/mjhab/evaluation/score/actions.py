@@ -1,4 +1,4 @@
-"""The actions of episodes: kept while they run, and played again."""
+"""Actions of scored episodes: storing them during the run, and replaying them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 
 MAX_ACTIONS_BYTES = 64 << 20
-"""Of one episode, unpacked."""
+"""Largest size of the decompressed actions of one episode [bytes]."""
 NO_MORE = "the recorded actions end here"
+"""Fault of a world in which a replayed episode outlasts its recorded actions."""
 
 
 class ActionKeeper(Sink[RecordedEnv]):
-    """Writes the actions of every finished episode, and the digest of its start, to a file of its own in a folder."""
+    """Writes the actions and the start digest of every finished episode to a file of its own in ``folder``."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -32,18 +33,18 @@ class ActionKeeper(Sink[RecordedEnv]):
         self._actions: dict[int, list[np.ndarray]] = {}
 
     def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
-        """Begin to listen to the worlds in ``mask``."""
+        """Start recording the worlds in ``mask`` (W,)."""
         for w in np.flatnonzero(mask).tolist():
             self._starts[w] = start_digest(env, w)
             self._actions[w] = []
 
     def on_step(self, env: RecordedEnv, step: StepView) -> None:
-        """Keep the actions that were applied."""
+        """Remember the applied actions."""
         for w in np.flatnonzero(step.active).tolist():
             self._actions[w].append(np.array(step.actions[w], np.float32))
 
     def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
-        """Write them."""
+        """Write the actions of the episode."""
         text = f"{self._starts[world]} {packed_actions(np.stack(self._actions[world]))}"
         path = kept_path(self._folder, record.index)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -51,21 +52,21 @@ class ActionKeeper(Sink[RecordedEnv]):
 
 
 def kept_path(folder: Path, index: int) -> Path:
-    """Where an episode's actions are kept."""
+    """File with the actions of the episode ``index``."""
     return folder / f"{index:06d}.actions"
 
 
 def packed_actions(actions: np.ndarray) -> str:
-    """Actions (N, A) as text: their width, and compressed float32."""
+    """Encode actions (N, A) as text: "A:", then zlib-compressed float32 in base64."""
     packed = zlib.compress(np.asarray(actions, "<f4").tobytes(), 9)
     return f"{actions.shape[1]}:{base64.b64encode(packed).decode('ascii')}"
 
 
 def unpacked_actions(text: str) -> np.ndarray:
-    """Actions (N, A) float32 of `packed_actions`.
+    """Decode actions (N, A) float32 from the text of `packed_actions`.
 
     Raises:
-        UsageError: it is no such text.
+        UsageError: the text is malformed, too long, or holds numbers that are not finite.
     """
     width, _, packed = text.partition(":")
     try:
@@ -82,13 +83,13 @@ def unpacked_actions(text: str) -> np.ndarray:
 
 
 class Replayed:
-    """A policy that plays recorded actions again.
+    """A policy that replays recorded actions.
 
     Args:
-        worlds: W.
-        width: A.
-        actions: by index of the episode.
-        errors: by index, why an episode ended with its last action; of the others nothing is said.
+        worlds: number of worlds W.
+        width: of an action (A).
+        actions: (N, A) by index of the episode.
+        errors: error that ended an episode with its last action, by index of the episode.
     """
 
     name = "replayed"
@@ -107,11 +108,11 @@ class Replayed:
         self._faults = [""] * worlds
 
     def reset(self, mask: np.ndarray) -> None:
-        """Begin at the first action in the worlds of ``mask`` (W,)."""
+        """Start from the first action in the worlds of ``mask`` (W,)."""
         self._step[mask] = 0
 
     def fault(self, world: int) -> str:
-        """The recorded error with the last action; or that there is none left."""
+        """Error of a world: the recorded one at the last action, NO_MORE after it, else ""."""
         return self._faults[world]
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:

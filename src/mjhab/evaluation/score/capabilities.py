@@ -1,4 +1,4 @@
-"""What a policy can and cannot do, told from events and labels of its subtasks, whatever it was asked for."""
+"""Capabilities of a policy (reach, grasp, ...), derived from events and labels of its subtasks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ COLLISIONS = ("excessive_collision_failure", "success_then_excessive_collisions"
 
 @dataclass(frozen=True)
 class Capability:
-    """counted: whether a subtask tells something about it. shown: whether that subtask shows it. meaning: in words."""
+    """A capability and how it is measured.
+
+    counted: whether a subtask requires it. shown: whether a subtask demonstrates it. meaning: description.
+    """
 
     counted: Callable[[SubtaskRecord], bool]
     shown: Callable[[SubtaskRecord], bool]
@@ -55,7 +58,11 @@ CAPABILITIES: dict[str, Capability] = {
 
 
 def profile(records: Iterable[SubtaskRecord]) -> dict[str, dict[str, object]]:
-    """Share of the subtasks that show each capability, with its Wilson 95 % interval; None where nothing counts."""
+    """Fraction of the subtasks that show each capability, with its Wilson 95 % interval.
+
+    Returns:
+        By capability {"rate", "interval", "subtasks"}; the rate is None if no subtask requires the capability.
+    """
     records = list(records)
     found: dict[str, dict[str, object]] = {}
     for name, capability in CAPABILITIES.items():

@@ -1,4 +1,4 @@
-"""The manifest: which episodes a score is made of. They are the same for everyone, named by row, seed and index."""
+"""The manifest: the fixed episodes of a score, identified by row, seed and index."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from mjhab.core.errors import unknown_name
 from mjhab.data.record.worlds import RecordedEnv
 
 HAB_TASKS = ("tidy_house", "prepare_groceries", "set_table")
-"""What is scored stays the same whatever plugins add."""
+"""The scored tasks. The list is fixed, so that plugins do not change a score."""
 
 VERSION = 1
-"""Changes when a row or a number of this file does: scores of two versions cannot be compared."""
+"""Increases when a row or a number of this file changes, because scores of two versions cannot be compared."""
 SEED = 7001
 SUBTASK_EPISODES = 50
 CHAIN_EPISODES = 20
+"""Seed of all episodes, and numbers of episodes per row."""
 STARTS_FILE = Path(__file__).parent / "starts.json"
-"""Digests of the starts of the episodes, by track and split and by row; `mjhab score --starts` writes them."""
+"""Digests of the episodes' start states, by "track/split" and by row; `mjhab score --starts` writes them."""
 START_DECIMALS = 4
-"""Positions of a start are compared to so many decimals [m, rad]: settling differs less between machines."""
+"""Decimals of the positions [m, rad] in a start digest; differences of settling between machines are smaller."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Episodes of one kind: those with index 0 to ``episodes`` - 1. ``subtask`` "" is a whole chain."""
+    """The episodes 0 to ``episodes`` - 1 of one subtask, or of a whole task if ``subtask`` is ""."""
 
     task: str
     subtask: str = ""
@@ -40,7 +41,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """A name that is also that of a folder."""
+        """Name, also used as a folder name."""
         words = (self.task, self.subtask, self.target.replace("/", "-"))
         return ".".join(word for word in words if word)
 
@@ -63,12 +64,12 @@ TRACKS: dict[str, tuple[Row, ...]] = {
     ),
     "chains": tuple(Row(task, episodes=CHAIN_EPISODES) for task in HAB_TASKS),
 }
-"""The ten rows of the MS-HAB paper's Table 1 and a navigation; the three household tasks as a whole."""
+"""Rows by track: "subtasks" has the ten rows of the MS-HAB paper's Table 1 and Navigate, "chains" the whole tasks."""
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a track asks for on a split: its rows, the seed of all episodes, and the digests of their starts by row."""
+    """The episodes of a track on a split. starts: digests of the start states by row and index."""
 
     track: str
     split: str
@@ -78,17 +79,17 @@ class Manifest:
 
     @property
     def digest(self) -> str:
-        """Hash of everything in it."""
+        """Hash of the whole manifest."""
         rows = [asdict(row) for row in self.rows]
         content = [VERSION, self.track, self.split, rows, self.seed, dict(self.starts)]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def manifest(track: str, split: str) -> Manifest:
-    """The manifest of a track on a split; there are no digests of starts where none were written.
+    """The manifest of a track on a split; ``starts`` lacks rows whose digests were never written.
 
     Raises:
-        UsageError: an unknown track or split.
+        UsageError: the track or split is unknown.
     """
     if track not in TRACKS:
         raise unknown_name("track", track, TRACKS)
@@ -99,9 +100,9 @@ def manifest(track: str, split: str) -> Manifest:
 
 
 def start_digest(env: RecordedEnv, world: int) -> str:
-    """Digest of the state in which an episode begins: its home and positions, rounded to START_DECIMALS."""
+    """Digest of an episode's start state: its home and its qpos, rounded to START_DECIMALS."""
     positions = np.round(env.sim.get_world(world)["qpos"], START_DECIMALS)
-    # There is a minus zero, whose bytes differ.
+    # Adding 0.0 turns -0.0 into 0.0; their bytes differ.
     positions = positions + 0.0
     content = env.homes[world].encode() + positions.tobytes()
     return hashlib.sha256(content).hexdigest()[:12]

@@ -1,4 +1,4 @@
-"""The result file of a score: everything that was done, so that everything that it claims can be computed again."""
+"""The result file of a score: it holds all records and actions, so that its numbers can be verified."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ MAX_FILE_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class Scored:
-    """One episode of a score: name of its row, what happened, digest of its start, its actions as text."""
+    """One episode of a score.
+
+    row: name of its row. record: its results. start: digest of its start state. actions: see `actions.packed_actions`.
+    """
 
     row: str
     record: EpisodeRecord
@@ -34,7 +37,10 @@ class Scored:
 
 @dataclass(frozen=True)
 class Result:
-    """A result file. ``facts``: who was scored, where and with what; plain JSON data. ``summary``: see `summary_of`."""
+    """Content of a result file.
+
+    facts: policy, track, versions and hardware, as JSON data. summary: see `summary_of`. digest: see `digest_of`.
+    """
 
     facts: Mapping[str, Any]
     summary: Mapping[str, Any]
@@ -43,7 +49,7 @@ class Result:
 
     @property
     def manifest(self) -> Manifest:
-        """What was asked for.
+        """Manifest of the result's track and split.
 
         Raises:
             UsageError: the file names an unknown track or split.
@@ -52,13 +58,13 @@ class Result:
 
 
 def summary_of(asked: Manifest, episodes: Sequence[Scored]) -> dict[str, Any]:
-    """The numbers of a result, all of them computed from its episodes.
+    """Compute the numbers of a result from its episodes.
 
     Returns:
-        "score": mean over the rows. A row of a subtask has the share of its episodes that succeed once; a row of a
-        chain the mean share of its plan that was completed. Episodes that are tainted, or that the policy could not
-        finish, count 0, and so do rows without episodes. "episodes": how many there are. "complete": these are all
-        episodes of the manifest, with its starts. "other_starts": how many began elsewhere than the manifest says.
+        "score": mean over the rows. The score of a subtask row is its success-once rate; that of a chain row is the
+        mean fraction of the plan that was completed. Tainted episodes and those with a policy error count 0, as do
+        rows without episodes. "episodes": their number. "complete": whether these are all episodes of the manifest,
+        with its start states. "other_starts": number of episodes with another start state than in the manifest.
         "tainted", "errors": counts. "rows": one per row. "labels": counts. "capabilities": see `capabilities.profile`.
     """
     rows = [_row_summary(row, [e for e in episodes if e.row == row.name]) for row in asked.rows]
@@ -79,7 +85,7 @@ def summary_of(asked: Manifest, episodes: Sequence[Scored]) -> dict[str, Any]:
 
 
 def _begins_elsewhere(asked: Manifest, episode: Scored) -> bool:
-    """Whether the manifest knows another start for an episode."""
+    """Whether an episode's start state differs from the one in the manifest."""
     starts = asked.starts.get(episode.row)
     return starts is not None and starts[episode.record.index] != episode.start
 
@@ -106,7 +112,7 @@ def _share(part: float, whole: int) -> float:
 
 
 def write_result(path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored]) -> Result:
-    """Write a result file; returns what is in it."""
+    """Write a result file and return its content."""
     asked = manifest(str(facts["track"]), str(facts["split"]))
     content = {
         "format": FORMAT,
@@ -126,7 +132,7 @@ def write_result(path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored
 
 
 def digest_of(content: Mapping[str, Any]) -> str:
-    """SHA-256 over everything in a result file but its digest."""
+    """SHA-256 over the content of a result file without its digest."""
     rest = {key: value for key, value in content.items() if key != "digest"}
     text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
@@ -136,15 +142,15 @@ def read_result(path: Path) -> Result:
     """Read a result file.
 
     Raises:
-        UsageError: it is none, it was edited, or its numbers are not those of its episodes.
+        UsageError: it is not a result file, it was edited, or its numbers do not follow from its episodes.
     """
     content = _read_json(path)
     if content.get("format") != FORMAT or content.get("version") != VERSION:
         raise UsageError(
-            f"{path} is no result file of version {VERSION}; `mjhab score` writes them."
+            f"{path} is not a result file of version {VERSION}; `mjhab score` writes them."
         )
     if content.get("digest") != digest_of(content):
-        raise UsageError(f"{path} was edited: its digest is not that of its content.")
+        raise UsageError(f"{path} was edited: its digest does not match its content.")
     try:
         episodes = tuple(
             Scored(
@@ -169,7 +175,7 @@ def read_result(path: Path) -> Result:
             "cannot be compared. Score the policy again."
         )
     if json.loads(json.dumps(summary_of(asked, episodes))) != result.summary:
-        raise UsageError(f"{path} was edited: its numbers are not those of its episodes.")
+        raise UsageError(f"{path} was edited: its numbers do not follow from its episodes.")
     return result
 
 
@@ -181,14 +187,14 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = parse_json(path.read_bytes())
     except ValueError as error:
-        raise UsageError(f"{path} is no result file: {error}.") from error
+        raise UsageError(f"{path} is not a result file: {error}.") from error
     if not isinstance(content, dict):
-        raise UsageError(f"{path} is no result file.")
+        raise UsageError(f"{path} is not a result file.")
     return content
 
 
 def _check_names(path: Path, asked: Manifest, episodes: Sequence[Scored]) -> None:
-    """Refuse episodes that the manifest does not name, and those that are there twice."""
+    """Refuse episodes that are not in the manifest, and duplicates."""
     rows = {row.name: row for row in asked.rows}
     seen: set[tuple[str, int]] = set()
     for episode in episodes:
@@ -203,7 +209,7 @@ def _check_names(path: Path, asked: Manifest, episodes: Sequence[Scored]) -> Non
 
 
 def _fits(row: Row, asked: Manifest, record: EpisodeRecord) -> bool:
-    """Whether an episode is one of a row."""
+    """Whether an episode belongs to a row."""
     wanted = (row.task, row.subtask or None, asked.split, asked.seed)
     got = (record.task, record.subtask, record.split, record.seed)
     about = record.plan[0].target if record.plan else ""

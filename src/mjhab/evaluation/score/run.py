@@ -1,4 +1,4 @@
-"""Score a policy on the episodes of the manifest, and check a score by replay of its actions."""
+"""Score a policy on the episodes of the manifest, and verify a score by replaying its actions."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ from mjhab.rollout.sinks import Sink
 FREE_OPTIONS = frozenset(
     {"obs_mode", "cameras", "camera_size", "control_mode", "base", "stationary", "profile"}
 )
-"""Options of the environment that a policy may choose: what it sees, and how it moves. The rest is the benchmark."""
+"""Environment options that a policy may choose: observations and control. The benchmark fixes all others."""
 RESULT_FILE = "result.json"
 CHECKED_EPISODES = 100
+"""Largest number of episodes that a check replays."""
 
 
 @dataclass(frozen=True)
 class ScoreSpec:
-    """What to score, on what, and where the results go.
+    """A score to compute.
 
     policy: a specification as for `resolve_policy`. track, split: see `manifest`. out: folder of the runs and of the
-    result file; runs that are there already go on. worlds, threads: of every run. episodes: at most so many of each
-    row; None for all. Fewer give a score that is marked as incomplete.
+    result file; existing runs are continued. worlds, threads: of every run. episodes: largest number of episodes per
+    row, None for all; a score of fewer episodes is marked as incomplete.
 
     Raises:
-        UsageError: a number out of range.
+        UsageError: a number is out of range.
     """
 
     policy: str
@@ -61,8 +62,12 @@ class ScoreSpec:
 
 @dataclass
 class Checked:
-    """Outcome of a check: how many episodes were played again; those that went another way, by row and index, and why;
-    those that went the same way but for the last bits of their states."""
+    """Result of a check.
+
+    episodes: number of replayed episodes. wrong: difference by "row index" for episodes with another outcome.
+    inexact: "row index" of episodes with the same outcome but different numbers, for instance in the last bits of
+    forces.
+    """
 
     episodes: int = 0
     wrong: dict[str, str] = field(default_factory=dict)
@@ -70,14 +75,14 @@ class Checked:
 
 
 def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda _: ()) -> Result:
-    """Run what is missing of a score and write its result file, ``out/result.json``.
+    """Run the missing episodes of a score and write its result file, ``out/result.json``.
 
     Args:
-        spec: what.
-        sinks: further listeners, by the run they listen to.
+        spec: the score.
+        sinks: makes further listeners for an evaluation.
 
     Raises:
-        UsageError: unknown names; a policy that asks for other rules; a folder that holds something else.
+        UsageError: a name is unknown; the policy needs other rules; or the folder holds another run.
     """
     asked = manifest(spec.track, spec.split)
     started = time.perf_counter()
@@ -95,7 +100,7 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         run = run_evaluation(evaluation, [ActionKeeper(kept), *sinks(evaluation)])
         episodes += [_scored(row, record, kept) for record in _wanted(run, evaluation)]
     if not policies:
-        raise UsageError(f"{spec.policy} does none of the rows of the track {spec.track}.")
+        raise UsageError(f"{spec.policy} has no policy for any row of the track {spec.track}.")
     seconds = time.perf_counter() - started
     return write_result(spec.out / RESULT_FILE, facts_of(spec, asked, policies, seconds), episodes)
 
@@ -103,7 +108,7 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
 def evaluation_of(
     spec: ScoreSpec, asked: Manifest, row: Row, options: Mapping[str, Any]
 ) -> EvalSpec:
-    """The evaluation of a row with options of `scored_options`; it goes on where an earlier one ended."""
+    """The evaluation of a row with the options of `scored_options`; it resumes an earlier one."""
     out = spec.out / "runs" / row.name
     return EvalSpec(
         policy=spec.policy,
@@ -123,10 +128,10 @@ def evaluation_of(
 
 
 def facts_for(policy: str, row: Row) -> PolicyFacts | None:
-    """What is known of a policy that does a row; None where the package has no student for it.
+    """Describe the policy for a row; None if the policy is "student" and the package has none for this row.
 
     Raises:
-        UsageError: there is no such policy, or it asks for other rules than those of the benchmark.
+        UsageError: there is no such policy, or it needs other rules than those of the benchmark.
     """
     try:
         facts = describe_policy(
@@ -141,25 +146,25 @@ def facts_for(policy: str, row: Row) -> PolicyFacts | None:
 
 
 def check_rules(facts: PolicyFacts) -> None:
-    """Refuse a policy that asks for an environment with other rules.
+    """Refuse a policy that needs environment options outside FREE_OPTIONS.
 
     Raises:
-        UsageError: it does.
+        UsageError: the policy needs such an option.
     """
     others = sorted(set(facts.env_options) - FREE_OPTIONS)
     if others:
         asked = {name: facts.env_options[name] for name in others}
         raise UsageError(
-            f"the policy {facts.name} asks for {asked}; scores are taken by the rules of the profile "
-            f"{DEFAULT_PROFILE}, and a policy chooses no more than {', '.join(sorted(FREE_OPTIONS))}."
+            f"the policy {facts.name} asks for {asked}; scores use the rules of the profile {DEFAULT_PROFILE}, and a "
+            f"policy may only choose {', '.join(sorted(FREE_OPTIONS))}."
         )
 
 
 def scored_options(facts: PolicyFacts) -> dict[str, Any]:
-    """Options of the environment in which a policy is scored.
+    """Environment options in which a policy is scored.
 
-    What it sees and how it moves is what it asks for, or what its profile says; the rules are those of the default
-    profile.
+    Observations and control are those of the policy's options or else of its profile. The rules are those of the
+    default profile.
     """
     asked = dict(facts.env_options)
     profile = profile_named(asked.pop("profile", DEFAULT_PROFILE))
@@ -173,7 +178,7 @@ def scored_options(facts: PolicyFacts) -> dict[str, Any]:
 def facts_of(
     spec: ScoreSpec, asked: Manifest, policies: Mapping[str, Any], seconds: float
 ) -> dict[str, Any]:
-    """Who was scored, where and with what."""
+    """Facts of a result file: policy, track, versions, hardware and time."""
     first = next(iter(policies.values()))
     return {
         "track": asked.track,
@@ -189,7 +194,7 @@ def facts_of(
 
 
 def hardware() -> dict[str, Any]:
-    """The machine: processor, cores, system, and the GPU if torch is loaded and sees one."""
+    """Description of the machine: processor, cores, system, and the GPU if torch is loaded and finds one."""
     found: dict[str, Any] = {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -202,10 +207,12 @@ def hardware() -> dict[str, Any]:
 
 
 def check(result: Result, tell: Callable[[], object] = bool) -> Checked:
-    """Play the actions of a hundred of its episodes again, drawn by its digest, and compare what happens.
+    """Replay the actions of up to CHECKED_EPISODES random episodes and compare the outcomes with the result file.
+
+    The result's digest seeds the random choice. ``tell`` is called after every episode.
 
     Raises:
-        UsageError: its actions cannot be read.
+        UsageError: the actions cannot be read.
     """
     random = stream(int(result.digest[:8], 16), "score", "check")
     count = min(CHECKED_EPISODES, len(result.episodes))
@@ -250,7 +257,7 @@ def _check_row(
         actions = {e.record.index: unpacked_actions(e.actions) for e in episodes}
         width = len(env.action_table)
         if any(array.shape[1] != width for array in actions.values()):
-            raise UsageError(f"the actions of {row.name} have another width than {width}.")
+            raise UsageError(f"the actions of {row.name} do not have the width {width}.")
         errors = {e.record.index: e.record.error for e in episodes}
         policy = Replayed(env.num_envs, width, actions, errors)
         records = rollout(env, policy, sorted(actions), asked.seed)
@@ -269,11 +276,11 @@ def _compare(name: str, told: EpisodeRecord, seen: EpisodeRecord, found: Checked
     if _outcome(told) == _outcome(seen):
         found.inexact.append(name)
     else:
-        found.wrong[name] = f"told {_outcome(told)}, seen {_outcome(seen)}"
+        found.wrong[name] = f"file: {_outcome(told)}, replay: {_outcome(seen)}"
 
 
 def _outcome(record: EpisodeRecord) -> tuple[Any, ...]:
-    """What a score counts of an episode."""
+    """The part of an episode's record that a score depends on."""
     labels = tuple((s.index, s.kind, s.label, s.success_once) for s in record.subtasks)
     return (record.success_once, record.completed, bool(record.error), bool(record.taint), labels)
 
@@ -286,14 +293,14 @@ def _scored(row: Row, record: EpisodeRecord, kept: Path) -> Scored:
     path = kept_path(kept, record.index)
     if not path.is_file():
         raise UsageError(
-            f"{path} is gone, and with it the actions of an episode; score into another --out."
+            f"{path} with the actions of an episode is missing; score into another --out."
         )
     start, _, actions = path.read_text(encoding="ascii").partition(" ")
     return Scored(row.name, dataclasses.replace(record, config_hash=""), start, actions)
 
 
 def _processor() -> str:
-    """Name of the processor, as the system tells it."""
+    """Name of the processor as reported by the system."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

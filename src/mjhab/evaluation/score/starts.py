@@ -1,4 +1,4 @@
-"""Writing the digests of the starts of a track: done once, by those who change where episodes begin."""
+"""Writing the start digests of a track; needed once after every change of the episodes' start states."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mjhab.evaluation.score.manifest import STARTS_FILE, Row, manifest, start_di
 
 
 def write_starts(track: str, split: str, worlds: int, threads: int) -> int:
-    """Write the digests of the starts of a track on a split into the package, row by row; returns how many are new.
+    """Write the missing start digests of a track on a split into the package; returns how many are new.
 
-    Rows that the file has are left as they are: delete them from it when episodes begin elsewhere than before.
+    Rows that the file already has stay unchanged: delete them from the file after a change of the start states.
 
     Raises:
-        UsageError: an unknown track or split.
+        UsageError: the track or split is unknown.
     """
     asked = manifest(track, split)
     content = json.loads(STARTS_FILE.read_text(encoding="utf-8")) if STARTS_FILE.exists() else {}
@@ -37,7 +37,7 @@ def _write(text: str) -> None:
 
 
 def starts_of(row: Row, split: str, seed: int, worlds: int, threads: int) -> list[str]:
-    """Digests of the starts of a row, by index."""
+    """Start digests of a row's episodes, by index."""
     spec = EvalSpec(
         policy="zero",
         task=row.task,

@@ -1,1 +1,1 @@
-"""Policies behind a websocket: those of others acting here, and ours acting elsewhere."""
+"""Policies over websockets: evaluating remote policies here, and serving mjhab's policies to remote clients."""

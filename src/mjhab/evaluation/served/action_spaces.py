@@ -1,4 +1,4 @@
-"""Action spaces of served policies: which numbers they send, and where these go in an action of the environment."""
+"""Action spaces of served policies: the columns that they send, and their places in the environment's actions."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from mjhab.robots.controllers import DEFAULT_MODE, ActionEntry
 GRIPPER = "gripper"
 ARM = "arm"
 ARM_SPEEDS = "arm speeds"
-"""Stand for the positions, or the speeds, of all joints of the arm of a robot."""
+"""Placeholders for the positions, or the speeds, of all joints of the robot's arm."""
 BASE = ("base_forward", "base_yaw")
 
 
 @dataclass(frozen=True)
 class ActionSpace:
-    """What a policy sends.
+    """Format of the actions that a policy sends.
 
-    control_mode: of the environment. columns: names of its numbers in the order in which they are sent; empty for all
-    numbers of the environment. Those that are not sent are 0: head, torso and perhaps the base stand still.
-    closes: the gripper's number is 0 for open and 1 for closed as in DROID, not +1 and -1.
+    control_mode: of the environment. columns: names of the sent columns, in order; empty for all columns of the
+    environment's actions. Columns that are not sent are 0, so head, torso and perhaps the base do not move.
+    closes: the gripper's column is 0 for open and 1 for closed as in DROID, instead of +1 and -1.
     """
 
     control_mode: str = DEFAULT_MODE
@@ -40,15 +40,16 @@ ACTION_SPACES: dict[str, ActionSpace] = {
     "joint_position": ActionSpace("pd_joint_pos", (ARM, GRIPPER), closes=True),
     "joint_velocity": ActionSpace("pd_joint_vel", (ARM_SPEEDS, GRIPPER), closes=True),
 }
-"""Changes of all joints and the base's speeds; end effector, gripper, base; the two of RoboArena: arm and gripper."""
+"""Action spaces by name. joint: joint deltas and base speeds. ee: end effector delta, gripper and base speeds.
+joint_position, joint_velocity: arm and gripper, as in RoboArena."""
 DEFAULT_SPACE = "joint"
 
 
 def space_named(name: str) -> ActionSpace:
-    """An action space by its name.
+    """Return an action space by name.
 
     Raises:
-        UsageError: there is none of this name.
+        UsageError: the name is unknown.
     """
     if name not in ACTION_SPACES:
         raise unknown_name("action space", name, ACTION_SPACES)
@@ -56,14 +57,14 @@ def space_named(name: str) -> ActionSpace:
 
 
 class ActionReader:
-    """Turns what a policy sends into actions of an environment.
+    """Converts a policy's actions to actions of an environment.
 
     Args:
         name: of the action space.
-        table: the actions of the environment.
+        table: the environment's action table.
 
     Raises:
-        UsageError: the environment has another control mode than the action space needs.
+        UsageError: the environment's control mode does not fit the action space.
     """
 
     def __init__(self, name: str, table: Sequence[ActionEntry]) -> None:
@@ -81,7 +82,7 @@ class ActionReader:
         self._columns = [names.index(column) for column in wanted]
 
     def problem(self, chunk: np.ndarray) -> str:
-        """What is wrong with actions (H, A) of a policy, in words; empty if nothing is."""
+        """Describe what is wrong with a policy's actions (H, A); "" if they are valid."""
         if chunk.shape[1] != len(self.names):
             return f"actions have {chunk.shape[1]} numbers, not {len(self.names)}: {', '.join(self.names)}"
         bad = np.argwhere(~np.isfinite(chunk))
@@ -91,7 +92,7 @@ class ActionReader:
         return ""
 
     def read(self, chunk: np.ndarray) -> np.ndarray:
-        """Actions (H, width of the environment) float32 of those that a policy sent, which have no `problem`."""
+        """Convert valid actions (H, A) of a policy to environment actions (H, width) float32."""
         actions = np.zeros((len(chunk), self._width), np.float32)
         actions[:, self._columns] = chunk
         if self._space.closes:
@@ -101,7 +102,7 @@ class ActionReader:
 
 
 def _columns(space: ActionSpace, table: Sequence[ActionEntry]) -> tuple[str, ...]:
-    """Names of the numbers of a space, with the joints of the arm that the table begins with."""
+    """Column names of a space, with its placeholders replaced by the arm joints, which the table starts with."""
     names = [entry.name for entry in table]
     arm = list(dict.fromkeys(entry.joint for entry in table[: names.index(GRIPPER)]))
     found: list[str] = []

@@ -1,4 +1,4 @@
-"""Policies served elsewhere: ``--policy ws://host:port`` of every command. See `evaluation.resolve.PolicyModule`."""
+"""Remote policies: ``--policy ws://host:port`` of every command. See `evaluation.resolve.PolicyModule`."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from mjhab.serving.address import Address
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
-    """Ask the server who it is.
+    """Connect to the server and describe its policy from the metadata it sends.
 
     Raises:
-        UsageError: there is no server, it wants a token, or it speaks another dialect.
+        UsageError: there is no server, it requires a token, or it uses another protocol.
     """
     require_serving()
     from mjhab.serving.client import Connection
@@ -54,11 +54,13 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """Connect to the server.
 
     Raises:
-        UsageError: as `inspect_policy`; the environment has other actions than the policy sends; or a style was asked
-            for.
+        UsageError: as `inspect_policy`; the environment's actions do not match the policy's; or ``options`` sets a
+            style.
     """
     if options.style:
-        raise UsageError(f"a style is for the policy expert; give it to its server, not to {spec}.")
+        raise UsageError(
+            f"only the policy expert has a style; give it to its server (mjhab serve), not to {spec}."
+        )
     require_serving()
     from mjhab.evaluation.served.policy import ServedPolicy
 
@@ -66,5 +68,5 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
 
 
 def _as_json(value: Any) -> Any:
-    """What a server says as JSON data; what JSON does not know, such as bytes, as text."""
+    """Convert a server's metadata to JSON data; types unknown to JSON, such as bytes, become text."""
     return json.loads(json.dumps(plain(value), default=repr))

@@ -1,4 +1,4 @@
-"""What the greeting of a policy server says of the environment that its policy needs."""
+"""Environment options derived from the metadata that a policy server sends on connection."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from mjhab.serving.address import Address
 from mjhab.serving.dialects.dialect import OWN
 
 IMAGE_SIZE_PX = 224
-"""Side of the images that policies want that do not say it: what vision-language-action models are trained with."""
+"""Image side for servers that do not specify it: the usual input of vision-language-action models."""
 
 
 def own_part(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What only servers of mjhab say, empty from others."""
+    """The part of the metadata that only mjhab servers send; empty for other servers."""
     own = metadata.get(OWN, {})
     return own if isinstance(own, Mapping) else {}
 
 
 def space_of(address: Address, metadata: Mapping[str, Any]) -> str:
-    """Name of the action space: the one asked for, or that of the server, or `DEFAULT_SPACE`.
+    """Name of the action space: that of the address, else that of the server, else `DEFAULT_SPACE`.
 
     Raises:
-        UsageError: the one asked for is unknown.
+        UsageError: the action space of the address is unknown.
     """
     if address.actions:
         space_named(address.actions)
@@ -33,10 +33,10 @@ def space_of(address: Address, metadata: Mapping[str, Any]) -> str:
 
 
 def env_options_of(address: Address, metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of the environment that show the policy what it wants to see, and take what it sends."""
+    """Options of an environment with the observations and the control mode that the policy needs."""
     own = own_part(metadata)
     if isinstance(own.get("env"), Mapping):
-        # msgpack knows lists only, and configurations hold tuples.
+        # msgpack turns tuples into lists, but configurations need tuples.
         return {
             str(key): tuple(value) if isinstance(value, list) else value
             for key, value in own["env"].items()

@@ -1,4 +1,4 @@
-"""A policy that is asked over websockets, in all worlds of an environment."""
+"""A remote policy that is queried over websockets for all worlds of an environment."""
 
 from __future__ import annotations
 
@@ -22,12 +22,18 @@ from mjhab.serving.client import Connection, PolicyFault
 from mjhab.serving.dialects.dialect import Ask
 
 MAX_FAULT_CHARACTERS = 300
+"""Largest length of the error message stored for an episode."""
 TCP_POSE = "extra/tcp_pose_wrt_base"
+"""Observation key of the tcp pose in the base frame, (7,) position [m] and quaternion."""
 
 
 @dataclass
 class _Running:
-    """What is remembered of the episode in one world. ``fault``: why it cannot go on, "" if it can."""
+    """State of the running episode of one world.
+
+    session: unique id of the episode. chunk: actions received last. place: index of the next action in it.
+    step: control steps so far. begun: a request was sent. fault: error that ended the episode, or "".
+    """
 
     session: str
     chunk: np.ndarray | None = None
@@ -38,18 +44,18 @@ class _Running:
 
 
 class ServedPolicy:
-    """A policy that is asked over websockets.
+    """A remote policy that is queried over websockets.
 
-    Every world has a connection of its own, so that a server keeps their episodes apart; with ``address.batch`` one
-    connection asks for all worlds at once. A world whose server does not answer, or answers something that is no
-    action, stands still from there on and has a `fault`; the others go on.
+    Every world has its own connection, so that the server can separate the episodes; with ``address.batch`` a single
+    connection queries all worlds at once. If the server does not answer, or answers with an invalid action, the world
+    gets a `fault` and zero actions from then on; the other worlds continue.
 
     Args:
-        address: which server, and how it is asked.
+        address: of the server, with the protocol's options.
         env: the environment to act in.
 
     Raises:
-        UsageError: there is no such server, or the environment has other actions than the policy sends.
+        UsageError: there is no such server, or the environment's actions do not match the policy's.
     """
 
     name = "served"
@@ -69,11 +75,11 @@ class ServedPolicy:
 
     @property
     def latency_ms(self) -> list[float]:
-        """How long every request took so far [ms]."""
+        """Durations of all requests so far [ms]."""
         return [value for connection in self._connections for value in connection.latency_ms]
 
     def fault(self, world: int) -> str:
-        """Why the episode in a world cannot go on, "" if it can."""
+        """Error that ended the episode of a world, or ""."""
         return self._worlds[world].fault
 
     def reset(self, mask: np.ndarray) -> None:
@@ -82,7 +88,7 @@ class ServedPolicy:
             self._worlds[w] = _new_episode()
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Actions (W, A): the next ones of the chunks, after asking for new chunks where they are used up."""
+        """Actions (W, A): the next ones of the chunks. Used-up chunks are requested anew first."""
         over = self._env.progress.done
         running = [w for w, world in enumerate(self._worlds) if not (over[w] or world.fault)]
         due = [w for w in running if self._is_used_up(self._worlds[w])]
@@ -115,7 +121,7 @@ class ServedPolicy:
         return world.place >= min(len(world.chunk), self._address.execute)
 
     def _ask_server(self, worlds: Sequence[int], asks: Sequence[Ask]) -> None:
-        """Get new chunks for some worlds over one connection."""
+        """Request new chunks for some worlds over one connection."""
         running = [self._worlds[w] for w in worlds]
         connection = self._connections[0 if self._address.batch else worlds[0]]
         begins = not any(world.begun for world in running)
@@ -156,7 +162,7 @@ class ServedPolicy:
         )
 
     def _own_part(self, w: int, obs: Any) -> dict[str, Any]:
-        """What a server of mjhab wants to know of a world."""
+        """The part of a request that only mjhab servers need: configuration, step, and state of the world."""
         part: dict[str, Any] = {"config": self._config, "step": self._worlds[w].step}
         if "world" in self._needs:
             part["world"] = self._env.get_state(w)

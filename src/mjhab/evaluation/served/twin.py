@@ -1,7 +1,7 @@
-"""Policies of mjhab as a server: each connection has twins of the worlds at the other end, in which its policy acts.
+"""Serving mjhab's policies: each connection has twins of the client's worlds, in which the policy acts.
 
-Experts read the whole state of a world, and students some of what no camera sees. So a client of mjhab sends the state
-of its worlds beside what they show; a twin is put into that state, and the policy acts there as it would at home.
+Experts, and some students, read simulator state that is not part of the observations. So a client of mjhab sends the
+state of its worlds with their observations; the server sets a twin to this state and lets the policy act there.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from mjhab.rollout.policy import Policy
 from mjhab.serving.dialects.dialect import OWN
 
 NEEDS = ("world", "observation")
-"""What clients are asked to send of every world."""
+"""Parts of every world that clients must send."""
 FILES = ("episodes_file", "spawns")
-"""Options of environments that name files of this machine: no client may choose them."""
+"""Environment options that name files of the server; clients may not set them."""
 BUILTIN = "builtin"
 
 
 @dataclass(frozen=True)
 class Place:
-    """A control step of an episode."""
+    """Identifies a control step of an episode."""
 
     seed: int
     index: int
@@ -41,7 +41,7 @@ class Place:
 
 @dataclass
 class Twin:
-    """An environment of one world, the policy that acts in it, and what it expects to be asked about next."""
+    """An environment of one world and the policy that acts in it. expects: control step of the next request."""
 
     env: SequentialTaskEnv
     policy: Policy
@@ -53,8 +53,8 @@ class TwinResponder:
 
     Args:
         spec: the policy, as for ``--policy``.
-        options: seed and style.
-        assets: the asset pack whose homes may be asked for.
+        options: seed and style of the policy.
+        assets: the asset pack whose homes clients may use.
 
     Raises:
         UsageError: there is no such policy.
@@ -69,7 +69,7 @@ class TwinResponder:
         self._lock = threading.Lock()
 
     def metadata(self) -> Mapping[str, Any]:
-        """Name and identity of the policy, and the environment that it needs."""
+        """Name and identity of the policy, and the environment options that it needs."""
         return {
             "version": __version__,
             "policy": self.facts.name,
@@ -79,17 +79,17 @@ class TwinResponder:
         }
 
     def session(self) -> TwinSession:
-        """A new connection is there."""
+        """Make the session of a new connection."""
         return TwinSession(self)
 
     def borrow(self, config: Mapping[str, Any]) -> Twin:
-        """A twin for an environment of a configuration, made if none is idle.
+        """Take an idle twin with this environment configuration, or make one.
 
         Raises:
-            UsageError: the configuration names files or assets that this server does not have, or the policy cannot
+            UsageError: the configuration names files, or assets that this server does not have, or the policy cannot
                 act in such an environment.
         """
-        # Environments are built one at a time: they share caches on disk, and memory is checked before each.
+        # Environments are built one at a time: they share caches on disk, and each checks the free memory first.
         with self._lock:
             for place, (known, twin) in enumerate(self._idle):
                 if known == config:
@@ -100,7 +100,7 @@ class TwinResponder:
             return Twin(env, resolve_policy(self._spec, env, self._options))
 
     def give_back(self, config: Mapping[str, Any], twin: Twin) -> None:
-        """Keep a twin for the next connection."""
+        """Return a twin to the idle ones, for the next connection."""
         with self._lock:
             self._idle.append((config, twin))
 
@@ -113,13 +113,13 @@ class TwinResponder:
         }
         named = [name for name in FILES if options.get(name)]
         if named:
-            raise UsageError(f"a server opens no files that clients name: {', '.join(named)}")
+            raise UsageError(f"clients may not set options that name files: {', '.join(named)}")
         if options.get("assets", BUILTIN) != self._assets:
             raise UsageError(
                 f"this server has the asset pack {self._assets!r}, not {options.get('assets')!r}; start it with "
                 "--assets"
             )
-        # The options that a profile gives values are told; its name would forbid other cameras.
+        # All option values of the profile are sent; its name would only forbid other cameras.
         options.pop("profile", None)
         sight = {name: value for name, value in self.facts.env_options.items() if name != "profile"}
         build = make_train if config.get("maker") == TRAIN_MAKER else make
@@ -135,7 +135,7 @@ class TwinSession:
         self._twins: list[Twin] = []
 
     def reset(self) -> None:
-        """An episode begins."""
+        """Start a new episode."""
         for twin in self._twins:
             twin.expects = None
 
@@ -143,7 +143,7 @@ class TwinSession:
         """Actions (B, 1, A).
 
         Raises:
-            UsageError: the request lacks the worlds' states, or they do not belong here.
+            UsageError: the request lacks the states of the worlds, or they do not fit the environment.
         """
         parts = _own_parts(request, batch)
         config = _mapping(parts[0].get("config"), "config")
@@ -154,7 +154,7 @@ class TwinSession:
         return np.stack(actions)[:, None]
 
     def _assigned(self, parts: Sequence[Mapping[str, Any]]) -> list[tuple[Twin, Mapping[str, Any]]]:
-        """A twin for each world: the one that has followed its episode, as worlds of a batch come and go."""
+        """Assign a twin to each world, if possible the one that served the previous step of its episode."""
         free = list(self._twins)
         chosen: dict[int, Twin] = {}
         for k, part in enumerate(parts):
@@ -171,7 +171,7 @@ class TwinSession:
         return [(chosen[k], part) for k, part in enumerate(parts)]
 
     def close(self) -> None:
-        """The connection is gone."""
+        """Return the twins after the connection has closed."""
         for twin in self._twins:
             twin.expects = None
             self._responder.give_back(self._config, twin)
@@ -179,14 +179,14 @@ class TwinSession:
 
 
 def _act(twin: Twin, part: Mapping[str, Any]) -> np.ndarray:
-    """The action (A,) of a policy in the state of a world."""
+    """Action (A,) of the twin's policy in the state of a world."""
     env = twin.env
     place = _place_of(part)
     try:
         env.set_state(0, part["world"])
     except MjhabError:
         raise
-    # A state is a deep structure from outside: whatever is wrong with it is the sender's fault.
+    # The state is a nested structure from outside: any error in it is the client's.
     except Exception as error:
         raise UsageError(f"the state of the world cannot be used: {error!r}") from error
     if twin.expects != place:
@@ -204,16 +204,16 @@ def _place_of(part: Mapping[str, Any]) -> Place:
     episode = _mapping(world.get("episode"), "episode")
     numbers = (episode.get("seed"), episode.get("index"), part.get("step"))
     if not all(isinstance(number, int | np.integer) for number in numbers):
-        raise UsageError(f"seed, index and step of an episode are whole numbers, got {numbers}")
+        raise UsageError(f"seed, index and step of an episode must be integers, got {numbers}")
     seed, index, step = (int(number) for number in numbers if number is not None)
     return Place(seed, index, step)
 
 
 def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[str, Any]]:
-    """What clients of mjhab say of each world of a request.
+    """The part of a request that only mjhab clients send, one entry per world.
 
     Raises:
-        UsageError: the request comes from another client, or is about another number of worlds.
+        UsageError: the request comes from another client, or has another number of worlds.
     """
     given = request.get(OWN)
     given = [given] if batch is None else given
@@ -224,7 +224,7 @@ def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[st
             "mjhab eval --policy ws://..."
         )
     if len(parts) != (batch or 1):
-        raise UsageError(f"the request is about {batch} worlds and has the state of {len(parts)}")
+        raise UsageError(f"the request has {batch} worlds but the states of {len(parts)}")
     return parts
 
 

@@ -1,1 +1,1 @@
-"""Policies that were trained in the original MS-HAB, run here as they were run there."""
+"""Policies trained in the original MS-HAB; they run here with the same inputs and outputs as there."""

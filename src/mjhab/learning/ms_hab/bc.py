@@ -1,4 +1,4 @@
-"""The behaviour cloning network of the original (mshab/agents/bc): five convolutions per camera, an MLP."""
+"""The behaviour cloning network of MS-HAB (mshab/agents/bc): five convolutions per camera and an MLP."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CNN = CnnSizes(
 
 
 class Bc(Network):
-    """Sees the stacked depth frames as 1 - tanh(mm / 1000), and one state. The published ones see one frame."""
+    """Takes stacked depth frames as 1 - tanh(mm / 1000), and one state. The published checkpoints take one frame."""
 
     def __init__(self, shapes: Shapes) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Checkpoints of the original: which of its four networks one holds, and whether every parameter fits."""
+"""Checkpoints of MS-HAB: recognition of the network (one of four) and check of every parameter's shape."""
 
 from __future__ import annotations
 
@@ -20,14 +20,17 @@ from mjhab.learning.ms_hab.ppo import Ppo
 from mjhab.learning.ms_hab.sac import Sac
 
 AGENT = "agent"
-"""Key of a checkpoint under which the original keeps the parameters of the policy (mshab/train_*.py)."""
+"""Key of a checkpoint under which MS-HAB stores the parameters of the policy (mshab/train_*.py)."""
 _SHOWN_KEYS = 6
 
 
 @dataclass(frozen=True)
 class Layout:
-    """One of the original's networks. ``mark``: what the keys of no other begin with; ``training_only``: beginnings of
-    keys that acting does not need."""
+    """One of MS-HAB's networks.
+
+    mark: prefix of parameter names that no other network has. build: makes the network from the parameters' shapes.
+    training_only: prefixes of parameters that inference does not need.
+    """
 
     name: str
     mark: str
@@ -47,12 +50,12 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def load_network(path: Path) -> tuple[str, Network]:
-    """Read a checkpoint of the original; returns the name of its layout and the network, on the CPU, for inference.
+    """Read a checkpoint of MS-HAB; returns the name of its layout and the network, on the CPU, for inference.
 
-    Nothing but tensors and plain data is read from the file, and nothing in it is executed.
+    Only tensors and plain data are read from the file; no code in it is executed.
 
     Raises:
-        UsageError: no such file, not a checkpoint, one that needs more than tensors, or one of another layout.
+        UsageError: the file does not exist, is not a checkpoint, contains more than tensors, or has another layout.
     """
     parameters = _parameters(path, _read(path))
     shapes = {key: tuple(value.shape) for key, value in parameters.items()}
@@ -65,7 +68,7 @@ def load_network(path: Path) -> tuple[str, Network]:
         network = layout.build(shapes)
     except (ValueError, RuntimeError) as error:
         raise UsageError(
-            f"{path} has the keys of MS-HAB's {layout.name.upper()} network, but its sizes do not go together: {error}."
+            f"{path} has the keys of MS-HAB's {layout.name.upper()} network, but inconsistent sizes: {error}."
         ) from error
     expected = {key: tuple(value.shape) for key, value in network.state_dict().items()}
     wrong = _differences(expected, shapes)
@@ -102,7 +105,7 @@ def _read(path: Path) -> Any:
 
 
 def _unsafe_names(path: Path) -> list[str]:
-    """What a file asks for besides tensors, found without loading it."""
+    """Names that unpickling the file would import besides tensors, found without loading it."""
     try:
         return sorted(torch.serialization.get_unsafe_globals_in_checkpoint(str(path)))
     except (RuntimeError, ValueError, OSError, pickle.UnpicklingError):
@@ -114,7 +117,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _parameters(path: Path, content: Any) -> dict[str, Tensor]:
-    """The parameters of the policy: under AGENT, or the whole file."""
+    """The parameters of the policy: those under AGENT, or the whole content."""
     agent = content.get(AGENT, content) if isinstance(content, Mapping) else content
     if (
         not isinstance(agent, Mapping)
@@ -131,10 +134,10 @@ def _parameters(path: Path, content: Any) -> dict[str, Tensor]:
 
 
 def _recognise(path: Path, shapes: Shapes) -> Layout:
-    """The layout whose mark is among the keys.
+    """Return the layout whose mark is a prefix of some key.
 
     Raises:
-        UsageError: there is none; the message compares the keys with those of the nearest.
+        UsageError: there is none; the message compares the keys with those of the most similar layout.
     """
     for layout in LAYOUTS.values():
         if any(key.startswith(layout.mark) for key in shapes):
@@ -150,7 +153,7 @@ def _recognise(path: Path, shapes: Shapes) -> Layout:
 
 
 def _parts(keys: Mapping[str, Any]) -> set[str]:
-    """Every beginning and end of dotted keys, to compare layouts of which one lies inside another."""
+    """All dotted prefixes and suffixes of the keys, to compare layouts of which one is nested in another."""
     pieces = [key.split(".") for key in keys]
     return {".".join(p[:i]) for p in pieces for i in range(1, len(p) + 1)} | {
         ".".join(p[i:]) for p in pieces for i in range(len(p))
@@ -158,7 +161,7 @@ def _parts(keys: Mapping[str, Any]) -> set[str]:
 
 
 def _differences(expected: Shapes, given: Shapes) -> list[str]:
-    """How the parameters given differ from those expected, in words; empty if they do not."""
+    """Describe how the given parameters differ from the expected ones; empty if they match."""
     missing = [key for key in expected if key not in given]
     extra = [key for key in given if key not in expected]
     other = [

@@ -9,13 +9,16 @@ import torch
 from torch import Tensor
 
 STEPS = 100
+"""Number of diffusion steps (mshab/agents/dp/agent.py)."""
 OFFSET = 0.008
 LARGEST_BETA = 0.999
+"""Parameters of the squared-cosine schedule (Nichol and Dhariwal 2021)."""
 SMALLEST_VARIANCE = 1e-20
+"""Lower limit of the posterior variance."""
 
 
 def squared_cosine_betas(steps: int = STEPS) -> Tensor:
-    """Variances of the noise that each step adds, (steps,) float32."""
+    """Variance beta of the noise that each step adds, (steps,) float32."""
 
     def kept(share: float) -> float:
         return math.cos((share + OFFSET) / (1 + OFFSET) * math.pi / 2) ** 2
@@ -25,14 +28,14 @@ def squared_cosine_betas(steps: int = STEPS) -> Tensor:
 
 
 def sample(predict_noise: Callable[[Tensor, Tensor], Tensor], noise: Tensor) -> Tensor:
-    """Draw from the model with as many steps as it was trained with.
+    """Draw samples with the same number of steps S as in training.
 
     The estimate of the clean sample is clipped to [-1, 1] in every step; the variance is that of the posterior.
 
     Args:
-        predict_noise: the noise in a sample (B, ...) at the step (B,) int64, counted from 0.
-        noise: (B, S, ...) standard normal numbers for S steps: the first is the sample to begin with, the others are
-            added after each step but the last.
+        predict_noise: predicts the noise in a sample (B, ...) at the diffusion step (B,) int64, counted from 0.
+        noise: (B, S, ...) standard normal numbers; the first of the S entries is the initial sample, the others are
+            added after each step except the last.
     """
     steps = noise.shape[1]
     betas = squared_cosine_betas(steps).to(noise.device)

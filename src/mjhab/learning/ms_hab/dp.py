@@ -1,6 +1,6 @@
-"""The diffusion policy of the original (mshab/agents/dp): a U-Net over time that is conditioned on two observations.
+"""The diffusion policy of MS-HAB (mshab/agents/dp): a U-Net over time, conditioned on two observations.
 
-Depth images are joined in the alphabetical order of their names (hand, head): in the original they are listed by a
+Depth images are joined in the alphabetical order of their names (hand, head): MS-HAB takes the order from a
 gymnasium.spaces.Dict, which sorts its keys.
 """
 
@@ -25,16 +25,17 @@ from mjhab.learning.ms_hab.network import (
 )
 
 ACT_STEPS = 8
-"""Actions of a plan that are carried out."""
+"""Number of actions of a plan that are executed."""
 PLAN_STEPS = 16
-"""Actions of a plan."""
+"""Number of actions in a plan."""
 GROUPS = 8
+"""Groups of the group norms."""
 _NET = "noise_pred_net."
 _CONVS = (16, 32, 64, 128)
 
 
 class Dp(Network):
-    """Sees the last two observations, depth as 1 - tanh(mm / 1000), and plans 16 actions, of which 8 are taken."""
+    """Takes the last two observations, depth as 1 - tanh(mm / 1000), and plans 16 actions, 8 of which are executed."""
 
     cameras = tuple(sorted(CAMERAS))
 
@@ -54,7 +55,7 @@ class Dp(Network):
         self.noise_shape = (ddpm.STEPS, PLAN_STEPS, self.noise_pred_net.actions)
 
     def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:
-        """The 8 actions from now on, (B, 8, 13)."""
+        """The 8 actions to execute, (B, 8, 13)."""
         images = squash_depth(torch.stack([depth[camera] for camera in self.cameras], dim=2))
         seen = self.visual_encoder(images.flatten(0, 1)).unflatten(0, images.shape[:2])
         condition = torch.cat([seen, state], dim=-1).flatten(1)
@@ -109,7 +110,7 @@ class _ConvBlock(nn.Module):
 
 
 class _ResidualBlock(nn.Module):
-    """Two convolutions over time; the condition scales and shifts what comes between them (FiLM)."""
+    """Two convolutions over time; the condition scales and shifts the features in between (FiLM)."""
 
     def __init__(self, inputs: int, outputs: int, condition: int, kernel: int) -> None:
         super().__init__()
@@ -175,7 +176,7 @@ class _UNet(nn.Module):
         )
 
     def forward(self, actions: Tensor, step: Tensor, observed: Tensor) -> Tensor:
-        """Noise in (B, 16, 13) actions at the diffusion step (B,), given (B, C) observations."""
+        """Predict the noise in actions (B, 16, 13) at the diffusion step (B,), given observation features (B, C)."""
         condition = torch.cat([self.diffusion_step_encoder(step), observed], dim=-1)
         x = actions.transpose(1, 2)
         skipped = []

@@ -1,5 +1,7 @@
-"""Feature extractors of the original's PPO and BC: per camera a CNN and a linear layer, and one linear layer for the
-state, side by side (mshab/agents/ppo, mshab/agents/bc)."""
+"""Feature extractors of MS-HAB's PPO and BC (mshab/agents/ppo, mshab/agents/bc).
+
+Each camera has a CNN and a linear layer, the state has a linear layer, and all features are concatenated.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,10 @@ STATE = "state"
 
 @dataclass(frozen=True)
 class CnnSizes:
-    """Of the convolutions of a CNN, in their order: published ``channels`` and ``kernels`` [px], ``strides`` [px].
+    """Published sizes of a CNN.
 
-    ``features``: numbers per camera and for the state that come out.
+    channels, kernels [px], strides [px]: of its convolutions, in order. features: width of each camera's and of the
+    state's output.
     """
 
     channels: tuple[int, ...]
@@ -68,7 +71,7 @@ class Extractors(nn.ModuleDict):
     def _make(
         self, shapes: Shapes, prefix: str, published: CnnSizes, is_state: bool
     ) -> tuple[nn.Module, int]:
-        """An extractor and the number of its features."""
+        """Make an extractor; also returns the number of its features."""
         if is_state:
             width = size(shapes, f"{prefix}weight", 0, published.features)
             return nn.Linear(size(shapes, f"{prefix}weight", 1, STATE_SIZE), width), width

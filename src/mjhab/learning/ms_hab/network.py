@@ -1,4 +1,4 @@
-"""What the four kinds of networks have in common: their interface, and sizes read off the shapes of parameters."""
+"""Common base of the four MS-HAB networks: their interface, and sizes derived from the parameters' shapes."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from torch import Tensor, nn
 Shapes = Mapping[str, tuple[int, ...]]
 """Name of a parameter to its shape, in the order of the checkpoint."""
 CAMERAS = ("fetch_head_depth", "fetch_hand_depth")
-"""Names of the depth images in the original (mshab/envs/wrappers/observation.py)."""
+"""Names of the depth images in MS-HAB (mshab/envs/wrappers/observation.py)."""
 IMAGE_SIDE_PX = 128
 STATE_SIZE = 42
 ACTION_SIZE = 13
 DEPTH_SCALE_MM = 1000.0
+"""Scale of the depth in ``squash_depth`` [mm]."""
 
 
 class Network(nn.Module):
-    """A policy network of the original: its modules have the names of the original's, so that its checkpoints load.
+    """A policy network of MS-HAB; its modules have the names used there, so that the checkpoints load.
 
     Attributes:
-        cameras: depth images it looks at, in its order; a subset of CAMERAS.
-        frames: F, how many of the last observations it is given.
-        noise_shape: shape of the standard normal numbers that one plan needs; () for none.
+        cameras: names of its depth images, in its order; a subset of CAMERAS.
+        frames: number F of most recent observations that it takes.
+        noise_shape: shape of the standard normal noise that one plan needs; () for none.
     """
 
     cameras: tuple[str, ...]
@@ -46,18 +47,18 @@ class Network(nn.Module):
 
 
 def squash_depth(depth: Tensor) -> Tensor:
-    """Depth [mm] as PPO, BC and the diffusion policy of the original are given it: 1 - tanh(mm / 1000)."""
+    """Depth [mm] as PPO, BC and the diffusion policy of MS-HAB take it: 1 - tanh(mm / 1000)."""
     return 1 - torch.tanh(depth / DEPTH_SCALE_MM)
 
 
 def size(shapes: Shapes, key: str, axis: int, default: int) -> int:
-    """Length of an axis of a parameter; the published one where there is no such parameter."""
+    """Length of a parameter's axis; ``default`` (the published size) if there is no such parameter."""
     shape = shapes.get(key, ())
     return shape[axis] if axis < len(shape) else default
 
 
 def names_below(shapes: Shapes, prefix: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Which ``known`` modules the ModuleDict ``prefix`` has, in the order of the checkpoint; all if it has none."""
+    """Names among ``known`` that the ModuleDict ``prefix`` holds, in the checkpoint's order; all if it holds none."""
     found = dict.fromkeys(
         key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix)
     )
@@ -65,7 +66,7 @@ def names_below(shapes: Shapes, prefix: str, known: Sequence[str]) -> tuple[str,
 
 
 def output_sizes(shapes: Shapes, prefix: str, stride: int, default: Sequence[int]) -> list[int]:
-    """Output sizes of the layers with weights in an nn.Sequential ``prefix``, whose indices are ``stride`` apart."""
+    """Output sizes of the weight layers of the nn.Sequential ``prefix``; their indices are ``stride`` apart."""
     indices = [key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix)]
     last = max(
         (int(index) for index in indices if index.isdigit()), default=stride * (len(default) - 1)
@@ -86,7 +87,7 @@ def mlp(sizes: Sequence[int]) -> nn.Sequential:
 
 
 def flat_size(cnn: nn.Module, channels: int) -> int:
-    """Numbers that a CNN makes of one 128 x 128 image; 0 where the image is too small for it."""
+    """Number of features that a CNN computes from a 128 x 128 image; 0 if the image is too small for it."""
     try:
         with torch.no_grad():
             return cnn(torch.zeros(1, channels, IMAGE_SIDE_PX, IMAGE_SIDE_PX)).flatten(1).shape[1]

@@ -1,4 +1,4 @@
-"""A policy of the original in our environments: observations as its wrappers give them, actions as it takes them."""
+"""An MS-HAB policy in mjhab's environments, with the observations of MS-HAB's wrappers and the actions of its robot."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ ENV_OPTIONS: dict[str, Any] = {
 }
 """Options of an environment that these policies can act in."""
 HEAD_ACTIONS = slice(8, 10)
-"""Head pan and tilt among the 13 actions: the original holds them at zero in training and evaluation
-(``stationary_head``, mshab/envs/make.py)."""
+"""Head pan and tilt among the 13 actions; MS-HAB sets them to zero in training and evaluation (``stationary_head``,
+mshab/envs/make.py)."""
 _STATE = "state"
 _WORLDS_AT_ONCE_ON_CPU = 1
-"""On a CPU one world at a time: larger batches are no faster there, and round differently, so that what happens in an
-episode would depend on the number of worlds."""
+"""Batch size of inference on a CPU. Larger batches are no faster there and round differently, so an episode's result
+would depend on the number of worlds."""
 
 
 class Config(Protocol):
-    """What is read of an environment's configuration."""
+    """The part of an environment's configuration that is read here."""
 
     @property
     def obs_mode(self) -> str: ...
@@ -47,18 +47,18 @@ class Config(Protocol):
 
 
 class Environment(Protocol):
-    """What is read of an environment."""
+    """The part of an environment that is read here."""
 
     @property
     def config(self) -> Config: ...
 
 
 def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
-    """The policy in a checkpoint of the original (``ms_hab:CHECKPOINT.pt``), for an environment.
+    """Load the policy of an MS-HAB checkpoint (``ms_hab:CHECKPOINT.pt``) for an environment.
 
     Raises:
-        UsageError: the checkpoint cannot be taken (see ``load_network``), or the environment shows something else than
-            the policy looks at.
+        UsageError: the checkpoint cannot be used (see ``load_network``), or the environment lacks observations that
+            the policy needs.
     """
     check_environment(env.config)
     name, network = load_network(Path(path))
@@ -66,7 +66,7 @@ def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
 
 
 def check_environment(config: Config) -> None:
-    """Refuse an environment that does not give what the policies of the original look at.
+    """Refuse an environment without the observations and the control mode of MS-HAB's policies.
 
     Raises:
         UsageError: the message names every option that differs.
@@ -89,21 +89,21 @@ def check_environment(config: Config) -> None:
         )
     if wrong:
         raise UsageError(
-            f"policies of MS-HAB see depth of two cameras and give joint deltas, but of this environment "
+            f"policies of MS-HAB take depth images of two cameras and return joint deltas, but in this environment "
             f"{'; '.join(wrong)}. Make it with {', '.join(f'{key}={value!r}' for key, value in ENV_OPTIONS.items())}."
         )
 
 
 class MsHabPolicy:
-    """Acts as the original's evaluation does (mshab/evaluate.py): deterministic actions, frames stacked oldest first.
+    """Acts as in MS-HAB's evaluation (mshab/evaluate.py): deterministic actions, frames stacked oldest first.
 
-    The first observation of an episode fills all frames. The diffusion policy takes 8 of 16 planned actions before it
-    plans anew; its noise is a function of the episode alone. Head actions are zero.
+    The first observation of an episode fills all frames. The diffusion policy executes 8 of 16 planned actions before
+    it plans again; its noise is a function of the episode only. Head actions are zero.
 
     Args:
         layout: name of the network's layout.
-        network: as ``load_network`` gives it.
-        device: of torch.
+        network: from ``load_network``.
+        device: torch device.
     """
 
     def __init__(self, layout: str, network: Network, device: str = "cpu") -> None:
@@ -143,7 +143,7 @@ class MsHabPolicy:
         return actions
 
     def _see(self, obs: Mapping[str, Any]) -> None:
-        """Put observations behind those of the last steps; those of fresh worlds into all frames."""
+        """Append observations to the frames of the last steps; in fresh worlds they fill all frames."""
         for name, seen in _looked_at(obs, self._network.cameras, len(self._fresh)).items():
             if name not in self._frames:
                 self._frames[name] = np.repeat(seen[:, None], self._network.frames, axis=1)
@@ -165,12 +165,12 @@ class MsHabPolicy:
             self._planned[w].extend(plan.astype(np.float32))
 
     def _draw(self, world: int, info: Mapping[str, Any]) -> np.ndarray:
-        """Noise for one plan of a world, from the stream of its episode."""
+        """Noise for one plan of a world, from the random stream of its episode."""
         if not self._network.noise_shape:
             return np.zeros((), np.float32)
         generator = self._noise[world]
         if generator is None:
-            # A world without an episode waits for its first one; what it is given is not carried out.
+            # A world without an episode waits for its first one; its actions are not executed.
             episode = info["episode_spec"][world] or {"seed": 0, "index": 0}
             generator = stream(int(episode["seed"]), "policy", "ms_hab", int(episode["index"]))
             self._noise[world] = generator
@@ -183,7 +183,7 @@ class MsHabPolicy:
 def _looked_at(
     obs: Mapping[str, Any], cameras: Sequence[str], worlds: int
 ) -> dict[str, np.ndarray]:
-    """State (W, 42) and depth (W, 128, 128) [mm] by the original's names.
+    """State (W, 42) and depth (W, 128, 128) [mm] by the names used in MS-HAB.
 
     Raises:
         UsageError: something is missing or has another shape.
@@ -197,7 +197,7 @@ def _looked_at(
     missing = [key for key in keys.values() if key not in obs]
     if missing:
         raise UsageError(
-            f"policies of MS-HAB look at {', '.join(keys.values())}; the observations lack {', '.join(missing)}. They "
+            f"policies of MS-HAB need {', '.join(keys.values())}; the observations lack {', '.join(missing)}. They "
             f"have: {', '.join(obs)}. Make the environment with obs_mode={ENV_OPTIONS['obs_mode']!r}, without wrappers."
         )
     seen = {}

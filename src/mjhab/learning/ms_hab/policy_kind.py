@@ -1,4 +1,4 @@
-"""Checkpoints of the original as policies: ``--policy ms_hab:CHECKPOINT.pt``. See `evaluation.resolve.PolicyModule`."""
+"""MS-HAB checkpoints as policies: ``--policy ms_hab:CHECKPOINT.pt``. See `evaluation.resolve.PolicyModule`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def inspect_policy(spec: str) -> PolicyFacts:
     """Describe a checkpoint: its name, the hash of its bytes, and the options of the environment that it needs.
 
     Raises:
-        UsageError: torch is not installed, or the file cannot be read as a policy of the original.
+        UsageError: torch is not installed, or the file cannot be read as a policy of MS-HAB.
     """
     require_learn()
     from mjhab.learning.ms_hab.checkpoint import load_network
@@ -34,11 +34,11 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """Build the policy of a checkpoint.
 
     Raises:
-        UsageError: as `inspect_policy`; the environment shows or takes something else than the policy knows; or a style
-            was asked for.
+        UsageError: as `inspect_policy`; the environment lacks observations that the policy needs; or ``options`` sets a
+            style.
     """
     if options.style:
-        raise UsageError(f"a style is for the policy expert; {spec} has none.")
+        raise UsageError(f"only the policy expert has a style; {spec} has none.")
     require_learn()
     from mjhab.learning.ms_hab.policy import Environment, ms_hab_policy
 

@@ -1,4 +1,4 @@
-"""The actor of the original's PPO (mshab/agents/ppo): the CNN of "Nature" per camera, one hidden layer."""
+"""The actor of MS-HAB's PPO (mshab/agents/ppo): the CNN of the Nature DQN paper per camera, one hidden layer."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from mjhab.learning.ms_hab.extractors import CnnSizes, Extractors
 from mjhab.learning.ms_hab.network import ACTION_SIZE, Network, Shapes, mlp, output_sizes
 
 TRAINING_ONLY = ("critic.",)
-"""Parameters of a checkpoint that acting does not need."""
+"""Prefixes of the parameters that inference does not need."""
 _CNN = CnnSizes(channels=(32, 64, 64), kernels=(8, 4, 3), strides=(4, 2, 1), features=256)
 
 
 class Ppo(Network):
-    """Sees the stacked depth frames as 1 - tanh(mm / 1000), and one state."""
+    """Takes stacked depth frames as 1 - tanh(mm / 1000), and one state."""
 
     def __init__(self, shapes: Shapes) -> None:
         super().__init__()

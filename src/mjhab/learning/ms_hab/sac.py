@@ -1,4 +1,4 @@
-"""The actor of the original's SAC (mshab/agents/sac): a CNN per camera, projections to 50 numbers each, an MLP."""
+"""The actor of MS-HAB's SAC (mshab/agents/sac): a CNN per camera, projections to 50 features each, an MLP."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mjhab.learning.ms_hab.network import (
 )
 
 TRAINING_ONLY = ("critic.", "critic_target.")
-"""Parameters of a checkpoint that acting does not need."""
+"""Prefixes of the parameters that inference does not need."""
 STRIDE_PX = 2
 _CNNS = "actor.encoder.cnns."
 _PIXELS = "actor.encoder.pixels_projections."
@@ -29,7 +29,7 @@ _STATE = "actor.encoder.state_projection.projection.0.weight"
 
 
 class Sac(Network):
-    """Sees the stacked depth frames in millimetres, as they are, and one state."""
+    """Takes stacked depth frames in millimetres, unscaled, and one state."""
 
     def __init__(self, shapes: Shapes) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What reinforcement trains and how: frozen dataclasses, and the presets that have a name.
+"""Configurations of reinforcement learning: frozen dataclasses and the named presets.
 
 Sources: "paper" is the MS-HAB paper (ICLR 2025) with its published configurations (mshab/configs, mshab/train_ppo.py,
 mshab/train_sac.py). "squint" is arXiv 2602.21203, "rlpd" is arXiv 2302.02948, "rainbow" is arXiv 2603.27400.
@@ -31,13 +31,21 @@ ALGORITHMS = (PPO, SAC, RLPD)
 class PpoConfig:
     """Proximal policy optimization (arXiv 1707.06347).
 
-    rollout_steps: control steps of every world between updates. minibatches, epochs: of one update.
-    finite_horizon: average the returns of all lengths, as the original does, in place of GAE's infinite sum.
-    target_kl: an update ends early beyond it; 0 for never. initial_std: of the actions [share of full scale].
-    learning_rate_end: share of the learning rate that is left when all samples are used.
-    desired_kl: the learning rate rises and falls so that an epoch changes the policy by about this much; 0 leaves it.
-    state_std: the spread of the actions depends on what is seen: wide on the way, narrow where the robot is to rest.
-    critic_updates: first updates in which only the critic learns, for an actor that begins from a checkpoint.
+    rollout_steps: control steps per world in one rollout. minibatches, epochs: per update.
+    gamma: discount per control step. gae_lambda, clip, value_coefficient, entropy_coefficient: as in the PPO paper.
+    finite_horizon: use the advantage estimate of MS-HAB (`returns.finite_horizon_advantages`) instead of GAE.
+    target_kl: an update stops early once an epoch exceeds this KL divergence; 0 disables the limit.
+    clip_norm: largest gradient norm, applied to actor and critic separately.
+    learning_rate_end: factor on the learning rate at the end of training; it decreases linearly from 1.
+    initial_std: standard deviation of the actions before training, as a fraction of the action range [-1, 1].
+    desired_kl: the learning rate is adapted so that the KL divergence of an epoch stays near this value; 0 disables
+    the adaptation. critic_learning_rate: constant learning rate of the critic; 0 uses that of the actor.
+    state_std: the standard deviation depends on the observation instead of being one learned constant.
+    critic_updates: number of initial updates that train only the critic, used when the actor is not new.
+    demonstrations: episodes of the expert that the actor imitates first, for imitation_updates of imitation_batch
+    samples. demonstration_noise: largest standard deviation of the noise that disturbs the expert meanwhile; the actor
+    imitates what the expert intended. imitation_coefficient: weight of the imitation loss in the updates that follow;
+    it falls linearly to zero over imitation_samples samples.
     """
 
     rollout_steps: int = 32
@@ -52,12 +60,19 @@ class PpoConfig:
     target_kl: float = 0.05
     clip_norm: float = 0.5
     learning_rate: float = 3e-4
+    critic_learning_rate: float = 0.0
     learning_rate_end: float = 1.0
     adam_epsilon: float = 1e-5
     initial_std: float = 0.6
     desired_kl: float = 0.0
     state_std: bool = False
     critic_updates: int = 0
+    demonstrations: int = 0
+    demonstration_noise: float = 0.0
+    imitation_updates: int = 3000
+    imitation_batch: int = 256
+    imitation_coefficient: float = 0.0
+    imitation_samples: int = 500_000
 
     def __post_init__(self) -> None:
         for name in ("rollout_steps", "minibatches", "epochs"):
@@ -67,18 +82,20 @@ class PpoConfig:
 
 @dataclass(frozen=True)
 class SacConfig:
-    """Soft actor-critic (arXiv 1812.05905), with what makes it quick today.
+    """Soft actor-critic (arXiv 1812.05905) with optional distributional critics and demonstrations.
 
-    updates_per_step: updates of the critics per control step of one world (update-to-data ratio); "per_vector_step"
-    of the original is 1 / worlds, written as 0.
-    capacity: transitions in the replay buffer. warm_up: samples that are drawn at random before the first update.
-    atoms: of a distributional critic (C51) over [value_low, value_high]; 0 for one number and the squared error.
-    policy_delay: updates of the critics per update of the actor and of the target networks.
-    share_encoder: the actor reads the features that the critics train.
-    demonstrations: episodes by the expert that are in a buffer of their own; demonstration_share: of every batch that
-    comes from them. imitation_coefficient: weight of the actor's distance to demonstrated actions, which falls to zero
-    over imitation_samples. frozen_actor_samples: samples in which only the critics learn, for an actor that begins
-    from a checkpoint.
+    tau: step of the target networks towards the critics, per update. batch: transitions per update.
+    updates_per_step: critic updates per control step of one world (update-to-data ratio); 0 means one update per
+    step of the vector environment, as in MS-HAB.
+    capacity: transitions in the replay buffer. warm_up: samples collected with random actions before the first update.
+    atoms: number of atoms of a distributional critic (C51) over the returns [value_low, value_high]; 0 selects a
+    scalar critic with the squared error. critics: size of the ensemble.
+    policy_delay: critic updates per update of the actor and of the target networks.
+    share_encoder: the actor uses the encoder that the critics train; otherwise it has its own.
+    demonstrations: number of expert episodes in a separate demonstration buffer; demonstration_share: fraction of
+    each batch drawn from it. imitation_coefficient: weight of the squared distance between the actor's actions and
+    the demonstrated ones; it decreases linearly to 0 over imitation_samples. frozen_actor_samples: number of samples
+    after warm_up in which only the critics learn, used when the actor comes from a checkpoint.
     """
 
     gamma: float = 0.95
@@ -115,19 +132,20 @@ class SacConfig:
 
 @dataclass(frozen=True)
 class ReinforcementConfig:
-    """An agent and its training.
+    """An agent and its training. A sample is one control step of one world.
 
-    samples: control steps of single worlds, in all. worlds: that run at the same time; part of what is learned.
-    privileged_critic: the critic sees, besides what the actor sees, the robot's velocities, the base's pose, the pose
-    and the velocity of the target, the forces and the time that is left: see `sight.PRIVILEGED`.
-    horizon: control steps of a training episode, 0 for those of the profile. stagger: the first episodes end after
-    different numbers of steps, so that worlds do not begin and end together ever after. episode_pool: arrangements
-    that episodes are drawn from, 0 for as many as `TrainConfig` has; making one takes as long as a hundred samples.
-    force_ends: an episode of training is over when its force exceeds the limit; nothing follows. force_cost: reward
-    that a force takes which sums up to the limit. The dense rewards of Open and Close have no term for forces: without
-    these two, a policy that presses on is never told why it does not succeed.
-    checkpoint_samples: samples between checkpoints; at each one all worlds begin new episodes, so that a run that is
-    resumed is the same as one that was not interrupted. eval_samples: between evaluations.
+    samples: total number of samples. worlds: number of parallel worlds; changing it changes the result.
+    privileged_critic: the critic also receives simulator state that the actor does not observe, see
+    `sight.PRIVILEGED`.
+    horizon: control steps of a training episode; 0 takes the horizon of the profile. stagger: the first episodes have
+    random lengths, so that the worlds do not all reset in the same step.
+    episode_pool: number of start states that training episodes are drawn from; 0 takes the default of `TrainConfig`.
+    Generating one start state takes as long as about a hundred samples.
+    force_ends: a training episode terminates when its cumulative force exceeds the subtask's limit. force_cost: total
+    reward subtracted over an episode whose cumulative force reaches the limit. The dense rewards of Open and Close
+    have no force term: without these two options the reward does not tell the policy why it fails by force.
+    checkpoint_samples: samples between checkpoints. At a checkpoint all worlds start new episodes, so that a resumed
+    run gives the same result as an uninterrupted one. eval_samples: samples between evaluations.
     """
 
     algorithm: str
@@ -151,18 +169,18 @@ class ReinforcementConfig:
         if self.algorithm not in ALGORITHMS:
             raise unknown_name("algorithm", self.algorithm, ALGORITHMS)
         if (self.ppo is None) == (self.sac is None):
-            raise UsageError("a config of reinforcement has either ppo or sac.")
+            raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
         if self.ppo is not None:
             rows = self.worlds * self.ppo.rollout_steps
             if rows % self.ppo.minibatches:
                 raise UsageError(
-                    f"{self.worlds} worlds x {self.ppo.rollout_steps} steps are {rows} samples, which "
-                    f"{self.ppo.minibatches} minibatches do not divide; change --worlds."
+                    f"{self.worlds} worlds x {self.ppo.rollout_steps} steps give {rows} samples, which "
+                    f"{self.ppo.minibatches} minibatches do not divide evenly; change --worlds."
                 )
 
     @property
     def student(self) -> StudentConfig:
-        """The actor as a student: what a checkpoint holds and `mjhab eval` runs."""
+        """Config of the actor as a student policy, the form that a checkpoint stores and `mjhab eval` runs."""
         return StudentConfig(
             algorithm=BC if self.ppo is not None else GAUSSIAN,
             preset=self.preset,
@@ -176,29 +194,31 @@ class ReinforcementConfig:
 STATE_INPUTS = InputConfig(
     cameras=(), image_size=0, previous_action=False, base_velocity=True, condition=True, shift=0
 )
-"""The 42-D state and the velocity of the base; no images."""
+"""The 42-D state and the base velocity; no images."""
 LINK_INPUTS = dataclasses.replace(STATE_INPUTS, link_state=True)
-"""These, and how far the link is open."""
+"""STATE_INPUTS and the opening of the target's furniture link."""
 DEPTH_INPUTS = InputConfig(
     image_size=32, previous_action=False, base_velocity=True, condition=True, shift=0
 )
-"""The same with two depth images of 32 px."""
+"""STATE_INPUTS with two depth images of 32 x 32 px."""
 PAPER_INPUTS = InputConfig(
     image_size=128, previous_action=False, condition=False, normalize=False, shift=0, history=3
 )
-"""Inputs of the published agents: two depth images of 128 px, three frames, and the 42-D state as it is."""
+"""Inputs of the MS-HAB agents: two depth images of 128 x 128 px and the unnormalized 42-D state, of three steps."""
 
 STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
 
-FAST_PPO = ReinforcementConfig(
+SCRATCH_PPO = ReinforcementConfig(
     PPO,
-    "fast",
+    "scratch",
     LINK_INPUTS,
     STATE_NETWORK,
     ppo=PpoConfig(
         rollout_steps=16,
         minibatches=4,
+        gae_lambda=0.9,
         learning_rate=5e-4,
+        critic_learning_rate=1e-3,
         desired_kl=0.03,
         target_kl=0.0,
         initial_std=0.5,
@@ -214,6 +234,29 @@ FAST_PPO = ReinforcementConfig(
     checkpoint_samples=100_000,
     eval_samples=500_000,
 )
+"""From random weights."""
+FAST_PPO = dataclasses.replace(
+    SCRATCH_PPO,
+    preset="fast",
+    ppo=PpoConfig(
+        rollout_steps=32,
+        minibatches=8,
+        learning_rate=5e-5,
+        critic_learning_rate=1e-3,
+        desired_kl=0.005,
+        target_kl=0.0,
+        initial_std=0.1,
+        critic_updates=20,
+        demonstrations=200,
+        demonstration_noise=0.2,
+        imitation_updates=8000,
+        imitation_coefficient=1.0,
+        imitation_samples=1_000_000,
+    ),
+    worlds=64,
+    horizon=0,
+)
+"""From an actor that imitates a disturbed expert."""
 
 PAPER_PPO = ReinforcementConfig(
     PPO,
@@ -243,7 +286,7 @@ PAPER_STATE_PPO = dataclasses.replace(
     inputs=FAST_PPO.inputs,
     network=NetworkConfig(hidden=512, layers=1, state_features=256, norm=False),
 )
-"""The hyper-parameters of the paper with what "fast" sees, to compare them on the same samples."""
+"""The paper's hyper-parameters with the inputs of "fast", for a comparison at equal numbers of samples."""
 
 FAST_SAC = ReinforcementConfig(
     SAC, "fast", DEPTH_INPUTS, NetworkConfig(hidden=256, layers=3), sac=SacConfig(), worlds=32
@@ -286,7 +329,7 @@ DEMOS = dataclasses.replace(
 
 
 def _from_states(config: ReinforcementConfig) -> ReinforcementConfig:
-    """The same with what the fast preset of PPO sees, and with episodes that end at too much force."""
+    """The config with the state inputs of PPO's "fast" preset; episodes end when the force limit is exceeded."""
     return dataclasses.replace(
         config, preset="state", inputs=LINK_INPUTS, network=STATE_NETWORK, force_ends=True
     )
@@ -295,8 +338,9 @@ def _from_states(config: ReinforcementConfig) -> ReinforcementConfig:
 PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
     PPO: {
         "fast": FAST_PPO,
+        "scratch": SCRATCH_PPO,
         "depth": dataclasses.replace(
-            FAST_PPO,
+            SCRATCH_PPO,
             preset="depth",
             inputs=DEPTH_INPUTS,
             network=NetworkConfig(hidden=256),
@@ -305,7 +349,7 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
         "paper": PAPER_PPO,
         "paper_state": PAPER_STATE_PPO,
         "polish": dataclasses.replace(
-            FAST_PPO,
+            SCRATCH_PPO,
             preset="polish",
             inputs=DEPTH_INPUTS,
             ppo=PpoConfig(
@@ -327,11 +371,11 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
         "state": _from_states(DEMOS),
     },
 }
-"""Presets by algorithm; the first one is the default."""
+"""Presets by algorithm and name; the first preset of an algorithm is its default."""
 
 
 def reinforcement_preset(algorithm: str, name: str = "") -> ReinforcementConfig:
-    """A preset of an algorithm, its first one if no name is given.
+    """Return a preset of an algorithm; without a name, its default preset.
 
     Raises:
         UsageError: no such algorithm, or it has no such preset.
@@ -340,7 +384,10 @@ def reinforcement_preset(algorithm: str, name: str = "") -> ReinforcementConfig:
 
 
 def changed(config: ReinforcementConfig, values: Mapping[str, Any]) -> ReinforcementConfig:
-    """A config with other values; names that belong to ``ppo`` or ``sac`` are changed there, None changes nothing.
+    """Return a copy of the config with other values.
+
+    Names that are not fields of `ReinforcementConfig` are set in its ``ppo`` or ``sac`` part. Values of None are
+    ignored.
 
     Raises:
         UsageError: a value is out of range.

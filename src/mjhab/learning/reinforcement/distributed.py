@@ -1,6 +1,7 @@
-"""Several processes that learn together: gradients and statistics are averaged, data stay where they were made.
+"""Data-parallel training with torch.distributed: processes average gradients and statistics, not data.
 
-Started by `torchrun --nproc-per-node N -m mjhab.cli.main train ...`. Every process has its own worlds and seeds.
+Start it with `torchrun --nproc-per-node N -m mjhab.cli.main train ...`. Every process has its own worlds and seeds.
+With a single process every function here leaves its input unchanged.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from torch import Tensor
 
 
 def join() -> None:
-    """Join the processes that torchrun started, if there are others."""
+    """Join the process group if torchrun started more than one process."""
     if int(os.environ.get("WORLD_SIZE", "1")) > 1 and not dist.is_initialized():
         dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
 
 
 def rank() -> int:
-    """Number of this process, from 0."""
+    """Rank of this process; 0 without a process group."""
     return dist.get_rank() if dist.is_initialized() else 0
 
 
 def processes() -> int:
-    """How many processes learn together."""
+    """Number of processes in the group; 1 without a group."""
     return dist.get_world_size() if dist.is_initialized() else 1
 
 
@@ -45,12 +46,12 @@ def average(tensors: Iterable[Tensor]) -> None:
 
 
 def average_gradients(parameters: Iterable[torch.nn.Parameter]) -> None:
-    """Average the gradients over all processes; the gradient of a mean over all their samples."""
+    """Average the gradients of the parameters over all processes, in place."""
     average([parameter.grad for parameter in parameters if parameter.grad is not None])
 
 
 def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of values over all processes, which have equally many."""
+    """Mean and standard deviation of values over all processes; each process must hold the same number of them."""
     moments = torch.stack([values.mean(), (values**2).mean()])
     average([moments])
     mean = moments[0]
@@ -58,7 +59,7 @@ def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def told_by_first(judged: bool) -> bool:
-    """What the first process judges, in all of them."""
+    """Return the first process's value of ``judged`` in every process."""
     if processes() == 1:
         return judged
     device = "cuda" if dist.get_backend() == "nccl" else "cpu"
@@ -68,6 +69,6 @@ def told_by_first(judged: bool) -> bool:
 
 
 def wait() -> None:
-    """Go on when all processes have come here."""
+    """Block until all processes have called this."""
     if processes() > 1:
         dist.barrier()

@@ -1,4 +1,4 @@
-"""Optimizers as named tensors, for checkpoints that are not pickles."""
+"""Optimizer state as named tensors, so that checkpoints need no pickle."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """Everything an optimizer remembers, by "number of the parameter/name"."""
+    """The optimizer's state tensors by "<parameter number>/<name of the state>"."""
     found: dict[str, Tensor] = {}
     for number, state in optimizer.state_dict()["state"].items():
         for name, value in state.items():
@@ -18,7 +18,7 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
 
 
 def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
-    """Take over what ``optimizer_tensors`` gave."""
+    """Load the tensors that ``optimizer_tensors`` returned into an optimizer."""
     state: dict[int, dict[str, Tensor]] = {}
     for key, value in tensors.items():
         number, _, name = key.partition("/")
@@ -27,12 +27,12 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Te
 
 
 def prefixed(part: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors with "part/" before their names."""
+    """The tensors with "<part>/" in front of their names."""
     return {f"{part}/{name}": value for name, value in tensors.items()}
 
 
 def part_of(part: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """What ``prefixed`` made of a part."""
+    """The tensors whose names start with "<part>/", without that prefix: the inverse of ``prefixed``."""
     before = f"{part}/"
     return {
         name.removeprefix(before): value

@@ -1,4 +1,4 @@
-"""Critics: what an observation, or an action in it, is worth."""
+"""Critic networks: state values for PPO and state-action values for SAC."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjhab.learning.reinforcement.sight import Seen
 
 
 class Value(nn.Module):
-    """The value of an observation, with an encoder of its own and what only the critic sees."""
+    """State value network with its own encoder; ``privileged`` is the width P of the privileged input."""
 
     def __init__(self, config: StudentConfig, layout: Layout, privileged: int) -> None:
         super().__init__()
@@ -24,15 +24,19 @@ class Value(nn.Module):
         self.layers = mlp(widths, norm=network.norm, last=False)
 
     def forward(self, seen: Seen) -> Tensor:
-        """(B,) values."""
+        """State values (B,)."""
         features = self.encoder.joined(seen.vector, seen.images)
         return self.layers(torch.cat([features, self.privileged(seen.privileged)], dim=1))[:, 0]
 
 
 class Critics(nn.Module):
-    """Several critics of an action, each with one number or the probabilities of ``atoms`` returns (arXiv 1707.06887).
+    """Ensemble of state-action critics, scalar or with a categorical return distribution (C51, arXiv 1707.06887).
 
-    Layer norm keeps what they say of unseen actions bounded (arXiv 2302.02948).
+    Layer norm bounds the values of actions outside the data (arXiv 2302.02948).
+
+    Args:
+        config: supplies the network sizes. sac: supplies the number of critics and atoms.
+        features, privileged, actions: widths of the three inputs.
     """
 
     support: Tensor
@@ -51,18 +55,18 @@ class Critics(nn.Module):
         self.register_buffer("support", support)
 
     def forward(self, features: Tensor, privileged: Tensor, actions: Tensor) -> Tensor:
-        """What every critic says: (critics, B, atoms) logits, or (critics, B, 1) values."""
+        """Logits (critics, B, atoms) of the return distributions, or values (critics, B, 1) of scalar critics."""
         joined = torch.cat([features, self.privileged(privileged), actions], dim=1)
         return torch.stack([head(joined) for head in self.heads])
 
     def values(self, said: Tensor) -> Tensor:
-        """Expected returns (critics, B) of what ``forward`` gave."""
+        """Expected returns (critics, B) from the output of ``forward``."""
         if not self.atoms:
             return said[..., 0]
         return (said.softmax(dim=-1) * self.support).sum(dim=-1)
 
     def project(self, probabilities: Tensor, targets: Tensor) -> Tensor:
-        """Probabilities (B, atoms) of the returns ``targets`` (B, atoms), put onto the support."""
+        """Project a distribution onto the support: returns ``targets`` (B, atoms) with ``probabilities`` (B, atoms)."""
         low = self.support[0]
         width = self.support[1] - low
         places = ((targets - low) / width).clamp(0, self.atoms - 1)

@@ -14,6 +14,7 @@ from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import PpoConfig, ReinforcementConfig
 from mjhab.learning.reinforcement.networks import Value
+from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.returns import (
     Outcomes,
     advantages,
@@ -29,20 +30,27 @@ from mjhab.learning.students.student import Student
 
 LEAST_STD = 0.02
 MOST_STD = 1.0
-"""Of the actions [share of full scale]."""
+"""Limits of a state-dependent standard deviation of the actions, as fractions of the action range [-1, 1]."""
 RATE_STEP = 1.5
 LEAST_RATE = 1e-5
 MOST_RATE = 3e-3
-"""Steps and limits of a learning rate that follows the divergence (as in rsl_rl and rl_games)."""
+"""Factor and limits of the learning rate that adapts to the KL divergence (the scheme of rsl_rl and rl_games)."""
+IMITATION_RATE = 1e-3
+"""Learning rate at the start of imitation; it falls to zero."""
+IMITATION_HUBER = 0.5
+"""Width of the quadratic part of the imitation loss [action units]."""
+NORMALIZED_ROWS = 8192
+"""Demonstrated observations from which the inputs' mean and std are estimated."""
 VALUED_ROWS = 1024
-"""Observations that the critic values at a time outside of updates: images take much memory."""
+"""Batch size of the critic outside of updates; it bounds the memory that images take."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """T control steps of W worlds, as N = T x W rows: what was seen and done, and how it turned out.
+    """T control steps of W worlds, flattened to N = T x W rows.
 
-    stds (N, A): standard deviations of the actions.
+    seen: observations. actions (N, A). log_probabilities (N,): of the actions under the policy that took them.
+    stds (N, A): standard deviations of that policy. advantages (N,). returns (N,): targets of the critic.
     """
 
     seen: Seen
@@ -54,11 +62,13 @@ class Rollout:
 
 
 class Ppo(nn.Module):
-    """An actor whose actions spread around what a student would do, and a critic.
+    """PPO agent: a Gaussian policy whose mean is a student network, and a state value network.
 
     Args:
-        config: of the whole run. layout: what the actor sees and does. privileged: numbers that only the critic sees.
-        seed: of the weights. start: a student that the actor begins from; it acts by the first action of its chunk.
+        config: of the whole run. layout: observations and actions of the actor.
+        privileged: width of the input that only the critic receives.
+        seed: of the initial weights.
+        start: student that initializes the actor; only the first action of its chunk is used.
     """
 
     def __init__(
@@ -75,7 +85,7 @@ class Ppo(nn.Module):
         actor = start or make_student(config.student, layout, seed)
         assert isinstance(actor, BehaviourCloning)
         self.actor = actor
-        self.keeps_normalization = start is not None
+        self.keeps_normalization = start is not None or self.config.demonstrations > 0
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed + 1)
             if start is None:
@@ -85,7 +95,7 @@ class Ppo(nn.Module):
             self.spread = Spread(width, len(layout.actions), self.config.initial_std)
 
     def acting_parameters(self) -> list[nn.Parameter]:
-        """Parameters of the actor and of the spread of its actions."""
+        """Parameters of the policy: its mean and its standard deviation."""
         return [*self.actor.parameters(), *self.spread.parameters()]
 
     def mean(self, seen: Seen) -> Tensor:
@@ -93,7 +103,7 @@ class Ppo(nn.Module):
         return self.distribution(seen).mean
 
     def distribution(self, seen: Seen) -> Actions:
-        """How the actions are distributed."""
+        """Distribution of the actions given observations."""
         features = self.actor.trunk(seen.vector, seen.images)
         mean = self.actor.chunk_of(features)[:, 0]
         return Actions(mean, self.spread(features).expand_as(mean))
@@ -101,7 +111,7 @@ class Ppo(nn.Module):
 
 @dataclass(frozen=True, eq=False)
 class Actions:
-    """Normal distributions of actions: mean (B, A), logarithm of the standard deviation (B, A)."""
+    """Diagonal normal distributions of actions: mean (B, A), logarithm of the standard deviation (B, A)."""
 
     mean: Tensor
     log_std: Tensor
@@ -112,19 +122,19 @@ class Actions:
         return self.mean + self.log_std.exp() * noise
 
     def log_probability(self, actions: Tensor) -> Tensor:
-        """Logarithm of the density of actions (B, A), (B,)."""
+        """Log density (B,) of actions (B, A)."""
         distance = (actions - self.mean) / self.log_std.exp()
         density = -0.5 * distance**2 - self.log_std - 0.5 * math.log(2.0 * math.pi)
         return density.sum(dim=1)
 
 
 class Spread(nn.Module):
-    """Logarithm of the standard deviation of the actions [share of full scale].
+    """Logarithm of the standard deviation of the actions; actions range over [-1, 1].
 
     Args:
-        features: numbers that it depends on, then it stays between LEAST_STD and MOST_STD; 0 for one number per part of
-            an action, the same everywhere and without limits, as in the original.
-        actions: numbers of an action. initial_std: before anything is learned.
+        features: width of the features that the standard deviation depends on; it then stays between LEAST_STD and
+            MOST_STD. 0 learns one unlimited constant per action dimension, as MS-HAB does.
+        actions: width of an action. initial_std: standard deviation before training.
     """
 
     def __init__(self, features: int, actions: int, initial_std: float) -> None:
@@ -138,39 +148,49 @@ class Spread(nn.Module):
         self.weight = nn.Parameter(torch.zeros(actions, features)) if features else None
 
     def forward(self, features: Tensor) -> Tensor:
-        """(B, A) for features (B, F); (A,) if it depends on nothing."""
+        """Log standard deviation: (B, A) for features (B, F), or the constant (A,)."""
         if self.weight is None:
             return self.bias
         raw = nn.functional.linear(features, self.weight, self.bias)
         return self._low + self._half * (torch.tanh(raw) + 1.0)
 
 
-def _act_little(actor: Student) -> None:
-    """Let a new actor begin near zero actions."""
-    head = getattr(actor, "head", None)
-    if isinstance(head, nn.Linear):
-        nn.init.orthogonal_(head.weight, 0.01)
-        nn.init.zeros_(head.bias)
+def _act_little(actor: BehaviourCloning) -> None:
+    """Initialize the last layer of a new actor so that its actions are close to zero."""
+    nn.init.orthogonal_(actor.head.weight, 0.01)
+    nn.init.zeros_(actor.head.bias)
 
 
 class PpoLearner:
-    """Collects rollouts and updates an agent. Everything drawn is a function of (seed, update) alone.
+    """Collects rollouts and updates an agent. All random draws depend on (seed, number of the update) only.
 
     Args:
-        agent: on the device of the worlds. worlds: to act in. config: of the whole run. seed: of this process.
+        agent: on the device of the worlds. worlds: where the agent acts. config: of the whole run.
+        seed: of this process. shown: demonstrations to imitate, if any.
     """
 
-    def __init__(self, agent: Ppo, worlds: Worlds, config: ReinforcementConfig, seed: int) -> None:
+    def __init__(
+        self,
+        agent: Ppo,
+        worlds: Worlds,
+        config: ReinforcementConfig,
+        seed: int,
+        shown: ReplayBuffer | None = None,
+    ) -> None:
         assert config.ppo is not None
         self.agent = agent
         self.worlds = worlds
         self.run = config
         self.config = config.ppo
         self.seed = seed
+        self.shown = shown
         self.updates = 0
         self.learning_rate = self.config.learning_rate
         self.optimizer = torch.optim.Adam(
-            agent.parameters(), lr=self.learning_rate, eps=self.config.adam_epsilon, fused=True
+            [{"params": agent.acting_parameters()}, {"params": agent.value.parameters()}],
+            lr=self.learning_rate,
+            eps=self.config.adam_epsilon,
+            fused=True,
         )
         device = worlds.device
         seen = worlds.seen
@@ -180,7 +200,7 @@ class PpoLearner:
     # -- acting -------------------------------------------------------------------------------------------------------
 
     def collect(self) -> tuple[Rollout, list[Transition]]:
-        """Act for ``rollout_steps`` control steps in every world."""
+        """Act for ``rollout_steps`` control steps in every world; returns the rollout and its T transitions."""
         agent = self.agent.eval()
         random = self._random("act")
         rows: list[Seen] = []
@@ -214,19 +234,19 @@ class PpoLearner:
 
     @torch.no_grad()
     def _outcomes(self, seen: Seen, transitions: list[Transition]) -> Outcomes:
-        """What the rollout brought, with values.
+        """Rewards, values and episode ends of the rollout.
 
-        The observation after a step is that before the next one, but where an episode or the rollout ends: only these
-        are valued apart.
+        The observation after a step is the one before the next step, except where an episode or the rollout ends:
+        only there the critic evaluates ``next_seen`` separately.
         """
         ended = torch.stack([t.ended for t in transitions])
-        apart = ended.clone()
-        apart[-1] = True
-        last = [t.next_seen.rows(mask) for t, mask in zip(transitions, apart, strict=True)]
+        is_last = ended.clone()
+        is_last[-1] = True
+        last = [t.next_seen.rows(mask) for t, mask in zip(transitions, is_last, strict=True)]
         values = self._values(seen).view(ended.shape)
         next_values = torch.empty_like(values)
         next_values[:-1] = values[1:]
-        next_values[apart] = self._values(_joined(last))
+        next_values[is_last] = self._values(_joined(last))
         return Outcomes(
             torch.stack([t.reward for t in transitions]),
             values,
@@ -236,7 +256,7 @@ class PpoLearner:
         )
 
     def _values(self, seen: Seen) -> Tensor:
-        """Values (N,) of N rows, a part of them at a time."""
+        """Values (N,) of N observations, computed in batches of VALUED_ROWS."""
         count = len(seen.vector)
         parts = [slice(start, start + VALUED_ROWS) for start in range(0, count, VALUED_ROWS)]
         return torch.cat([self.agent.value(seen.rows(part)) for part in parts])
@@ -247,8 +267,41 @@ class PpoLearner:
 
     # -- learning -----------------------------------------------------------------------------------------------------
 
+    def imitate(self) -> float:
+        """Let the actor imitate the demonstrations, for ``imitation_updates``; returns the loss of the last one."""
+        assert self.shown is not None
+        agent = self.agent
+        random = self._random("imitate")
+        first = self.shown.draw(NORMALIZED_ROWS, random).seen
+        self.normalize(first)
+        layout = agent.actor.layout
+        self.statistics.fit([agent.actor.normalizer], layout.measured_width)
+        distributed.average([agent.actor.normalizer.mean, agent.actor.normalizer.scale])
+        updates = self.config.imitation_updates
+        parameters = list(agent.actor.parameters())
+        optimizer = torch.optim.Adam(parameters, lr=IMITATION_RATE, fused=True)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(updates, 1))
+        loss = torch.zeros(())
+        for _ in range(updates):
+            loss = self._imitation_loss(random)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            distributed.average_gradients(parameters)
+            optimizer.step()
+            schedule.step()
+        return float(loss.detach())
+
+    def _imitation_loss(self, random: torch.Generator) -> Tensor:
+        """Mean Huber loss between the means of the actions and demonstrated ones."""
+        assert self.shown is not None
+        batch = self.shown.draw(self.config.imitation_batch, random)
+        error = self.agent.mean(batch.seen) - batch.actions.clamp(-1.0, 1.0)
+        return nn.functional.huber_loss(error, torch.zeros_like(error), delta=IMITATION_HUBER)
+
     def update(self, rollout: Rollout, progress: float) -> dict[str, float]:
-        """Learn from a rollout; ``progress``: share of all samples that were made.
+        """Update the agent from a rollout; returns the metrics to report.
+
+        ``progress`` is the fraction of the run's samples collected so far; it sets the learning rate.
 
         Raises:
             BrokenLossError: the loss is not finite.
@@ -261,12 +314,13 @@ class PpoLearner:
         size = count // config.minibatches
         told: list[tuple[float, float, float]] = []
         for _ in range(config.epochs):
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.learning_rate * share
+            acting, valuing = self.optimizer.param_groups
+            acting["lr"] = self.learning_rate * share
+            valuing["lr"] = (config.critic_learning_rate or self.learning_rate) * share
             order = torch.randperm(count, generator=random).to(rollout.actions.device)
             for start in range(0, count, size):
-                told.append(self._minibatch(rollout, order[start : start + size]))
-            # Minibatches of an epoch are finished, so that all processes stop after the same one.
+                told.append(self._minibatch(rollout, order[start : start + size], random))
+            # The test comes after a whole epoch, so that all processes stop after the same minibatch.
             divergence = torch.tensor(sum(row[2] for row in told[-config.minibatches :]))
             divergence /= config.minibatches
             distributed.average([divergence])
@@ -281,9 +335,9 @@ class PpoLearner:
         }
 
     def _adapt(self, divergence: float) -> None:
-        """Change the learning rate so that an epoch changes the policy by about ``desired_kl``."""
+        """Adapt the learning rate so that the KL divergence of an epoch stays near ``desired_kl``."""
         wanted = self.config.desired_kl
-        if not wanted:
+        if not wanted or self.updates < self.config.critic_updates:
             return
         if divergence > 2.0 * wanted:
             self.learning_rate /= RATE_STEP
@@ -291,7 +345,17 @@ class PpoLearner:
             self.learning_rate *= RATE_STEP
         self.learning_rate = min(max(self.learning_rate, LEAST_RATE), MOST_RATE)
 
-    def _minibatch(self, rollout: Rollout, rows: Tensor) -> tuple[float, float, float]:
+    def _imitation_weight(self) -> float:
+        """Weight of the imitation loss in this update."""
+        config = self.config
+        per_update = config.rollout_steps * self.worlds.count
+        done = self.updates * per_update * distributed.processes()
+        left = max(0.0, 1.0 - done / max(config.imitation_samples, 1))
+        return config.imitation_coefficient * left if self.shown is not None else 0.0
+
+    def _minibatch(
+        self, rollout: Rollout, rows: Tensor, random: torch.Generator
+    ) -> tuple[float, float, float]:
         config = self.config
         agent = self.agent
         seen = rollout.seen.rows(rows)
@@ -308,6 +372,9 @@ class PpoLearner:
         loss = config.value_coefficient * value_loss
         if self.updates >= config.critic_updates:
             loss = loss + policy_loss
+        imitation = self._imitation_weight()
+        if imitation and self.updates >= config.critic_updates:
+            loss = loss + imitation * self._imitation_loss(random)
         if config.entropy_coefficient:
             loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
         if not math.isfinite(float(loss.detach())):
@@ -319,7 +386,8 @@ class PpoLearner:
         loss.backward()
         parameters = list(agent.parameters())
         distributed.average_gradients(parameters)
-        # Apart: the critic's gradients are larger, and would leave the actor little of one common limit.
+        # Actor and critic are clipped separately: the critic's gradients are larger, and under one joint limit they
+        # would scale the actor's gradients down.
         nn.utils.clip_grad_norm_(agent.acting_parameters(), config.clip_norm)
         nn.utils.clip_grad_norm_(agent.value.parameters(), config.clip_norm)
         self.optimizer.step()
@@ -328,7 +396,7 @@ class PpoLearner:
         return float(policy_loss.detach()), float(value_loss.detach()), float(divergence)
 
     def normalize(self, seen: Seen) -> None:
-        """Take what was seen into the statistics that inputs are normalized by, if the config says so."""
+        """Update the running mean and std of the input normalizers, if the config normalizes inputs."""
         if not self.run.inputs.normalize:
             return
         layout = self.agent.actor.layout
@@ -336,7 +404,7 @@ class PpoLearner:
         normalizers: list[Normalizer] = [value.encoder.normalizer, value.privileged]
         if not self.agent.keeps_normalization:
             normalizers.append(self.agent.actor.normalizer)
-        # Of a history the newest observation says enough.
+        # The newest observation of a history suffices: the older ones were added before.
         self.statistics.add(seen.vector[:, -layout.width :])
         self.statistics.fit(
             [part for part in normalizers if part is not value.privileged], layout.measured_width

@@ -1,7 +1,7 @@
-"""The replay buffer: one ring of control steps per world, with every observation stored once.
+"""The replay buffer: one ring buffer of control steps per world, which stores every observation once.
 
-The observation after a step is the next entry of the same ring, so images are not kept twice. At the end of an episode
-an entry with its last observation follows, from which no transition begins.
+The observation after a step is the next entry of the same ring, so images are not stored twice. At the end of an
+episode an extra entry holds the last observation; no transition starts from it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,16 @@ from mjhab.envs.parts.memory import available_mb
 from mjhab.learning.reinforcement.sight import Seen
 
 MEMORY_SHARE = 0.8
-"""Share of the memory that is free which a buffer may take."""
+"""Largest fraction of the free memory that a buffer may occupy."""
 
 
 @dataclass(frozen=True)
 class ReplayShape:
-    """Sizes of what is stored. images: (channels, height, width) of one observation, history included."""
+    """Sizes of a replay buffer.
+
+    worlds: number of rings. steps: entries per ring. vector, privileged, actions: widths of these arrays.
+    images: (channels, height, width) of one observation; the frames of a history are stacked as channels.
+    """
 
     worlds: int
     steps: int
@@ -37,7 +41,7 @@ class ReplayShape:
 
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> ReplayShape:
-        """Read what ``dataclasses.asdict`` made, also after JSON."""
+        """Build from the dict of ``dataclasses.asdict``, also after a round trip through JSON."""
         return cls(**{**values, "images": tuple(values["images"])})
 
     @property
@@ -53,7 +57,7 @@ class ReplayShape:
 
     @property
     def words(self) -> str:
-        """Size in words."""
+        """Description of the size for messages."""
         count = self.worlds * self.steps
         return f"replay buffer: {count:,} control steps, {self.total_bytes / 2**30:.2f} GiB"
 
@@ -79,7 +83,7 @@ class ReplayShape:
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """B samples: what was seen, done (B, A) and earned (B,), what was seen then, and whether nothing followed (B,)."""
+    """B transitions: observations, actions (B, A), reward (B,), next observations, terminated (B,) bool."""
 
     seen: Seen
     actions: Tensor
@@ -89,13 +93,14 @@ class Transitions:
 
 
 class ReplayBuffer:
-    """Rings of the last control steps of every world.
+    """Ring buffers with the most recent control steps of every world.
 
     Args:
-        shape: sizes. device: where it is kept.
-        folder: on the CPU, where its arrays are files that outlive the process; None keeps them in memory.
-        reserve: entries of each ring that are kept but not drawn: what is written between two checkpoints must not
-            reach what the older one says is there.
+        shape: sizes of the arrays. device: where the arrays lie.
+        folder: where the arrays are memory-mapped files that outlive the process (CPU only); None keeps them in
+            memory.
+        reserve: oldest entries of each ring that are never drawn. New entries overwrite them between two checkpoints,
+            so a run resumed from the older checkpoint draws the same transitions.
     """
 
     _ARRAYS = ("vector", "images", "privileged", "actions", "reward", "terminated", "begins")
@@ -118,7 +123,7 @@ class ReplayBuffer:
         self._reserve = reserve
         self._folder = folder
         self.position = torch.zeros(shape.worlds, dtype=torch.int64, device=device)
-        """Entries written to each ring since the beginning (W,)."""
+        """(W,) number of entries written to each ring so far."""
         kinds = {
             "vector": (torch.float32, (shape.vector,)),
             "images": (torch.uint8, shape.images),
@@ -144,7 +149,8 @@ class ReplayBuffer:
             array = np.lib.format.open_memmap(path, mode="r+")
             if array.shape != size or array.dtype != dtype:
                 raise UsageError(
-                    f"{path} holds {array.shape} {array.dtype} instead of {size} {dtype}: another run's buffer."
+                    f"{path} holds an array {array.shape} {array.dtype} instead of {size} {dtype}: it belongs to "
+                    "another run."
                 )
         else:
             array = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=size)
@@ -152,13 +158,13 @@ class ReplayBuffer:
 
     @property
     def episodes(self) -> int:
-        """Ends of episodes among the entries of a buffer that is not full yet."""
+        """Number of finished episodes in a buffer whose rings have not wrapped around yet."""
         steps = torch.arange(self.shape.steps, device=self.device)
         written = steps[None] < self.position[:, None]
         return int((written & ~self._data["begins"]).sum())
 
     def __len__(self) -> int:
-        """Transitions that can be drawn, in about: entries at the end of episodes are counted, too."""
+        """Approximate number of transitions that can be drawn; the last observations of episodes are counted, too."""
         kept = self.position.clamp(max=self.shape.steps - self._reserve)
         return int((kept - 1).clamp(min=0).sum())
 
@@ -170,15 +176,15 @@ class ReplayBuffer:
         terminated: Tensor,
         worlds: Tensor | None = None,
     ) -> None:
-        """Append a control step of every world: what was seen before it, what was done, and what it brought.
+        """Append one control step: the observation before it, the action, and the resulting reward and termination.
 
-        ``worlds`` (n,): the rows are of these alone.
+        Without ``worlds`` the rows are those of all worlds; else row i is of world ``worlds[i]``, (n,) int.
         """
         at = self._rows if worlds is None else worlds
         self._write(at, seen, actions, reward, terminated, True)
 
     def close(self, worlds: Tensor, last: Seen) -> None:
-        """Append the last observations (n rows) of the worlds (n,) whose episodes ended."""
+        """Append the last observation of the worlds (n,) whose episodes ended; ``last`` has n rows."""
         nothing = torch.zeros(len(worlds), self.shape.actions, device=self.device)
         zero = torch.zeros(len(worlds), device=self.device)
         self._write(worlds, last, nothing, zero, zero.bool(), False)
@@ -205,7 +211,7 @@ class ReplayBuffer:
         self.position[worlds] += 1
 
     def draw(self, count: int, random: torch.Generator) -> Transitions:
-        """Draw ``count`` transitions, each as likely as any other."""
+        """Draw ``count`` transitions uniformly."""
         kept = self.position.clamp(max=self.shape.steps - self._reserve)
         ready = torch.nonzero(kept >= 2).flatten()
         if not len(ready):
@@ -213,7 +219,7 @@ class ReplayBuffer:
         found: list[Tensor] = []
         lacking = count
         while lacking:
-            # Ends of episodes are drawn and thrown away: few, and the rest stay equally likely.
+            # Entries without a transition are drawn and rejected: they are few, and the rest stays uniform.
             more = 2 * lacking + 8
             places = torch.rand(more, 2, generator=random, dtype=torch.float64).to(self.device)
             lengths = (kept[ready] - 1).cumsum(0)

@@ -1,4 +1,4 @@
-"""Advantages of a rollout, with the value of what follows where an episode ends by time."""
+"""Advantages of a rollout; episodes that end by the time limit are bootstrapped with the value of their last state."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """What T control steps of W worlds brought; all (T, W).
+    """Rewards, values and episode ends of T control steps of W worlds; all arrays are (T, W).
 
-    rewards. values: of what was seen before each step. next_values: of what was seen after it, which at the end of an
-    episode is its last observation, not the first of the next one. terminated: the episode ended by success or
-    failure, so nothing follows. ended: it ended by that, or by time.
+    values: of the observation before each step. next_values: of the observation after it; at the end of an episode
+    this is its last observation, not the first one of the next episode. terminated: the episode ended by success or
+    failure. ended: the episode terminated or reached its time limit.
     """
 
     rewards: Tensor
@@ -27,8 +27,8 @@ class Outcomes:
 def advantages(outcomes: Outcomes, gamma: float, gae_lambda: float) -> Tensor:
     """Generalized advantage estimates (T, W) (arXiv 1506.02438, equation 16).
 
-    An episode that ends by time goes on as far as its value is concerned: only ``terminated`` takes away
-    ``next_values``. Nothing of the next episode enters.
+    An episode that ends by the time limit is bootstrapped with ``next_values``; only ``terminated`` sets the following
+    value to zero. The next episode has no influence.
     """
     follow = outcomes.next_values * (~outcomes.terminated)
     errors = outcomes.rewards + gamma * follow - outcomes.values
@@ -41,10 +41,10 @@ def advantages(outcomes: Outcomes, gamma: float, gae_lambda: float) -> Tensor:
 
 
 def finite_horizon_advantages(outcomes: Outcomes, gamma: float, gae_lambda: float) -> Tensor:
-    """Advantages (T, W) as the original computes them (``finite_horizon_gae`` in mshab/train_ppo.py).
+    """Advantages (T, W) as MS-HAB computes them (``finite_horizon_gae`` in mshab/train_ppo.py).
 
-    The returns of 1, 2, ... steps up to the end of the rollout or of the episode are averaged with weights lambda^k
-    that sum to 1, where GAE gives the last of them all the weight of the infinitely many that would follow.
+    They average the k-step returns, for k = 1, 2, ... up to the end of the rollout or of the episode, with weights
+    proportional to lambda^k. GAE differs in the last of them, which gets the weight of all longer returns.
     """
     found = torch.empty_like(outcomes.rewards)
     weights = torch.zeros_like(outcomes.rewards[0])

@@ -24,7 +24,7 @@ from mjhab.learning.students.heads import make_student
 
 
 class Judge(nn.Module):
-    """The critics and the encoder that feeds them. The encoder is the actor's where that is shared."""
+    """The critics with their encoder; ``shared`` is the actor's encoder if actor and critics share one."""
 
     def __init__(
         self,
@@ -41,17 +41,18 @@ class Judge(nn.Module):
         self.critics = Critics(config.student, config.sac, width, privileged, actions)
 
     def forward(self, seen: Seen, actions: Tensor) -> Tensor:
-        """What every critic says of actions (B, A): (critics, B, atoms or 1)."""
+        """Output (critics, B, atoms or 1) of every critic for actions (B, A)."""
         features = self.encoder.joined(seen.vector, seen.images)
         return self.critics(features, seen.privileged, actions)
 
 
 class Sac(nn.Module):
-    """Actor, critics, the slow copies of the critics, and the price of entropy.
+    """SAC agent: actor, critics, target critics and entropy temperature alpha.
 
     Args:
-        config: of the whole run. layout: what the actor sees and does. privileged: numbers that only the critics see.
-        seed: of the weights. start: an actor to begin from.
+        config: of the whole run. layout: observations and actions of the actor.
+        privileged: width of the input that only the critics receive.
+        seed: of the initial weights. start: trained actor to start from.
     """
 
     def __init__(
@@ -77,7 +78,7 @@ class Sac(nn.Module):
 
 
 class SacLearner:
-    """Updates an agent from replay buffers. Update k depends on the weights, the buffers, the seed and k alone.
+    """Updates an agent from replay buffers. Update k depends on the weights, the buffers, the seed and k only.
 
     Args:
         agent: on the device of the buffers. config: of the whole run. seed: of this process.
@@ -105,12 +106,12 @@ class SacLearner:
         }
 
     def random(self, what: str) -> torch.Generator:
-        """What update ``updates`` draws from."""
+        """Random generator of the current update for one purpose, named by ``what``."""
         drawn = stream(self.seed, f"sac-{what}", self.updates).integers(1 << 62)
         return torch.Generator().manual_seed(int(drawn))
 
     def batch(self, online: ReplayBuffer, demonstrations: ReplayBuffer | None) -> Transitions:
-        """A batch: demonstrations first, if there are any, then what the agent did."""
+        """Draw a batch: demonstrations first, if there are any, then transitions of the agent."""
         random = self.random("batch")
         count = self.config.batch
         if demonstrations is None:
@@ -121,12 +122,15 @@ class SacLearner:
     def update(
         self, batch: Transitions, demonstrated: int, imitation: float, frozen: bool
     ) -> dict[str, float]:
-        """One update of the critics and, every ``policy_delay`` of them, of actor and targets.
+        """Update the critics and, at every ``policy_delay``-th call, the actor and the target critics.
 
         Args:
-            batch: of which the first ``demonstrated`` rows are demonstrations.
-            imitation: weight of the actor's distance to them.
-            frozen: the actor only imitates, since the critics know nothing yet.
+            batch: transitions; the first ``demonstrated`` rows are demonstrations.
+            imitation: weight of the squared distance between the actor's and the demonstrated actions.
+            frozen: train the actor by imitation only, because the critics are not trained yet.
+
+        Returns:
+            Metrics of the update by name.
 
         Raises:
             BrokenLossError: the loss is not finite.
@@ -214,7 +218,7 @@ class SacLearner:
 
     @torch.no_grad()
     def _follow(self) -> None:
-        """Move the slow copies towards the critics."""
+        """Move the target critics towards the critics by the factor tau."""
         pairs = zip(self.agent.target.parameters(), self.agent.judge.parameters(), strict=True)
         for kept, new in pairs:
             kept.lerp_(new, self.config.tau)
@@ -222,7 +226,7 @@ class SacLearner:
 
 @contextmanager
 def _frozen(parameters: list[nn.Parameter]) -> Iterator[None]:
-    """Within it, parameters take no gradient."""
+    """Within this context the parameters receive no gradient."""
     for parameter in parameters:
         parameter.requires_grad_(False)
     try:

@@ -1,4 +1,4 @@
-"""A run of reinforcement: its worlds, agent, reports and checkpoints. What PPO and SAC have in common."""
+"""A run of reinforcement learning: environment, logs, evaluations and checkpoints, for both PPO and SAC."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
 REPLAY = "replay"
 DEMONSTRATIONS = "demonstrations"
-"""Folders of the buffers of a run."""
+"""Folders of a run's replay buffers."""
 RECENT_EPISODES = 200
-"""Training episodes that the reported share of successes is taken over."""
+"""Number of most recent training episodes that the reported training success rate covers."""
 
 
 @dataclass(frozen=True)
 class ReinforcementRequest:
-    """What to train, and where.
+    """A training run: agent, scene and resources.
 
-    start: checkpoint that the actor begins from, "" for none. threads: of physics and networks, 0 for all cores.
-    budget_seconds: of wall time for everything, 0 for no limit. eval_episodes: of the last evaluation;
-    round_episodes: of those on the way, 0 for none. films: episodes to film in the first and the last evaluation.
-    backend, device: of the environment, see `EnvConfig`.
-    data, where: shards or folders of them that RLPD takes its demonstrations from, and which episodes of them (those
-    that succeed if ""); the expert makes them if there are none. recompute_rewards: also where they were recorded in
-    another profile or with other rewards.
+    start: checkpoint to start the actor from, or "". threads: of physics and networks; 0 uses all cores.
+    budget_seconds: wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of the final evaluation.
+    round_episodes: episodes of the evaluations during training, 0 for none. films: episodes to film in the first and
+    the last evaluation. backend, device: of the environment, see `EnvConfig`.
+    data: shards, or folders of shards, from which RLPD takes its demonstrations; without any, the scripted expert
+    generates them. where: filter on the episodes of ``data``; "" takes the successful ones. recompute_rewards: accept
+    episodes that were recorded with another profile or reward; their rewards are computed anew.
     """
 
     config: ReinforcementConfig
@@ -77,7 +77,10 @@ class ReinforcementRequest:
 
 @dataclass
 class Standing:
-    """How far a run is. checkpoints: how many were written; evaluated: samples made at the evaluations."""
+    """Progress of a run.
+
+    checkpoints: number of checkpoints written. seconds: wall time. evaluated: number of samples at each evaluation.
+    """
 
     samples: int = 0
     updates: int = 0
@@ -87,16 +90,16 @@ class Standing:
 
 
 def network_threads(inputs: InputConfig, threads: int) -> int:
-    """Threads of the networks: one where they see no images.
+    """Number of torch threads: ``threads`` for image inputs, else 1.
 
-    Layers of some hundred rows are over before a second thread is awake, and where other processes want the cores,
-    torch's threads wait for each other in loops: a rollout with its update took nine times its CPU time.
+    Small dense layers gain nothing from a second thread. On a machine whose cores other processes use, torch's threads
+    wait for each other in spin loops: a rollout with its update then took nine times the CPU time.
     """
     return threads if inputs.cameras else 1
 
 
 def image_options(inputs: InputConfig) -> dict[str, Any]:
-    """Options of an environment that shows the images of ``inputs``; none for the state alone."""
+    """Options of an environment that renders the images of ``inputs``; empty without images."""
     if not (inputs.image_size and inputs.cameras):
         return {}
     return {"obs_mode": "depth", "cameras": inputs.cameras, "camera_size": inputs.image_size}
@@ -105,7 +108,10 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
 def training_env(
     scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int, **more: Any
 ) -> Any:
-    """The environment that agents are trained in: dense rewards of at most 1, worlds that are reset by hand."""
+    """Make the training environment: dense rewards of at most 1, no automatic resets.
+
+    ``more`` are further options of `make_train`.
+    """
     from mjhab.envs import make_train
 
     options = scene.env_options() | image_options(inputs)
@@ -128,7 +134,7 @@ class ReinforcementSession:
         self.config = request.config
         if self.start is not None:
             self.config = dataclasses.replace(request.config, inputs=self.start.config.inputs)
-        # Every process of several draws its own episodes and its own noise.
+        # Each process draws its own episodes and its own noise.
         self.seed = request.seed + 1_000_003 * distributed.rank()
         self.env = training_env(
             request.scene,
@@ -155,17 +161,17 @@ class ReinforcementSession:
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.records: list[EpisodeRecord] = []
         self.demonstrations = 0
-        """Episodes in the buffer of demonstrations."""
+        """Number of episodes in the demonstration buffer."""
         self._eval_seconds = 0.0
         self._began = time.perf_counter()
         self.learner_seconds = 0.0
         self.evaluation_seconds = 0.0
-        """Wall time of updates, and of evaluations, since this start [s]."""
+        """Wall time of the updates and of the evaluations since this process started the run [s]."""
         self._outcomes: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rewards: deque[float] = deque(maxlen=100)
 
     def _rules(self) -> TrainingRules:
-        """What ends episodes and costs reward, beside what the environment says."""
+        """Rules of training episodes in addition to those of the environment."""
         subtask = self.request.scene.subtask
         limits = limits_of(self.env.task_config, subtask)
         conditions = SUBTASKS[subtask].conditions
@@ -178,17 +184,14 @@ class ReinforcementSession:
         )
 
     def _episodes(self) -> dict[str, int]:
-        """Options of the environment that say which episodes are trained in.
-
-        Navigate keeps its own horizon, which is longer.
-        """
+        """Environment options for horizon and episode pool. Navigate keeps the longer horizon of its profile."""
         options = {"horizon": self.config.horizon, "episode_pool": self.config.episode_pool}
         if SUBTASKS[self.request.scene.subtask].navigates:
             del options["horizon"]
         return {name: value for name, value in options.items() if value}
 
     def _layout(self) -> Layout:
-        """What the agent sees and does: that of the student it begins from, else that of the environment."""
+        """Observation and action layout: that of the start checkpoint, else derived from the environment."""
         if self.start is not None:
             # The student was trained with demonstrations of the same profile; see `Layout.check_env`.
             self.start.layout.check_env(self.env)
@@ -199,17 +202,17 @@ class ReinforcementSession:
         targets = (target,) if target else tuple(valid_targets(self.env.config, self.env.layout))
         return layout_of(self.env, self.config.inputs, targets)
 
-    # -- on the way ---------------------------------------------------------------------------------------------------
+    # -- progress -----------------------------------------------------------------------------------------------------
 
     def note(self, transition: Transition) -> None:
-        """Count a control step of all worlds."""
+        """Count one control step of all worlds and remember its rewards and finished episodes."""
         self.standing.samples += self.worlds.count * distributed.processes()
         self._rewards.append(float(transition.reward.mean()))
         if bool(transition.ended.any()):
             self._outcomes.extend(transition.succeeded[transition.ended].tolist())
 
     def report(self, numbers: dict[str, float]) -> None:
-        """Tell of an update."""
+        """Log the metrics of an update together with the recent rewards and successes."""
         told = {"reward": sum(self._rewards) / max(len(self._rewards), 1), **numbers}
         told |= {f"holds/{name}": share for name, share in self.worlds.held().items()}
         if self._outcomes:
@@ -217,27 +220,27 @@ class ReinforcementSession:
         self.log.report(self.standing.updates, self.standing.samples, told)
 
     def due(self, every: int, before: int) -> bool:
-        """Whether a multiple of ``every`` samples was passed since ``before`` samples."""
+        """Whether the number of samples has passed a multiple of ``every`` since it was ``before``."""
         return self.standing.samples // every > before // every
 
     def check_time(self) -> None:
-        """End in time for the last evaluation.
+        """Check that the time budget still covers the final evaluation.
 
         Raises:
-            OutOfTime: no more is left of the budget.
+            OutOfTime: it does not, so training must end now.
         """
         budget = self.request.budget_seconds
         reserve = self._eval_seconds * self.request.eval_episodes
-        # The first process judges for all: one that stopped alone would leave the others waiting for its gradients.
+        # The first process decides for all: if one process stopped alone, the others would wait for its gradients.
         if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
             raise OutOfTime
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
     def save(self, actor: Student, tensors: dict[str, Tensor]) -> None:
-        """Write both checkpoints, and begin new episodes in all worlds.
+        """Write the training and the student checkpoint, and start new episodes in all worlds.
 
-        A run that goes on from here is then the same as one that was interrupted and resumed.
+        The new episodes make an uninterrupted run equal to one that is resumed from this checkpoint.
         """
         if distributed.rank() == 0:
             self._write(actor, tensors)
@@ -256,7 +259,7 @@ class ReinforcementSession:
         self.save_actor(actor)
 
     def time_shares(self) -> dict[str, float]:
-        """Shares of the wall time since this start: environment, updates, evaluations, and the rest (acting, files)."""
+        """Fractions of the wall time since this process started: env, learner, evaluation, other (acting, files)."""
         parts = {
             "env": self.worlds.seconds,
             "learner": self.learner_seconds,
@@ -268,7 +271,7 @@ class ReinforcementSession:
         return {name: round(share, 4) for name, share in shares.items()}
 
     def save_actor(self, actor: Student) -> None:
-        """Write the actor as the student that acts."""
+        """Write the actor as a student checkpoint, which `mjhab eval` can run."""
         about = {
             "algorithm": self.config.algorithm,
             "step": self.standing.updates,
@@ -279,7 +282,7 @@ class ReinforcementSession:
         save_student(self.folder.student, actor, about)
 
     def evaluate(self, actor: Student, episodes: int, last: bool = False) -> float:
-        """Success once of the actor over the episodes 0 to ``episodes`` - 1, as `mjhab eval` has it."""
+        """Success-once rate of the actor over the episodes 0 to ``episodes`` - 1, measured as by `mjhab eval`."""
         if distributed.rank():
             return 0.0
         self.save_actor(actor)
@@ -310,10 +313,10 @@ class ReinforcementSession:
 
 
 def _start_of(request: ReinforcementRequest) -> Student | None:
-    """The student that the actor begins from.
+    """Load the student that the actor starts from; None if the request names none.
 
     Raises:
-        UsageError: the file cannot be read, or is of another kind than the algorithm takes.
+        UsageError: the file cannot be read, or its algorithm does not fit the one to train.
     """
     if not request.start:
         return None
@@ -321,15 +324,15 @@ def _start_of(request: ReinforcementRequest) -> Student | None:
     wanted = request.config.student.algorithm
     if student.config.algorithm != wanted or student.config.inputs.history != 1:
         raise UsageError(
-            f"{request.config.algorithm} begins from a checkpoint of algorithm {wanted} that sees one observation; "
-            f"{request.start} is of {student.config.algorithm} and sees {student.config.inputs.history}."
+            f"{request.config.algorithm} begins from a checkpoint of algorithm {wanted} with a history of 1; "
+            f"{request.start} has algorithm {student.config.algorithm} and history {student.config.inputs.history}."
         )
     student.config = dataclasses.replace(student.config, execute=1)
     return student.requires_grad_(True)
 
 
 def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
-    """Everything that decides what a run learns, as plain JSON data."""
+    """Everything that determines the result of a run, as JSON data."""
     return {
         "algorithm": request.config.algorithm,
         "config": asdict(request.config),
@@ -349,10 +352,10 @@ def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
 def open_reinforcement(
     request: ReinforcementRequest, out: Path, resume: bool = False
 ) -> Iterator[ReinforcementSession]:
-    """A session in the folder ``out``, whose logs are closed in the end.
+    """Open a training session in the folder ``out``; its logs are closed on exit.
 
     Raises:
-        UsageError: folder, scene or checkpoint do not fit; nothing was written.
+        UsageError: folder, scene or checkpoint do not fit; then nothing was written.
     """
     distributed.join()
     config = resolved_config(request)

@@ -1,4 +1,4 @@
-"""What agents see of an environment, as tensors where the environment has its arrays."""
+"""Observations for agents: tensors on the device of the environment's arrays."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ from mjhab.tasks.subtasks.registry import horizons
 PRIVILEGED = (
     "position and velocity of every joint of the robot, the base among them",
     "position and velocity of every joint of the furniture",
-    "time that is left, as a share of the horizon",
-    "norm of the forces on the robot [kN], and their sum over the steps so far, in units of 5,000 N x steps",
+    "time that remains, as a fraction of the horizon",
+    "norm of the forces on the robot [kN], and their sum over the steps so far [5,000 N x steps]",
     "the checks of the active subtask, 0 or 1",
 )
-"""What a privileged critic sees besides what the actor sees, in this order."""
+"""Inputs that a privileged critic receives in addition to the actor's, in this order."""
 CHECKS = ("is_grasped", "at_goal", "ee_rest", "is_static", "opened", "closed", "touch")
+"""Checks of the active subtask, keys of ``info``."""
 FORCE_SCALE_N = 1000.0
+"""Unit of the force input [N]."""
 CUMULATIVE_FORCE_SCALE = 5000.0
+"""Unit of the cumulative force input [N x control steps]."""
 FARTHEST_MM = 32_767
-"""Largest depth that an image holds."""
+"""Largest depth that an int16 depth image can hold [mm]."""
 
 
 class SteppedEnv(Protocol):
-    """What agents need of an environment; ``state`` is a `sim.protocol.SimState`."""
+    """The part of an environment that `Sight` reads; ``state`` is a `sim.protocol.SimState`."""
 
     num_envs: int
     config: Any
@@ -43,34 +46,38 @@ class SteppedEnv(Protocol):
         ...
 
     def link_state(self) -> Any:
-        """(W, 4) float32, see `Sensing.link_state`."""
+        """(W, 5) float32, see `Sensing.link_state`."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Observations of W worlds: vector (W, history * V), images (W, history * C, H, W) uint8, privileged (W, P)."""
+    """Observations of W worlds.
+
+    vector (W, history * V) float32. images (W, history * cameras, height, width) uint8: see `learning.demos.nearness`.
+    privileged (W, P) float32: see PRIVILEGED.
+    """
 
     vector: Tensor
     images: Tensor
     privileged: Tensor
 
     def to(self, device: torch.device) -> Seen:
-        """The same on another device."""
+        """Copy on another device."""
         return Seen(self.vector.to(device), self.images.to(device), self.privileged.to(device))
 
     def rows(self, index: Any) -> Seen:
-        """The observations of some worlds."""
+        """The rows that ``index`` selects."""
         return Seen(self.vector[index], self.images[index], self.privileged[index])
 
 
 class Sight:
-    """Turns observations of an environment into what an agent takes.
+    """Converts an environment's observations into the tensors that an agent takes.
 
     Args:
-        env: of either backend.
-        layout: what the agent sees.
-        privileged: whether its critic sees more, see PRIVILEGED.
+        env: environment of either backend.
+        layout: inputs of the agent.
+        privileged: whether to compute the inputs of a privileged critic, see PRIVILEGED.
     """
 
     def __init__(self, env: SteppedEnv, layout: Layout, privileged: bool) -> None:
@@ -93,7 +100,7 @@ class Sight:
         self._horizon = float(max(horizons(env.task_config)))
 
     def begin(self, fresh: Tensor, info: Mapping[str, Any]) -> None:
-        """Take note of what the worlds in ``fresh`` (W,) bool are to do from now on."""
+        """Set the subtask condition of the worlds in ``fresh`` (W,) bool from their new episodes."""
         layout = self._layout
         if not layout.inputs.condition:
             return
@@ -116,12 +123,12 @@ class Sight:
         fresh: Tensor,
         again: bool = False,
     ) -> Seen:
-        """What is seen now.
+        """Convert the observations of one step.
 
         Args:
             obs: observations. info: of the same step.
-            last: (W, A) actions of the step before. fresh: (W,) bool worlds whose episodes begin.
-            again: only the fresh worlds have changed since the last call.
+            last: (W, A) actions of the previous step. fresh: (W,) bool, worlds whose episodes start here.
+            again: only the fresh worlds have changed since the last call; the histories of the others stay.
         """
         parts = [torch.as_tensor(obs["state"]).float()]
         inputs = self._layout.inputs
@@ -145,7 +152,7 @@ class Sight:
         return Seen(self._vectors.flatten(1), self._images.flatten(1, 2), self._privileged_of(info))
 
     def _frames(self, obs: Mapping[str, Any]) -> Tensor:
-        """Images (W, C, H, W) uint8 of one step."""
+        """Images (W, cameras, height, width) uint8 of one step."""
         keys = self._layout.image_keys
         if not keys:
             return self._images[:, -1]
@@ -169,7 +176,7 @@ class Sight:
 
     @property
     def privileged_width(self) -> int:
-        """Numbers that the critic sees more."""
+        """Width P of the privileged input."""
         if not self._privileged:
             return 0
         state = self._env.state
@@ -179,7 +186,7 @@ class Sight:
 
 
 def _shifted(history: Tensor, now: Tensor, fresh: Tensor, again: bool) -> Tensor:
-    """A history (W, H, ...) with the present (W, 1, ...) at its end; fresh worlds have nothing else."""
+    """Append ``now`` (W, 1, ...) to a history (W, H, ...); fresh worlds get a history of ``now`` only."""
     moved = history if again else torch.cat([history[:, 1:], now], dim=1)
     mask = fresh.view(-1, *[1] * (now.dim() - 1))
     return torch.where(mask, now.expand_as(moved), moved)

@@ -1,4 +1,4 @@
-"""One call that trains an agent: opens the folder, runs the algorithm, evaluates, writes summary and report."""
+"""Training of an agent by reinforcement learning: open the folder, train, evaluate, write summary and report."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ from mjhab.reports.metrics import mean, wilson
 from mjhab.tasks.subtasks.registry import horizons
 
 REPORT_SECONDS = 2.0
-"""Between reports of SAC, whose updates are many."""
+"""Time between two reports of SAC, which makes many updates per second [s]."""
 
 
 def train_reinforcement(
     request: ReinforcementRequest, out: Path, resume: bool = False
 ) -> TrainingResult:
-    """Train an agent, evaluate it, and write everything into a folder. Ctrl-C keeps the last checkpoint.
+    """Train an agent, evaluate it, and write everything into the folder ``out``. Ctrl-C keeps the last checkpoint.
 
     Raises:
         UsageError: folder, scene or checkpoint do not fit.
@@ -80,7 +80,7 @@ def train_reinforcement(
 
 
 def summarize(session: ReinforcementSession) -> dict[str, Any]:
-    """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
+    """Results of a run as JSON data; ``episodes`` is the number of episodes behind ``success_once``."""
     records = session.records
     low, high = wilson(sum(record.success_once for record in records), len(records))
     return {
@@ -101,7 +101,7 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
 
 
 class _Run(ABC):
-    """What both algorithms do around their updates."""
+    """The part of a training run that both algorithms share."""
 
     def __init__(self, session: ReinforcementSession) -> None:
         self.session = session
@@ -111,18 +111,18 @@ class _Run(ABC):
 
     @abstractmethod
     def tensors(self) -> dict[str, Tensor]:
-        """Everything that the next update depends on, by name."""
+        """State that the next update depends on, as named tensors for a checkpoint."""
 
     @abstractmethod
     def learn(self) -> None:
-        """Use the samples that are left.
+        """Train until the run's number of samples is reached.
 
         Raises:
             OutOfTime: the budget is spent.
         """
 
     def _between(self, before: int) -> None:
-        """Checkpoint and evaluate where they are due since ``before`` samples."""
+        """Write a checkpoint and evaluate if either became due since ``before`` samples."""
         session = self.session
         if session.due(self.config.checkpoint_samples, before):
             session.save(self.actor, self.tensors())
@@ -131,9 +131,71 @@ class _Run(ABC):
             session.evaluate(self.actor, session.request.round_episodes)
         session.check_time()
 
+    def _buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:
+        seen = self.session.worlds.seen
+        images = seen.images.shape[1:]
+        steps = max(capacity // worlds, 2)
+        reserve = min(self.config.checkpoint_samples // worlds + 2, steps // 4)
+        if name == DEMONSTRATIONS:
+            reserve = 0
+        shape = ReplayShape(
+            worlds=worlds,
+            steps=steps,
+            vector=seen.vector.shape[1],
+            images=(int(images[0]), int(images[1]), int(images[2])),
+            privileged=seen.privileged.shape[1],
+            actions=len(self.session.layout.actions),
+        )
+        self.session.log.show({name: shape.words})
+        device = self.session.worlds.device
+        folder = self.session.folder.path / name if device.type == "cpu" else None
+        return ReplayBuffer(shape, device, folder, reserve)
+
+    def _demonstrations(self, episodes: int, noise: float = 0.0) -> ReplayBuffer:
+        """A buffer of recorded episodes or, without any, of ``episodes`` new episodes of the expert.
+
+        ``noise``: of the expert's actions, see `collect_demonstrations`.
+        """
+        folder = self.session.folder.path / DEMONSTRATIONS
+
+        def fill() -> ReplayBuffer:
+            return (
+                self._replay_recorded()
+                if self.session.request.data
+                else self._ask_expert(episodes, noise)
+            )
+
+        shown = kept_demonstrations(folder, fill)
+        self.session.demonstrations = shown.episodes
+        return shown
+
+    def _replay_recorded(self) -> ReplayBuffer:
+        session = self.session
+
+        def make(worlds: int, steps: int) -> ReplayBuffer:
+            return self._buffer(DEMONSTRATIONS, worlds, worlds * steps)
+
+        def tell(done: int, total: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{total}"})
+
+        return replay_recorded(session, make, tell)
+
+    def _ask_expert(self, episodes: int, noise: float) -> ReplayBuffer:
+        session = self.session
+        horizon = int(max(horizons(session.env.task_config))) + 2
+
+        def make(worlds: int) -> ReplayBuffer:
+            per_world = -(-episodes // worlds) * horizon
+            return self._buffer(DEMONSTRATIONS, worlds, worlds * per_world)
+
+        def tell(done: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
+
+        return collect_demonstrations(session, episodes, make, tell, noise)
+
 
 class _PpoRun(_Run):
-    """Rollout, update, rollout, update."""
+    """PPO: rollouts and updates in turn."""
 
     def __init__(self, session: ReinforcementSession) -> None:
         super().__init__(session)
@@ -147,9 +209,16 @@ class _PpoRun(_Run):
         ).to(worlds.device)
         self.actor = agent.actor
         self.agent = agent
-        self.learner = PpoLearner(agent, worlds, self.config, session.seed)
+        shown: ReplayBuffer | None = None
+        if agent.config.demonstrations:
+            ppo = agent.config
+            shown = self._demonstrations(ppo.demonstrations, ppo.demonstration_noise)
+        self.learner = PpoLearner(agent, worlds, self.config, session.seed, shown)
         if session.saved is not None:
             self._restore(session.saved.tensors)
+        elif shown is not None and session.start is None:
+            session.log.show({"phase": "imitation"})
+            self.learner.imitate()
 
     def _restore(self, tensors: Any) -> None:
         learner = self.learner
@@ -195,7 +264,7 @@ class _PpoRun(_Run):
 
 
 class _SacRun(_Run):
-    """A control step of all worlds, some updates, and again."""
+    """SAC and RLPD: one control step of all worlds and some updates in turn."""
 
     def __init__(self, session: ReinforcementSession) -> None:
         super().__init__(session)
@@ -210,33 +279,13 @@ class _SacRun(_Run):
         self.actor = self.agent.actor
         self.learner = SacLearner(self.agent, self.config, session.seed)
         self.owed = 0.0
-        """Updates that are due."""
+        """Number of updates that are due; fractions add up."""
         self.online = self._buffer(REPLAY, worlds.count, self.sac.capacity)
         self.shown: ReplayBuffer | None = None
         if session.saved is not None:
             self._restore(session.saved.tensors, session.saved.about)
         if self.sac.demonstrations:
-            self._demonstrate()
-
-    def _buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:
-        seen = self.session.worlds.seen
-        images = seen.images.shape[1:]
-        steps = max(capacity // worlds, 2)
-        reserve = min(self.config.checkpoint_samples // worlds + 2, steps // 4)
-        if name == DEMONSTRATIONS:
-            reserve = 0
-        shape = ReplayShape(
-            worlds=worlds,
-            steps=steps,
-            vector=seen.vector.shape[1],
-            images=(int(images[0]), int(images[1]), int(images[2])),
-            privileged=seen.privileged.shape[1],
-            actions=len(self.session.layout.actions),
-        )
-        self.session.log.show({name: shape.words})
-        device = self.session.worlds.device
-        folder = self.session.folder.path / name if device.type == "cpu" else None
-        return ReplayBuffer(shape, device, folder, reserve)
+            self.shown = self._demonstrations(self.sac.demonstrations)
 
     def _restore(self, tensors: Any, about: Any) -> None:
         learner = self.learner
@@ -256,38 +305,6 @@ class _SacRun(_Run):
         kept["owed"] = torch.tensor(self.owed, dtype=torch.float64)
         kept["position"] = self.online.position
         return kept
-
-    def _demonstrate(self) -> None:
-        """Fill the buffer of demonstrations: recorded ones, or by the expert in episodes of its own."""
-        folder = self.session.folder.path / DEMONSTRATIONS
-        fill = self._replay_recorded if self.session.request.data else self._ask_expert
-        self.shown = kept_demonstrations(folder, fill)
-        self.session.demonstrations = self.shown.episodes
-
-    def _replay_recorded(self) -> ReplayBuffer:
-        session = self.session
-
-        def make(worlds: int, steps: int) -> ReplayBuffer:
-            return self._buffer(DEMONSTRATIONS, worlds, worlds * steps)
-
-        def tell(done: int, total: int) -> None:
-            session.log.show({"phase": f"demonstrations: {done}/{total}"})
-
-        return replay_recorded(session, make, tell)
-
-    def _ask_expert(self) -> ReplayBuffer:
-        session = self.session
-        horizon = int(max(horizons(session.env.task_config))) + 2
-        episodes = self.sac.demonstrations
-
-        def make(worlds: int) -> ReplayBuffer:
-            per_world = -(-episodes // worlds) * horizon
-            return self._buffer(DEMONSTRATIONS, worlds, worlds * per_world)
-
-        def tell(done: int) -> None:
-            session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
-
-        return collect_demonstrations(session, episodes, make, tell)
 
     def learn(self) -> None:
         session = self.session
@@ -323,7 +340,7 @@ class _SacRun(_Run):
                 session.check_time()
 
     def _step(self) -> None:
-        """One control step of all worlds into the buffer."""
+        """Take one control step in all worlds and store it in the replay buffer."""
         worlds = self.session.worlds
         seen = worlds.seen
         with torch.no_grad():
@@ -360,7 +377,7 @@ class _SacRun(_Run):
         return told
 
     def _fit_normalizers(self) -> None:
-        """Normalize by what was seen before the first update; it stays so, since the buffer holds raw numbers."""
+        """Fit the normalizers once, before the first update; the buffer stores unnormalized observations."""
         agent = self.agent
         if not self.config.inputs.normalize:
             return

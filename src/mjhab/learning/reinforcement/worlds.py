@@ -1,4 +1,4 @@
-"""Stepping the worlds of a training environment, with what was really seen at the end of an episode."""
+"""Stepping and resetting the worlds of a training environment, with the true last observation of each episode."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from mjhab.learning.reinforcement.sight import Seen, Sight
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """What one control step brought, in every world.
+    """Result of one control step in W worlds.
 
-    reward (W,). next_seen: after the step; at the end of an episode that is its last observation. terminated (W,)
-    bool: nothing follows. ended (W,) bool: that, or out of time. succeeded (W,) bool: of an episode that ended,
-    whether it succeeded at least once.
+    reward (W,). next_seen: observation after the step; at the end of an episode, its last observation.
+    terminated (W,) bool: the episode ended by success or failure. ended (W,) bool: it terminated or reached its time
+    limit. succeeded (W,) bool: the episode has been in success at least once.
     """
 
     reward: Tensor
@@ -35,13 +35,13 @@ class Transition:
 
 @dataclass(frozen=True)
 class TrainingRules:
-    """What ends an episode of training, and what it costs, beside what the environment says.
+    """Rules of training episodes in addition to those of the environment.
 
-    longest_first: the first episode of every world ends after a number of control steps between 1 and this, as by
-    time, so that worlds do not go through their episodes together; 0 lets it run on.
-    force_limit: on the cumulative force [N x control steps]. force_ends: an episode is over, and nothing follows, when
-    it is exceeded. force_cost: reward that a force takes which sums up to the limit.
-    conditions: checks of ``info`` of which ``Worlds.held`` tells how often they hold.
+    longest_first: the first episode of each world is truncated after a random number of control steps from 1 to this
+    value, so that the worlds do not reset in the same step; 0 disables this.
+    force_limit: on the cumulative force [N x control steps]. force_ends: an episode terminates when it exceeds the
+    limit. force_cost: total reward subtracted over an episode whose cumulative force reaches the limit.
+    conditions: boolean keys of ``info`` whose frequency ``Worlds.held`` reports.
     """
 
     longest_first: int = 0
@@ -52,17 +52,17 @@ class TrainingRules:
 
 
 class Worlds:
-    """The worlds of an environment with ``autoreset="disabled"``: finished ones are reset here, after they were seen.
+    """The worlds of an environment with ``autoreset="disabled"``; this class resets the finished ones itself.
 
-    So the last observation of an episode, with what only the simulator knows, is there for the value of what would
-    have followed: a vector environment that resets by itself gives no more of it than ``info["final_obs"]``.
+    So it can read the last observation of an episode, including the privileged inputs, to bootstrap the value. An
+    environment that resets by itself returns only ``info["final_obs"]``.
 
     Args:
-        env: of either backend. sight: of the same environment. seed: of the first episodes.
-        rules: of training; none beside those of the environment if not given.
+        env: environment of either backend. sight: of the same environment. seed: of the first episodes.
+        rules: additional rules of training episodes; none if not given.
 
     Raises:
-        UsageError: the environment resets by itself.
+        UsageError: the environment resets its worlds by itself.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Worlds:
     ) -> None:
         if env.config.autoreset != "disabled":
             raise UsageError(
-                f"agents reset the worlds themselves; make the environment with autoreset='disabled', not "
+                "reinforcement learning resets the worlds itself; make the environment with autoreset='disabled', not "
                 f"{env.config.autoreset!r}."
             )
         self.env = env
@@ -81,13 +81,13 @@ class Worlds:
         self._holding = torch.zeros(len(self._rules.conditions), device=sight.device)
         self._steps = 0
         self.seconds = 0.0
-        """Wall time spent in the environment, and in turning what it shows into tensors [s]."""
+        """Wall time spent in the environment and in converting its observations [s]."""
         self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
         self._succeeded = self._none
         self.seen: Seen = self.begin(seed)
 
     def begin(self, seed: int) -> Seen:
-        """Begin new episodes in all worlds; which ones depends on ``seed`` alone."""
+        """Start new episodes in all worlds; they depend on ``seed`` only."""
         began = time.perf_counter()
         seen = self._begin(seed)
         self.seconds += time.perf_counter() - began
@@ -108,7 +108,7 @@ class Worlds:
         return self.seen
 
     def step(self, actions: Tensor) -> Transition:
-        """One control step; worlds whose episodes end begin new ones, see ``seen``."""
+        """Take one control step, then reset the worlds whose episodes ended; ``seen`` holds the observations after."""
         began = time.perf_counter()
         transition = self._step(actions)
         self.seconds += time.perf_counter() - began
@@ -156,7 +156,7 @@ class Worlds:
         self._steps += 1
 
     def held(self) -> dict[str, float]:
-        """Share of the control steps since the last call in which each condition held."""
+        """Fraction of the control steps since the last call in which each condition held, mean over the worlds."""
         shares = (self._holding / max(self._steps, 1)).tolist()
         self._holding.zero_()
         self._steps = 0

@@ -1,1 +1,1 @@
-"""Results of the MS-HAB paper, reproduced: policies are trained, judged, and set beside the paper's numbers."""
+"""Reproduction of the MS-HAB paper's results: train policies, evaluate them, compare them with the paper's numbers."""

@@ -1,4 +1,4 @@
-"""Training and judging what a reproduction asks for, or what is missing of it."""
+"""Training and evaluation of the policies of a reproduction; finished parts are reused."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ STUDENT = "student.safetensors"
 POLICIES = "policies.json"
 SECONDS_PER_MINUTE = 60.0
 Sinks = Callable[[EvalSpec], Sequence[Sink]]
+"""Makes the listeners of an evaluation, for instance a progress bar."""
 
 
 def reproduce(
@@ -47,19 +48,18 @@ def reproduce(
     sinks: Sinks = lambda judging: (),
     tell: Callable[[TableRow], object] = bool,
 ) -> tuple[list[dict[str, Any]], bool]:
-    """Train and judge the policies of every row, or what is missing of that, and write the page after each.
+    """Train and evaluate the policies of every row, and write the results after each row. Finished parts are reused.
 
     Args:
-        spec: what to do.
-        sinks: listeners of an evaluation.
-        tell: called with every row before it is begun.
+        spec: the request.
+        sinks: makes the listeners of each evaluation.
+        tell: called with every row before it starts.
 
     Returns:
-        Rows of results as `results.result_of` gives them; and whether Ctrl-C came before the last one (what is done is
-        kept).
+        The rows as `results.result_of` returns them, and whether Ctrl-C interrupted the run (finished parts are kept).
 
     Raises:
-        UsageError: an unknown name, or a folder that cannot be gone on with; nothing was written.
+        UsageError: a name is unknown, or the folder holds another run; then nothing was written.
     """
     require_learn()
     rows = chosen_rows(spec)
@@ -79,10 +79,10 @@ def reproduce(
 
 
 def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
-    """Train and judge the policies of a row, or what is missing of that.
+    """Train and evaluate the policies of a row, unless that is done already.
 
     Raises:
-        KeyboardInterrupt: what is done is kept.
+        KeyboardInterrupt: Ctrl-C was pressed; finished parts are kept.
     """
     folder = spec.out / row.folder
     if (folder / ROW).is_file():
@@ -104,13 +104,13 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
 
 
 Trained = tuple[TableRow, str, Path]
-"""The row and the target that a policy is for, and the folder of its training."""
+"""Row and target of a policy, and the folder of its training run."""
 
 
 def _judge_policies(
     spec: TableSpec, row: TableRow, trained: Sequence[Trained], variant: Variant, sinks: Sinks
 ) -> list[Path]:
-    """Judge each policy of a row in its share of the episodes; returns the run folders."""
+    """Evaluate each policy of a row in its share of the episodes; returns the run folders."""
     share = -(-spec.episodes // len(trained))
     return [
         judge(
@@ -133,11 +133,11 @@ def _judge_policies(
 def _judge_task(
     spec: TableSpec, row: TableRow, trained: Sequence[Trained], variant: Variant, sinks: Sinks
 ) -> Path:
-    """Judge all policies together in a whole task; returns the run folder."""
+    """Evaluate the policies of all subtasks together in a whole task; returns the run folder."""
     folder = spec.out / row.folder
     entries = []
     for part, target, run in trained:
-        # A file of policies names checkpoints below its own folder, so that it can be moved with them.
+        # The policies file refers to checkpoints below its own folder, so that both can be moved together.
         copy = folder / POLICIES.removesuffix(".json") / f"{_name_of(part, target)}.safetensors"
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(run / STUDENT, copy)
@@ -155,7 +155,7 @@ def _judge_task(
 
 
 def judge(spec: TableSpec, judging: EvalSpec, sinks: Sinks) -> Path:
-    """Run an evaluation, or what is missing of it, with what all of a reproduction have in common."""
+    """Run or complete an evaluation with the options that all evaluations of a reproduction share."""
     from mjhab.learning.runs.evaluation import EVALUATION_SEED
 
     assert judging.out is not None
@@ -174,11 +174,11 @@ def judge(spec: TableSpec, judging: EvalSpec, sinks: Sinks) -> Path:
 
 
 def policy_run(spec: TableSpec, row: TableRow, target: str) -> Path:
-    """The folder of the training of a policy; trains it if it is not trained yet.
+    """Return the training folder of a policy; trains the policy if necessary.
 
     Raises:
-        UsageError: it should come from an earlier reproduction, which does not have it.
-        KeyboardInterrupt: what is done is kept.
+        UsageError: ``spec.policies`` names an earlier reproduction that lacks the policy.
+        KeyboardInterrupt: Ctrl-C was pressed; finished parts are kept.
     """
     if spec.policies is not None:
         run = _policy_folder(spec.policies, row, target) / TRAIN
@@ -195,7 +195,7 @@ def policy_run(spec: TableSpec, row: TableRow, target: str) -> Path:
 
 
 def _policy_folder(out: Path, row: TableRow, target: str) -> Path:
-    """Where a policy is trained and judged: the folder of its row, or one in it if the row has several policies."""
+    """Folder of a policy's runs: that of its row, or a subfolder if the row has several policies."""
     folder = out / row.folder
     return folder if target == row.target else folder / target.replace("/", ".")
 
@@ -205,7 +205,7 @@ def _name_of(row: TableRow, target: str) -> str:
 
 
 def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingResult:
-    """Train a policy, or go on with it."""
+    """Train a policy, or continue its training."""
     from mjhab.learning.runs.collection import Scene
 
     scene = Scene(

@@ -1,4 +1,4 @@
-"""Results of a reproduction: for machines, for people, and as a page, with the paper's numbers beside ours."""
+"""Results of a reproduction as JSON, table and HTML page, next to the paper's numbers."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ COLUMN_TITLES = (
 
 
 def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
-    """What the policies of a row took and can do, all together.
+    """Success rates and training cost of the policies of a row, taken together.
 
     Args:
-        runs: folders of their trainings. judged: run folders of their evaluations.
+        runs: folders of their training runs. judged: run folders of their evaluations.
     """
     summaries = [read_json_object(run / "summary.json") for run in runs]
     records = [record for folder in judged for record in read_records(folder)]
@@ -70,7 +70,7 @@ def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
 
 
 def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
-    """Write results.json and report.html of the rows that are through, and return them."""
+    """Write results.json and report.html with the finished rows, and return these rows."""
     config = read_json_object(out / "config.json")
     found = []
     for row in rows:
@@ -90,10 +90,10 @@ def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
 def result_of(
     row: TableRow, variant: str, found: Mapping[str, Any], config: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """A row for machines; ours as shares, the paper's in percent as it prints them.
+    """A row of results as JSON data; our rates are fractions, the paper's are percentages as printed there.
 
-    "paper": its success once [%] under the rules of Table 1, by SUCCESS_COLUMNS; "paper_says": what it says of these
-    rules, "" if nothing.
+    "paper" holds the paper's success-once rates [%] under the rules of Table 1, by SUCCESS_COLUMNS. "paper_says" is the
+    paper's statement about other rules, or "".
     """
     published = variant == AS_PUBLISHED.name and bool(row.subtask)
     paper = paper_success(row.task, row.subtask, config["split"], row.target) if published else {}
@@ -102,7 +102,7 @@ def result_of(
 
 
 def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
-    """A row for people, in the order of COLUMN_TITLES and then of PAPER_TITLES."""
+    """Cells of a row of the table, in the order of ``titles``."""
     return (
         result["row"],
         result["rules"],
@@ -119,7 +119,7 @@ def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def titles() -> tuple[str, ...]:
-    """Titles of ``cells``."""
+    """Column titles of the table."""
     return (
         *COLUMN_TITLES,
         *(f"paper: {title} [%]" for title in PAPER_TITLES.values()),
@@ -128,7 +128,7 @@ def titles() -> tuple[str, ...]:
 
 
 def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str:
-    """The page with our numbers and those of the paper."""
+    """HTML page with our numbers and those of the paper."""
     head = "".join(f"<th>{escape(title)}</th>" for title in titles())
     lines = [
         "<tr>" + "".join(f"<td>{escape(str(value))}</td>" for value in cells(result)) + "</tr>"
@@ -137,9 +137,9 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
     rules = "; ".join(f"{rule.name}: {rule.about}" for rule in VARIANTS[config["what"]])
     hint = (
-        f"Success once of our column {config['column']} (preset {config['preset']}) in homes of split "
-        f"{config['split']}. Rules: {rules}. Policies are trained under those of Table 1. The paper's policies were "
-        "judged in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR 2025, Tables 1 and 5)."
+        f"Success-once rates of our policies in column {config['column']} (preset {config['preset']}) in homes of "
+        f"split {config['split']}. Rules: {rules}. Policies are trained under the rules of Table 1. The paper's "
+        "policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR 2025, Tables 1 and 5)."
     )
     title = TITLES[config["what"]]
     body = f"<h1>{escape(title)}</h1>" + parts.section("Success", hint, table)

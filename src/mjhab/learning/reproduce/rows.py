@@ -1,4 +1,4 @@
-"""The rows of the paper's Table 1, and the policies that each column of it has for a row."""
+"""Rows and columns of the paper's Table 1, and the policies that are trained for each of them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ STUDENTS = "students"
 RL_PER = "rl_per"
 RL_ALL = "rl_all"
 COLUMNS = (STUDENTS, RL_PER, RL_ALL)
-"""students: imitation of the expert by take-over DAgger, one policy per row. rl_per: reinforcement, one policy per
-object. rl_all: reinforcement, one policy for all objects of a row. Open and Close have one policy per link anyway."""
+"""students: imitation of the expert by take-over DAgger, one policy per row. rl_per: reinforcement learning, one policy
+per object. rl_all: reinforcement learning, one policy for all objects of a row. Open and Close have one policy per link
+in every column."""
 FOR_ALL = ""
 """Target of a policy for all objects."""
 
 
 @dataclass(frozen=True)
 class TableRow:
-    """A row of the paper's Table 1, or a whole task (subtask ""). target: the link of Open and Close, else ""."""
+    """A row of the paper's Table 1, or a whole task (subtask ""). target: the link for Open and Close, else ""."""
 
     name: str
     task: str
@@ -50,7 +51,7 @@ def table_rows() -> dict[str, TableRow]:
 
 
 def place_rows() -> dict[str, TableRow]:
-    """The rows of Place: those in which the shape of the goal matters."""
+    """The rows of Place by name; only there the shape of the goal matters."""
     return {name: row for name, row in table_rows().items() if row.subtask == "place"}
 
 
@@ -61,19 +62,19 @@ def task_rows() -> dict[str, TableRow]:
 
 
 def rows_of_task(task: str) -> list[TableRow]:
-    """The rows of Table 1 whose policies do a whole task together."""
+    """The rows of Table 1 whose policies together execute a whole task."""
     return [row for row in table_rows().values() if row.task == task]
 
 
 def policy_targets(row: TableRow, column: str) -> tuple[str, ...]:
-    """What each policy of a row is about: an object type, a link, or FOR_ALL."""
+    """Targets of the policies of a row, one each: an object type, a link, or FOR_ALL."""
     if column != RL_PER or SUBTASKS[row.subtask].jointed:
         return (row.target,)
     return TASKS[row.task].object_types or tuple(sorted(set(roster(row.task))))
 
 
 def algorithm_of(row: TableRow, column: str) -> str:
-    """What trains the policies of a row: of reinforcement PPO for Open and Close, SAC for others, as in the paper."""
+    """Algorithm that trains the policies of a row; RL columns use PPO for Open and Close, else SAC, as in the paper."""
     if column == STUDENTS:
         return "dagger"
     return "ppo" if SUBTASKS[row.subtask].jointed else "sac"

@@ -1,4 +1,4 @@
-"""What is reproduced and how: the request, checked."""
+"""The request for a reproduction, and its validation."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ REINFORCEMENT_PRESET = "fast"
 
 @dataclass(frozen=True, kw_only=True)
 class TableSpec(ProfileChoice):
-    """What is trained and judged, and on what.
+    """Which policies to train and evaluate, and with which resources.
 
-    what: one of VARIANTS. column: one of COLUMNS. rows: names of rows, () for all that the result has.
-    preset: of `mjhab train`, "" for "small" (students) and "fast" (reinforcement).
-    policies: folder of an earlier reproduction, whose policies are judged instead of training any; None to train.
-    budget_minutes: training of each policy stops after so many, 0 for no limit. backend, device: of the environments
-    of reinforcement, see `EnvConfig`. split, episodes, films: of the judging; rows with several policies share the
-    episodes among them. worlds: of judging, and of collecting demonstrations. worlds, threads: change the speed.
-    out: folder of the runs; resume: it may hold some.
+    what: one of VARIANTS. out: folder of the runs. rows: names of rows, () for all rows of the result.
+    preset: of `mjhab train`; "" selects "small" for students and "fast" for reinforcement learning.
+    budget_minutes: time limit for training each policy, 0 for no limit.
+    split, episodes, films: of the evaluation; the policies of a row share its episodes.
+    worlds: parallel worlds of evaluation and of collection. worlds, threads: change the speed, not the results.
+    resume: complete the runs that ``out`` already holds. column: one of COLUMNS.
+    policies: folder of an earlier reproduction whose policies are evaluated; None trains new ones.
+    backend, device: of the environments of reinforcement learning, see `EnvConfig`.
     """
 
     what: str
@@ -60,7 +61,7 @@ class TableSpec(ProfileChoice):
 
     @property
     def preset_name(self) -> str:
-        """The preset that is used."""
+        """Name of the preset, defaults resolved."""
         return self.preset or DEFAULT_PRESETS.get(self.column, REINFORCEMENT_PRESET)
 
 
@@ -78,15 +79,15 @@ def known_rows(what: str) -> dict[str, TableRow]:
 
 
 def policy_rows(row: TableRow) -> list[TableRow]:
-    """The rows of Table 1 whose policies a row judges: itself, or those of a whole task."""
+    """The rows of Table 1 whose policies a row evaluates: the row itself, or all rows of a whole task."""
     return [row] if row.subtask else rows_of_task(row.task)
 
 
 def chosen_rows(spec: TableSpec) -> list[TableRow]:
-    """The rows that are asked for.
+    """The requested rows.
 
     Raises:
-        UsageError: an unknown name, or a folder of policies that is none.
+        UsageError: a name is unknown, or ``policies`` is not the folder of a reproduction.
     """
     known = known_rows(spec.what)
     for name in spec.rows:
@@ -103,7 +104,7 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
             _check_preset(spec, part)
     if spec.policies is not None and not (spec.policies / "config.json").is_file():
         raise UsageError(
-            f"{spec.policies} is no folder of `mjhab reproduce`: it has no config.json."
+            f"{spec.policies} is not a folder of `mjhab reproduce`: it has no config.json."
         )
     return rows
 
@@ -120,7 +121,7 @@ def _check_preset(spec: TableSpec, row: TableRow) -> None:
 
 
 def table_config(spec: TableSpec) -> dict[str, Any]:
-    """What all rows of a folder have in common, as plain JSON data."""
+    """The part of the config that all rows of a folder share, as JSON data."""
     names = ("what", "column", "budget_minutes", "split", "episodes", "seed", "assets", "backend")
     shown = {name: getattr(spec, name) for name in names}
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}

@@ -1,4 +1,4 @@
-"""Under which rules policies are judged: those of the paper, and those that its ablations change."""
+"""Evaluation rules of a reproduction: those of the paper's Table 1 and those of its ablations."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ FORCE_LIMITS = "force_limits"
 GOAL_ZONES = "goal_zones"
 LONG_HORIZON = "long_horizon"
 SAFE_FORCE_LIMIT = 1400.0
-"""Limit on the cumulative force [N x control steps] of the paper's study of safety thresholds for people nearby."""
+"""Limit on the cumulative force in the paper's ablation of human-safe force thresholds [N x control steps]."""
 
 
 @dataclass(frozen=True)
 class Variant:
     """Rules of an evaluation.
 
-    name: of the folder of its runs. about: in words. force_limit: on the cumulative force [N x control steps], infinite
-    for none, None for that of the profile. goal_type: see `TaskConfig.goal_type`, "" for that of the profile.
+    name: of the folder of its runs. about: description. force_limit: on the cumulative force [N x control steps];
+    infinity for no limit, None for the limit of the profile. goal_type: see `TaskConfig.goal_type`; "" takes that of
+    the profile.
     """
 
     name: str
@@ -31,17 +32,17 @@ class Variant:
     goal_type: str = ""
 
     def env_options(self, options: Mapping[str, Any], subtask: str) -> dict[str, Any]:
-        """Options of the environment under these rules.
+        """Environment options under these rules.
 
         Args:
-            options: with the profile and what is given beside it. subtask: "" for a whole task.
+            options: environment options to extend, with their profile. subtask: "" for a whole task.
         """
         changed = dict(options)
         overrides: dict[str, Any] = {}
         if self.goal_type:
             overrides["goal_type"] = self.goal_type
         if self.force_limit is not None:
-            # A binding profile allows no other limits: its other values go under the name of the default one.
+            # A binding profile allows no other limit, so its values are set one by one on the default profile.
             profile = profile_named(changed.get("profile", DEFAULT_PROFILE))
             values = profile.options(subtask, trains=False)
             changed = {**values, **changed, "profile": DEFAULT_PROFILE}
@@ -73,5 +74,4 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
         Variant("simplified", "no force limit, goals are cylinders", math.inf, "cylinder"),
     ),
 }
-"""Results of the paper by name, and the rules under which each has its policies judged. Policies are trained under
-those of Table 1."""
+"""Rules of evaluation for each result of the paper, by the result's name. Training uses the rules of Table 1."""

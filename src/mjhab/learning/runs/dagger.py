@@ -1,8 +1,9 @@
-"""Take-over DAgger: the student begins, the expert takes over and finishes, the student learns from what it did.
+"""Take-over DAgger: the student starts an episode, the expert takes over, and the student learns from the expert.
 
-Round 0 is plain imitation of the expert. In every later round the student acts for a drawn number of control steps, at
-most `DaggerConfig.longest_prefix`; then the expert plans anew from wherever that led, and its part of the episodes that
-succeed is added. The network is kept; a share of every batch comes from the newest round.
+Round 0 is plain imitation of the expert. In every later round the student acts for a random number of control steps,
+at most `DaggerConfig.longest_prefix`. Then the expert plans from the state reached and finishes the episode; its part
+is added to the demonstrations if the episode succeeds. Training continues with the same network, and a fixed fraction
+of every batch comes from the newest round.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from mjhab.learning.runs.session import Session
 
 
 def train_dagger(session: Session, config: DaggerConfig) -> None:
-    """Run all rounds that are left.
+    """Run the remaining rounds.
 
     Raises:
         OutOfTime: the budget is spent.
@@ -35,7 +36,7 @@ def train_dagger(session: Session, config: DaggerConfig) -> None:
 
 
 def restore_rounds(session: Session, config: DaggerConfig) -> None:
-    """Read the data of the rounds that are over."""
+    """Load the demonstrations of the finished rounds."""
     for number in range(session.progress.round):
         if number == 0 and session.request.data:
             session.load(session.request.data, session.request.filter)
@@ -44,13 +45,13 @@ def restore_rounds(session: Session, config: DaggerConfig) -> None:
 
 
 def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
-    """Get the data of a round: those that were given for round 0, or new ones."""
+    """Load or collect the demonstrations of a round; round 0 takes the data of the request, if there are any."""
     if number == 0 and session.request.data:
         session.load(session.request.data, session.request.filter)
         return
     student = session.folder.round_student(number) if number else None
     episodes = config.episodes if number else session.config.demos
-    # The expert alone needs no more time than the task gives it.
+    # Without a student prefix the task's own horizon is long enough.
     horizon = config.horizon if number else 0
     wanted = Round(
         number=number,

@@ -1,4 +1,4 @@
-"""Evaluating a checkpoint while it is trained: `mjhab eval`, in episodes that are never collected."""
+"""Evaluation of checkpoints during training, as by `mjhab eval`, in episodes that are never trained on."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
 EVALUATION_SEED = 7_000_000
-"""Seeds of evaluations begin here: no episode of collection is one of them."""
+"""Offset of the evaluations' seeds, so that they share no episode with the training data."""
 
 
 @dataclass(frozen=True)
 class Evaluations:
-    """Where and on what the students of a run are evaluated; all evaluations of a run have the same episodes.
+    """Scene, resources and episodes of a run's evaluations; all evaluations of a run use the same episodes.
 
-    seed: of the run. tell: called with the number of finished episodes.
+    means: processes and threads. seed: of the run. tell: called with the number of finished episodes.
     """
 
     scene: Scene
@@ -29,9 +29,9 @@ class Evaluations:
     tell: Callable[[int], object] = bool
 
     def run(self, student: Path, episodes: int, films: int, out: Path) -> Run:
-        """Run the episodes 0 to ``episodes`` - 1, of which the first ``films`` are filmed, by a checkpoint.
+        """Evaluate a checkpoint in the episodes 0 to ``episodes`` - 1 and film the first ``films`` of them.
 
-        What an earlier evaluation left in the run folder ``out`` is replaced.
+        Existing results in the run folder ``out`` are replaced.
         """
         scene = self.scene
         spec = EvalSpec(
@@ -62,6 +62,6 @@ class _Counter(Sink[RolloutEnv]):
         self._done = 0
 
     def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
-        """Tell of one more."""
+        """Report one more finished episode."""
         self._done += 1
         self._tell(self._done)

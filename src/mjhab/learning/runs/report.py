@@ -1,4 +1,4 @@
-"""The report of a training run: one HTML file that opens without network."""
+"""The report of a training run: one HTML file without external resources."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from mjhab.rollout.store import FILMS
 Figure = dict[str, Any]
 LINE = "#14b8a6"
 POINTS = "#f59e0b"
+"""Colours of the loss curve and of the success curves."""
 
 
 def render_training_report(
@@ -27,7 +28,7 @@ def render_training_report(
     records: Sequence[EpisodeRecord],
     summary: Mapping[str, Any],
 ) -> str:
-    """The report as one self-contained page.
+    """Render the report as one self-contained HTML page.
 
     Args:
         folder: of the run. rows: of metrics.jsonl. records: of the last evaluation. summary: see `train.summarize`.
@@ -45,7 +46,7 @@ def render_training_report(
             "Loss", "Mean over the updates between two reports.", '<div id="loss-plot"></div>'
         )
     )
-    hint = "Share of the evaluated episodes that succeed at least once."
+    hint = "Fraction of the evaluated episodes that succeed at least once."
     body.append(parts.section("Success over samples", hint, '<div id="samples-plot"></div>'))
     body.append(
         parts.section(
@@ -55,18 +56,19 @@ def render_training_report(
     if records:
         body.append(
             parts.section(
-                "Last evaluation", "By target.", parts.success_table(rows_by_kind(records))
+                "Last evaluation", "Results per target.", parts.success_table(rows_by_kind(records))
             )
         )
         counts = labels_by_kind(records)
         if counts:
             plots["labels-plot"] = labels_figure(counts)
-            body.append(parts.section("Labels", "Of its episodes.", '<div id="labels-plot"></div>'))
+            hint = "Labels of the last evaluation's episodes."
+            body.append(parts.section("Labels", hint, '<div id="labels-plot"></div>'))
     body.append(_rounds(rows))
     body.append(_films(folder))
     body.append(
         parts.section(
-            "Run", "The config this run resolved to.", parts.config_list(flat(folder.config))
+            "Run", "The resolved config of this run.", parts.config_list(flat(folder.config))
         )
     )
     return render_page(_title(folder), "\n".join(filter(None, body)), {"plots": plots})
@@ -80,7 +82,7 @@ def curve(
     y_title: str,
     lines: bool = False,
 ) -> Figure:
-    """One number over another one, of the rows that have both."""
+    """Plot key ``y`` over key ``x`` of the rows that have both; without ``lines`` it is a rate from 0 to 1."""
     points = [(row[x], row[y]) for row in rows if x in row and y in row]
     trace = {
         "x": [point[0] for point in points],
@@ -99,7 +101,7 @@ def curve(
 
 
 def flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested mappings as one, with names joined by points."""
+    """Flatten nested mappings; names are joined by dots."""
     found: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
@@ -159,7 +161,7 @@ def _cards(summary: Mapping[str, Any]) -> str:
 
 
 def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Where the time of a run of reinforcement went; nothing for other runs."""
+    """Card with the time shares of a reinforcement learning run; empty for other runs."""
     shares = summary.get("time_shares")
     if not shares:
         return []
@@ -168,7 +170,7 @@ def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A table of what was collected in every round."""
+    """Table of the demonstrations collected in every round."""
     collected = [row for row in rows if "collection_success" in row]
     if not collected:
         return ""
@@ -178,7 +180,8 @@ def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
         for row in collected
     )
     head = "<tr><th>round</th><th>demonstrations so far</th><th>episodes that succeeded</th><th>time</th></tr>"
-    return parts.section("Collection", "What the expert added.", f"<table>{head}{lines}</table>")
+    hint = "Demonstrations that the expert added."
+    return parts.section("Collection", hint, f"<table>{head}{lines}</table>")
 
 
 def _films(folder: TrainingFolder) -> str:
@@ -189,7 +192,7 @@ def _films(folder: TrainingFolder) -> str:
         f"<figure>{_video(path)}<figcaption>{escape(f'{path.parents[1].name}, {path.stem}')}</figcaption></figure>"
         for path in paths
     )
-    hint = "Of the first and the last evaluation, at twice the speed of life."
+    hint = "Episodes of the first and the last evaluation, at twice real time."
     return parts.section("Films", hint, f'<div class="films">{films}</div>')
 
 

@@ -1,13 +1,13 @@
-"""The folder of a training run, and what is told while it runs.
+"""The folder of a training run, and its log.
 
 config.json        the resolved config; a resumed run must match it
-metrics.jsonl      one line per report: step, samples, seconds and numbers
-tensorboard/       the same for TensorBoard
-data/round_000/    demonstrations that were collected, ordinary shards
-training.safetensors   everything that the next update depends on
-student.safetensors    the student that acts: what `mjhab eval --policy` takes
+metrics.jsonl      one line per report: step, samples, seconds and metrics
+tensorboard/       the same metrics for TensorBoard
+data/round_000/    collected demonstrations of a round, in shards
+training.safetensors   state that the next update depends on
+student.safetensors    the policy for `mjhab eval --policy`
 evaluations/       run folders of the first and the latest evaluation, as of `mjhab eval`
-summary.json, report.html   at the end, also after Ctrl-C
+summary.json, report.html   written at the end, also after Ctrl-C
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ EVALUATIONS = "evaluations"
 SUMMARY = "summary.json"
 REPORT = "report.html"
 REFRESH_SECONDS = 0.5
+"""Shortest time between two updates of the table in the terminal [s]."""
 
 
 class TrainingFolder:
@@ -52,7 +53,7 @@ class TrainingFolder:
         """Prepare ``path`` for a run of ``config`` (plain JSON data).
 
         Raises:
-            UsageError: the folder holds something and ``resume`` is not given, or a run of another config.
+            UsageError: the folder is not empty and ``resume`` is not set, or it holds a run of another config.
         """
         check_folder(path, config, resume=resume)
         path.mkdir(parents=True, exist_ok=True)
@@ -61,12 +62,12 @@ class TrainingFolder:
 
     @property
     def training(self) -> Path:
-        """Everything that the next update depends on."""
+        """Path of the training checkpoint: the state that the next update depends on."""
         return self.path / TRAINING
 
     @property
     def student(self) -> Path:
-        """The student that acts."""
+        """Path of the student checkpoint: the policy for evaluation."""
         return self.path / STUDENT
 
     def data(self, number: int) -> Path:
@@ -74,7 +75,7 @@ class TrainingFolder:
         return self.path / DATA / f"round_{number:03d}"
 
     def round_student(self, number: int) -> Path:
-        """The student that begins the episodes of a round."""
+        """Path of the student checkpoint that starts the episodes of a round."""
         return self.path / ROUNDS / f"round_{number:03d}.safetensors"
 
     def evaluation(self, name: str) -> Path:
@@ -82,7 +83,7 @@ class TrainingFolder:
         return self.path / EVALUATIONS / name
 
     def read_metrics(self, step: int | None = None) -> list[dict[str, Any]]:
-        """What was reported, up to ``step`` updates if given; a line torn by a kill is left out."""
+        """Read the reported rows, up to ``step`` updates if given; incomplete lines are skipped."""
         path = self.path / METRICS
         found = []
         for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
@@ -93,25 +94,26 @@ class TrainingFolder:
         return [row for row in found if step is None or row["step"] <= step]
 
     def write_metrics(self, rows: list[dict[str, Any]]) -> None:
-        """Replace what was reported."""
+        """Replace the reported rows."""
         write_text(self.path / METRICS, "".join(json.dumps(row) + "\n" for row in rows))
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write summary.json in one piece."""
+        """Write summary.json atomically."""
         write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
     def write_report(self, html: str) -> Path:
-        """Write report.html in one piece and return its path."""
+        """Write report.html atomically and return its path."""
         write_text(self.path / REPORT, html)
         return self.path / REPORT
 
 
 class Logbook:
-    """Reports of a run: lines in metrics.jsonl, curves for TensorBoard, a table in the terminal. A context manager.
+    """Log of a run: lines in metrics.jsonl, TensorBoard curves and a table in the terminal. A context manager.
 
     Args:
-        folder: of the run. earlier_seconds: of the starts before this one. step: updates made before; reports of later
-            ones come from a start that was killed and are dropped.
+        folder: of the run.
+        earlier_seconds: wall time of the run before this start.
+        step: number of updates in the checkpoint that the run resumes from; rows of later updates are dropped.
     """
 
     def __init__(self, folder: TrainingFolder, earlier_seconds: float = 0.0, step: int = 0) -> None:
@@ -130,7 +132,7 @@ class Logbook:
 
     @property
     def seconds(self) -> float:
-        """Wall time of the run [s], earlier starts included."""
+        """Wall time of the run, earlier starts included [s]."""
         return time.perf_counter() - self._began
 
     @property
@@ -139,7 +141,7 @@ class Logbook:
         return sum(os.times()[:4]) + self._earlier_cpu_seconds
 
     def report(self, step: int, samples: int, numbers: Mapping[str, float]) -> None:
-        """Note numbers after ``step`` updates, of ``samples`` samples."""
+        """Log metrics after ``step`` updates and ``samples`` samples."""
         row = {"step": step, "samples": samples, "seconds": round(self.seconds, 2)}
         row |= {"cpu_seconds": round(self.cpu_seconds, 2), **numbers}
         self.rows.append(row)
@@ -153,7 +155,7 @@ class Logbook:
         )
 
     def show(self, words: Mapping[str, str]) -> None:
-        """Change lines of the table in the terminal."""
+        """Set rows of the table in the terminal, by name."""
         self._shown |= words
         now = time.perf_counter()
         if now - self._drawn > REFRESH_SECONDS:

@@ -1,4 +1,4 @@
-"""A run of training: its data, its student, its reports and checkpoints. What the algorithms are written with."""
+"""A run of imitation learning: its data, student, log and checkpoints, for all algorithms."""
 
 from __future__ import annotations
 
@@ -29,23 +29,24 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
 
 REPORT_EVERY = 50
-"""Updates between reports of the loss."""
+"""Number of updates between two reports of the loss."""
 CHECKPOINT_SECONDS = 60.0
-"""Between checkpoints."""
+"""Time between checkpoints [s]."""
 FIRST = "first"
 LATEST = "latest"
 """Names of the evaluations that are kept."""
 LOAD_SHARE = "loading_share"
+"""Metric: fraction of the training time spent on reading batches."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What to train, where, and on what.
+    """A training run: algorithm, scene, data and resources.
 
-    data: shards or folders of them; demonstrations are collected if there are none. where: which episodes of them.
-    budget_seconds: of wall time for everything, 0 for no limit. eval_episodes: of the last evaluation; round_episodes:
-    of those on the way, 0 for none. torch_threads: of the network. films: episodes to film in the first and the last
-    evaluation. ray: see `Collector`.
+    data: shards, or folders of shards; without any, demonstrations are collected. where: filter on their episodes.
+    budget_seconds: wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of the final evaluation.
+    round_episodes: episodes of the evaluations during training, 0 for none. torch_threads: threads of the network,
+    0 for torch's default. films: episodes to film in the first and the last evaluation. ray: see `Collector`.
     """
 
     config: TrainConfig
@@ -63,15 +64,15 @@ class Request:
 
     @property
     def filter(self) -> Filter | None:
-        """Which episodes of the given data are learned from."""
+        """Filter on the episodes of ``data``; None takes the default."""
         return Filter(self.where) if self.where else None
 
 
 def layout_for(request: Request) -> Layout:
-    """The layout of the given data, or of the environment that demonstrations are collected in.
+    """Observation and action layout of the given data, or of the environment that demonstrations are collected in.
 
     Raises:
-        UsageError: data or scene do not fit; nothing was written.
+        UsageError: data or scene do not fit; then nothing was written.
     """
     inputs = request.config.student.inputs
     scene = request.scene
@@ -80,7 +81,7 @@ def layout_for(request: Request) -> Layout:
         if scene.profile and scene.profile != layout.profile:
             raise UsageError(
                 f"the demonstrations are of profile {layout.profile}, not {scene.profile}. Leave out --profile, or "
-                f"make others: mjhab generate --profile {scene.profile}"
+                f"generate new data: mjhab generate --profile {scene.profile}"
             )
         return layout
     from mjhab.episodes.starts import valid_targets
@@ -92,7 +93,11 @@ def layout_for(request: Request) -> Layout:
 
 @dataclass
 class Progress:
-    """How far a run is. round: of DAgger; round_step: updates made in it; evaluated: updates made at evaluations."""
+    """Progress of a run.
+
+    round: current round of DAgger. round_step: updates made in it. seconds: wall time. evaluated: number of updates at
+    each evaluation.
+    """
 
     round: int = 0
     round_step: int = 0
@@ -102,7 +107,7 @@ class Progress:
 
 
 class OutOfTime(Exception):
-    """The budget is spent."""
+    """The time budget is spent."""
 
 
 class Session:
@@ -141,7 +146,7 @@ class Session:
     # -- data --------------------------------------------------------------------------------------------------------
 
     def load(self, places: Path | Sequence[Path], where: Filter | None = None) -> None:
-        """Add demonstrations to what is learned from; the first ones decide about the normalization."""
+        """Add demonstrations to the training data; the first ones added determine the normalizers."""
         self.log.show({"phase": "reading demonstrations"})
         data = load_demonstrations(places, self.layout, self.config.hold_steps, where)
         self.sources.append(data)
@@ -151,10 +156,10 @@ class Session:
             self.fitted = True
 
     def collect(self, wanted: Round) -> None:
-        """Collect the demonstrations of a round, or what is missing of them, and add them.
+        """Collect the missing demonstrations of a round and add them to the training data.
 
         Raises:
-            OutOfTime: the budget was spent before they were complete.
+            OutOfTime: the time budget ended before they were complete.
         """
         out = self.folder.data(wanted.number)
         began = time.perf_counter()
@@ -178,26 +183,26 @@ class Session:
         self.log.report(self.trainer.step, self.progress.samples, numbers)
 
     def sampler(self, new_share: float) -> BatchSampler:
-        """Batches of all that was loaded."""
+        """Sampler of batches from the loaded data; ``new_share`` is the fraction from the newest demonstrations."""
         return BatchSampler(self.sources, self.config.optimizer.batch, new_share, self.request.seed)
 
     @property
     def newest_share(self) -> float:
-        """Share of the newest demonstrations in all control steps that are learned."""
+        """Fraction of the training data's control steps that belong to the newest demonstrations."""
         return len(self.sources[-1].usable) / sum(len(source.usable) for source in self.sources)
 
     # -- training ----------------------------------------------------------------------------------------------------
 
     def train(self, updates: int, new_share: float = 1.0, cool_down: bool = False) -> None:
-        """Make ``updates`` updates in this round, less those that were made before.
+        """Make the remaining updates of this round.
 
         Args:
-            updates: of the whole round.
-            new_share: of every batch that comes from the newest demonstrations.
-            cool_down: let the learning rate fall to zero.
+            updates: total number of updates in the round.
+            new_share: fraction of every batch that comes from the newest demonstrations.
+            cool_down: decrease the learning rate linearly to zero.
 
         Raises:
-            OutOfTime: the budget is spent, but for the last evaluation.
+            OutOfTime: the rest of the time budget is needed for the final evaluation.
         """
         sampler = self.sampler(new_share)
         losses: list[float] = []
@@ -237,7 +242,7 @@ class Session:
         return Batch.of(chunks)
 
     def _out_of_time(self) -> bool:
-        """Whether no more is left of the budget than the last evaluation takes."""
+        """Whether the rest of the time budget is needed for the final evaluation."""
         budget = self.request.budget_seconds
         reserve = self._eval_seconds * self.request.eval_episodes
         return bool(budget) and self.log.seconds + reserve > budget
@@ -249,7 +254,7 @@ class Session:
         self.save()
 
     def save(self) -> None:
-        """Write both checkpoints."""
+        """Write the training and the student checkpoint."""
         self.progress.seconds = self.log.seconds
         about = {
             **vars(self.progress),
@@ -261,7 +266,7 @@ class Session:
         self._saved_at = time.perf_counter()
 
     def save_student(self, path: Path) -> None:
-        """Write the student that acts."""
+        """Write the policy for evaluation, the moving average of the weights, as a student checkpoint."""
         about = {
             "algorithm": self.request.config.algorithm,
             "step": self.trainer.step,
@@ -274,9 +279,9 @@ class Session:
     # -- evaluation --------------------------------------------------------------------------------------------------
 
     def evaluate(self, episodes: int, last: bool = False) -> float:
-        """Success once of the student that acts, over the episodes 0 to ``episodes`` - 1.
+        """Evaluate the student in the episodes 0 to ``episodes`` - 1 and return its success-once rate.
 
-        The first evaluation and the ``last`` one are filmed, and keep their folders.
+        The first and the ``last`` evaluation are filmed. The folders of the first and the latest one are kept.
         """
         self.save()
         first = not self.progress.evaluated
@@ -304,10 +309,10 @@ class Session:
 
 @contextmanager
 def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[Session]:
-    """A session in the folder ``out``, whose logs are closed in the end.
+    """Open a training session in the folder ``out``; its logs are closed on exit.
 
     Raises:
-        UsageError: data, folder or scene do not fit; nothing was written.
+        UsageError: data, folder or scene do not fit; then nothing was written.
     """
     config = resolved_config(request)
     check_folder(out, config, resume=resume)
@@ -318,7 +323,7 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
 
 
 def resolved_config(request: Request) -> dict[str, Any]:
-    """Everything that decides what a run learns, as plain JSON data."""
+    """Everything that determines the result of a run, as JSON data."""
     return {
         "algorithm": request.config.algorithm,
         "config": asdict(request.config),

@@ -1,4 +1,4 @@
-"""Imitation of a fixed set of demonstrations: what ``mjhab train bc|flow|act|diffusion`` does."""
+"""Imitation of a fixed set of demonstrations: ``mjhab train bc|flow|act|diffusion``."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from mjhab.learning.runs.collection import Round
 from mjhab.learning.runs.session import Session
 
 EVALUATIONS = 4
-"""Parts that the updates are divided into; the student is evaluated after each."""
+"""Number of evaluations in a run, at equal numbers of updates; the last one is the final evaluation."""
 
 
 def train_supervised(session: Session) -> None:
-    """Make all updates that are left.
+    """Collect or load the demonstrations and make the remaining updates.
 
     Raises:
         OutOfTime: the budget is spent.

@@ -1,4 +1,4 @@
-"""Take-over: a student begins an episode, and after a drawn number of control steps the expert finishes it."""
+"""Take-over: a student starts an episode, and after a random number of control steps the expert finishes it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from mjhab.rollout.policy import ACTION_SIZE, Policy
 STUDENT = "student"
 EXPERT = "expert"
 ACTORS = (STUDENT, EXPERT)
-"""Names of who acts, as recorded with every control step."""
+"""Names of the possible actors; every recorded control step has the index of its actor."""
 
 
 class Replanning(Protocol):
-    """An expert that can begin in any state, in some of the worlds."""
+    """An expert that can plan from any state, in a subset of the worlds."""
 
     @property
     def name(self) -> str:
@@ -27,31 +27,31 @@ class Replanning(Protocol):
         ...
 
     def reset(self, mask: np.ndarray) -> None:
-        """Plan anew from the present states of the worlds in ``mask`` (W,)."""
+        """Plan again from the current states of the worlds in ``mask`` (W,) bool."""
         ...
 
     def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
-        """Actions (W, A); only the worlds in ``mask`` are thought about."""
+        """Actions (W, A); only those of the worlds in ``mask`` are computed."""
         ...
 
     def notes(self) -> ActionNotes:
-        """What the last actions were meant to be, without noise."""
+        """Notes on the last actions: the intended actions without noise."""
         ...
 
     def style(self, world: int) -> Mapping[str, Any]:
-        """How it acts in the running episode."""
+        """Values of the expert's style options in a world's current episode."""
         ...
 
 
 class TakeOver:
-    """A policy that is the student for a prefix of every episode, and the expert from there on.
+    """A policy in which the student acts for a prefix of every episode and the expert acts after it.
 
-    The length of the prefix of an episode is a function of its seed and index.
+    The length of the prefix is a function of the episode's seed and index.
 
     Args:
-        student: acts first; None where ``longest`` is 0.
-        expert: is reset in the control step in which it takes over, so that it plans from the state it finds.
-        longest: largest length of a prefix [control steps]; lengths are drawn from 0 to it, both included.
+        student: acts first; may be None if ``longest`` is 0.
+        expert: acts after the prefix; it is reset in the control step of the take-over, to plan from that state.
+        longest: largest prefix [control steps]; lengths are uniform from 0 to this value inclusive.
     """
 
     name = "take_over"
@@ -98,11 +98,11 @@ class TakeOver:
         return actions
 
     def notes(self) -> ActionNotes:
-        """Who gave the last actions, and what the expert intended without its noise."""
+        """Actor of the last actions per world, and the intended actions without the expert's noise."""
         return ActionNotes(self._intended.copy(), self._actor.copy(), ACTORS)
 
     def style(self, world: int) -> Mapping[str, Any]:
-        """How the expert acts in the running episode."""
+        """Values of the expert's style options in a world's current episode."""
         return self._expert.style(world)
 
     def _draw(self, info: Mapping[str, Any]) -> None:
@@ -121,10 +121,10 @@ def prefix_length(seed: int, index: int, longest: int) -> int:
 
 
 def expert_steps(episode: Episode) -> np.ndarray:
-    """(N,) bool: control steps of a recorded episode in which somebody acted who is to be learned from.
+    """(N,) bool mask of the control steps of a recorded episode that imitation learns from.
 
-    Where a student and somebody else acted, those of the student are not; a student that acted alone, for instance in
-    data of `mjhab generate --policy CHECKPOINT`, is somebody to learn from.
+    If a student and another policy acted, the student's steps are excluded. If the student acted alone, for instance in
+    data of `mjhab generate --policy CHECKPOINT`, all steps are included.
     """
     if STUDENT not in episode.actors or len(episode.actors) == 1:
         return np.ones(episode.steps, bool)

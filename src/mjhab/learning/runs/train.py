@@ -1,4 +1,4 @@
-"""One call that trains a student: opens the folder, runs the algorithm, evaluates, writes summary and report."""
+"""Training of a student: open the folder, run the algorithm, evaluate, write summary and report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from mjhab.reports.metrics import mean, wilson
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """What a run came to. ``summary``: plain data for machines; ``interrupted``: Ctrl-C ended it."""
+    """Result of a training run.
+
+    summary: results as JSON data. report: path of the HTML report. interrupted: Ctrl-C ended the run.
+    """
 
     summary: dict[str, Any]
     report: Path
@@ -28,7 +31,7 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
     Args:
         request: what to train.
         out: the folder.
-        resume: go on with the run in ``out``, exactly.
+        resume: continue the run in ``out``; the result equals that of an uninterrupted run.
 
     Raises:
         UsageError: data, folder or scene do not fit.
@@ -55,7 +58,7 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
 
 
 def summarize(session: Session) -> dict[str, Any]:
-    """What a run came to, for machines. ``episodes``: of the evaluation that ``success_once`` comes from."""
+    """Results of a run as JSON data; ``episodes`` is the number of episodes behind ``success_once``."""
     records = session.records
     dagger = session.request.config.dagger
     low, high = wilson(sum(record.success_once for record in records), len(records))
@@ -76,7 +79,7 @@ def summarize(session: Session) -> dict[str, Any]:
 
 
 def _learn(session: Session) -> None:
-    """Run the algorithm until it is through or the budget is spent."""
+    """Run the algorithm until it has finished or the time budget is spent."""
     dagger = session.request.config.dagger
     try:
         if dagger is not None:

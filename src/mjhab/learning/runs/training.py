@@ -1,4 +1,4 @@
-"""The updates of a network: optimizer, schedule, moving average; what is needed to go on exactly."""
+"""Updates of a student network: optimizer, learning rate schedule, moving average, and state for exact resumption."""
 
 from __future__ import annotations
 
@@ -18,29 +18,30 @@ WEIGHTS = "weights"
 AVERAGE = "average"
 FIRST_MOMENT = "first_moment"
 SECOND_MOMENT = "second_moment"
+"""Prefixes of the tensors in a training checkpoint."""
 
 
 class BrokenLossError(MjhabError):
-    """The loss became NaN or infinite; what was learned before is in the last checkpoint."""
+    """The loss or gradient became NaN or infinite; the last checkpoint holds the weights from before."""
 
 
 @dataclass(frozen=True)
 class UpdateReport:
-    """What an update tells: the loss and the norm of the gradient before it was limited."""
+    """Metrics of one update: the loss and the gradient norm before clipping."""
 
     loss: float
     gradient_norm: float
 
 
 class Trainer:
-    """Updates a student. Update k is a function of the weights, its batch, the seed and k alone.
+    """Updates a student. Update k is a function of the weights, the batch, the seed and k only.
+
+    ``step`` counts the updates; ``average`` is the moving average of the weights, which evaluations use.
 
     Args:
-        student: what is trained; on the CPU.
-        seed: of what the losses draw.
-        updates: in all, for a schedule that ends.
-
-    ``step`` counts the updates; ``average`` is the student that acts.
+        student: network to train, on the CPU.
+        seed: of the losses' random draws.
+        updates: total number of updates, for the learning rate schedule.
     """
 
     def __init__(self, student: Student, seed: int, updates: int) -> None:
@@ -58,10 +59,10 @@ class Trainer:
         )
 
     def update(self, batch: Batch, rate: float = 1.0) -> UpdateReport:
-        """Take one step of the optimizer, with this share of the scheduled learning rate.
+        """Take one optimizer step; ``rate`` multiplies the scheduled learning rate.
 
         Raises:
-            BrokenLossError: the loss is not finite; nothing was changed.
+            BrokenLossError: the loss or the gradient is not finite; the weights are unchanged.
         """
         config = self.config
         random = torch.Generator().manual_seed(
@@ -92,25 +93,25 @@ class Trainer:
         )
 
     def restart_average(self) -> None:
-        """Let the moving average begin anew from the weights, normalization among them."""
+        """Reset the moving average to the current weights and normalizers."""
         self.average.load_state_dict(self.student.state_dict())
 
     def _rate(self) -> float:
-        """Share of the learning rate in the coming update."""
+        """Factor of the schedule on the learning rate of the next update."""
         warmup = min(1.0, (self.step + 1) / max(self.config.warmup, 1))
         if self.config.schedule == "constant":
             return warmup
         return warmup * 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.step / max(self.updates, 1))))
 
     def _follow(self) -> None:
-        """Move the average towards the weights; it is quick at the beginning, when there is little to average."""
+        """Update the moving average; its decay starts low and rises to ``config.ema``."""
         decay = min(self.config.ema, (1 + self.step) / (10 + self.step)) if self.config.ema else 0.0
         with torch.no_grad():
             for kept, new in zip(self.average.parameters(), self.student.parameters(), strict=True):
                 kept.lerp_(new, 1.0 - decay)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Everything that the next update depends on, besides ``step``, by name."""
+        """State that the next update depends on, except ``step``, as named tensors for a checkpoint."""
         found: dict[str, Tensor] = {}
         for name, value in self.student.state_dict().items():
             found[f"{WEIGHTS}/{name}"] = value
@@ -124,7 +125,7 @@ class Trainer:
         return found
 
     def restore(self, tensors: dict[str, Tensor], step: int) -> None:
-        """Take over what ``tensors`` gave after ``step`` updates."""
+        """Load the state that ``tensors`` returned after ``step`` updates."""
         self.student.load_state_dict(_part(tensors, WEIGHTS))
         self.average.load_state_dict(_part(tensors, AVERAGE))
         first = _part(tensors, FIRST_MOMENT)

@@ -1,1 +1,1 @@
-"""The networks that learn: one file per algorithm, and what they share."""
+"""Student policies (networks trained by imitation): one file per algorithm, and their common base class."""

@@ -13,11 +13,14 @@ from mjhab.learning.students.student import Batch, Student
 HEADS = 4
 LATENT_WIDTH = 16
 KL_WEIGHT = 10.0
-"""Weight of the divergence of the latent, per number of it (arXiv 2304.13705, Table III, gives 10)."""
+"""Weight of the latent's mean KL divergence per dimension (arXiv 2304.13705, Table III)."""
 
 
 class ActionTransformer(Student):
-    """Tokens of the images, the vector and a latent; one query per action of the chunk. The latent is 0 in use."""
+    """Transformer over image, vector and latent tokens, with one query per action of the chunk.
+
+    In training the latent encodes the demonstrated chunk; the acting policy sets it to 0.
+    """
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__(config, layout)
@@ -51,7 +54,7 @@ class ActionTransformer(Student):
         return self.encoder.normalizer
 
     def predict(self, images: list[Tensor], vector: Tensor, latent: Tensor) -> Tensor:
-        """Normalized actions (B, chunk, A) of features of the images, the vector and a latent."""
+        """Normalized actions (B, chunk, A) from image features, the vector and a latent (B, LATENT_WIDTH)."""
         tokens = [
             to_token(image) for to_token, image in zip(self.image_tokens, images, strict=True)
         ]

@@ -1,4 +1,4 @@
-"""Behaviour cloning: predict the demonstrated chunk of actions. Preset ``paper`` is the original's, one action."""
+"""Behaviour cloning: predict the demonstrated chunk of actions. Preset ``paper`` is that of MS-HAB: one action."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PAPER_HIDDEN = (2048, 1024, 512)
 
 
 class PaperTrunk(nn.Module):
-    """The published layers: images and state to 1,024 features each, then PAPER_HIDDEN."""
+    """Layers of the MS-HAB network: 1,024 features each for images and state, then PAPER_HIDDEN."""
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class PaperTrunk(nn.Module):
 
     @property
     def normalizer(self) -> Normalizer:
-        """That of the vector."""
+        """Normalizer of the vector input."""
         return self.encoder.normalizer
 
     def forward(self, vector: Tensor, images: Tensor) -> Tensor:
@@ -36,7 +36,7 @@ class PaperTrunk(nn.Module):
 
 
 class BehaviourCloning(Student):
-    """Trunk and one linear layer for all actions of the chunk."""
+    """A trunk and one linear layer that outputs all actions of the chunk."""
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__(config, layout)
@@ -56,7 +56,7 @@ class BehaviourCloning(Student):
         return self.head(features).unflatten(1, (self.config.chunk, -1))
 
     def chunk_of(self, features: Tensor) -> Tensor:
-        """Actions (B, chunk, A) for what the trunk made of an observation, (B, F)."""
+        """Actions (B, chunk, A) for the trunk's features (B, F)."""
         return self.action_normalizer.restore(self._read(features))
 
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:

@@ -1,7 +1,7 @@
-"""The published diffusion policy: a 1-D UNet over chunks, DDPM with 100 steps (mshab/agents/dp/agent.py).
+"""The diffusion policy of MS-HAB: a 1-D UNet over action chunks, DDPM with 100 steps (mshab/agents/dp/agent.py).
 
-Two things differ on purpose: demonstrations end soon after success, and the moving average of the weights acts in
-evaluation; the published run keeps it and does not use it.
+Two things differ on purpose: demonstrations end soon after success, and evaluations use the moving average of the
+weights, which MS-HAB computes but does not use.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from mjhab.learning.students.student import Batch, Student
 STEP_FEATURES = 64
 GROUPS = 8
 KERNEL = 5
+"""Width of the step embedding, groups of the group norms, and kernel size [actions]."""
 MOST_BETA = 0.999
 COSINE_OFFSET = 0.008
-"""Of the squared-cosine schedule (Nichol and Dhariwal 2021, arXiv 2102.09672, Eq. 17)."""
+"""Parameters of the squared-cosine noise schedule (Nichol and Dhariwal 2021, arXiv 2102.09672, Eq. 17)."""
 
 
 class DiffusionPolicy(Student):
-    """Predicts the noise in a noisy chunk of actions; sampled by going back step by step."""
+    """Predicts the noise in a noisy chunk of actions; sampling removes it step by step."""
 
     kept: Tensor
 
@@ -51,7 +52,7 @@ class DiffusionPolicy(Student):
         return self.config.sampling_steps
 
     def see(self, vector: Tensor, images: Tensor) -> Tensor:
-        """Features (B, F) of what is seen."""
+        """Features (B, F) of the observations."""
         history = self.config.inputs.history
         frames = images.float().div_(255.0).unflatten(1, (history, -1))
         features = self.images(frames.flatten(0, 1)).unflatten(0, (-1, history))
@@ -87,7 +88,7 @@ class DiffusionPolicy(Student):
 
 
 def squared_cosine(steps: int) -> Tensor:
-    """(steps,) share of the signal that is left after each step of the squared-cosine schedule."""
+    """Cumulative product of 1 - beta (steps,) of the squared-cosine schedule ("alpha bar")."""
 
     def level(t: float) -> float:
         return math.cos((t + COSINE_OFFSET) / (1.0 + COSINE_OFFSET) * math.pi / 2.0) ** 2
@@ -108,7 +109,7 @@ class ConvBlock(nn.Sequential):
 
 
 class ResidualBlock(nn.Module):
-    """Two blocks, scaled and shifted in between by the condition (B, F)."""
+    """Two convolution blocks with a residual connection; the condition (B, F) scales and shifts in between (FiLM)."""
 
     def __init__(self, before: int, after: int, condition: int) -> None:
         super().__init__()
@@ -123,7 +124,7 @@ class ResidualBlock(nn.Module):
 
 
 class UNet(nn.Module):
-    """Noise in a chunk (B, chunk, A), at a step (B,) of the diffusion, given what is seen (B, F)."""
+    """Predicts the noise in a chunk (B, chunk, A) from the diffusion step (B,) and observation features (B, F)."""
 
     frequencies: Tensor
 

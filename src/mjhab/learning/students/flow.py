@@ -1,4 +1,4 @@
-"""Flow matching: a velocity that carries noise to the demonstrated chunk, followed in a few Euler steps."""
+"""Flow matching: a velocity field from noise to the demonstrated chunk, integrated with a few Euler steps."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from mjhab.learning.networks import Normalizer, Trunk, mlp
 from mjhab.learning.students.student import Batch, Student
 
 TIME_FREQUENCIES = 8
+"""Number of sine-cosine pairs that encode the time of the flow."""
 
 
 class FlowMatching(Student):
-    """Trunk for what is seen; a small network for the velocity at a point between noise and actions."""
+    """A trunk for the observations and a small network for the velocity at a point between noise and actions."""
 
     frequencies: Tensor
 
@@ -38,7 +39,7 @@ class FlowMatching(Student):
         return 1
 
     def flow(self, seen: Tensor, point: Tensor, time: Tensor) -> Tensor:
-        """Velocity (B, chunk, A) at a point (B, chunk, A) and time (B,), 0 at the noise and 1 at the actions."""
+        """Velocity (B, chunk, A) at a point (B, chunk, A) and time (B,): 0 is the noise, 1 the actions."""
         angles = time[:, None] * self.frequencies
         clock = torch.cat([angles.sin(), angles.cos()], dim=1)
         return self.velocity(torch.cat([seen, point.flatten(1), clock], dim=1)).unflatten(

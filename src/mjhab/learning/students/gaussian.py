@@ -15,14 +15,15 @@ from mjhab.learning.students.student import Batch, Student
 
 LEAST_LOG_STD = -5.0
 MOST_LOG_STD = 1.0
+"""Limits of the logarithm of the standard deviation before squashing."""
 LARGEST_ACTION = 0.98
-"""Imitated actions are taken for this large at most: tanh reaches 1 only at infinity."""
+"""Imitated actions are clipped to this absolute value, because tanh reaches 1 only at infinity."""
 
 
 class SquashedGaussian(Student):
-    """Trunk, then mean and logarithm of the spread of a Gaussian; it acts by the squashed mean.
+    """A trunk with heads for mean and log standard deviation of a Gaussian; the policy acts by the squashed mean.
 
-    As a student it imitates one action at a time. Actions are not normalized: [-1, 1] is what tanh gives.
+    As a student it imitates one action at a time. Actions are not normalized, because tanh already gives [-1, 1].
     """
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
@@ -36,18 +37,18 @@ class SquashedGaussian(Student):
         return self.trunk.normalizer
 
     def features(self, vector: Tensor, images: Tensor) -> Tensor:
-        """What the encoder makes of an observation, (B, F): all that the critics may share."""
+        """Encoder features (B, F) of observations, the part that the critics may share."""
         return self.trunk.encoder.joined(vector, images)
 
     def distribution(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and logarithm of the spread before squashing, (B, A) each, for ``features`` (B, F)."""
+        """Mean and log standard deviation before squashing, (B, A) each, for ``features`` (B, F)."""
         hidden = self.trunk.layers(features)
         spread = torch.tanh(self.log_std(hidden))
         log_std = LEAST_LOG_STD + 0.5 * (MOST_LOG_STD - LEAST_LOG_STD) * (spread + 1.0)
         return self.mean(hidden), log_std
 
     def sample(self, features: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Actions (B, A) that are drawn, and the logarithm of their density (B,)."""
+        """Draw actions (B, A); also returns their log density (B,)."""
         mean, log_std = self.distribution(features)
         noise = torch.randn(mean.shape, generator=random, device=mean.device)
         raw = mean + log_std.exp() * noise
@@ -57,7 +58,7 @@ class SquashedGaussian(Student):
         return torch.tanh(raw), (density - squash).sum(dim=1)
 
     def fit_normalizers(self, data: Demonstrations) -> None:
-        """Take over the statistics of what is seen; actions stay as they are."""
+        """Fit the normalizer of the vector input; actions stay unnormalized."""
         actions = self.action_normalizer
         super().fit_normalizers(data)
         actions.mean.zero_()
@@ -73,5 +74,5 @@ class SquashedGaussian(Student):
 
 
 def _first(batch: Batch) -> Batch:
-    """The batch with the first action of every chunk alone."""
+    """The batch with only the first action of every chunk."""
     return Batch(batch.vector, batch.images, batch.actions[:, :1], batch.valid[:, :1])

@@ -24,9 +24,13 @@ HEADS_BY_ALGORITHM: dict[str, type[Student]] = {
 
 
 def make_student(config: StudentConfig, layout: Layout, seed: int = 0) -> Student:
-    """The network of a config, its first weights drawn by ``seed``."""
+    """Build the network of a config with initial weights drawn from ``seed``.
+
+    Raises:
+        UsageError: the layout has no inputs.
+    """
     if not layout.width:
-        raise UsageError("a student must see something: its layout has no entries.")
+        raise UsageError("a student needs at least one input: its layout has no entries.")
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return HEADS_BY_ALGORITHM[config.algorithm](config, layout)

@@ -1,4 +1,4 @@
-"""What the algorithms have in common: a network that learns chunks of actions and gives them."""
+"""Base class of the student policies: networks that map an observation to a chunk of actions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Batch:
 
 
 class Student(nn.Module):
-    """Base of the networks of all algorithms."""
+    """Base class of the networks of all imitation algorithms."""
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__()
@@ -47,33 +47,33 @@ class Student(nn.Module):
     @property
     @abstractmethod
     def normalizer(self) -> Normalizer:
-        """That of the vector."""
+        """Normalizer of the vector input."""
 
     @property
     def draws(self) -> int:
-        """Chunks of noise that a chunk of actions takes; 0 for a student that always does the same."""
+        """Number of noise chunks that sampling one action chunk takes; 0 for a deterministic student."""
         return 0
 
     @abstractmethod
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
-        """The number to make small; ``random`` for what the algorithm draws."""
+        """Training loss of a batch; ``random`` is the source of the algorithm's random draws."""
 
     @abstractmethod
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
-        """Actions (B, chunk, A) for what is seen; noise (B, draws, chunk, A) is standard normal."""
+        """Actions (B, chunk, A) for observations; noise (B, draws, chunk, A) is standard normal."""
 
     def fit_normalizers(self, data: Demonstrations) -> None:
-        """Take over the statistics of the first demonstrations; nothing if the config says so."""
+        """Fit the normalizers to demonstrations, if the config normalizes inputs."""
         if self.config.inputs.normalize:
             self.normalizer.fit(data.vector[data.usable], self.layout.measured_width)
             self.action_normalizer.fit(data.actions[data.usable], data.actions.shape[1])
 
     def targets(self, batch: Batch) -> Tensor:
-        """Normalized actions (B, chunk, A)."""
+        """Normalized demonstrated actions (B, chunk, A)."""
         return self.action_normalizer(batch.actions)
 
     def error(self, predicted: Tensor, batch: Batch, target: Tensor) -> Tensor:
-        """Mean error over what is valid, in normalized actions: Huber, or squared if the config says so."""
+        """Mean error over the valid actions, normalized: Huber with delta ``config.huber``, or squared if that is 0."""
         if self.config.huber:
             errors = nn.functional.huber_loss(
                 predicted, target, reduction="none", delta=self.config.huber

@@ -1,8 +1,8 @@
-"""Recorded episodes as a LeRobot data set, v3.0 or v2.1: tables in parquet, films in mp4, the rest in meta.
+"""Export to a LeRobot data set, v3.0 or v2.1: tables in parquet, videos in mp4, metadata in meta.
 
-A row is what was seen before an action, the action, and what came of it: N rows for N actions. The state after the last
-action has no row. Depth is not film (LeRobot up to 0.4 cannot keep it in one without loss): it is a column of whole
-numbers, millimetres, as in the shard.
+A row holds the observation before an action, the action, and its reward and termination: N rows for N actions. The
+state after the last action has no row. Depth is stored as a column of integers [mm] as in the shard, not as video,
+because LeRobot up to 0.4 cannot store it in a video without loss.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ FPS = round(1 / STEP_SECONDS)
 OLD_ROBOT = "fetch"
 """Robot of shards that do not name theirs."""
 STATE = "observation.state"
-"""What the robot's own sensors tell: joints, velocity of the base, tool centre."""
+"""Proprioception: joints, velocity of the base, tcp pose."""
 ENVIRONMENT_STATE = "observation.environment_state"
-"""What only a simulation knows: object, goal, grasp. A policy for a robot leaves it out."""
+"""Privileged state: object, goal, grasp. A policy for a real robot must not use it."""
 TELEPORTED = "is_teleported"
 CAMERAS = "meta/cameras.json"
 """Calibration of the cameras, see `ObservedRows.calibration`. LeRobot does not read it."""
 ACTION = "action"
 INTENDED = "intended_action"
-"""Not "action.intended": LeRobot takes every feature whose name begins with "action" for what a policy must give."""
+"""Not "action.intended", because LeRobot treats every feature whose name starts with "action" as policy output."""
 Features = dict[str, dict[str, Any]]
-"""What info.json says of every column and film: dtype, shape, names."""
+"""Description of every column and video in info.json: dtype, shape, names."""
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written; ``images``: names of the films and depth columns."""
+    """Result of an export. images: names of the videos and depth columns."""
 
     episodes: int
     frames: int
@@ -62,7 +62,10 @@ class Exported:
 
 @dataclass(frozen=True)
 class Choice:
-    """What to export of an episode: colour as films and depth as columns, if it is there; ``until``: see `Until`."""
+    """Which parts of an episode to export: rgb images as videos, depth images as columns, both if recorded.
+
+    until: end of the exported part, see `Until.parse`.
+    """
 
     rgb: bool = True
     depth: bool = True
@@ -127,7 +130,7 @@ def export_lerobot(
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Numbers that the names in one episode have in the data set: its task, the subtasks of its plan, its actors."""
+    """Indices in the data set of the names in one episode: its task, the subtasks of its plan, its actors."""
 
     task: int
     subtasks: list[int]
@@ -135,7 +138,7 @@ class _Numbers:
 
 
 class _Export:
-    """An export that is under way."""
+    """State of a running export."""
 
     def __init__(self, root: Path, files: Files, pieces: Pieces, choice: Choice) -> None:
         self._root = root
@@ -153,7 +156,7 @@ class _Export:
         self._frames = 0
 
     def add(self, path: Path, name: str) -> None:
-        """Write one episode, unless that is done."""
+        """Write one episode, unless it is written already."""
         number = len(self._made)
         made = self._pieces.made(number)
         if made is None or not self._features:
@@ -172,7 +175,7 @@ class _Export:
         self._frames += made.steps
 
     def _count(self, made: Made) -> _Numbers:
-        """Numbers of the names in an episode, in the order in which they first came."""
+        """Indices of the names in an episode; new names get the next free index."""
         return _Numbers(
             self._tasks.setdefault(made.row["tasks"][0], len(self._tasks)),
             [self._subtasks.setdefault(text, len(self._subtasks)) for text in made.subtasks],
@@ -237,7 +240,7 @@ class _Export:
         return columns
 
     def finish(self) -> Exported:
-        """Write what describes the whole."""
+        """Write the metadata of the data set."""
         self._files.arrange(self._pieces, self._made)
         self._files.describe([made.row for made in self._made], [made.stats for made in self._made])
         self._files.write_names("task", list(self._tasks))
@@ -272,7 +275,7 @@ class _Export:
 
 
 def describe(episode: Episode, choice: Choice) -> Features:
-    """The features of an episode as LeRobot names them."""
+    """The features of an episode by their LeRobot names."""
     state = split_state(episode)
     actions = [str(name) for name in episode.run.layout.get("actions", [])]
     action_size = episode.array("actions").shape[1]
@@ -313,13 +316,13 @@ def _feature(
 
 
 def _state_feature(parts: Mapping[str, np.ndarray], episode: Episode) -> dict[str, Any]:
-    """The feature of state observations (N+1, n) side by side, with a name per number."""
+    """The feature of concatenated state observations (N+1, n), with a name per column."""
     widths = {key: values.shape[1] for key, values in parts.items()}
     return _feature("float32", (sum(widths.values()),), state_names(widths, episode.run.layout))
 
 
 def _film_feature(height: int, width: int) -> dict[str, Any]:
-    # A film of 4:2:0 colour has even sides; the film writer repeats a row or a column.
+    # 4:2:0 video needs even sides; the film writer repeats a row or a column.
     height = height + height % 2
     width = width + width % 2
     info = {
@@ -342,7 +345,7 @@ def _films(features: Features) -> list[str]:
 def _shown(
     episode: Episode, length: int, camera: str, samples: list[np.ndarray]
 ) -> Iterator[np.ndarray]:
-    """The first ``length`` frames; some of them go into ``samples``."""
+    """The first ``length`` frames of a camera; a sample of them is appended to ``samples`` for the statistics."""
     chosen = sampled(length)
     for t in range(length):
         frame = episode.frame(camera, "rgb", t)
@@ -356,7 +359,7 @@ def _column_stats(values: np.ndarray, feature: dict[str, Any]) -> Stats:
 
 
 def to_table(columns: dict[str, np.ndarray]) -> pa.Table:
-    """Columns (N,), (N, D) or (N, H, W) as a table: numbers, lists of fixed length, lists of lists."""
+    """Convert columns (N,), (N, D) or (N, H, W) to a table of numbers, lists of fixed length, or nested lists."""
     return pa.table({key: _array(values) for key, values in columns.items()})
 
 
@@ -386,12 +389,12 @@ def _card(robot: str, made: Sequence[Made], until: Until) -> str:
     frames = sum(each.steps for each in made)
     teleported = sum(each.row["navigation"] == "teleport" for each in made)
     about = [
-        f"`{STATE}` is what the robot's own sensors tell (joints, velocity of the base, tool centre); "
-        f"`{ENVIRONMENT_STATE}` is what only the simulation knows (object, goal, grasp)."
+        f"`{STATE}` is proprioception (joints, velocity of the base, tcp pose); `{ENVIRONMENT_STATE}` is privileged "
+        "state of the simulation (object, goal, grasp)."
     ]
     if teleported:
         about.append(
-            f"In {teleported} of {len(made)} episodes the environment put the robot near every goal: nobody drove. "
+            f"In {teleported} of {len(made)} episodes the environment teleported the robot to every goal. "
             f"The frames are marked by `{TELEPORTED}`, their instructions end with (by teleport)."
         )
     if not until.is_whole:

@@ -1,4 +1,4 @@
-"""The folders of a LeRobot data set: where tables, films and descriptions lie in v3.0 and in v2.1.
+"""The file layout of a LeRobot data set: paths of tables, videos and metadata in v3.0 and in v2.1.
 
 After lerobot 0.4.4 (v3.0) and 0.3.3 (v2.1): lerobot/datasets/utils.py and lerobot_dataset.py.
 """
@@ -18,24 +18,24 @@ from mjhab.data.export.lerobot.pieces import Made, Pieces
 from mjhab.data.export.lerobot.stats import QUANTILES, Stats, aggregate
 
 CHUNK = 1000
-"""Files in a folder."""
+"""Number of files per folder."""
 DATA_MB = 100
 VIDEO_MB = 200
-"""About the largest size of a file of tables and of films in v3.0 [MB]."""
+"""Approximate largest size of table and video files in v3.0 [MB]."""
 _MB = 1 << 20
 _COMPRESSION = "zstd"
 
 
 class Files(Protocol):
-    """Where a version puts things. ``version``: its name; ``paths``: what info.json says of it."""
+    """File layout of a version of the format. version: its name. paths: its entries in info.json."""
 
     version: str
     paths: dict[str, Any]
 
     def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
-        """Put what was made of all episodes where it belongs; adds to their rows where that is.
+        """Move or join the pieces of all episodes into the final files, and add their places to the episodes' rows.
 
-        It can be stopped and called again: what is in place is not touched, and a piece goes when it is.
+        After an interruption it can be called again: existing files are kept, and pieces are deleted once used.
         """
         ...
 
@@ -152,7 +152,7 @@ class Files21:
     ) -> None:
         """See `Files`."""
         write_lines(self.root / "meta/episodes.jsonl", episodes)
-        # v2.1 knows no quantiles.
+        # v2.1 has no quantiles.
         plain = [
             {k: {n: v for n, v in s.items() if n not in QUANTILES} for k, s in each.items()}
             for each in stats
@@ -172,11 +172,11 @@ class Files21:
 
 
 VERSIONS: dict[str, type[Files30] | type[Files21]] = {"3.0": Files30, "2.1": Files21}
-"""Versions of the format that can be written."""
+"""Supported versions of the format."""
 
 
 def _packed(sizes: Sequence[int], most: int) -> list[list[int]]:
-    """Consecutive numbers in groups, each as large as it can be; one that is too large is alone."""
+    """Group consecutive indices so that the sizes of a group sum to at most ``most``; a larger one is alone."""
     groups: list[list[int]] = []
     total = 0
     for number, size in enumerate(sizes):
@@ -189,7 +189,7 @@ def _packed(sizes: Sequence[int], most: int) -> list[list[int]]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON for people to read too."""
+    """Write indented JSON."""
     _folder(path).write_text(json.dumps(value, indent=4, ensure_ascii=False), encoding="utf-8")
 
 
@@ -204,7 +204,7 @@ _INDEX = "__index_level_0__"
 
 
 def _pandas(column: str) -> dict[str, Any]:
-    """What pandas keeps in a file to know that texts are the index of its table: LeRobot reads them as that."""
+    """Pandas metadata that marks the text column as the table's index, as LeRobot expects."""
 
     def entry(name: str | None, field: str, kind: str, numpy: str) -> dict[str, Any]:
         return {
@@ -245,7 +245,7 @@ def _folder(path: Path) -> Path:
 
 
 def stats_lists(stats: Mapping[str, Stats]) -> dict[str, dict[str, Any]]:
-    """Statistics as plain data."""
+    """Statistics as JSON data."""
     return {
         key: {name: value.tolist() for name, value in each.items()} for key, each in stats.items()
     }

@@ -1,10 +1,10 @@
-"""What a LeRobot export has made of each episode, kept until all are there: an export that is stopped can go on.
+"""Files that a LeRobot export writes per episode, so that an interrupted export can continue.
 
 <number>.parquet      the rows of an episode
-<number>.<key>.mp4    a film of it
-<number>.json         what else the data set says of it; written last, so that an episode with one is done
+<number>.<key>.mp4    a video of it
+<number>.json         its metadata; written last, so it marks a finished episode
 
-Files of many episodes are joined from these at the end. Films are joined without coding them again.
+At the end they are joined into files of many episodes. Videos are joined without re-encoding.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ _COMPRESSION = "zstd"
 
 @dataclass(frozen=True)
 class FilmTools:
-    """How films are made. ``open`` is given a path and frames per second; ``join`` puts films one after another into a
-    new one, without coding them again."""
+    """Functions that write videos.
+
+    open: opens a video for a path and frames per second. join: concatenates videos into a new one without re-encoding.
+    """
 
     open: Callable[[Path, int], Film]
     join: Callable[[Sequence[Path], Path], object]
@@ -39,10 +41,11 @@ class FilmTools:
 
 @dataclass(frozen=True)
 class Made:
-    """What a data set says of an episode: plain data but for ``stats``.
+    """Metadata of an exported episode, JSON data except for ``stats``.
 
-    row: of the table of episodes. size: of its rows in memory [bytes]; films: of the images of each film [bytes].
-    subtasks: words for those of its plan. actors: names of those who can act in it.
+    row: of the table of episodes. stats: statistics per feature. size: of its rows in memory [bytes].
+    films: size of the images of each video [bytes]. subtasks: instructions of its plan's subtasks. actors: names of
+    its actors. licence: of the assets.
     """
 
     row: dict[str, Any]
@@ -55,12 +58,12 @@ class Made:
 
     @property
     def steps(self) -> int:
-        """Rows of the episode."""
+        """Number of rows of the episode."""
         return self.row["length"]
 
 
 class Pieces:
-    """The pieces in a folder, by number of the episode."""
+    """The per-episode files in a folder, by number of the episode."""
 
     def __init__(self, folder: Path, fps: int, films: FilmTools) -> None:
         self._folder = folder
@@ -68,7 +71,7 @@ class Pieces:
         self._tools = films
 
     def made(self, number: int) -> Made | None:
-        """What was made of an episode; None if it is not done."""
+        """Metadata of a finished episode; None if it is not finished."""
         path = self._path(number, "json")
         if not path.exists():
             return None
@@ -86,7 +89,7 @@ class Pieces:
         _sync(path)
 
     def add_film(self, number: int, key: str, frames: Iterable[np.ndarray]) -> None:
-        """Write a film of an episode."""
+        """Write a video of an episode."""
         path = self._path(number, f"{key}.mp4")
         film = self._tools.open(path, self._fps)
         try:
@@ -99,7 +102,7 @@ class Pieces:
         _sync(path)
 
     def finish(self, number: int, made: Made) -> None:
-        """Say that an episode is done."""
+        """Mark an episode as finished by writing its metadata."""
         plain = asdict(made)
         plain["stats"] = {
             key: {name: v.tolist() for name, v in each.items()} for key, each in made.stats.items()
@@ -110,7 +113,7 @@ class Pieces:
         )
 
     def join_tables(self, numbers: Sequence[int], out: Path) -> None:
-        """Make the rows of episodes one file, unless it is there; their pieces go."""
+        """Join the rows of episodes into one file, unless it exists, and delete their pieces."""
 
         def join(paths: Sequence[Path], whole: Path) -> None:
             with pq.ParquetWriter(
@@ -122,7 +125,7 @@ class Pieces:
         self._join(numbers, "parquet", out, join)
 
     def join_films(self, numbers: Sequence[int], key: str, out: Path) -> None:
-        """Make films of episodes one file, unless it is there; their pieces go."""
+        """Join videos of episodes into one file, unless it exists, and delete their pieces."""
         self._join(numbers, f"{key}.mp4", out, self._tools.join)
 
     def _join(
@@ -149,7 +152,7 @@ class Pieces:
 
 
 def _sync(path: Path) -> None:
-    """Bring a file to the disk: what says that an episode is done must not be there before it."""
+    """Flush a file to the disk, so that it is there before the file that marks its episode as finished."""
     fd = os.open(path, os.O_RDONLY)
     try:
         os.fsync(fd)

@@ -1,4 +1,4 @@
-"""The statistics that LeRobot keeps with a data set, per episode and for all of them."""
+"""The statistics that LeRobot stores with a data set, per episode and in total."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Stats = dict[str, np.ndarray]
 QUANTILES: dict[str, float] = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 """Quantiles of LeRobot v3.0 (lerobot/datasets/compute_stats.py)."""
 _FRAMES = 100
-"""Images of an episode that statistics are taken of, about."""
+"""Approximate number of images per episode that the statistics use."""
 
 
 def vector_stats(values: np.ndarray) -> Stats:
-    """Statistics per number of a feature (N, D) or (N,): arrays (D,) or (1,)."""
+    """Statistics per column of a feature (N, D) or (N,): arrays (D,) or (1,)."""
     return _stats(values.reshape(len(values), -1).astype(np.float64), len(values))
 
 
@@ -33,12 +33,12 @@ def image_stats(images: np.ndarray) -> Stats:
 
 
 def sampled(count: int) -> frozenset[int]:
-    """Which of ``count`` images of an episode statistics are taken of."""
+    """Indices of the images, out of ``count``, that the statistics use."""
     return frozenset(np.linspace(0, count - 1, min(count, _FRAMES)).round().astype(int).tolist())
 
 
 def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
-    """Statistics of a data set from those of its episodes; quantiles are weighted means, as LeRobot has them."""
+    """Statistics of a data set from those of its episodes; quantiles are weighted means, as in LeRobot."""
     out: dict[str, Stats] = {}
     for key in parts[0]:
         each = [part[key] for part in parts]

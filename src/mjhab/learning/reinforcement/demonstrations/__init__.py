@@ -1,1 +1,1 @@
-"""Where demonstrations for reinforcement come from: the scripted expert, or recorded episodes."""
+"""Sources of demonstrations for reinforcement learning: the scripted expert and recorded episodes."""

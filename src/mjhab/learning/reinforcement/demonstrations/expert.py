@@ -1,4 +1,4 @@
-"""Demonstrations for reinforcement: the scripted expert acts in the training environment, with its rewards."""
+"""Demonstrations by the scripted expert, which acts in the training environment with its rewards."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from collections.abc import Callable
 
 import torch
 
+from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession, training_env
 from mjhab.learning.reinforcement.sight import Sight
 
 DEMONSTRATION_WORLDS = 16
+"""Number of parallel worlds that the expert acts in."""
 DEMONSTRATION_SEED = 3_000_000
-"""Seeds of demonstrations begin here: no episode of training or evaluation is one of them."""
+"""Offset of the demonstrations' seeds, so that they share no episode with training or evaluation."""
 
 
 def collect_demonstrations(
@@ -20,13 +22,19 @@ def collect_demonstrations(
     episodes: int,
     make: Callable[[int], ReplayBuffer],
     tell: Callable[[int], object],
+    noise: float = 0.0,
 ) -> ReplayBuffer:
-    """Let the expert act for ``episodes`` whole episodes.
+    """Record at least ``episodes`` whole episodes of the expert into a replay buffer.
 
-    Failures are kept, too: their rewards say what they are worth.
+    Failed episodes are kept, too: the critics learn from their rewards.
+
+    With ``noise``, normal noise is added to the executed actions and the buffer holds what the expert intended (DART,
+    arXiv 1703.09327): a policy that imitates it knows the way back. The standard deviation [action units] is drawn
+    for each world and episode, from 0 to ``noise``.
 
     Args:
-        session: of the run. make: makes the buffer for so many worlds. tell: called with the finished episodes.
+        session: of the run. make: makes a buffer for a number of worlds.
+        tell: called with the number of finished episodes.
     """
     from mjhab.experts import make_expert
 
@@ -50,13 +58,19 @@ def collect_demonstrations(
     finished = 0
     device = session.worlds.device
     rounds = -(-episodes // worlds_count)
+    random = stream(session.seed, "demonstration-noise")
     for number in range(rounds):
+        spread = random.uniform(0.0, noise, (worlds_count, 1))
         ended = torch.zeros(worlds_count, dtype=torch.bool)
         while not bool(ended.all()):
             actions = torch.from_numpy(expert.act(obs, info).copy())
-            obs, reward, terminated, truncated, info = env.step(actions.numpy())
+            executed = actions
+            if noise:
+                drawn = random.standard_normal(actions.shape) * spread
+                executed = (actions + torch.from_numpy(drawn).float()).clamp(-1.0, 1.0)
+            obs, reward, terminated, truncated, info = env.step(executed.numpy())
             over = torch.from_numpy(terminated | truncated)
-            following = sight.see(obs, info, actions, ~every)
+            following = sight.see(obs, info, executed, ~every)
             buffer.add(
                 seen.to(device),
                 actions.to(device),

@@ -1,4 +1,4 @@
-"""Demonstrations that an earlier start of the run has already put into their buffer."""
+"""Reuse of a demonstration buffer that an earlier start of the same run has filled."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.rollout.store import write_text
 
 COMPLETE = "complete.json"
+"""File that marks a complete buffer; it holds the buffer's shape and ring positions."""
 
 
 def kept_demonstrations(folder: Path, fill: Callable[[], ReplayBuffer]) -> ReplayBuffer:
-    """The buffer in ``folder`` if an earlier start of the run has completed it, else what ``fill`` makes.
+    """The buffer in ``folder`` if an earlier start of the run has completed it, else the result of ``fill``.
 
-    The folder does not come to be where buffers are no files, on a GPU: then it is filled anew.
+    On a GPU buffers are not files and the folder does not exist, so every start fills the buffer anew.
     """
     done = folder / COMPLETE
     if done.is_file():

@@ -1,6 +1,6 @@
-"""Recorded demonstrations for reinforcement: their actions are simulated again in the environment of the run.
+"""Demonstrations from recorded episodes: their actions are simulated again in the environment of the run.
 
-So rewards, images and what only a simulator knows are those that the run learns from, whatever was recorded.
+So rewards, images and privileged inputs are those of the run, whatever the recording contains.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ from mjhab.learning.reinforcement.session import ReinforcementSession, image_opt
 from mjhab.learning.reinforcement.sight import Seen, Sight
 
 WORLDS = 16
+"""Largest number of episodes simulated in parallel."""
 REWARD_OPTIONS = ("reward_mode", "reward_formula", "reward_normaliser")
+"""Environment options that determine rewards."""
 NOT_FROM_THE_RUN = ("profile", "spawn_rule", "horizon", "cameras", "frame_stack")
-"""Options of a profile that stay those of the recording, or that the policy's view decides."""
+"""Options of the profile that are not taken from the run: the recording or the policy's inputs determine them."""
 
 
 def replay_recorded(
@@ -35,16 +37,16 @@ def replay_recorded(
     make: Callable[[int, int], ReplayBuffer],
     tell: Callable[[int, int], object],
 ) -> ReplayBuffer:
-    """Simulate recorded episodes again, into a buffer.
+    """Simulate recorded episodes again and store them in a replay buffer.
 
     Args:
         session: of the run; its request names shards and filter.
-        make: makes the buffer for so many worlds and control steps of each.
-        tell: called with finished and with all episodes.
+        make: makes a buffer for a number of worlds and a number of control steps per world.
+        tell: called with the number of finished episodes and the number of all episodes.
 
     Raises:
-        UsageError: no episode passes the filter; one has another subtask, robot or control; or its profile or rewards
-            are not those of the run, and recomputing them was not asked for.
+        UsageError: no episode passes the filter; or an episode has another subtask, robot or control mode than the
+            run; or it has another profile or other rewards and the request does not set ``recompute_rewards``.
     """
     request = session.request
     where = Filter(request.where or SUCCESSES)
@@ -53,7 +55,7 @@ def replay_recorded(
         raise nothing_to_learn()
     total = len(found.matched)
     longest = max(record.steps for record in found.records)
-    # Episodes of one recording are simulated together; its name begins those of its episodes.
+    # Episodes of one recording are simulated together; their names start with that of the recording.
     recordings = {(path, name.partition("-")[0]) for path, name in found.matched}
     batches = total // WORLDS + len(recordings)
     buffer = make(min(WORLDS, total), batches * (longest + 1))
@@ -80,10 +82,10 @@ def replay_recorded(
 
 
 def check_episode(session: ReinforcementSession, episode: Episode) -> None:
-    """Refuse an episode whose actions mean something else, or whose rewards are other ones than those of the run.
+    """Refuse an episode whose actions have another meaning than in the run, or whose rewards differ from the run's.
 
     Raises:
-        UsageError: what differs, and what to do.
+        UsageError: names the difference and the remedy.
     """
     config = session.env.config
     env = episode.run.config["env"]
@@ -91,8 +93,8 @@ def check_episode(session: ReinforcementSession, episode: Episode) -> None:
         wanted = getattr(config, name)
         if env.get(name, wanted) != wanted:
             raise UsageError(
-                f"episode {episode.name} of {episode.shard.path} was recorded with {name} {env[name]!r}, and the run "
-                f"learns with {wanted!r}; choose others with --where."
+                f"episode {episode.name} of {episode.shard.path} was recorded with {name} {env[name]!r}, but the run "
+                f"uses {wanted!r}; exclude such episodes with --where."
             )
     if session.request.recompute_rewards:
         return
@@ -113,7 +115,7 @@ def check_episode(session: ReinforcementSession, episode: Episode) -> None:
 
 
 class _Player:
-    """Simulates episodes of one recording again, in worlds with the rules and rewards of the run."""
+    """Simulates episodes of one recording again, with the rules and rewards of the run."""
 
     def __init__(self, session: ReinforcementSession, like: Episode, worlds: int) -> None:
         config = session.env.config
@@ -136,7 +138,7 @@ class _Player:
         self._device = session.worlds.device
 
     def play(self, batch: Sequence[Episode], buffer: ReplayBuffer) -> None:
-        """Simulate at most W episodes again, and add their control steps but the first, which only leads there."""
+        """Simulate at most W episodes and add their control steps to the buffer, except the first step of each."""
         env = self._env
         count = len(batch)
         mine = torch.arange(env.num_envs) < count
@@ -144,7 +146,7 @@ class _Player:
         indices = np.array([episode.record.index for episode in batch])
         _, info = env.reset(seed=seeds, options={"episode": indices, "reset_mask": mine.numpy()})
         for world, episode in enumerate(batch):
-            # What begins elsewhere with this version begins where it was recorded all the same.
+            # This version may generate another start state, so the recorded one is set.
             env.set_state(world, episode.initial())
         self._sight.begin(mine, info)
         recorded = [episode.array("actions") for episode in batch]

@@ -295,6 +295,17 @@ def test_shared_edges_leave_no_holes():
     assert draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["seg"].all()
 
 
+def test_boxes_drawn_by_their_sides_look_like_their_triangles():
+    # With faces seen from behind drawn too, boxes go through the triangles of their meshes.
+    sides, triangles = (
+        draw(crowded(), (3.0, 2.0, 2.0), (0.0, 0.0, 0.8), cull=cull, outputs=("depth", "seg"))
+        for cull in (True, False)
+    )
+    assert (sides["seg"] == triangles["seg"]).mean() > 0.999
+    off = np.abs(sides["depth"] - triangles["depth"])
+    assert np.quantile(off, 0.999) < 1e-5
+
+
 def test_mirrored_and_culled_faces():
     builder = SceneBuilder(1)
     mesh = builder.add_mesh("box", primitive_mesh(Geom("box", (1.0, 1.0, 1.0))))

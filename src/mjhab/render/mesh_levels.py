@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
@@ -144,7 +144,7 @@ def _error(vertices: Array, few: Simplified, merged: Array) -> float:
         nearest[has] = np.minimum(nearest[has], off)
     gone = vertices[merged < 0]
     if len(gone):
-        nearest = np.append(nearest, cKDTree(few.vertices).query(gone)[0])
+        nearest = np.append(nearest, KDTree(few.vertices).query(gone)[0])
     return float(nearest.max())
 
 

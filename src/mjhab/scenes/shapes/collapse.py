@@ -68,6 +68,7 @@ class _Mesh:
         """Collapse edges that do not touch each other's faces, to lose about ``most`` faces; whether any did."""
         ends = np.unique(_edges(self.faces), axis=0)
         place, cost = self._merge(ends)
+        kept = np.empty(0, np.int64)
         for _ in range(MAX_TRIES):
             # Ties by number: results are the same on every machine.
             rank = np.empty(len(ends), np.int64)
@@ -81,9 +82,9 @@ class _Mesh:
             chosen = chosen[rank[chosen] <= within][: (most + 1) // 2]
             bad = self._turns(ends[chosen], place[chosen])
             cost[chosen[bad]] = np.inf
-            if not bad.all():
+            kept = chosen[~bad]
+            if len(kept):
                 break
-        kept = chosen[~bad]
         if not len(kept):
             return False
         self._apply(ends[kept], place[kept])

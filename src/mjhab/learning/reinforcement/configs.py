@@ -253,7 +253,7 @@ PAPER_PPO = ReinforcementConfig(
         initial_std=0.6065,  # exp(-0.5)
     ),
     samples=15_000_000,
-    worlds=192,  # 189 in the original, which its 16 minibatches do not divide
+    worlds=192,  # 189 in MS-HAB, which its 16 minibatches do not divide
     privileged_critic=False,
     stagger=False,
     eval_samples=500_000,

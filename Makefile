@@ -93,7 +93,7 @@ LEROBOT_ENV := .venv-lerobot-env
 $(LEROBOT_ENV)/.ready: $(SETUP_FILES) plugins/lerobot_env_mjhab/pyproject.toml
 	@echo "mjhab: installing lerobot into $(LEROBOT_ENV), once (8 GB)"
 	@"$(PYTHON)" -m venv $(LEROBOT_ENV)
-	@$(LEROBOT_ENV)/bin/python -m pip install -q --disable-pip-version-check -e . -e plugins/lerobot_env_mjhab lerobot==0.6.1
+	@$(LEROBOT_ENV)/bin/python -m pip install -q --disable-pip-version-check -e . -e plugins/lerobot_env_mjhab "lerobot[dataset]==0.6.1"
 	@touch $@
 
 test-lerobot-env: $(LEROBOT_ENV)/.ready  ## run episodes with the real lerobot package (8 GB to install, Python 3.12)

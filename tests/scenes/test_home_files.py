@@ -107,6 +107,13 @@ def setting(part: str, **values: Any) -> Change:
     return lambda body: body[part].update(values)
 
 
+TOO_HIGH = {
+    "furniture": "table_01",
+    "name": "x",
+    "center": [0, 0, 2.5],
+    "half": [0.1, 0.1],
+    "roles": ["open_surface"],
+}
 BAD: dict[str, tuple[Change, str]] = {
     "unknown furniture": (
         furniture({"kind": "tabel_01", "at": [4.0, 4.0]}),
@@ -189,6 +196,10 @@ BAD: dict[str, tuple[Change, str]] = {
             body["furniture"].append({"kind": "table_02", "at": [5.0, 1.0]}),
         ),
         "'top' of 'table_0[12]', which plays the role '.*', is .* m from where a robot can stand",
+    ),
+    "receptacle too high": (
+        lambda body: body.update(receptacles=[TOO_HIGH]),
+        "'x' of 'table_01', which plays the role 'open_surface', is 2.50 m above the floor",
     ),
     "no room": (
         setting("floor", size=[1.9, 5.0]),

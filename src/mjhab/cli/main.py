@@ -16,7 +16,12 @@ import tyro
 from mjhab import register_all
 from mjhab.cli import commands
 from mjhab.cli.options.limits import check_limits
-from mjhab.cli.streams import described, drop_unwritable_stdout, make_streams_sturdy
+from mjhab.cli.streams import (
+    described,
+    drop_unwritable_stdout,
+    make_streams_sturdy,
+    show_own_warnings_plainly,
+)
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import reason
 from mjhab.core.memory_cache import set_memory_limit
@@ -41,6 +46,7 @@ def main(args: Sequence[str] | None = None) -> int:
     0: success; 1: the command failed; 2: the request is invalid; 130: Ctrl-C; 141: the reader of stdout has closed it.
     """
     make_streams_sturdy()
+    show_own_warnings_plainly()
     try:
         try:
             return run(parse(args))

@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 import os
 import sys
+import warnings
+from typing import TextIO
 
 from mjhab.core.files.reading import reason
+from mjhab.core.registration.plugins import PluginWarning
 
 
 def make_streams_sturdy() -> None:
@@ -16,6 +19,26 @@ def make_streams_sturdy() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+
+
+def show_own_warnings_plainly() -> None:
+    """Print warnings of mjhab as one line on stderr, without the place in its source that Python adds."""
+    usual = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, PluginWarning):
+            print(message, file=file or sys.stderr)
+        else:
+            usual(message, category, filename, lineno, file, line)
+
+    warnings.showwarning = show
 
 
 def drop_unwritable_stdout() -> None:

@@ -97,8 +97,7 @@ class StudentConfig:
     """A student and its training.
 
     algorithm: one of HEADS. chunk: number of predicted actions; execute: number of them executed before the next
-    prediction; repeat: control steps that each action is applied for.
-    hold_steps: control steps of a demonstration kept after its first success; -1 keeps all.
+    prediction. hold_steps: control steps of a demonstration kept after its first success; -1 keeps all.
     huber: width of the quadratic part of the Huber loss, in normalized actions; 0 uses the squared error.
     sampling_steps: of flow matching or diffusion.
     """
@@ -110,7 +109,6 @@ class StudentConfig:
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     chunk: int = 8
     execute: int = 2
-    repeat: int = 1
     hold_steps: int = 15
     huber: float = 0.5
     sampling_steps: int = 0

@@ -57,10 +57,8 @@ class StudentPolicy:
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, A) float32 in [-1, 1]."""
         self._remember(obs, info)
-        config = self.student.config
-        since = self._step % (config.execute * config.repeat)
-        self._plan(np.flatnonzero(since == 0), info)
-        place = since // config.repeat
+        place = self._step % self.student.config.execute
+        self._plan(np.flatnonzero(place == 0), info)
         actions = self._chunks[np.arange(len(place)), place]
         self._step += 1
         self._last = actions.copy()

@@ -251,18 +251,22 @@ def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far a receptacle is from where the base can stand: its centre, and its farthest point [m]."""
+    """How far a receptacle is from where the base can stand: its centre, and its farthest point [m].
+
+    height: of its surface above the floor [m].
+    """
 
     thing: str
     receptacle: str
     center: float
     farthest: float
+    height: float
 
 
 def reach(
     home: Home, pack: Pack, free: FreeMap, radius: float = NAVMESH_BASE_RADIUS_M
 ) -> list[Reach]:
-    """Planar distances [m] from navigable floor to every receptacle of a home, drawers closed."""
+    """Planar distances [m] from navigable floor to every receptacle of a home, drawers closed, and its height."""
     cells = np.argwhere(free.navigable(radius))
     stand = KDTree(free.to_xy(cells)) if len(cells) else None
     result = []
@@ -272,9 +276,10 @@ def reach(
             {} if isinstance(template, Prop) else {link.name: link.pos for link in template.links}
         )
         for r in template.receptacles:
-            ox, oy, _ = origins.get(r.link, (0.0, 0.0, 0.0))
+            ox, oy, oz = origins.get(r.link, (0.0, 0.0, 0.0))
             x = r.pos[0] + ox
             y = r.pos[1] + oy
+            z = r.pos[2] + oz
             a, b, _, d = rectangle(
                 placement, (x - r.half[0], x + r.half[0]), (y - r.half[1], y + r.half[1])
             )
@@ -283,7 +288,8 @@ def reach(
             far = np.full(len(grid) + 1, np.inf)
             if stand is not None:
                 far = np.asarray(stand.query(np.vstack([(b + d) / 2, grid]))[0])
-            result.append(Reach(placement.template, r.name, float(far[0]), float(far[1:].max())))
+            farthest = float(far[1:].max())
+            result.append(Reach(placement.template, r.name, float(far[0]), farthest, z))
     return result
 
 

@@ -26,6 +26,8 @@ OUTER_WALLS = 4
 """Walls around the floor, which come first in `Home.walls`."""
 MAX_OVERLAP_M = 0.001
 """Depth to which pieces may stand in each other: files give few digits."""
+MAX_SURFACE_HEIGHT_M = 1.6
+"""Highest surface that a hand above it can work on: Fetch's shoulder, torso raised, is 1.1 m above the floor."""
 
 
 def check_home(source: Path, pack: Pack, home: Home) -> None:
@@ -147,7 +149,15 @@ def _check_reach(source: Path, pack: Pack, home: Home) -> None:
         playing = [
             r for r in roles.places if plays(roles, r, found.thing, found.receptacle, first=first)
         ]
-        if playing and found.center > MAX_REACH_TO_CENTER_M:
+        if not playing:
+            continue
+        if not 0.0 <= found.height <= MAX_SURFACE_HEIGHT_M:
+            raise UsageError(
+                f"{source}: receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, "
+                f"is {found.height:.2f} m above the floor; a robot reaches from 0 to {MAX_SURFACE_HEIGHT_M} m. "
+                "Lower it, or give the role to another."
+            )
+        if found.center > MAX_REACH_TO_CENTER_M:
             raise UsageError(
                 f"{source}: receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, "
                 f"is {found.center:.2f} m from where a robot can stand; it reaches {MAX_REACH_TO_CENTER_M} m. "

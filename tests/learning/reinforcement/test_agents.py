@@ -52,6 +52,46 @@ def test_ppo_learns_the_toy(privileged: bool, state_std: bool) -> None:
     assert reward_of(agent.mean) > 0.8
 
 
+def test_ppo_imitates_demonstrations_first() -> None:
+    config = changed(PPO_TOY, {"demonstrations": 1, "imitation_updates": 200, "critic_updates": 1})
+    place, width = worlds()
+    shape = ReplayShape(WORLDS, 3 * HORIZON, 1, (0, 0, 0), width, 1)
+    shown = ReplayBuffer(shape, place.device)
+    for _ in range(2 * HORIZON):
+        seen = place.seen
+        actions = (-seen.vector / 0.3).clamp(-1.0, 1.0)
+        happened = place.step(actions)
+        shown.add(seen, actions, happened.reward, happened.terminated)
+        ended = torch.nonzero(happened.ended).flatten()
+        if len(ended):
+            shown.close(ended, happened.next_seen.rows(ended))
+    agent = Ppo(config, LAYOUT, width, seed=0)
+    learner = PpoLearner(agent, place, config, 0, shown)
+    assert learner.imitate() < 0.01
+    assert reward_of(agent.mean) > 0.85
+    # The critic learns alone at first, and the rate of the actor waits.
+    imitated = [value.clone() for value in agent.acting_parameters()]
+    rollout, _ = learner.collect()
+    told = learner.update(rollout, 0.0)
+    assert told["learning_rate"] == config.ppo.learning_rate  # type: ignore[union-attr]
+    assert all(map(torch.equal, imitated, agent.acting_parameters()))
+    rollout, _ = learner.collect()
+    learner.update(rollout, 0.0)
+    assert not all(map(torch.equal, imitated, agent.acting_parameters()))
+
+
+def test_the_critic_has_a_learning_rate_of_its_own() -> None:
+    place, width = worlds()
+    config = changed(PPO_TOY, {"critic_learning_rate": 1e-9})
+    agent = Ppo(config, LAYOUT, width, seed=0)
+    learner = PpoLearner(agent, place, config, seed=0)
+    before = [value.clone() for value in agent.value.parameters()]
+    rollout, _ = learner.collect()
+    learner.update(rollout, 0.0)
+    after = list(agent.value.parameters())
+    assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(before, after, strict=True))
+
+
 @pytest.mark.parametrize("atoms", [0, 31])
 def test_sac_learns_the_toy(atoms: int) -> None:
     config = changed(SAC_TOY, {"atoms": atoms})

@@ -46,6 +46,18 @@ TINY = ReinforcementConfig(
     force_ends=True,
     force_cost=1.0,
 )
+TINY_IMITATING = dataclasses.replace(
+    TINY,
+    ppo=PpoConfig(
+        rollout_steps=8,
+        minibatches=2,
+        epochs=1,
+        demonstrations=1,
+        imitation_updates=2,
+        imitation_coefficient=1.0,
+        imitation_samples=48,
+    ),
+)
 TINY_RLPD = dataclasses.replace(
     TINY,
     algorithm=RLPD,
@@ -66,7 +78,9 @@ def request(config: ReinforcementConfig) -> ReinforcementRequest:
     return ReinforcementRequest(config, SCENE, threads=1, eval_episodes=0, round_episodes=0)
 
 
-@pytest.mark.parametrize("config", [TINY, TINY_RLPD], ids=["ppo", "rlpd"])
+@pytest.mark.parametrize(
+    "config", [TINY, TINY_IMITATING, TINY_RLPD], ids=["ppo", "imitating", "rlpd"]
+)
 def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     config: ReinforcementConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -59,7 +59,7 @@ class Toy:
 
     def link_state(self) -> np.ndarray:
         """There is no link."""
-        return np.zeros((self.num_envs, 4), np.float32)
+        return np.zeros((self.num_envs, 5), np.float32)
 
     @property
     def state(self) -> Any:

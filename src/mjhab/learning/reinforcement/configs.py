@@ -139,8 +139,6 @@ class ReinforcementConfig:
     random lengths, so that the worlds do not all reset in the same step.
     episode_pool: number of start states that training episodes are drawn from; 0 takes the default of `TrainConfig`.
     Generating one start state takes as long as about a hundred samples.
-    repeat: control steps that each action is applied for. Noise that changes at every control step (20 Hz) averages
-    out before the joints move; noise that lasts for some steps explores.
     force_ends: a training episode terminates when its cumulative force exceeds the subtask's limit. force_cost: total
     reward subtracted over an episode whose cumulative force reaches the limit. The dense rewards of Open and Close
     have no force term: without these two options the reward does not tell the policy why it fails by force.
@@ -162,7 +160,6 @@ class ReinforcementConfig:
     episode_pool: int = 0
     force_ends: bool = False
     force_cost: float = 0.0
-    repeat: int = 1
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
@@ -171,8 +168,6 @@ class ReinforcementConfig:
             raise unknown_name("algorithm", self.algorithm, ALGORITHMS)
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
-        if self.ppo is None and self.repeat != 1:
-            raise UsageError(f"repeat must be 1 for {self.algorithm}, got {self.repeat}.")
         if self.ppo is not None:
             rows = self.worlds * self.ppo.rollout_steps
             if rows % self.ppo.minibatches:
@@ -191,7 +186,6 @@ class ReinforcementConfig:
             network=self.network,
             chunk=1,
             execute=1,
-            repeat=self.repeat,
         )
 
 

@@ -348,7 +348,7 @@ class PpoLearner:
     def _imitation_weight(self) -> float:
         """Weight of the imitation loss in this update."""
         config = self.config
-        per_update = config.rollout_steps * self.worlds.count * self.run.repeat
+        per_update = config.rollout_steps * self.worlds.count
         done = self.updates * per_update * distributed.processes()
         left = max(0.0, 1.0 - done / max(config.imitation_samples, 1))
         return config.imitation_coefficient * left if self.shown is not None else 0.0

@@ -180,7 +180,6 @@ class ReinforcementSession:
             force_limit=limits.force_limit,
             force_ends=self.config.force_ends,
             force_cost=self.config.force_cost,
-            repeat=self.config.repeat,
             conditions=tuple(name for name in conditions if name in CHECKERS),
         )
 
@@ -206,9 +205,8 @@ class ReinforcementSession:
     # -- progress -----------------------------------------------------------------------------------------------------
 
     def note(self, transition: Transition) -> None:
-        """Count one action of all worlds and remember its rewards and finished episodes."""
-        steps = self.worlds.count * self.config.repeat
-        self.standing.samples += steps * distributed.processes()
+        """Count one control step of all worlds and remember its rewards and finished episodes."""
+        self.standing.samples += self.worlds.count * distributed.processes()
         self._rewards.append(float(transition.reward.mean()))
         if bool(transition.ended.any()):
             self._outcomes.extend(transition.succeeded[transition.ended].tolist())

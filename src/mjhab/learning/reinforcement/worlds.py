@@ -41,7 +41,6 @@ class TrainingRules:
     value, so that the worlds do not reset in the same step; 0 disables this.
     force_limit: on the cumulative force [N x control steps]. force_ends: an episode terminates when it exceeds the
     limit. force_cost: total reward subtracted over an episode whose cumulative force reaches the limit.
-    repeat: control steps that each action is applied for; the reward of the action is the mean of theirs.
     conditions: boolean keys of ``info`` whose frequency ``Worlds.held`` reports.
     """
 
@@ -49,7 +48,6 @@ class TrainingRules:
     force_limit: float = math.inf
     force_ends: bool = False
     force_cost: float = 0.0
-    repeat: int = 1
     conditions: tuple[str, ...] = ()
 
 
@@ -99,8 +97,7 @@ class Worlds:
         obs, info = self.env.reset(seed=seed)
         every = ~self._none
         self._succeeded = self._none
-        # In decisions, so that an action is not cut short.
-        longest = -(-self._rules.longest_first // self._rules.repeat)
+        longest = self._rules.longest_first
         if longest:
             drawn = stream(seed, "stagger").integers(1, longest + 1, self.count)
             self._left = torch.from_numpy(drawn).to(self.device)
@@ -120,31 +117,23 @@ class Worlds:
     def _step(self, actions: Tensor) -> Transition:
         taken = actions.clamp(-1.0, 1.0)
         given = taken.numpy() if self.device.type == "cpu" and self._numpy else taken
+        obs, reward, terminated, truncated, info = self.env.step(given)
+        ended = torch.as_tensor(terminated) | torch.as_tensor(truncated)
+        terminated = torch.as_tensor(terminated)
+        reward = torch.as_tensor(reward).float()
         rules = self._rules
-        terminated = self._none
-        ended = self._none
-        succeeded = self._succeeded
-        reward = torch.zeros(self.count, device=self.device)
-        for _ in range(rules.repeat):
-            # What comes after the end of an episode, before its world is reset, counts for nothing.
-            goes_on = ~ended
-            obs, gained, over, cut, info = self.env.step(given)
-            over = torch.as_tensor(over)
-            cut = torch.as_tensor(cut)
-            gained = torch.as_tensor(gained).float()
-            if rules.force_ends:
-                over = over | (torch.as_tensor(info["cumulative_force"]) > rules.force_limit)
-            if rules.force_cost:
-                share = torch.as_tensor(info["robot_force"]).float() / rules.force_limit
-                gained = gained - rules.force_cost * share
-            reward = reward + torch.where(goes_on, gained, 0.0) / rules.repeat
-            succeeded = succeeded | (goes_on & torch.as_tensor(info["success"]))
-            terminated = terminated | (goes_on & over)
-            ended = ended | over | cut
-            self._count(info)
+        if rules.force_ends:
+            exceeded = torch.as_tensor(info["cumulative_force"]) > rules.force_limit
+            terminated = terminated | exceeded
+            ended = ended | exceeded
+        if rules.force_cost:
+            share = torch.as_tensor(info["robot_force"]).float() / rules.force_limit
+            reward = reward - rules.force_cost * share
         if rules.longest_first:
             self._left -= 1
             ended = ended | (self._left == 0)
+        self._count(info)
+        succeeded = self._succeeded | torch.as_tensor(info["success"])
         following = self.sight.see(obs, info, taken, self._none)
         self.seen = following
         if bool(ended.any()):

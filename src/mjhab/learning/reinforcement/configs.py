@@ -43,7 +43,8 @@ class PpoConfig:
     state_std: the standard deviation depends on the observation instead of being one learned constant.
     critic_updates: number of initial updates that train only the critic, used when the actor is not new.
     demonstrations: episodes of the expert that the actor imitates first, for imitation_updates of imitation_batch
-    samples. imitation_coefficient: weight of the imitation loss in the updates that follow; it falls linearly to zero
+    samples. demonstration_noise: largest standard deviation of the noise that disturbs the expert meanwhile; the actor
+    imitates what the expert intended. imitation_coefficient: weight of the imitation loss in the updates that follow; it falls linearly to zero
     over imitation_samples samples.
     """
 
@@ -67,6 +68,7 @@ class PpoConfig:
     state_std: bool = False
     critic_updates: int = 0
     demonstrations: int = 0
+    demonstration_noise: float = 0.0
     imitation_updates: int = 3000
     imitation_batch: int = 256
     imitation_coefficient: float = 0.0

@@ -151,13 +151,18 @@ class _Run(ABC):
         folder = self.session.folder.path / name if device.type == "cpu" else None
         return ReplayBuffer(shape, device, folder, reserve)
 
-    def _demonstrations(self, episodes: int) -> ReplayBuffer:
-        """A buffer of recorded episodes or, without any, of ``episodes`` new episodes of the expert."""
+    def _demonstrations(self, episodes: int, noise: float = 0.0) -> ReplayBuffer:
+        """A buffer of recorded episodes or, without any, of ``episodes`` new episodes of the expert.
+
+        ``noise``: of the expert's actions, see `collect_demonstrations`.
+        """
         folder = self.session.folder.path / DEMONSTRATIONS
 
         def fill() -> ReplayBuffer:
             return (
-                self._replay_recorded() if self.session.request.data else self._ask_expert(episodes)
+                self._replay_recorded()
+                if self.session.request.data
+                else self._ask_expert(episodes, noise)
             )
 
         shown = kept_demonstrations(folder, fill)
@@ -175,7 +180,7 @@ class _Run(ABC):
 
         return replay_recorded(session, make, tell)
 
-    def _ask_expert(self, episodes: int) -> ReplayBuffer:
+    def _ask_expert(self, episodes: int, noise: float) -> ReplayBuffer:
         session = self.session
         horizon = int(max(horizons(session.env.task_config))) + 2
 
@@ -186,7 +191,7 @@ class _Run(ABC):
         def tell(done: int) -> None:
             session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
 
-        return collect_demonstrations(session, episodes, make, tell)
+        return collect_demonstrations(session, episodes, make, tell, noise)
 
 
 class _PpoRun(_Run):
@@ -206,7 +211,8 @@ class _PpoRun(_Run):
         self.agent = agent
         shown: ReplayBuffer | None = None
         if agent.config.demonstrations:
-            shown = self._demonstrations(agent.config.demonstrations)
+            ppo = agent.config
+            shown = self._demonstrations(ppo.demonstrations, ppo.demonstration_noise)
         self.learner = PpoLearner(agent, worlds, self.config, session.seed, shown)
         if session.saved is not None:
             self._restore(session.saved.tensors)

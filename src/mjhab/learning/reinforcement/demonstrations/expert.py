@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import torch
 
+from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession, training_env
 from mjhab.learning.reinforcement.sight import Sight
@@ -21,10 +22,15 @@ def collect_demonstrations(
     episodes: int,
     make: Callable[[int], ReplayBuffer],
     tell: Callable[[int], object],
+    noise: float = 0.0,
 ) -> ReplayBuffer:
     """Record at least ``episodes`` whole episodes of the expert into a replay buffer.
 
     Failed episodes are kept, too: the critics learn from their rewards.
+
+    With ``noise``, normal noise is added to the executed actions and the buffer holds what the expert intended (DART,
+    arXiv 1703.09327): a policy that imitates it knows the way back. The standard deviation [action units] is drawn
+    for each world and episode, from 0 to ``noise``.
 
     Args:
         session: of the run. make: makes a buffer for a number of worlds.
@@ -52,13 +58,19 @@ def collect_demonstrations(
     finished = 0
     device = session.worlds.device
     rounds = -(-episodes // worlds_count)
+    random = stream(session.seed, "demonstration-noise")
     for number in range(rounds):
+        spread = random.uniform(0.0, noise, (worlds_count, 1))
         ended = torch.zeros(worlds_count, dtype=torch.bool)
         while not bool(ended.all()):
             actions = torch.from_numpy(expert.act(obs, info).copy())
-            obs, reward, terminated, truncated, info = env.step(actions.numpy())
+            executed = actions
+            if noise:
+                drawn = random.standard_normal(actions.shape) * spread
+                executed = (actions + torch.from_numpy(drawn).float()).clamp(-1.0, 1.0)
+            obs, reward, terminated, truncated, info = env.step(executed.numpy())
             over = torch.from_numpy(terminated | truncated)
-            following = sight.see(obs, info, actions, ~every)
+            following = sight.see(obs, info, executed, ~every)
             buffer.add(
                 seen.to(device),
                 actions.to(device),

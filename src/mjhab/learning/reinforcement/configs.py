@@ -254,7 +254,7 @@ FAST_PPO = dataclasses.replace(
         imitation_samples=1_000_000,
     ),
     worlds=64,
-    horizon=0,
+    horizon=200,
 )
 """From an actor that imitates a disturbed expert."""
 

@@ -208,15 +208,17 @@ PAPER_INPUTS = InputConfig(
 
 STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
 
-FAST_PPO = ReinforcementConfig(
+SCRATCH_PPO = ReinforcementConfig(
     PPO,
-    "fast",
+    "scratch",
     LINK_INPUTS,
     STATE_NETWORK,
     ppo=PpoConfig(
         rollout_steps=16,
         minibatches=4,
+        gae_lambda=0.9,
         learning_rate=5e-4,
+        critic_learning_rate=1e-3,
         desired_kl=0.03,
         target_kl=0.0,
         initial_std=0.5,
@@ -232,6 +234,29 @@ FAST_PPO = ReinforcementConfig(
     checkpoint_samples=100_000,
     eval_samples=500_000,
 )
+"""From random weights."""
+FAST_PPO = dataclasses.replace(
+    SCRATCH_PPO,
+    preset="fast",
+    ppo=PpoConfig(
+        rollout_steps=32,
+        minibatches=8,
+        learning_rate=5e-5,
+        critic_learning_rate=1e-3,
+        desired_kl=0.005,
+        target_kl=0.0,
+        initial_std=0.1,
+        critic_updates=20,
+        demonstrations=200,
+        demonstration_noise=0.2,
+        imitation_updates=8000,
+        imitation_coefficient=1.0,
+        imitation_samples=1_000_000,
+    ),
+    worlds=64,
+    horizon=0,
+)
+"""From an actor that imitates a disturbed expert."""
 
 PAPER_PPO = ReinforcementConfig(
     PPO,
@@ -313,8 +338,9 @@ def _from_states(config: ReinforcementConfig) -> ReinforcementConfig:
 PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
     PPO: {
         "fast": FAST_PPO,
+        "scratch": SCRATCH_PPO,
         "depth": dataclasses.replace(
-            FAST_PPO,
+            SCRATCH_PPO,
             preset="depth",
             inputs=DEPTH_INPUTS,
             network=NetworkConfig(hidden=256),
@@ -323,7 +349,7 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
         "paper": PAPER_PPO,
         "paper_state": PAPER_STATE_PPO,
         "polish": dataclasses.replace(
-            FAST_PPO,
+            SCRATCH_PPO,
             preset="polish",
             inputs=DEPTH_INPUTS,
             ppo=PpoConfig(

@@ -254,7 +254,7 @@ FAST_PPO = dataclasses.replace(
         imitation_samples=1_000_000,
     ),
     worlds=64,
-    horizon=200,
+    horizon=0,
 )
 """From an actor that imitates a disturbed expert."""
 

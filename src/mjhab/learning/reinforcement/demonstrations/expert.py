@@ -8,9 +8,8 @@ import torch
 
 from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.replay import ReplayBuffer
-from mjhab.learning.reinforcement.session import ReinforcementSession, training_env
+from mjhab.learning.reinforcement.session import ReinforcementSession, demonstration_env
 from mjhab.learning.reinforcement.sight import Sight
-from mjhab.tasks.subtasks.registry import SUBTASKS
 
 DEMONSTRATION_WORLDS = 16
 """Number of parallel worlds that the expert acts in."""
@@ -40,17 +39,13 @@ def collect_demonstrations(
     from mjhab.experts import make_expert
 
     worlds_count = min(DEMONSTRATION_WORLDS, episodes)
-    subtask = SUBTASKS[session.request.scene.subtask]
-    # The expert gets the time of an evaluation: a profile may train for less, and then it is cut off before the end.
-    longer = {} if subtask.navigates else {"horizon": subtask.limits.horizon}
     buffer = make(worlds_count)
-    env = training_env(
+    env = demonstration_env(
         session.request.scene,
         session.config.inputs,
         worlds_count,
         session.request.threads,
         DEMONSTRATION_SEED + session.seed,
-        **longer,
     )
     sight = Sight(env, session.layout, session.config.privileged_critic)
     expert = make_expert(env)

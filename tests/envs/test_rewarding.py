@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, straight_distance
+from mjhab.envs.parts.rewarding import (
+    GoalDistance,
+    Rewarder,
+    RewardInputs,
+    RewardRules,
+    straight_distance,
+)
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.measure import active_entries, measure
@@ -67,7 +73,7 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
 
 
 def rewarder(worlds: int, mode: str = "dense", **more: Any) -> Rewarder:
-    return Rewarder(worlds, CONFIG, mode, more.pop("options", None), LAYOUT, SENSING, **more)
+    return Rewarder(worlds, RewardRules(CONFIG, mode, **more), LAYOUT, SENSING)
 
 
 def step(kind: int, way: GoalDistance = straight_distance, **over: Any) -> dict[str, float]:

@@ -16,7 +16,7 @@ from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.observations import Views, state_observation, state_table
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.plan_tables import Rows, look_up
-from mjhab.envs.parts.rewarding import Rewarder, RewardInputs
+from mjhab.envs.parts.rewarding import Rewarder, RewardInputs, RewardRules
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import BASES, CONTROL_MODES, make_controller
@@ -146,16 +146,9 @@ class Follower:
             else RewardOptions()
         )
         self.sensing = Sensing(layout, addresses, WORLDS, like)
-        self.rewarder = Rewarder(
-            WORLDS,
-            self.config,
-            mode,
-            options,
-            layout,
-            self.sensing,
-            kinds=[name_of(kind) for kind in kinds],
-            like=like,
-        )
+        names = [name_of(kind) for kind in kinds]
+        rules = RewardRules(self.config, mode, options, kinds=names)
+        self.rewarder = Rewarder(WORLDS, rules, layout, self.sensing, like)
         self.notes: label_state.LabelState | None = None
 
     def step(

@@ -23,7 +23,7 @@ from mjhab.core.arrays import Array, as_like, count, device_of, may_hold, namesp
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
 from mjhab.envs.parts.reporting import CHECKERS
-from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs
+from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, RewardRules
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.spaces import action_space, batched, keyed_space, nested
 from mjhab.robots.controllers import make_controller
@@ -104,17 +104,14 @@ class TaskLoop(VectorEnv, ABC):
             self.layout, self.sim.addresses, self.num_envs, self._like, config.handle_points
         )
         alone = config.subtask
-        self.rewarder = Rewarder(
-            self.num_envs,
+        rules = RewardRules(
             self.task_config,
             config.reward,
             config.reward_options,
-            self.layout,
-            self.sensing,
             nav_distance,
             [alone] if alone else TASKS[config.task].subtasks,
-            like=self._like,
         )
+        self.rewarder = Rewarder(self.num_envs, rules, self.layout, self.sensing, self._like)
 
     def _set_spaces(self, observation: spaces.Dict, **metadata: Any) -> None:
         """Set the attributes that Gymnasium asks for; ``observation``: space of one world, with flat keys."""

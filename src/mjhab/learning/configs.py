@@ -224,8 +224,26 @@ ACT_SMALL = dataclasses.replace(
 
 QUICK = dataclasses.replace(SMALL, preset="quick", demos=128, updates=4000)
 
+STATE = StudentConfig(
+    preset="state",
+    inputs=InputConfig(
+        cameras=(), image_size=0, previous_action=False, base_velocity=True, shift=0
+    ),
+    network=NetworkConfig(hidden=384),
+    optimizer=OptimizerConfig(learning_rate=1e-3, schedule="cosine"),
+    chunk=1,
+    execute=1,
+    style=("noise=0..0.2",),
+)
+"""No images: the 42-D state and the velocity of the base, from an expert disturbed by noise."""
+
 PRESETS: dict[str, dict[str, TrainConfig]] = {
-    BC: {"small": TrainConfig(SMALL), "quick": TrainConfig(QUICK), "paper": TrainConfig(PAPER_BC)},
+    BC: {
+        "small": TrainConfig(SMALL),
+        "quick": TrainConfig(QUICK),
+        "state": TrainConfig(STATE),
+        "paper": TrainConfig(PAPER_BC),
+    },
     FLOW: {
         "flow": TrainConfig(FLOW_SMALL),
         "quick": TrainConfig(

@@ -1,1 +1,1 @@
-"""How worlds look: drawn scenes, textures, views, films."""
+"""Rendering of worlds: render scenes, textures, views and films."""

@@ -1,8 +1,9 @@
-"""From scene descriptions to a RenderScene: meshes of primitives, materials, textures, instances, lamps."""
+"""Builds a RenderScene from scene descriptions: meshes of primitives, materials, textures, instances, lamps."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,16 +19,16 @@ from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Light, Vec3
 
 SEGMENTS = 24
-"""Sides of a cylinder and meridians of a sphere."""
+"""Number of sides of a cylinder, and of meridians of a sphere."""
 UNIT: Vec3 = (1.0, 1.0, 1.0)
 PLAIN_FACE = 0
-"""Material 0: light grey, for meshes that were given none."""
+"""Material 0: light grey, for meshes without a material."""
 MESH_GLOSS = 0.2
-"""Gloss of meshes that bring their own colours."""
+"""Gloss of meshes with their own colours."""
 
 
 def srgb_to_linear(color: ArrayLike) -> np.ndarray:
-    """Linear light of sRGB values 0..1 (any shape)."""
+    """Convert sRGB values in 0..1 (any shape) to linear light."""
     c = np.asarray(color, np.float64)
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
@@ -92,7 +93,7 @@ def primitive_mesh(geom: Geom) -> Mesh:
     if geom.shape == "sphere":
         return capsule_mesh(geom.size[0], 0.0)
     raise UsageError(
-        f"primitive_mesh: a geom of shape {geom.shape!r} has no primitive; look its mesh up in the pack."
+        f"primitive_mesh: a geom of shape {geom.shape!r} is not a primitive; take its mesh from the pack."
     )
 
 
@@ -100,12 +101,25 @@ def _pick(textures: tuple[np.ndarray, ...], number: int) -> np.ndarray | None:
     return textures[number] if number >= 0 else None
 
 
+@dataclass(frozen=True, eq=False)
+class _HomeLook:
+    """Pose, scale and material of an instance in H homes; each may be one value for all homes.
+
+    pos (H, 3) [m], mat (H, 3, 3), scale (H, 3), material (H,) ids, -1 for the colours of the mesh.
+    """
+
+    pos: ArrayLike
+    mat: ArrayLike
+    scale: ArrayLike
+    material: ArrayLike
+
+
 class SceneBuilder:
     """Collects meshes, materials and instances of a layout; ``build`` makes the RenderScene.
 
     Args:
-        num_homes: homes H the layout holds.
-        materials: named materials that ``material`` looks up.
+        num_homes: number of homes H in the layout.
+        materials: materials by name, for ``material``.
     """
 
     def __init__(self, num_homes: int, materials: Mapping[str, Material] = MATERIALS) -> None:
@@ -126,11 +140,11 @@ class SceneBuilder:
         self.add_material(Material((0.8, 0.8, 0.8)))
 
     def add_material(self, material: Material, texture: np.ndarray | None = None) -> int:
-        """Id of a material; equal materials share one.
+        """Id of a material; equal materials share an id.
 
         Args:
             material: its colour is multiplied with the texture.
-            texture: picture (h, w, 3) uint8 as in ``scenes.shapes.meshes.Mesh``, laid on by the mesh; or None.
+            texture: image (h, w, 3) uint8 as in ``scenes.shapes.meshes.Mesh``, placed by the mesh's uv; or None.
         """
         number = -1
         if texture is not None:
@@ -163,7 +177,7 @@ class SceneBuilder:
         return self._meshes.setdefault(key, first)
 
     def _own_materials(self, mesh: Mesh) -> np.ndarray:
-        """Material (F,) i32 of every face of a mesh: from its colours and textures, else `PLAIN_FACE`."""
+        """Material id (F,) i32 of every face of a mesh: from its colours and textures, else `PLAIN_FACE`."""
         count = len(mesh.faces)
         if mesh.face_color is None and not mesh.textures:
             return np.full(count, PLAIN_FACE, np.int32)
@@ -182,7 +196,7 @@ class SceneBuilder:
     def add_geom_mesh(
         self, geom: Geom, meshes: Mapping[str, object] | None = None
     ) -> tuple[int, Vec3]:
-        """Mesh id and instance scale that draw a geom: unit primitives are shared by all sizes.
+        """Mesh id and instance scale (3,) of a geom; geoms of all sizes share the meshes of unit primitives.
 
         Args:
             geom: any shape; for "mesh" its name must be in ``meshes``.
@@ -205,25 +219,27 @@ class SceneBuilder:
         self,
         mesh: int,
         body_id: int,
-        pos: ArrayLike = (0.0, 0.0, 0.0),
-        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+        pose: tuple[ArrayLike, ArrayLike] = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
         material: int = -1,
         seg: str = "background",
         scale: ArrayLike = UNIT,
     ) -> int:
-        """Hang a mesh on a body of the model; pose in the body's frame. Returns the instance id.
+        """Attach a mesh to a body of the model; returns the instance id.
 
         Args:
+            mesh: id from ``add_mesh``. body_id: of the body, above 0.
+            pose: position (3,) [m] and quaternion (4,) wxyz in the body's frame.
             material: id, or -1 for the colours of the mesh.
             seg: name in segmentation images.
+            scale: (3,) along the axes of the instance.
         """
         if body_id <= 0:
             raise UsageError(
                 f"add_body_instance: body_id must be above 0 (the world); got {body_id}."
             )
+        pos, quat = pose
         self._local.append((np.asarray(pos, float), mat_from_quat(np.asarray(quat, float))))
-        count = self.num_homes
-        return self._add(mesh, body_id, seg, np.zeros((count, 3)), np.eye(3), scale, material)
+        return self._add(mesh, body_id, seg, _HomeLook(np.zeros(3), np.eye(3), scale, material))
 
     def add_world_instance(
         self,
@@ -234,39 +250,32 @@ class SceneBuilder:
         material: ArrayLike = -1,
         seg: str = "background",
     ) -> int:
-        """Stand a mesh in the world, with its own pose, size and material in every home. Returns the instance id.
+        """Place a mesh in the world, with a pose, scale and material per home; returns the instance id.
 
         Args:
+            mesh: id from ``add_mesh``.
             pos, quat, scale: (H, 3) [m], (H, 4) wxyz, (H, 3), or one value for all homes; scale 0 hides it.
             material: (H,) ids or one id; -1 for the colours of the mesh.
             seg: name in segmentation images.
         """
         self._local.append((np.zeros(3), np.eye(3)))
-        return self._add(mesh, 0, seg, pos, mat_from_quat(np.asarray(quat, float)), scale, material)
+        mat = mat_from_quat(np.asarray(quat, float))
+        return self._add(mesh, 0, seg, _HomeLook(pos, mat, scale, material))
 
-    def _add(
-        self,
-        mesh: int,
-        body: int,
-        seg: str,
-        pos: ArrayLike,
-        mat: ArrayLike,
-        scale: ArrayLike,
-        material: ArrayLike,
-    ) -> int:
+    def _add(self, mesh: int, body: int, seg: str, look: _HomeLook) -> int:
         if not 0 <= mesh < len(self._levels):
             raise UsageError(
-                f"mesh id {mesh} is not in 0..{len(self._levels) - 1}; use what add_mesh returned."
+                f"mesh id {mesh} is not in 0..{len(self._levels) - 1}; use an id from add_mesh."
             )
         h = self.num_homes
         self._home_pose.append(
             (
-                np.broadcast_to(np.asarray(pos, float), (h, 3)),
-                np.broadcast_to(np.asarray(mat, float), (h, 3, 3)),
-                np.broadcast_to(np.asarray(scale, float), (h, 3)),
+                np.broadcast_to(np.asarray(look.pos, float), (h, 3)),
+                np.broadcast_to(np.asarray(look.mat, float), (h, 3, 3)),
+                np.broadcast_to(np.asarray(look.scale, float), (h, 3)),
             )
         )
-        self._home_material.append(np.broadcast_to(np.asarray(material, np.int32), (h,)))
+        self._home_material.append(np.broadcast_to(np.asarray(look.material, np.int32), (h,)))
         self._instances.append((mesh, body, self.segment(seg)))
         return len(self._instances) - 1
 
@@ -277,10 +286,10 @@ class SceneBuilder:
         seg: str = "background",
         meshes: Mapping[str, object] | None = None,
     ) -> int:
-        """Hang a geom (with its named material) on a body. Returns the instance id."""
+        """Attach a geom with its named material to a body; returns the instance id."""
         mesh, scale = self.add_geom_mesh(geom, meshes)
         material = -1 if self._colored(mesh) else self.material(geom.material)
-        return self.add_body_instance(mesh, body_id, geom.pos, geom.quat, material, seg, scale)
+        return self.add_body_instance(mesh, body_id, (geom.pos, geom.quat), material, seg, scale)
 
     def add_world_geom(
         self,
@@ -291,9 +300,13 @@ class SceneBuilder:
         present: ArrayLike = True,
         meshes: Mapping[str, object] | None = None,
     ) -> int:
-        """Stand a geom of a piece of furniture whose frame is at ``pos`` (H, 3), ``quat`` (H, 4) in the world.
+        """Place a geom of a piece of furniture in the world; returns the instance id.
 
-        ``present`` (H,) bool: homes that have the piece. Returns the instance id.
+        Args:
+            geom: its pose is relative to the frame of the piece.
+            pos, quat: world pose of that frame per home, (H, 3) [m] and (H, 4) wxyz.
+            seg: name in segmentation images. present: (H,) bool, homes that have the piece.
+            meshes: meshes by name.
         """
         mesh, scale = self.add_geom_mesh(geom, meshes)
         material = -1 if self._colored(mesh) else self.material(geom.material)
@@ -303,20 +316,23 @@ class SceneBuilder:
         )
         shown = np.asarray(present, float)[..., None] * np.asarray(scale, float)
         self._local.append((np.zeros(3), np.eye(3)))
-        return self._add(
-            mesh, 0, seg, where, frame @ mat_from_quat(np.asarray(geom.quat)), shown, material
-        )
+        mat = frame @ mat_from_quat(np.asarray(geom.quat))
+        return self._add(mesh, 0, seg, _HomeLook(where, mat, shown, material))
 
     def _colored(self, mesh: int) -> bool:
-        """True if the mesh brings its own face colours."""
+        """Whether the mesh has its own face colours."""
         return bool((self._face_materials[mesh] != PLAIN_FACE).any())
 
     def add_light(self, home: int, light: Light) -> None:
-        """Hang a point light in one home."""
+        """Add a point light to one home."""
         self._lights[home].append(light)
 
     def build(self) -> RenderScene:
-        """The arrays; at least one instance is needed."""
+        """Build the arrays of the scene.
+
+        Raises:
+            UsageError: no instance was added.
+        """
         if not self._instances:
             raise UsageError("SceneBuilder.build: nothing was added; add an instance first.")
         mesh, body, seg = (
@@ -378,7 +394,7 @@ class SceneBuilder:
         }
 
     def _light_arrays(self) -> dict[str, np.ndarray]:
-        """Lamps of all homes, padded with zero colour."""
+        """Lamps of all homes; unused slots have zero colour."""
         most = max(1, *(len(lights) for lights in self._lights))
         pos = np.zeros((self.num_homes, most, 3))
         color = np.zeros((self.num_homes, most, 3))

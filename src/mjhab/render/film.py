@@ -1,4 +1,4 @@
-"""Films: frames piped to the ffmpeg that ships with imageio-ffmpeg, as H.264 that every browser plays."""
+"""Video files: frames are piped to the ffmpeg of imageio-ffmpeg and encoded as H.264, which every browser plays."""
 
 from __future__ import annotations
 
@@ -16,17 +16,16 @@ from mjhab.core.errors import MjhabError, UsageError
 
 
 class FilmWriter:
-    """Writes an mp4 (H.264, yuv420p, index first). The file appears under its name only when it is complete.
+    """Writes an mp4 (H.264, yuv420p, index first) atomically.
 
-    Use as a context manager; an exception inside leaves no file behind. Odd sizes grow by one repeated
-    row or column, since yuv420p needs even ones.
+    Use it as a context manager; an exception inside leaves no file behind. Odd sizes are extended by one repeated row
+    or column, because yuv420p needs even sizes.
 
     Args:
-        path: the mp4 to write; its folder is made.
-        fps: frames per second of the film.
-        quality: x264 constant rate factor, 18 (large) to 30 (small).
-        keyframes: a frame that needs no other one every so many; 0 lets x264 choose. Few make single frames slow to
-            reach.
+        path: the mp4 to write; its folder is made if necessary.
+        fps: frames per second.
+        quality: x264 constant rate factor, 18 (large file) to 30 (small file).
+        keyframes: number of frames per keyframe; 0 lets x264 choose. A small number makes random access fast.
     """
 
     def __init__(
@@ -82,7 +81,12 @@ class FilmWriter:
         self.frames += 1
 
     def close(self) -> None:
-        """Finish the film and move it to its name. Raises UsageError if it has no frame."""
+        """Finish the file and rename it to its path.
+
+        Raises:
+            UsageError: no frame was added.
+            MjhabError: ffmpeg failed.
+        """
         if self._process is None or self._part is None:
             self._log.close()
             raise UsageError(f"{self.path.name}: a film needs at least one frame.")
@@ -97,11 +101,11 @@ class FilmWriter:
         self._log.close()
 
     def abort(self) -> None:
-        """Stop and remove what was written so far."""
+        """Stop ffmpeg and remove the unfinished file."""
         if self._process is not None:
             self._process.kill()
             if self._process.stdin is not None:
-                # What is still in its buffer has nowhere to go.
+                # Closing flushes the buffer into a pipe that may be closed.
                 with suppress(OSError):
                     self._process.stdin.close()
             self._process.wait()
@@ -153,7 +157,7 @@ class FilmWriter:
 
 
 def join_films(parts: Sequence[Path], path: Path) -> None:
-    """Put films of one size and one way of coding one after another into a new one; no frame is coded again.
+    """Concatenate videos of equal size and encoding into a new file without re-encoding.
 
     Raises:
         MjhabError: ffmpeg failed.
@@ -172,7 +176,7 @@ def join_films(parts: Sequence[Path], path: Path) -> None:
 
 
 def write_film(path: str | Path, frames: Iterable[np.ndarray], fps: float = 20.0) -> int:
-    """Write frames (H, W, 3) uint8 as one mp4; returns how many. See FilmWriter."""
+    """Write frames (H, W, 3) uint8 to an mp4; returns their number. See `FilmWriter`."""
     with FilmWriter(path, fps) as film:
         for frame in frames:
             film.add(frame)

@@ -1,4 +1,4 @@
-"""Which renderers work on this machine: OpenGL is tried in a subprocess, since a bad driver kills its process."""
+"""Tests which renderers work on this machine. OpenGL is tried in a subprocess, as a bad driver may kill its process."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 GL_BACKENDS = ("egl", "osmesa")
 PROBE_SECONDS = 20.0
+"""Time limit of the test of one GL backend [s]."""
 _SCRIPT = """
 import mujoco
 model = mujoco.MjModel.from_xml_string(
@@ -24,7 +25,7 @@ print("drawn")
 
 
 def _works(backend: str) -> bool:
-    """True if ``mujoco.Renderer`` draws a box with this GL backend within the time limit."""
+    """Whether ``mujoco.Renderer`` renders a box with this GL backend within the time limit."""
     try:
         result = subprocess.run(
             [sys.executable, "-c", _SCRIPT],
@@ -44,11 +45,11 @@ def _probe() -> tuple[tuple[str, bool], ...]:
 
 
 def renderer_probe() -> dict[str, bool]:
-    """Renderer name to whether it works here: "rasterizer" (always), "egl", "osmesa". Asked once per process."""
+    """Whether each renderer works here: "rasterizer" (always), "egl", "osmesa". Tested once per process."""
     return dict(_probe())
 
 
 def best_renderer(probe: Mapping[str, bool] | None = None) -> str:
-    """The renderer for large human views: the first GL backend that works, else "rasterizer"."""
+    """Name of the renderer for large images for people: the first GL backend that works, else "rasterizer"."""
     found = renderer_probe() if probe is None else probe
     return next((backend for backend in GL_BACKENDS if found.get(backend)), "rasterizer")

@@ -1,4 +1,4 @@
-"""The render scene of a layout, and the views of it: robot cameras, a view for people, pictures of a home."""
+"""The render scene of a layout and its views: robot cameras, a follow camera for films, images of a home."""
 
 from __future__ import annotations
 
@@ -36,20 +36,21 @@ FOLLOW_EYES = (
     (-1.4, -0.9, 2.6),
     (-0.4, 0.5, 3.6),
 )
-"""Film camera in the frame of the robot: forward, left, height [m]; the first from which it is in plain view."""
+"""Candidate positions of the follow camera in the frame of the robot: forward, left, height [m]. The first one with an
+unobstructed view of the robot is used."""
 FOLLOW_TARGET = (0.45, 0.85)
-"""What it looks at: this far ahead of the robot, at this height [m]."""
+"""Point that the follow camera looks at: distance ahead of the robot, and height [m]."""
 TALL = 1.3
-"""Standing things that reach above this height [m] can hide the robot."""
+"""Furniture above this height can hide the robot [m]."""
 FOLLOW_FOVY = 0.85
 HOME_FOVY = 0.8
 INSIDE_HEIGHT = 2.0
 FAR = 1e4
-"""Bodies farther than this from the origin [m] have been thrown out of the world."""
+"""A body farther than this from the origin means that the physics has diverged [m]."""
 
 
 class BodyPoses(Protocol):
-    """Where the bodies of W worlds are; a `SimState` tells it."""
+    """Poses of the bodies of W worlds; a `SimState` has them."""
 
     @property
     def body_pos(self) -> Any:
@@ -93,7 +94,7 @@ def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
 
 
 def _add_shell(builder: SceneBuilder, layout: Layout) -> None:
-    """Floors, their patches and walls: unit boxes whose pose, size and material differ per home."""
+    """Add floors, floor patches and walls as unit boxes with a pose, scale and material per home."""
     homes = layout.pack.homes
     unit = builder.add_mesh("unit box", box_mesh((1.0, 1.0, 1.0)))
     floors = []
@@ -139,11 +140,11 @@ def _add_standing(
 
 
 class HomeRenderer:
-    """Draws the worlds of a simulator with the CPU rasterizer.
+    """Renders the worlds of a simulator with the CPU rasterizer.
 
     Args:
-        sim: its layout and compiled models.
-        num_threads: threads over images; 0 takes every core.
+        sim: provides the layout and the compiled models.
+        num_threads: threads over images; 0 uses every core.
     """
 
     def __init__(self, sim: CpuSimulator, num_threads: int = 0) -> None:
@@ -163,11 +164,15 @@ class HomeRenderer:
         outputs: Sequence[str],
         cameras: Sequence[str] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Images (W, C, height, width[, 3]) of robot cameras (all if None) in all worlds.
-
-        ``size``: one side or (height, width) [px].
+        """Images (W, C, height, width[, 3]) of robot cameras in all worlds, by output.
 
         A world whose physics has diverged (poses not finite, or beyond FAR) gets images of zeros.
+
+        Args:
+            state: poses of the bodies. homes: (W,) names of the worlds' homes.
+            size: side, or (height, width) [px].
+            outputs: any of "rgb", "depth", "seg".
+            cameras: names of robot cameras; None takes all.
 
         Raises:
             UsageError: unknown camera or output.
@@ -176,7 +181,7 @@ class HomeRenderer:
         index = np.array([self._home_index[h] for h in homes])
         fovy = [mount.fovy for mount in self._cameras(cameras)]
         pos, mat = self.camera_poses(state, cameras)
-        # NaN fails the comparison. The kernels must not see it: they have no bounds checks.
+        # NaN fails the comparison. It must not reach the kernels, which have no bounds checks.
         sane = (np.abs(state.body_pos) < FAR).all((1, 2)) & (np.abs(state.body_mat) < 2.0).all(
             (1, 2, 3)
         )
@@ -221,15 +226,15 @@ class HomeRenderer:
     def follow_view(
         self, state: SimState, home: str, world: int, width: int, height: int
     ) -> np.ndarray:
-        """One of `follow_views`: RGB (height, width, 3)."""
+        """RGB (height, width, 3) of the follow camera in one world, see `follow_views`."""
         return self.follow_views(state, [home], [world], width, height)[0]
 
     def follow_views(
         self, state: SimState, homes: Sequence[str], worlds: Sequence[int], width: int, height: int
     ) -> np.ndarray:
-        """RGB (n, height, width, 3) from behind the robots of some worlds, looking over their shoulders at their work.
+        """RGB (n, height, width, 3) of the follow camera, which looks from behind the robot over its shoulder.
 
-        ``homes``: names (n,) of the homes they are in.
+        ``worlds`` has the indices (n,) of the worlds and ``homes`` the names (n,) of their homes.
         """
         looks = [
             self._follow(home, state.robot_q[world, BASE])
@@ -253,7 +258,7 @@ class HomeRenderer:
         return images["rgb"][:, 0]
 
     def _follow(self, home: str, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Eye (3,) and what it looks at (3,) to follow a robot whose base is at (3,) x, y, yaw."""
+        """Position (3,) and target (3,) of the follow camera for a robot base at x, y [m], yaw [rad] (3,)."""
         x, y, yaw = base
         forward = np.array([np.cos(yaw), np.sin(yaw)])
         left = np.array([-np.sin(yaw), np.cos(yaw)])
@@ -263,7 +268,7 @@ class HomeRenderer:
         return next((e for e in eyes if self._in_view(home, e, target)), eyes[-1]), target
 
     def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
-        """Whether nothing tall stands between the eye and the space before the robot."""
+        """Whether no tall furniture lies between the camera and the target."""
         share = np.linspace(0.0, 0.75, 12)[:, None]
         return bool(
             (sphere_box_distance(eye + share * (target - eye), self._tall(home)) > 0.05).all()
@@ -273,7 +278,7 @@ class HomeRenderer:
         if home not in self._tall_boxes:
             model = self._sim.model(home)
             rot = mat_from_quat(model.geom_quat)
-            # geom_aabb: centre and half-extents in the geom's frame, of a mesh too.
+            # geom_aabb holds centre and half-extents in the geom's frame, also for meshes.
             center = model.geom_pos + np.einsum("kij,kj->ki", rot, model.geom_aabb[:, :3])
             half = model.geom_aabb[:, 3:]
             top = center[:, 2] + np.einsum("kj,kj->k", np.abs(rot[:, 2]), half)
@@ -316,7 +321,7 @@ class HomeRenderer:
 
     @staticmethod
     def _from_top(home: Home, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """Eye, target and field of view that show a whole floor; a deep one lies on its side in a wide picture."""
+        """Camera position, target and field of view for a whole floor; deep floors are rotated in wide images."""
         x0, y0, x1, y1 = home.floor
         size = np.array([x1 - x0, y1 - y0])
         up = np.array([0.0, 1.0])
@@ -332,8 +337,8 @@ class HomeRenderer:
         )
 
     def _from_inside(self, home: Home) -> tuple[np.ndarray, np.ndarray, float]:
-        """Eye, target and field of view of somebody at the end of the home who looks over it: from the place far from
-        its middle with the clearest view."""
+        """Camera position, target and field of view for a look across the home, from the place far from its middle
+        with the least obstructed view."""
         fmap = free_map(home, self.layout.pack, cell=0.25)
         floor = fmap.to_xy(np.argwhere(fmap.navigable(0.2)))
         middle = floor.mean(axis=0)

@@ -1,7 +1,7 @@
-"""Procedural patterns of surfaces, baked into pictures that repeat.
+"""Procedural patterns of surfaces, baked into tileable images.
 
-A picture has two channels: the mix of the two colours of the material (0: first, 1: second), and a shade that
-multiplies them, in steps of ``SHADE_TOP / 255``.
+An image has two channels: the mix of the material's two colours (0: first, 1: second), and a shade that multiplies
+them, in steps of ``SHADE_TOP / 255``.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ PERIODS: dict[str, tuple[float, float]] = {
     "fabric": (8.0, 8.0),
     "stripes": (1.0, 1.0),
 }
-"""Size (u, v) of a picture in units of the material's ``scale``; grain, boards and stripes' normals run along u."""
+"""Size (u, v) of an image in units of the material's ``scale``; grain, boards and normals of stripes run along u."""
 SHADE_TOP = 1.25
+"""Largest shade."""
 _BOARD = 8.0
 """Length of a board in units of its width."""
 
 
 def pattern_tile(kind: str) -> Array:
-    """Picture (h, w, 3) uint8 of a pattern: mix, shade, 0. Sides are powers of two.
+    """Image (h, w, 3) uint8 of a pattern with the channels mix, shade, 0. Its sides are powers of two.
 
     Raises:
-        KeyError: no such pattern; "plain" has none.
+        KeyError: there is no such pattern; "plain" has none.
     """
     mix, shade = {
         "wood": _wood,
@@ -43,12 +44,12 @@ def pattern_tile(kind: str) -> Array:
 
 
 def _grid(width: int, height: int) -> tuple[Array, Array]:
-    """Places (h, w) of pixel centres in 0..1."""
+    """Coordinates u, v (h, w) of pixel centres in 0..1."""
     return np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
 
 
 def _noise(seed: int, u: Array, v: Array, cells_u: int, cells_v: int) -> Array:
-    """Smooth value noise in 0..1 that repeats when u or v (in 0..1) grow by 1, with so many cells each way."""
+    """Smooth value noise in 0..1 with period 1 in u and v, and the given number of cells in each direction."""
     values = np.random.default_rng(seed).random((cells_v, cells_u))
     x = u * cells_u
     y = v * cells_v
@@ -68,7 +69,7 @@ def _noise(seed: int, u: Array, v: Array, cells_u: int, cells_v: int) -> Array:
 
 
 def _grain(seed: int, u: Array, v: Array, length: float, width: float) -> Array:
-    """Grain along u of a piece of so many units: stretched noise in two octaves, bent by a slow wave."""
+    """Wood grain along u for ``length`` x ``width`` units: stretched noise in two octaves with a slow wave."""
     bend = 0.6 * _noise(seed, u, v, max(1, round(0.25 * length)), max(1, round(0.5 * width)))
     ring = v + bend / width
     coarse = _noise(seed + 1, u, ring, max(1, round(0.22 * length)), max(1, round(3.4 * width)))
@@ -83,7 +84,7 @@ def _wood() -> tuple[Array, Array]:
 
 
 def _planks() -> tuple[Array, Array]:
-    """Boards of width 1, each with its tint, with dark joints of 0.04."""
+    """Boards of width 1, each with its own tint, with dark joints of width 0.04."""
     length, width = PERIODS["planks"]
     u, v = _grid(512, 1024)
     rng = np.random.default_rng(7)
@@ -102,12 +103,12 @@ def _planks() -> tuple[Array, Array]:
 
 
 def _seam(distance: Array, width: float, pixel: float) -> Array:
-    """Coverage of pixels by a line of ``width`` at ``distance`` from its middle."""
+    """Coverage of pixels by a line of ``width``, for the ``distance`` of a pixel's centre from the line's middle."""
     return np.clip((0.5 * width - distance) / pixel + 0.5, 0.0, 1.0) * min(1.0, width / pixel)
 
 
 def _tiles() -> tuple[Array, Array]:
-    """Square tiles of size 1 with grout (mix 1), each with its shade."""
+    """Square tiles of size 1 with grout (mix 1); each tile has its own shade."""
     count = int(PERIODS["tiles"][0])
     u, v = _grid(512, 512)
     p = u * count

@@ -1,4 +1,4 @@
-"""Textures for the kernels: pictures with their smaller copies in one array, and how they are sampled."""
+"""Textures for the kernels: images with their mipmap levels in one array, and their sampling."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from mjhab.render.raster.jit import color_inline, kernel
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE
 
 LEVELS = MAX_TEXTURE.bit_length() + 1
-"""Copies of a texture, each with half the sides of the one before, down to a pixel (patterns reach 1024)."""
+"""Number of mipmap levels of a texture; each has half the side of the one before, down to one pixel."""
 _STEPS = 4096
 
 
 class Texels(NamedTuple):
-    """T textures: pixels (P,) u32 as ``r | g << 8 | b << 16``; start (T, LEVELS) i64: where each copy begins;
-    bits (T, 2) i32: log2 of width and height of the first copy."""
+    """T textures with their mipmap levels.
+
+    pixels (P,) u32: ``r | g << 8 | b << 16``. start (T, LEVELS) i64: index of each level's first pixel.
+    bits (T, 2) i32: log2 of width and height of the first level.
+    """
 
     pixels: np.ndarray
     start: np.ndarray
@@ -27,17 +30,17 @@ class Texels(NamedTuple):
 
 
 class TexturePool:
-    """Collects pictures; equal ones are stored once."""
+    """Collects textures; equal ones are stored once."""
 
     def __init__(self) -> None:
         self._numbers: dict[bytes, int] = {}
         self._images: list[tuple[np.ndarray, bool]] = []
 
     def add(self, image: np.ndarray) -> int:
-        """Number of a picture (h, w, 3) uint8 sRGB whose sides are powers of two up to `MAX_TEXTURE`.
+        """Add an image (h, w, 3) uint8 sRGB whose sides are powers of two up to `MAX_TEXTURE`; returns its number.
 
         Raises:
-            UsageError: other sides or type.
+            UsageError: the image has other sides or another type.
         """
         height, width = image.shape[:2]
         odd = any(side & (side - 1) or not 0 < side <= MAX_TEXTURE for side in (height, width))
@@ -51,7 +54,7 @@ class TexturePool:
         )
 
     def add_pattern(self, kind: str) -> int:
-        """Number of the picture of a pattern."""
+        """Add the image of a pattern; returns its number."""
         key = kind.encode()
         return (
             self._numbers[key] if key in self._numbers else self._add(key, pattern_tile(kind), True)
@@ -64,7 +67,7 @@ class TexturePool:
         return self._numbers[key]
 
     def build(self) -> Texels:
-        """All pictures with their smaller copies."""
+        """All textures with their mipmap levels."""
         bits = np.array(
             [(i.shape[1].bit_length() - 1, i.shape[0].bit_length() - 1) for i, _ in self._images],
             np.int32,
@@ -93,7 +96,7 @@ class TexturePool:
 
 
 def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Tables between bytes (256,) and light in steps of 1 / `_STEPS`: means are of light, or of the bytes."""
+    """Tables from bytes (256,) to light in steps of 1 / `_STEPS`, and back; ``linear`` treats bytes as light."""
     value = np.arange(256) / 255.0
     light = (
         value
@@ -107,7 +110,7 @@ def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
 
 @kernel
 def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
-    """Write the copy with half the sides; a side of one pixel stays."""
+    """Write the next mipmap level with half the sides; a side of one pixel stays."""
     width = 1 << width_bits
     height = 1 << height_bits
     step_x = 1 if width > 1 else 0
@@ -129,7 +132,7 @@ def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
 
 @color_inline
 def copy_for(texels_per_pixel):
-    """Level whose texels are about as large as a pixel."""
+    """Mipmap level whose texels are about as large as a pixel."""
     level = 0
     while texels_per_pixel > 1.42 and level < LEVELS - 1:
         texels_per_pixel *= 0.5
@@ -139,7 +142,7 @@ def copy_for(texels_per_pixel):
 
 @color_inline
 def sample(texels, texture, level, u, v):
-    """Red, green and blue 0..255 (of the bytes) at (u, v) of a texture, blended from four texels; it repeats."""
+    """Red, green and blue bytes (0..255) at (u, v) of a texture, interpolated bilinearly; the texture repeats."""
     wide = max(texels.bits[texture, 0] - level, 0)
     high = max(texels.bits[texture, 1] - level, 0)
     start = texels.start[texture, level]

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.data.export.lerobot.export import FPS, Choice, Exported, export_lerobot
+from mjhab.data.export.lerobot.export import FPS, Choice, Exported
 from mjhab.data.export.lerobot.pieces import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
 from mjhab.data.select.describing import state_names, subtask_words
@@ -20,6 +20,7 @@ from mjhab.data.select.own_state import split_state
 from mjhab.data.select.query import Filter
 from mjhab.data.store.reading import Episode, episodes
 from mjhab.render.film import FilmWriter, join_films
+from tests.data.export.exporting import to_lerobot
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import chains_and_picks, record
 
@@ -34,7 +35,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def export(source: Path, out: Path, version: str = "3.0", **options: Any) -> Exported:
     films = FilmTools(lambda path, fps: FilmWriter(path, fps, 10, 2), join_films)
-    return export_lerobot(source, out, films, version=version, **options)
+    return to_lerobot(source, out, films, version=version, **options)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +201,7 @@ def test_an_export_appears_whole_or_not_at_all(source: Path, tmp_path: Path) -> 
 def test_episodes_that_differ_are_refused(source: Path, tmp_path: Path) -> None:
     record(tmp_path / "plain.h5", [7], FakeEnv())
     with pytest.raises(UsageError, match=r"differs .* in observation.*--no-rgb"):
-        export_lerobot(
+        to_lerobot(
             [source, tmp_path / "plain.h5"], tmp_path / "set", FilmTools(FilmWriter, join_films)
         )
     assert not list(tmp_path.glob(".*")) and not (tmp_path / "set").exists()

@@ -11,10 +11,10 @@ import h5py
 import numpy as np
 import pytest
 
-from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import Episode, episodes
 from mjhab.tasks.subtasks.pick import PICK
+from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
 
@@ -39,7 +39,7 @@ def joined(group: Any, count: int) -> np.ndarray:
 
 
 def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
-    done = export_maniskill(source, tmp_path / "out")
+    done = to_maniskill(source, tmp_path / "out")
     names = sorted(str(path.relative_to(tmp_path / "out")) for path in done.files)
     assert names == [
         "set_table/open/kitchen_counter.h5",
@@ -111,7 +111,7 @@ def test_groups_keep_the_order_of_the_state(source: Path, tmp_path: Path) -> Non
 
     env._observe = env.observer.observe = more  # type: ignore[method-assign]
     record(tmp_path / "a.h5", [0], env)
-    done = export_maniskill(tmp_path / "a.h5", tmp_path / "out")
+    done = to_maniskill(tmp_path / "a.h5", tmp_path / "out")
     with h5py.File(done.files[0]) as file:
         assert list(cast("h5py.Group", file["traj_0/obs/extra"])) == [
             "tcp_pose_wrt_base",

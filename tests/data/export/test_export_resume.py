@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.data.export.lerobot.export import Choice, export_lerobot
+from mjhab.data.export.lerobot.export import Choice
 from mjhab.data.export.lerobot.pieces import FilmTools
-from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.select.query import Filter
 from mjhab.render.film import FilmWriter, join_films
+from tests.data.export.exporting import to_lerobot, to_maniskill
 from tests.data.make import chains_and_picks
 
 EPISODES = 5
@@ -38,14 +38,21 @@ def open_film(path: Path, fps: int) -> FilmWriter:
     return FilmWriter(path, fps, 30, 2)
 
 
-def lerobot(source: Path, out: Path, version: str = "3.0", **options: Any) -> Any:
-    return export_lerobot(source, out, FilmTools(open_film, join_films), version=version, **options)
+def lerobot(
+    source: Path,
+    out: Path,
+    version: str = "3.0",
+    settings: dict[str, Any] | None = None,
+    **options: Any,
+) -> Any:
+    films = FilmTools(open_film, join_films, settings or {})
+    return to_lerobot(source, out, films, version=version, **options)
 
 
 WAYS: dict[str, Export] = {
     "3.0": lerobot,
     "2.1": functools.partial(lerobot, version="2.1"),
-    "maniskill": export_maniskill,
+    "maniskill": to_maniskill,
 }
 
 
@@ -95,7 +102,7 @@ def test_it_goes_on_where_it_was_stopped(
     export(source, tmp_path / "set", resume=True)
     assert bytes_of(tmp_path / "set") == whole[export]
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
-    assert len(OPENED) == (0 if export is export_maniskill else EPISODES - done)
+    assert len(OPENED) == (0 if export is to_maniskill else EPISODES - done)
 
 
 class Killed(BaseException):
@@ -209,7 +216,7 @@ def test_what_was_begun_is_not_mixed_with_something_else(
 
 def test_options_of_films_and_images_must_be_the_same(source: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        lerobot(source, tmp_path / "set", options={"quality": 18}, begin=stop_after(1))
+        lerobot(source, tmp_path / "set", settings={"quality": 18}, begin=stop_after(1))
     with pytest.raises(
         UsageError, match=r"unfinished export to .* has another depth, quality, version"
     ):
@@ -217,8 +224,8 @@ def test_options_of_films_and_images_must_be_the_same(source: Path, tmp_path: Pa
             source,
             tmp_path / "set",
             "2.1",
-            options={"quality": 20},
+            settings={"quality": 20},
             choice=Choice(depth=False),
             resume=True,
         )
-    lerobot(source, tmp_path / "set", options={"quality": 18}, resume=True)
+    lerobot(source, tmp_path / "set", settings={"quality": 18}, resume=True)

@@ -12,7 +12,6 @@ import pytest
 
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
-from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.record.replay import verify
 from mjhab.data.select.dataset import WindowDataset
@@ -23,6 +22,7 @@ from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import episodes
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
+from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
@@ -120,7 +120,7 @@ def rewrite(path: Path, **values: Any) -> None:
 def test_an_export_comes_back(tmp_path: Path) -> None:
     source = tmp_path / "picks.h5"
     record(source, range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat())
-    files = export_maniskill(source, tmp_path / "exported").files
+    files = to_maniskill(source, tmp_path / "exported").files
     done = import_ms_hab(files[0], tmp_path / "back")
     assert (done.episodes, done.frames, done.present) == (4, 80, 0)
     assert check(tmp_path / "back").clean
@@ -239,7 +239,7 @@ def test_filters_statistics_reports_and_windows_work_on_it(tmp_path: Path) -> No
         and windows[5]["state"].shape == (2, 42)
         and windows[5]["action"].shape == (4, 13)
     )
-    again = export_maniskill(shards, tmp_path / "again")
+    again = to_maniskill(shards, tmp_path / "again")
     assert again.episodes == 3 and not again.without_depth
 
 

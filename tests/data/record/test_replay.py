@@ -15,7 +15,7 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.data.record.recorder import Recorder
-from mjhab.data.record.replay import FOLLOW, render, verify
+from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
 from mjhab.data.select.query import Filter
 from mjhab.data.store.checking import check
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
@@ -144,7 +144,7 @@ def test_without_states_the_last_one_is_compared(recorded: Path, env: Any, tmp_p
     found = verify(changed(recorded, tmp_path / "other.h5", and_another_action), given(env))
     assert found.exact == 0 and set(found.wrong.values()) == {"the last state is another one"}
     with pytest.raises(UsageError, match="recorded without states"):
-        render(path, tmp_path / "never.h5", given(env), ["fetch_head"], PNG)
+        render(RenderRequest(path, tmp_path / "never.h5", PNG, ["fetch_head"]), given(env))
 
 
 def test_another_start_is_replaced_by_the_recorded_one(
@@ -200,7 +200,8 @@ def test_images_drawn_from_states_are_those_that_were_recorded(
     recorded: Path, env: Any, tmp_path: Path
 ) -> None:
     out = tmp_path / "again.h5"
-    done = render(recorded, out, given(env), ["fetch_head", "fetch_hand"], PNG)
+    request = RenderRequest(recorded, out, PNG, ["fetch_head", "fetch_hand"])
+    done = render(request, given(env))
     assert (done.episodes, done.frames, done.present) == (
         3,
         2 * (STEPS + 1) + STEPS + 4,
@@ -216,7 +217,7 @@ def test_images_drawn_from_states_are_those_that_were_recorded(
             assert new.run.config == old.run.config and new.run.options["rendered"][
                 "camera_size"
             ] == [SIZE, SIZE]
-    again = render(recorded, out, given(env), ["fetch_head", "fetch_hand"], PNG)
+    again = render(request, given(env))
     assert (again.episodes, again.present) == (0, 3)
 
 
@@ -232,14 +233,8 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
         cameras="fetch_head",
         camera_size=(24, 32),
     )
-    render(
-        recorded,
-        out,
-        given(other),
-        wanted,
-        ImageFormat("jpeg"),
-        Filter("index == 1 and (tainted or not tainted)"),
-    )
+    one = Filter("index == 1 and (tainted or not tainted)")
+    render(RenderRequest(recorded, out, ImageFormat("jpeg"), wanted, one), given(other))
     with open_shard(out) as shard:
         (episode,) = shard
         # The hand stays as it was; depth of the head in the old size would not fit the new picture.
@@ -266,7 +261,7 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
 
 def test_what_is_replayed_is_never_written(recorded: Path, env: Any) -> None:
     with pytest.raises(UsageError, match="one of the shards to replay"):
-        render(recorded, recorded, given(env), ["fetch_head"], PNG)
+        render(RenderRequest(recorded, recorded, PNG, ["fetch_head"]), given(env))
 
 
 def test_training_environments_are_built_again(

@@ -15,9 +15,7 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.data.export.lerobot.export import export_lerobot
 from mjhab.data.export.lerobot.pieces import FilmTools
-from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.sets import merge
@@ -28,6 +26,7 @@ from mjhab.data.store.schema import VERSION
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
+from tests.data.export.exporting import to_lerobot, to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import make_older, record
 
@@ -203,7 +202,7 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
     places = [source, old]
     found = [episode for path in places for episode in _read(path)]
 
-    files = export_maniskill(places, tmp_path / "maniskill").files
+    files = to_maniskill(places, tmp_path / "maniskill").files
     said = json.loads(files[0].with_suffix(".json").read_text())["episodes"]
     with h5py.File(files[0]) as file:
         for number, (actions, intended, actor, actors) in enumerate(found):
@@ -221,7 +220,7 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
         ("2.1", "data/chunk-000/episode_000000.parquet"),
     ):
         out = tmp_path / version
-        export_lerobot(places, out, NO_FILMS, version=version)
+        to_lerobot(places, out, NO_FILMS, version=version)
         rows = pq.read_table(out / table)
         count = len(found[0][0])
         np.testing.assert_array_equal(rows["intended_action"][:count].to_pylist(), found[0][1])

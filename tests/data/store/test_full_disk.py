@@ -10,14 +10,13 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from mjhab.data.export.lerobot.export import export_lerobot
 from mjhab.data.export.lerobot.pieces import FilmTools
-from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.select.sets import split
 from mjhab.data.store import hdf5, journal
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.shard import StorageError
 from mjhab.render.film import FilmWriter, join_films
+from tests.data.export.exporting import to_lerobot, to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
@@ -47,11 +46,11 @@ def full_after(calls: int, real: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def lerobot(source: Path, out: Path, **options: Any) -> None:
-    export_lerobot(source, out, FilmTools(FilmWriter, join_films), **options)
+    to_lerobot(source, out, FilmTools(FilmWriter, join_films), **options)
 
 
 def maniskill(source: Path, out: Path, **options: Any) -> None:
-    export_maniskill(source, out, **options)
+    to_maniskill(source, out, **options)
 
 
 def parts(source: Path, out: Path) -> None:

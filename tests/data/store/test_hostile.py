@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.sets import split, stats
 from mjhab.data.store.checking import check, repair
@@ -22,6 +21,7 @@ from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord
+from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import numbered, one_episode, record
 
@@ -76,7 +76,7 @@ def test_a_name_in_a_record_leads_nowhere(
         writer.replace_records({first: forged})
     before = everything(tmp_path)
     for act in (
-        lambda: export_maniskill(path, inside / "set"),
+        lambda: to_maniskill(path, inside / "set"),
         lambda: stats(path),
         lambda: WindowDataset(path),
     ):
@@ -90,7 +90,7 @@ def test_a_name_in_a_record_leads_nowhere(
     )
     assert everything(tmp_path) == before
     assert repair(path).kept == 2
-    assert export_maniskill(path, inside / "set").episodes == 2
+    assert to_maniskill(path, inside / "set").episodes == 2
 
 
 @pytest.mark.parametrize("part", ["../x", "/tmp/x", "a b", "x" * 300, ""])
@@ -189,7 +189,7 @@ def test_numbers_no_episode_has(tmp_path: Path, picks: bytes, change: str) -> No
         shard.episode(name).refuse_damage()
     before = everything(tmp_path)
     with pytest.raises(DamagedError, match=rf"episode {name} of .*is damaged: .*mjhab data repair"):
-        export_maniskill(path, tmp_path / "set")
+        to_maniskill(path, tmp_path / "set")
     assert not (tmp_path / "set").exists() and before <= everything(tmp_path)
     done = repair(path)
     assert done.kept == 2 and list(done.lost) == [name]

@@ -9,11 +9,11 @@ import h5py
 import numpy as np
 import pytest
 
-from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.store.checking import check
 from mjhab.data.store.hdf5 import dataset, group
 from mjhab.data.store.reading import Episode, open_shard
+from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import make_older, record
 
@@ -79,7 +79,7 @@ def test_windows_statistics_and_exports_of_old_and_new_agree(
     np.testing.assert_array_equal(one.statistics.mean["state"], other.statistics.mean["state"])
     found = []
     for path in shards:
-        done = export_maniskill(path, tmp_path / path.stem)
+        done = to_maniskill(path, tmp_path / path.stem)
         with h5py.File(done.files[0]) as file:
             found.append(dataset(group(file, "traj_0"), "obs/extra/obj_pose_wrt_base")[()])
     np.testing.assert_array_equal(*found)

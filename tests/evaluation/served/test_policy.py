@@ -207,5 +207,5 @@ def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:
     (one, two), (other, three) = session._assigned([part(1, 1), part(2, 0)])
     assert one is first[1] and other is first[0]
     assert (two["step"], three["step"]) == (1, 0)
-    with pytest.raises(UsageError, match="whole numbers"):
+    with pytest.raises(UsageError, match="must be integers"):
         session._assigned([{"world": {"episode": {"seed": "x"}}, "step": 0}])

@@ -15,6 +15,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.machine import pip_install
 from mjhab.core.progress import late_bar
 from mjhab.data.export.maniskill import export_maniskill
+from mjhab.data.export.request import ExportRequest
 from mjhab.data.select.until import Until
 from mjhab.render.film import FilmWriter, join_films
 
@@ -49,6 +50,16 @@ def _interrupted_by_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+def _request(options: ExportLerobotOptions | ExportManiskillOptions) -> ExportRequest:
+    return ExportRequest(
+        options.places,
+        options.out,
+        read_filter(options.where, options.preset),
+        options.overwrite,
+        options.resume,
+    )
+
+
 def _lerobot(options: ExportLerobotOptions) -> int:
     if not 0 <= options.quality <= 51:
         raise UsageError(f"--quality must be 0 to 51, got {options.quality}.")
@@ -63,20 +74,13 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         ) from error
     choice = lerobot.Choice(not options.no_rgb, not options.no_depth, options.until)
     films = FilmTools(
-        functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES), join_films
+        functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES),
+        join_films,
+        {"quality": options.quality},
     )
     with late_bar("exporting") as begin:
         done = lerobot.export_lerobot(
-            options.places,
-            options.out,
-            films,
-            version=options.version,
-            where=read_filter(options.where, options.preset),
-            choice=choice,
-            overwrite=options.overwrite,
-            resume=options.resume,
-            options={"quality": options.quality},
-            begin=begin,
+            _request(options), films, version=options.version, choice=choice, begin=begin
         )
     if options.json:
         print_json({"episodes": done.episodes, "frames": done.frames, "images": list(done.images)})
@@ -92,15 +96,7 @@ def _lerobot(options: ExportLerobotOptions) -> int:
 
 def _maniskill(options: ExportManiskillOptions) -> int:
     with late_bar("exporting") as begin:
-        done = export_maniskill(
-            options.places,
-            options.out,
-            where=read_filter(options.where, options.preset),
-            until=Until.parse(options.until),
-            overwrite=options.overwrite,
-            resume=options.resume,
-            begin=begin,
-        )
+        done = export_maniskill(_request(options), until=Until.parse(options.until), begin=begin)
     if options.json:
         print_json(
             {

@@ -11,7 +11,7 @@ from mjhab.cli.options.generate import ReplayOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.core.progress import progress_bar
-from mjhab.data.record.replay import FOLLOW, render, verify
+from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.images import ImageFormat
@@ -77,12 +77,15 @@ def _render(options: ReplayOptions) -> int:
         raise UsageError(
             "the camera 'follow' gives colour only: add rgb to --render, as in --render rgb."
         )
-    images = ImageFormat(options.rgb)
-    where = read_filter(options.where, options.preset)
+    request = RenderRequest(
+        options.places,
+        options.out,
+        ImageFormat(options.rgb),
+        options.cameras,
+        read_filter(options.where, options.preset),
+    )
     with progress_bar("drawing", _count(options)) as advance:
-        done = render(
-            options.places, options.out, _maker(options), options.cameras, images, where, advance
-        )
+        done = render(request, _maker(options), advance)
     if options.json:
         print_json(vars(done))
     else:

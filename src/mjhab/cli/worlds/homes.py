@@ -58,7 +58,7 @@ def _variety(homes: list[dict[str, Any]]) -> str:
         parts.append(f"{split}: {count} homes of {layouts}")
     return (
         f"{'; '.join(parts)}. Homes of one macro layout have the same rooms and kitchen; their furniture is shifted a "
-        "little and dealt out anew."
+        "little and reassigned."
     )
 
 

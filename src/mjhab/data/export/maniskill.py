@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,10 @@ import numpy as np
 
 from mjhab.core.names import below
 from mjhab.data.export.folders import Target, whole_folder
+from mjhab.data.export.request import ExportRequest
 from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, TRUTHS, to_events, to_verbose
 from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
 from mjhab.data.select.facts import target_of
-from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.hdf5 import change_file, make_file
@@ -50,37 +50,30 @@ class ManiSkillSet:
 
 
 def export_maniskill(
-    places: Path | Sequence[Path],
-    out: Path,
+    request: ExportRequest,
     *,
-    where: Filter | None = None,
     until: Until | None = None,
-    overwrite: bool = False,
-    resume: bool = False,
     begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> ManiSkillSet:
     """Write the episodes that pass the filter as trajectory files, atomically in one folder.
 
     Args:
-        places: shards, or folders of shards.
-        out: the folder; it corresponds to MS-HAB's rearrange-dataset.
-        where: filter on the episodes; None takes all. MS-HAB keeps one label per subtask, see `query.PRESETS`.
+        request: the episodes and the folder, which corresponds to MS-HAB's rearrange-dataset. MS-HAB keeps one label
+            per subtask, see `query.PRESETS`.
         until: end of the exported part of each episode; None exports whole episodes.
-        overwrite: replace an existing export.
-        resume: continue an interrupted export; finished episodes are not written again.
         begin: called with the number of episodes; returns a function that is called after each episode.
 
     Raises:
         UsageError, StorageError: no episode passes; see ``whole_folder``.
         DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
-    found = select(places, where)
+    found = select(request.places, request.where)
     if not found.matched:
         raise nothing_passes()
     after = begin(len(found.matched)) if begin else None
     without = 0
     files = dict[Path, _File]()
-    target = Target(out, "*/*/*.h5", overwrite, resume)
+    target = Target(request.out, "*/*/*.h5", request.overwrite, request.resume)
     until = until or Until()
     job = {"format": "maniskill", "episodes": found.fingerprint, "until": until.text}
     frames = 0
@@ -98,7 +91,9 @@ def export_maniskill(
                 after()
         for file in files.values():
             file.describe()
-    return ManiSkillSet(len(found.matched), frames, tuple(out / place for place in files), without)
+    return ManiSkillSet(
+        len(found.matched), frames, tuple(request.out / place for place in files), without
+    )
 
 
 def place_of(record: EpisodeRecord) -> Path:

@@ -210,32 +210,42 @@ def _begin(env: RecordedEnv, batch: list[Episode], compared: list[_Comparison]) 
     return moved
 
 
+@dataclass(frozen=True)
+class RenderRequest:
+    """Episodes to render, and the shard to write.
+
+    places: shards, or folders of shards. out: the shard to make or to continue. images: format of colour images.
+    cameras: names of cameras, FOLLOW may be among them; None takes all cameras of the robot. where: filter on the
+    episodes.
+    """
+
+    places: Path | Sequence[Path]
+    out: Path
+    images: ImageFormat
+    cameras: Sequence[str] | None = None
+    where: Filter | None = None
+
+
 def render(
-    places: Path | Sequence[Path],
-    out: Path,
-    make_env: MakeEnv,
-    cameras: Sequence[str] | None,
-    images: ImageFormat,
-    where: Filter | None = None,
-    tell: Callable[[], object] = bool,
+    request: RenderRequest, make_env: MakeEnv, tell: Callable[[], object] = bool
 ) -> Rendered:
     """Render images of recorded states into a new shard, without simulation. Episodes that it already has are skipped.
 
     All recorded data are copied, except images that are rendered again.
 
     Args:
-        places: shards, or folders of shards. out: the shard to make or to continue.
+        request: the episodes and the shard.
         make_env: its ``observer`` determines the images (obs_mode, cameras, camera_size).
-        cameras: names of cameras, FOLLOW may be among them; None takes all cameras of the robot.
-        images: format of colour images. where: filter on the episodes. tell: called after every episode.
+        tell: called after every episode.
 
     Raises:
         UsageError: an episode has no states; ``out`` is among the places.
     """
     written = frames = size = present = 0
-    follow = FOLLOW in (cameras or ())
+    out = request.out
+    follow = FOLLOW in (request.cameras or ())
     with ShardWriter(out) as writer:
-        for env, batch in _batches(places, make_env, where):
+        for env, batch in _batches(request.places, make_env, request.where):
             for episode in batch:
                 if episode.shard.path.resolve() == out.resolve():
                     raise UsageError(
@@ -244,15 +254,9 @@ def render(
                 if episode.name in writer.names:
                     present += 1
                 else:
-                    drawn = _draw(env, episode, follow, images)
-                    size += writer.append(
-                        _with_images(
-                            episode,
-                            drawn,
-                            env,
-                            env.observer.cameras if cameras is None else cameras,
-                        )
-                    )
+                    drawn = _draw(env, episode, follow, request.images)
+                    cameras = env.observer.cameras if request.cameras is None else request.cameras
+                    size += writer.append(_with_images(episode, drawn, env, cameras))
                     written += 1
                     frames = frames + episode.steps + 1
                 tell()

@@ -171,7 +171,7 @@ class ShardWriter:
 
     def _change(self, fill: Callable[[h5py.File], None]) -> int:
         if self._lock is None:
-            raise UsageError(f"{self.path} has been closed; open it anew to write")
+            raise UsageError(f"{self.path} has been closed; open it again to write")
         try:
             return change_file(self.path, fill)
         except OSError as error:

@@ -44,21 +44,35 @@ def straight_distance(inputs: RewardInputs) -> Array:
     return namespace(delta).sqrt(delta[:, 0] * delta[:, 0] + delta[:, 1] * delta[:, 1])
 
 
+@dataclass(frozen=True)
+class RewardRules:
+    """What the reward of an environment is.
+
+    config: the thresholds of the task.
+    mode: "dense": sum of the terms of the active subtask's table (`tasks.rewards`); "normalized_dense": the same,
+    divided by the normaliser of ``options``; "sparse": 1 while the active subtask succeeds; "pointer": the number of
+    completed subtasks, from ``inputs.progress``; "none": 0.
+    options: scales, formula and normaliser of the dense modes; None for the defaults.
+    nav_distance: distance to the navigation goal. The default is the straight line; MS-HAB uses the shortest path over
+    the navigation mesh (mshab/envs/navigate.py, with the straight line as an option).
+    kinds: names of the kinds of subtasks in the plans, None for all; terms of others are not reported. With torch the
+    terms of all these kinds are computed in every step, with numpy those of the active kinds.
+    """
+
+    config: TaskConfig
+    mode: str
+    options: RewardOptions | None = None
+    nav_distance: GoalDistance = straight_distance
+    kinds: Sequence[str] | None = None
+
+
 class Rewarder:
     """Rewards of W worlds, whose active subtasks may be of any kind.
 
     Args:
-        num_worlds: W.
-        config: the thresholds.
-        mode: "dense": sum of the terms of the active subtask's table (`tasks.rewards`); "normalized_dense": divided by
-            the normaliser of ``options``; "sparse": 1 while the active subtask succeeds; "pointer": the number of
-            subtasks done, from ``inputs.progress``; "none": 0.
-        options: scales, formula and normaliser of the dense modes.
-        layout, sensing: where the links' joints and handles are.
-        nav_distance: way to the navigation goal. The default is the straight line; the original goes around
-            obstacles (mshab/envs/navigate.py: shortest path over the navigation mesh, the straight line an option).
-        kinds: names of the kinds of subtasks the plans have, None for all; terms of others are not reported. On torch
-            the terms of all of these are computed in every step, on numpy those of the kinds at hand.
+        num_worlds: number of worlds W.
+        rules: what the reward is.
+        layout, sensing: joints and handles of the links.
         like: an array of the library, device and dtype of the simulator's; numpy float64 if not given.
 
     Raises:
@@ -68,23 +82,21 @@ class Rewarder:
     def __init__(
         self,
         num_worlds: int,
-        config: TaskConfig,
-        mode: str,
-        options: RewardOptions | None,
+        rules: RewardRules,
         layout: Layout,
         sensing: Sensing,
-        nav_distance: GoalDistance = straight_distance,
-        kinds: Sequence[str] | None = None,
         like: Array | None = None,
     ) -> None:
+        mode = rules.mode
+        kinds = rules.kinds
         if mode not in REWARD_MODES:
             raise unknown_name("reward mode", mode, REWARD_MODES)
         self.mode = mode
         if kinds is not None and mode not in DENSE_MODES:
             kinds = [name for name in kinds if SUBTASKS[name].reward is not None]
-        self.dense = DenseReward(config, options, kinds)
-        self._bounded = options is None or options.formula == "bounded"
-        self.nav_distance = nav_distance
+        self.dense = DenseReward(rules.config, rules.options, kinds)
+        self._bounded = rules.options is None or rules.options.formula == "bounded"
+        self.nav_distance = rules.nav_distance
         self._sensing = sensing
         robot = layout.robot
         self._torso = robot.columns.torso

@@ -75,7 +75,7 @@ def load_network(path: Path) -> tuple[str, Network]:
     if wrong:
         raise UsageError(
             f"{path} has the keys of MS-HAB's {layout.name.upper()} network, but not its layout: {'; '.join(wrong)}. "
-            "Give a checkpoint as the original's train scripts save it (policy.pt), with images of 128 x 128."
+            "Give a checkpoint as MS-HAB's train scripts save it (policy.pt), with images of 128 x 128."
         )
     network.load_state_dict(used)
     return layout.name, network.eval().requires_grad_(False)

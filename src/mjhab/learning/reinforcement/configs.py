@@ -42,10 +42,10 @@ class PpoConfig:
     the adaptation. critic_learning_rate: constant learning rate of the critic; 0 uses that of the actor.
     state_std: the standard deviation depends on the observation instead of being one learned constant.
     critic_updates: number of initial updates that train only the critic, used when the actor is not new.
-    demonstrations: episodes of the expert that the actor imitates first, for imitation_updates of imitation_batch
-    samples. demonstration_noise: largest standard deviation of the noise that disturbs the expert meanwhile; the actor
-    imitates what the expert intended. imitation_coefficient: weight of the imitation loss in the updates that follow;
-    it falls linearly to zero over imitation_samples samples.
+    demonstrations: number of expert episodes that the actor imitates first, in imitation_updates updates of
+    imitation_batch samples. demonstration_noise: largest standard deviation of the noise on the expert's actions in
+    these episodes [action units]; the actor imitates the intended actions. imitation_coefficient: weight of the
+    imitation loss in the PPO updates that follow; it decreases linearly to zero over imitation_samples samples.
     """
 
     rollout_steps: int = 32
@@ -274,7 +274,7 @@ PAPER_PPO = ReinforcementConfig(
         initial_std=0.6065,  # exp(-0.5)
     ),
     samples=15_000_000,
-    worlds=192,  # 189 in the original, which its 16 minibatches do not divide
+    worlds=192,  # 189 in MS-HAB, which its 16 minibatches do not divide
     privileged_critic=False,
     stagger=False,
     eval_samples=500_000,

@@ -105,6 +105,10 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
     return {"obs_mode": "depth", "cameras": inputs.cameras, "camera_size": inputs.image_size}
 
 
+DENSE = "normalized_dense"
+"""Reward mode of training, see `TrainConfig`."""
+
+
 def training_env(
     scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int, **more: Any
 ) -> Any:
@@ -117,6 +121,26 @@ def training_env(
     options = scene.env_options() | image_options(inputs)
     return make_train(
         **options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled", **more
+    )
+
+
+def demonstration_env(
+    scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int
+) -> Any:
+    """The environment of the demonstrating expert: rewards of training, horizon of an evaluation.
+
+    A profile may train for fewer control steps than it evaluates (ms_hab: 100 and 200); the expert would not finish.
+    """
+    from mjhab.envs import make
+
+    options = scene.env_options() | image_options(inputs)
+    return make(
+        **options,
+        num_envs=worlds,
+        threads=threads,
+        seed=seed,
+        autoreset="disabled",
+        reward_mode=DENSE,
     )
 
 

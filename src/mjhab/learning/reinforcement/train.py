@@ -37,7 +37,7 @@ from mjhab.learning.runs.train import TrainingResult
 from mjhab.learning.students.gaussian import SquashedGaussian
 from mjhab.learning.students.student import Student
 from mjhab.reports.metrics import mean, wilson
-from mjhab.tasks.subtasks.registry import horizons
+from mjhab.tasks.subtasks.registry import SUBTASKS, horizons
 
 REPORT_SECONDS = 2.0
 """Time between two reports of SAC, which makes many updates per second [s]."""
@@ -182,7 +182,8 @@ class _Run(ABC):
 
     def _ask_expert(self, episodes: int, noise: float) -> ReplayBuffer:
         session = self.session
-        horizon = int(max(horizons(session.env.task_config))) + 2
+        subtask = SUBTASKS[session.request.scene.subtask]
+        horizon = int(max(*horizons(session.env.task_config), subtask.limits.horizon)) + 2
 
         def make(worlds: int) -> ReplayBuffer:
             per_world = -(-episodes // worlds) * horizon

@@ -1,1 +1,1 @@
-"""Cameras on the device: ray kernels on Warp."""
+"""Robot cameras on the GPU: ray casting kernels in Warp."""

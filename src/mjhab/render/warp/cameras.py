@@ -1,7 +1,8 @@
-"""Pictures of the robot's cameras in all worlds of a `WarpSimulator`, drawn on its device.
+"""Images of the robot's cameras in all worlds of a `WarpSimulator`, rendered on its device.
 
-The same render scene as the CPU renderer's, with its light and textures, by rays instead of triangles: depth and
-segments come out alike, colours nearly so (lamps without shadows, ambient occlusion in screen space, as there).
+They show the same render scene as the CPU renderer, with the same light and textures, but by ray casting instead of
+rasterization: depth and segmentation agree, colours nearly so (lamps without shadows and ambient occlusion in screen
+space, as on the CPU).
 """
 
 from __future__ import annotations
@@ -25,22 +26,23 @@ from mjhab.sim.warp.graphs import Graphs
 from mjhab.sim.warp.simulator import WarpSimulator
 
 WORLDS_AT_ONCE = 256
-"""Worlds drawn together, which bounds the memory for what is not handed out; enough rays to fill any GPU."""
+"""Number of worlds rendered together. It bounds the memory of intermediate results and still fills any GPU."""
 
 
 class WarpCameras:
-    """Draws what robot cameras see. A world that moves to another home needs nothing done: see ``warp_tracing``.
+    """Renders robot cameras. Nothing must be updated when a world moves to another home, see `render.warp.tracing`.
+
+    ``segmentation_names`` has the name of every segment id, as in `HomeRenderer`.
 
     Args:
         sim: the worlds.
-        cameras: names of robot cameras; their order is that of the axis C.
-        size: height and width of the pictures [px].
+        cameras: names of robot cameras, in the order of the axis C.
+        size: height and width of the images [px].
         outputs: any of "rgb", "depth", "seg".
 
-    ``segmentation_names``: name of every segment, index = id; the ids are those of `HomeRenderer`.
-
     Raises:
-        UsageError: unknown camera or output, or none; a size below 1; no room for the pictures on the device.
+        UsageError: a camera or output is unknown, or none is given; a size is below 1; or the device has no room for
+            the images.
     """
 
     def __init__(
@@ -76,17 +78,17 @@ class WarpCameras:
         self._wanted = wp.to_torch(self._worlds.wanted)
 
     def draw(self, only: torch.Tensor | None = None) -> dict[str, torch.Tensor]:
-        """Pictures of the present state, by output; the next call overwrites them.
+        """Images of the current state by output; the next call overwrites them.
 
         Args:
-            only: (W,) bool on the device, worlds to draw; the others keep the pixels they have. None draws all.
+            only: (W,) bool on the device, worlds to render; the others keep their images. None renders all.
 
         Returns:
             "depth" (W, C, height, width) float32 planar distance [m], 0 where nothing is hit; "rgb" (W, C, height,
             width, 3) uint8 sRGB; "seg" (W, C, height, width) int32 ids. A world whose physics has diverged gets zeros.
 
         Raises:
-            UsageError: no room on the device.
+            UsageError: the device has no room for the scene of a home.
         """
         if only is None:
             self._wanted.fill_(True)
@@ -99,15 +101,20 @@ class WarpCameras:
         return dict(self._views)
 
     def poses(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of the cameras in
-        the present state; the next call overwrites them."""
+        """Positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of the cameras.
+
+        Both are in the world frame and of the current state; the next call overwrites them.
+        """
         with wp.ScopedDevice(self._sim.device):
             self._graphs.run("poses", self._place_cameras)
         return self._pos, self._mat
 
     def device_bytes(self) -> dict[str, int]:
-        """Memory by what it is for: "pictures" handed out, "worlds" (poses), "chunk" (at most WORLDS_AT_ONCE worlds),
-        "scene" without the trees of boxes of its meshes."""
+        """Memory by purpose [bytes].
+
+        "pictures": the images. "worlds": poses. "chunk": intermediate results of WORLDS_AT_ONCE worlds. "scene": the
+        scene without the bounding volume hierarchies of its meshes.
+        """
         chunk = [self._frame, self._cells]
         return {
             "pictures": sum(
@@ -196,7 +203,7 @@ class WarpCameras:
         }
 
     def _add_homes(self) -> None:
-        """Build what stands in homes that the simulator has come to know since the last picture."""
+        """Build the meshes of homes that the simulator has added since the last images."""
         names = self._sim.engine.homes.names
         if len(names) == self._rows_known:
             return
@@ -287,7 +294,7 @@ def _check(
 
 
 def _bytes(structs: Sequence[object]) -> int:
-    """Memory of the arrays in Warp structs."""
+    """Memory of the arrays in Warp structs [bytes]."""
     arrays = [
         value
         for struct in structs

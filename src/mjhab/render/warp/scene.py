@@ -1,4 +1,4 @@
-"""The render scene of a layout on a Warp device: one mesh per home of what stands in it, and what hangs on bodies."""
+"""The render scene of a layout on a Warp device: one mesh of all static instances per home, and moving instances."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from mjhab.render.warp.shading import Looks
 from mjhab.render.warp.tracing import Movers, Stills
 
 DETAIL = 0.0005
-"""A coarser level of a mesh is taken where none of its points is off by more than this [m]."""
+"""Largest error of the chosen level of detail of a mesh [m]."""
 BUDGET = 100_000
-"""Faces of a home, and of what hangs on bodies; ``DETAIL`` is relaxed until there are no more."""
+"""Largest number of faces of a home, and of the moving instances; ``DETAIL`` is relaxed until it is met."""
 _RELAX = 1.5
 _LEAF = 4
-"""Faces per leaf of a home's tree of boxes."""
+"""Faces per leaf of a home's bounding volume hierarchy."""
 
 
 def choose_levels(scene: RenderScene, detail: float = DETAIL, budget: int = BUDGET) -> np.ndarray:
-    """Mesh (I,) that stands for every instance at any distance, within the budget of faces if its levels allow."""
+    """Mesh (I,) to render for every instance at any distance, within the budget of faces if the levels allow it."""
     there = present(scene)
     moving = scene.instance_body > 0
     grow = np.abs(scene.home_scale).max(axis=(0, 2))
@@ -57,20 +57,20 @@ def _level(scene: RenderScene, mesh: int, grow: float, detail: float) -> int:
 
 
 def present(scene: RenderScene) -> np.ndarray:
-    """(H, I) bool: instances that a home shows. Pieces it lacks have no size."""
+    """(H, I) bool: instances that a home has; missing ones have scale 0."""
     return (scene.home_scale != 0.0).all(axis=2)
 
 
 class DeviceScene:
-    """A render scene as the kernels take it: ``looks``, ``stills``, ``movers``; ``seg`` (I,) segment of instances.
+    """A render scene as Warp structs for the kernels: ``looks``, ``stills``, ``movers``; ``seg`` (I,) segment ids.
 
-    Call inside ``wp.ScopedDevice``. The meshes of homes are built when `add_home` asks for them.
+    Make it inside ``wp.ScopedDevice``. `add_home` builds the mesh of a home.
 
     Args:
-        scene: meshes, instances and looks.
+        scene: meshes, instances and materials.
 
     Raises:
-        UsageError: more moving instances or faces in a mesh than fit into the id of a pixel.
+        UsageError: there are more moving instances, or faces in a mesh, than fit into a pixel's id.
     """
 
     def __init__(self, scene: RenderScene) -> None:
@@ -137,8 +137,8 @@ class DeviceScene:
         most = int(scene.mesh_face_count[level].max(initial=0))
         if most > 1 << FACE_BITS or len(which) >= 1 << (31 - FACE_BITS):
             raise UsageError(
-                f"a mesh of {most} faces or {len(which)} moving pieces: the device renderer draws up to "
-                f"{1 << FACE_BITS} faces per mesh and {(1 << (31 - FACE_BITS)) - 1} pieces."
+                f"a mesh has {most} faces and there are {len(which)} moving instances: the device renderer supports "
+                f"{1 << FACE_BITS} faces per mesh and {(1 << (31 - FACE_BITS)) - 1} moving instances."
             )
         balls = {}
         for mesh, instance in zip(level.tolist(), which.tolist(), strict=True):
@@ -148,7 +148,7 @@ class DeviceScene:
                 points = scene.vertices[used]
                 self._meshes[f"mesh {mesh}"] = _mesh(points, faces)
                 center = (points.min(axis=0) + points.max(axis=0)) / 2.0
-                # Float32 places must not fall out of it.
+                # Slightly larger, so that points rounded to float32 stay inside.
                 balls[mesh] = [
                     *center,
                     1.0001 * np.linalg.norm(points - center, axis=1).max() + 1e-5,
@@ -180,7 +180,7 @@ class DeviceScene:
         return stills
 
     def add_home(self, home: int) -> None:
-        """Build the mesh of a home, by its index in the scene; once built, nothing happens."""
+        """Build the mesh of a home, by its index in the scene, unless it exists."""
         key = f"home {home}"
         scene = self.scene
         if key in self._meshes:
@@ -223,5 +223,5 @@ def _floats(values: np.ndarray) -> wp.array:
 
 
 def _rows(values: np.ndarray, kind: Any) -> wp.array:
-    """Vectors or matrices; the last axes are theirs."""
+    """Array of vectors or matrices; the last axes are those of the element."""
     return wp.array(np.ascontiguousarray(values, np.float32), dtype=kind)

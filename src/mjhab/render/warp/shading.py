@@ -1,11 +1,12 @@
 # type: ignore
 # ruff: noqa: RUF046, UP018
-# Kernels are Warp's language in the syntax of Python; its types are not those of Python. A number that changes is made
-# by float() or int(), else it is a constant.
-"""Kernels that colour what the rays hit: the light, textures and ambient occlusion of the CPU renderer, per pixel.
+# Kernels are written in Warp's language, which has Python's syntax but its own types. A variable that changes must be
+# made by float() or int(); otherwise Warp treats it as a constant.
+"""Kernels that shade the faces hit by rays, per pixel: light, textures and ambient occlusion as in the CPU renderer.
 
-Twins of ``lighting``, ``shading``, ``textures`` and ``occlusion``, whose constants they take; pictures of the two
-agree within the tolerances of ``tests/render/warp/test_cameras.py``. A ray through slopes (u, v) has depth 1 per unit.
+They mirror ``raster.lighting``, ``raster.shading``, ``textures`` and ``raster.occlusion`` and use their constants;
+images of the two renderers agree within the tolerances of ``tests/render/warp/test_cameras.py``. A ray with slopes
+(u, v) is the vector with depth 1.
 """
 
 from __future__ import annotations
@@ -47,10 +48,10 @@ TONE_TOP = wp.constant(TONE_RANGE)
 
 @wp.struct
 class Looks:
-    """Faces (F), instances (I), materials (M) and lamps (L) of homes (H), as in ``RenderScene``.
+    """Appearance of faces (F), instances (I), materials (M) and lamps (L) of homes (H), as in ``RenderScene``.
 
-    extent (I,): size of each instance's mesh along its axes [m]; pixels, start, bits: see ``textures.Texels``; tone:
-    see ``shading.tone_curve``; disk (TURNS, TAPS): sample offsets of the occlusion.
+    extent (I,): size of each instance's mesh along its axes [m]. pixels, start, bits: see ``textures.Texels``. tone:
+    see ``raster.shading.tone_curve``. disk (TURNS, TAPS): sample offsets of the ambient occlusion.
     """
 
     face_material: wp.array[int]
@@ -76,8 +77,10 @@ class Looks:
 
 @wp.struct
 class Cells:
-    """Ambient occlusion of K worlds: raw, share (openness 0..1), depths (inverse) (K, C, a * b), each of
-    ``cell`` x ``cell`` pixels."""
+    """Ambient occlusion of K worlds on cells of ``cell`` x ``cell`` pixels; all arrays are (K, C, height * width).
+
+    raw, share: openness 0..1 before and after blurring. depths: inverse depth. width, height: in cells.
+    """
 
     raw: wp.array3d[float]
     share: wp.array3d[float]
@@ -89,7 +92,7 @@ class Cells:
 
 @wp.func
 def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, after: int):
-    """Change of inverse depth per pixel: the flatter side, so that edges do not count."""
+    """Change of inverse depth per pixel; the smaller one-sided difference, so that depth edges have no influence."""
     w = inverse[k, c, at]
     forward = inverse[k, c, after] - w
     backward = w - inverse[k, c, before]
@@ -102,7 +105,7 @@ def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, aft
 
 @wp.kernel
 def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first: int):
-    """Occlusion of the pixel in the middle of every cell, before `blur_cells`."""
+    """Compute the openness of the middle pixel of every cell, before `blur_cells`."""
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):
         return
@@ -157,7 +160,7 @@ def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first:
 
 @wp.kernel
 def blur_cells(worlds: Worlds, cells: Cells, first: int):
-    """Openness of every cell: mean over a block of cells at like depth."""
+    """Compute the openness of every cell as the mean over neighbouring cells of similar depth."""
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):
         return
@@ -177,7 +180,7 @@ def blur_cells(worlds: Worlds, cells: Cells, first: int):
 
 @wp.func
 def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float):
-    """Openness at a place (row, col in cells): blend of four cells at like depth."""
+    """Openness at a position (row, col in cells), interpolated from four cells of similar depth."""
     y = wp.max(row - 0.5, 0.0)
     x = wp.max(col - 0.5, 0.0)
     i = wp.min(int(y), cells.height - 1)
@@ -199,7 +202,7 @@ def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float
 
 @wp.func
 def _highlight(n: wp.vec3, to_lamp: wp.vec3, to_eye: wp.vec3, gloss: float):
-    """Share of a lamp's light that a glossy surface throws towards the eye."""
+    """Fraction of a lamp's light that a glossy surface reflects towards the camera."""
     half = to_lamp + to_eye
     h = wp.dot(n, half) / wp.sqrt(wp.dot(half, half) + 1.0e-9)
     h4 = h * h * h * h
@@ -217,7 +220,7 @@ def _light(
     gloss: float,
     open_share: float,
 ):
-    """Light on a point: what its colour is multiplied with, and highlights."""
+    """Light on a point: the factor on its colour, and the highlights to add."""
     diffuse = wp.vec3(0.0)
     shine = wp.vec3(0.0)
     for lamp in range(looks.lamp_pos.shape[1]):
@@ -249,14 +252,14 @@ def _light(
 
 @wp.func
 def _sky(direction: wp.vec3):
-    """Background along a ray."""
+    """Background colour along a ray."""
     t = wp.clamp(0.5 + 0.9 * direction[2] / wp.length(direction), 0.0, 1.0)
     return wp.vec3(0.30 + 0.28 * t, 0.34 + 0.32 * t, 0.40 + 0.38 * t)
 
 
 @wp.func
 def _texel(looks: Looks, at: int):
-    """Red, green and blue 0..255 of a pixel of the pool."""
+    """Red, green and blue (0..255) of a pixel of the texture pool."""
     packed = looks.pixels[at]
     low = wp.uint32(255)
     return wp.vec3(
@@ -268,7 +271,7 @@ def _texel(looks: Looks, at: int):
 
 @wp.func
 def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
-    """Red, green and blue 0..255 at (u, v) of a texture, blended from four texels; it repeats."""
+    """Red, green and blue (0..255) at (u, v) of a texture, interpolated bilinearly; the texture repeats."""
     wide = wp.max(looks.bits[texture, 0] - level, 0)
     high = wp.max(looks.bits[texture, 1] - level, 0)
     start = looks.start[texture, level]
@@ -291,7 +294,7 @@ def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
 
 @wp.func
 def _copy_for(texels_per_pixel: float):
-    """Level whose texels are about as large as a pixel."""
+    """Mipmap level whose texels are about as large as a pixel."""
     size = float(texels_per_pixel)
     level = int(0)
     while size > 1.42 and level < LAST_LEVEL:
@@ -302,7 +305,7 @@ def _copy_for(texels_per_pixel: float):
 
 @wp.func
 def _linear(level: wp.vec3):
-    """Linear light of sRGB values 0..255 (cubic, within 0.002)."""
+    """Convert sRGB values 0..255 to linear light (cubic approximation, error below 0.002)."""
     c = level * (1.0 / 255.0)
     c2 = wp.cw_mul(c, c)
     return c * 0.012522878 + c2 * 0.682171111 + wp.cw_mul(c2, c) * 0.305306011
@@ -310,9 +313,9 @@ def _linear(level: wp.vec3):
 
 @wp.func
 def _pattern(looks: Looks, m: int, i: int, q: wp.vec3, n: wp.vec3, scale: wp.vec3, pixel: float):
-    """Colour of a material with a pattern at the point ``q`` [m] of an instance, normal ``n``, both in its axes.
+    """Colour of a patterned material at the point ``q`` [m] with normal ``n``, both in the axes of the instance.
 
-    The picture lies in the plane that the face is turned to; u runs along the longer side of the piece.
+    The pattern lies in the coordinate plane that is most parallel to the face; u runs along the longer side.
     """
     a = wp.vec3(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
     e = wp.cw_mul(looks.extent[i], scale)
@@ -329,7 +332,7 @@ def _pattern(looks: Looks, m: int, i: int, q: wp.vec3, n: wp.vec3, scale: wp.vec
     texture = looks.texture[m]
     texels = wp.vec2(float(1 << looks.bits[texture, 0]), float(1 << looks.bits[texture, 1]))
     level = _copy_for(pixel * wp.max(texels[0] / size[0], texels[1] / size[1]))
-    # Every piece starts elsewhere in the pattern.
+    # Every instance has another offset in the pattern.
     s = q[first] / size[0] + 0.37 * float(i)
     t = q[second] / size[1] + 0.23 * float(i)
     found = _sample(looks, texture, level, s, t)
@@ -340,7 +343,7 @@ def _pattern(looks: Looks, m: int, i: int, q: wp.vec3, n: wp.vec3, scale: wp.vec
 
 @wp.func
 def _picture(looks: Looks, m: int, face: int, p: wp.vec4, grow: float, pixel: float):
-    """Colour of a face with a picture at the point ``p`` of its mesh; pixels are ``grow`` times larger there."""
+    """Colour of a face with an image texture at the point ``p`` of its mesh; pixels are ``grow`` times larger there."""
     texture = looks.texture[m]
     texels = float(1 << looks.bits[texture, 0]) * float(1 << looks.bits[texture, 1])
     level = _copy_for(pixel * looks.face_density[face] * grow * wp.sqrt(texels))
@@ -366,7 +369,7 @@ def _surface(
     eye: wp.vec3,
     ray: wp.vec3,
 ):
-    """Linear colour of what a pixel shows: ``face`` of instance ``i`` at the pose ``pos``, ``rot``."""
+    """Linear colour of a pixel that shows ``face`` of instance ``i`` at the pose ``pos``, ``rot``."""
     depth = 1.0 / frame.inverse[k, c, pixel]
     point = eye + ray * depth
     q = wp.transpose(rot) * (point - pos)
@@ -403,7 +406,7 @@ def _surface(
     return wp.cw_mul(color, light) + shine
 
 
-# One kernel, however long: every part reads what the parts before have in registers.
+# One long kernel, because every part uses intermediate results that are still in registers.
 @wp.kernel
 def shade(
     looks: Looks,
@@ -415,7 +418,7 @@ def shade(
     first: int,
     rgb: wp.array4d[wp.vec3ub],
 ):
-    """Colour the pixels of the worlds from ``first`` on into ``rgb`` (W, C, h, w)."""
+    """Shade the pixels of the worlds from ``first`` on and write them to ``rgb`` (W, C, h, w)."""
     k, c, pixel = wp.tid()
     world = first + k
     y = pixel // frame.width

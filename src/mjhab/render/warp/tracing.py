@@ -1,12 +1,12 @@
 # type: ignore
 # ruff: noqa: RUF046, UP018
-# Kernels are Warp's language in the syntax of Python; its types are not those of Python. A number that changes is made
-# by float() or int(), else it is a constant.
-"""Kernels that find what every pixel shows, one ray each: depth, segment, and the face to be coloured.
+# Kernels are written in Warp's language, which has Python's syntax but its own types. A variable that changes must be
+# made by float() or int(); otherwise Warp treats it as a constant.
+"""Kernels that cast one ray per pixel and find its depth, segment, and the face to shade.
 
-What stands still in a home is one mesh per home in world coordinates, shared by all worlds in that home. What hangs on
-bodies ("movers") is listed per tile of the picture, by bounding balls, anew in every picture. So no tree of boxes
-depends on where anything is: nothing is refitted, and nothing goes stale when a world moves to another home.
+The static instances of a home form one mesh in world coordinates, shared by all worlds in that home. Moving instances
+("movers", attached to bodies) are listed per tile of the image by their bounding spheres, again for every image. So no
+bounding volume hierarchy depends on poses: none is refitted, also when a world moves to another home.
 """
 
 from __future__ import annotations
@@ -24,22 +24,26 @@ TAG_BITS = wp.constant(FACE_BITS)
 TAG_FACES = wp.constant((1 << FACE_BITS) - 1)
 BURIED = wp.constant(PARKED_BELOW)
 REACH = wp.constant(1000.0)
-"""Nothing farther than this [m] is drawn."""
+"""Largest distance of a hit [m]."""
 BACK_FACES = wp.constant(16)
-"""Faces seen from behind that a ray passes through, at most."""
+"""Largest number of back faces that a ray passes through."""
 TIE = wp.constant(5.0e-5)
-"""Faces nearer to each other than this [m] along a ray lie on each other."""
+"""Faces closer to each other along a ray than this count as coincident [m]."""
 EDGE = wp.constant(1.0e-4)
 ROUNDING = wp.constant(2.0e-6)
-"""Slack at the edges of faces, as a share of them, and of coordinates."""
+"""Relative tolerances at the edges of faces (EDGE) and of coordinates (ROUNDING)."""
 FAR_AWAY = wp.constant(1.0e4)
-"""Bodies farther than this from the origin [m] have been thrown out of the world."""
+"""A body farther than this from the origin means that the physics has diverged [m]."""
 
 
 @wp.struct
 class Stills:
-    """What stands in homes (H): their meshes in world coordinates, and for every face of home h, from
-    ``face_start[h]`` on, the instance and the face of the render scene it is; poses and scales (H, I) of instances."""
+    """Static instances of the homes.
+
+    mesh (H,): mesh of each home in world coordinates. instance, face: instance and face in the render scene of every
+    face of these meshes; those of home h start at ``face_start[h]``. pos, mat, scale (H, I): poses and scales of
+    instances.
+    """
 
     mesh: wp.array[wp.uint64]
     face_start: wp.array[int]
@@ -52,8 +56,11 @@ class Stills:
 
 @wp.struct
 class Movers:
-    """What hangs on bodies (D): instance, body and pose in it; mesh, its first face in the render scene, and the ball
-    around it (centre in the frame of the mesh, radius [m])."""
+    """D moving instances, which are attached to bodies.
+
+    instance: in the render scene. body; pos, mat: pose in the body's frame. mesh; first_face: first face of the mesh in
+    the render scene. ball: bounding sphere (centre in the frame of the mesh, radius [m]).
+    """
 
     instance: wp.array[int]
     body: wp.array[int]
@@ -66,8 +73,11 @@ class Movers:
 
 @wp.struct
 class Worlds:
-    """Of all worlds (W): whether its pictures are wanted; home; sane: its physics has not diverged; poses of movers
-    (W, D) and cameras (W, C)."""
+    """State of all W worlds.
+
+    wanted: render its images. home: index of its home. sane: its physics has not diverged. pos, mat (W, D): poses of
+    movers. cam_pos, cam_mat (W, C): poses of cameras.
+    """
 
     wanted: wp.array[bool]
     home: wp.array[int]
@@ -80,9 +90,11 @@ class Worlds:
 
 @wp.struct
 class Frame:
-    """Pictures of K worlds at a time: movers per tile (K, C, T, D) and how many; inverse depth and ids (K, C, h * w).
+    """Intermediate results of K worlds that are rendered together.
 
-    ids: face of the home's mesh if not negative, else ``-1 - (mover << FACE_BITS | face of its mesh)``.
+    focal (C,): focal lengths [px]. width, height: of the images [px]. columns: tiles per row. near: nearest depth [m].
+    movers (K, C, T, D), listed (K, C, T): movers per tile, and their number. inverse (K, C, h * w): inverse depth.
+    ids (K, C, h * w): face of the home's mesh if not negative, else ``-1 - (mover << FACE_BITS | face of its mesh)``.
     """
 
     focal: wp.array[float]
@@ -98,7 +110,7 @@ class Frame:
 
 @wp.func
 def is_drawn(worlds: Worlds, world: int):
-    """Whether there is such a world, and its pictures are wanted; the pixels of others stay as they are."""
+    """Whether the world exists and its images are requested; the pixels of other worlds stay unchanged."""
     if world >= worlds.wanted.shape[0]:
         return False
     return worlds.wanted[world]
@@ -106,7 +118,7 @@ def is_drawn(worlds: Worlds, world: int):
 
 @wp.func
 def pixel_slopes(frame: Frame, c: int, pixel: int):
-    """Slopes (to the right, up) of the ray through the middle of a pixel."""
+    """Slopes (right, up) of the ray through the centre of a pixel."""
     x = float(pixel % frame.width) + 0.5
     y = float(pixel // frame.width) + 0.5
     return wp.vec2(x - 0.5 * float(frame.width), 0.5 * float(frame.height) - y) / frame.focal[c]
@@ -114,14 +126,14 @@ def pixel_slopes(frame: Frame, c: int, pixel: int):
 
 @wp.func
 def still_of(stills: Stills, home: int, tag: int):
-    """Instance and face of the render scene that an id of a home's mesh stands for."""
+    """Instance and face of the render scene for an id that is not negative."""
     at = stills.face_start[home] + tag
     return wp.vec2i(stills.instance[at], stills.face[at])
 
 
 @wp.func
 def mover_of(movers: Movers, tag: int):
-    """Mover and face of the render scene that a negative id stands for."""
+    """Mover and face of the render scene for a negative id."""
     code = -1 - tag
     d = code >> TAG_BITS
     return wp.vec2i(d, movers.first_face[d] + (code & TAG_FACES))
@@ -131,7 +143,7 @@ def mover_of(movers: Movers, tag: int):
 def find_homes(
     row: wp.array[int], home_of_row: wp.array[int], body_pos: wp.array2d[wp.vec3], worlds: Worlds
 ):
-    """Home of every world, and whether its bodies are where bodies can be."""
+    """Set the home of every world, and whether its physics has not diverged."""
     world = wp.tid()
     worlds.home[world] = home_of_row[row[world]]
     sane = wp.bool(True)
@@ -150,7 +162,7 @@ def place_cameras(
     body_mat: wp.array2d[wp.mat33],
     worlds: Worlds,
 ):
-    """Poses of the cameras from those of the bodies they are mounted on."""
+    """Compute the poses of the cameras from those of the bodies they are mounted on."""
     world, c = wp.tid()
     b = mount[c]
     worlds.cam_pos[world, c] = body_pos[world, b] + body_mat[world, b] * mount_pos[c]
@@ -161,7 +173,7 @@ def place_cameras(
 def place_movers(
     movers: Movers, body_pos: wp.array2d[wp.vec3], body_mat: wp.array2d[wp.mat33], worlds: Worlds
 ):
-    """Poses of what hangs on bodies."""
+    """Compute the poses of the movers from those of their bodies."""
     world, d = wp.tid()
     b = movers.body[d]
     worlds.pos[world, d] = body_pos[world, b] + body_mat[world, b] * movers.pos[d]
@@ -170,7 +182,7 @@ def place_movers(
 
 @wp.kernel
 def list_movers(stills: Stills, movers: Movers, worlds: Worlds, frame: Frame, first: int):
-    """Movers whose balls reach into each tile of the pictures of the worlds from ``first`` on."""
+    """List the movers whose bounding spheres overlap each image tile, for the worlds from ``first`` on."""
     k, c, tile = wp.tid()
     world = first + k
     frame.listed[k, c, tile] = 0
@@ -215,7 +227,7 @@ def list_movers(stills: Stills, movers: Movers, worlds: Worlds, frame: Frame, fi
 
 @wp.struct
 class Hit:
-    """Depth [m] (0: none) and face of a mesh."""
+    """Depth [m] (0 for no hit) and face of a mesh."""
 
     depth: float
     face: int
@@ -223,7 +235,7 @@ class Hit:
 
 @wp.func
 def _front_at(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, depth: float):
-    """Some face of a mesh, seen from its front, that a ray meets within TIE of a depth; -1 for none."""
+    """A front face of a mesh that a ray hits within TIE of a depth; -1 for none."""
     at = start + ray * depth
     front = int(-1)
     reach = wp.abs(ray) * (2.0 * TIE) + wp.vec3(ROUNDING * wp.max(wp.abs(at)))
@@ -251,10 +263,10 @@ def _front_at(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, depth: float):
 
 @wp.func
 def _cast(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, near: float, far: float):
-    """First face of a mesh that a ray meets from its front between two depths.
+    """First front face of a mesh that a ray hits between two depths.
 
-    The engine finds the first face, seen from whichever side. Where one seen from behind lies on another (sheets with
-    two sides, boxes that touch), which of them comes first is chance.
+    Warp's query returns the first face from either side. If a back face coincides with a front face (two-sided sheets,
+    touching boxes), it may return either of them.
     """
     hit = Hit()
     at = float(near)
@@ -285,11 +297,14 @@ def trace(
     depth: wp.array4d[float],
     seg: wp.array4d[int],
 ):
-    """Cast the rays of the worlds from ``first`` on; fill what of ``depth``, ``seg`` (W, C, h, w) has cameras, and the
-    frame's ``inverse`` and ``ids`` if those have."""
+    """Cast the rays of the worlds from ``first`` on.
+
+    The results go to ``depth`` and ``seg`` (W, C, h, w) and to the frame's ``inverse`` and ``ids``, each only if its
+    array is not empty.
+    """
     k, c, ray_index = wp.tid()
     world = first + k
-    # Rays of a tile are neighbours, so that threads of a warp go the same way.
+    # Rays of a tile have neighbouring indices, so that the threads of a GPU warp take similar paths.
     tile = ray_index // TILE_PIXELS
     within = ray_index % TILE_PIXELS
     x = TILE * (tile % frame.columns) + within % TILE

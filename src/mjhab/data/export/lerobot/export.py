@@ -21,6 +21,7 @@ from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
 from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
 from mjhab.data.export.lerobot.stats import Stats, image_stats, map_stats, sampled, vector_stats
+from mjhab.data.export.request import ExportRequest
 from mjhab.data.select.describing import (
     instructions_of,
     navigates_by_teleport,
@@ -28,7 +29,6 @@ from mjhab.data.select.describing import (
     teleported_steps,
 )
 from mjhab.data.select.own_state import split_state
-from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.reading import Episode, open_shard
@@ -73,39 +73,30 @@ class Choice:
 
 
 def export_lerobot(
-    places: Path | Sequence[Path],
-    out: Path,
+    request: ExportRequest,
     films: FilmTools,
     *,
     version: str = "3.0",
-    where: Filter | None = None,
     choice: Choice | None = None,
-    overwrite: bool = False,
-    resume: bool = False,
-    options: Mapping[str, Any] | None = None,
     begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> Exported:
-    """Write the episodes that pass the filter, in order of shard and name, as a data set that appears whole or not.
+    """Write the episodes that pass the filter, in order of shard and name, as a LeRobot data set.
 
     Args:
-        places: shards or folders of them.
-        out: folder of the data set.
-        films: how films are made.
-        version: "3.0" or "2.1".
-        where: which episodes; all of them if None.
-        choice: which images.
-        overwrite: take the place of a data set that is there.
-        resume: go on with an export that was stopped: episodes that are done are not read or coded again.
-        options: plain data that decides what ``films`` makes; an export goes on with the same only.
-        begin: told the number of episodes; gives what is called after each.
+        request: the episodes and the folder of the data set.
+        films: functions that write videos.
+        version: of the format, "3.0" or "2.1".
+        choice: parts of the episodes to export; None takes all.
+        begin: called with the number of episodes; returns a function that is called after each episode.
 
     Raises:
-        UsageError, StorageError: no episode passes, episodes differ in what they hold; see ``whole_folder``.
+        UsageError, StorageError: no episode passes the filter, or episodes differ in their features; see
+            ``whole_folder``.
         DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
     if version not in VERSIONS:
         raise unknown_name("LeRobot version", version, VERSIONS)
-    found = select(places, where)
+    found = select(request.places, request.where)
     if not found.matched:
         raise nothing_passes()
     choice = choice or Choice()
@@ -115,10 +106,11 @@ def export_lerobot(
         "format": "lerobot",
         "version": version,
         **vars(choice),
-        **(options or {}),
+        **films.settings,
         "episodes": found.fingerprint,
     }
-    with whole_folder(Target(out, "meta/info.json", overwrite, resume), job) as filling:
+    target = Target(request.out, "meta/info.json", request.overwrite, request.resume)
+    with whole_folder(target, job) as filling:
         pieces = Pieces(filling.work, FPS, films)
         export = _Export(filling.root, VERSIONS[version](filling.root, FPS), pieces, choice)
         for path, name in found.matched:

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +33,12 @@ class FilmTools:
     """Functions that write videos.
 
     open: opens a video for a path and frames per second. join: concatenates videos into a new one without re-encoding.
+    settings: JSON data that determines the videos; an interrupted export can only be resumed with equal settings.
     """
 
     open: Callable[[Path, int], Film]
     join: Callable[[Sequence[Path], Path], object]
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

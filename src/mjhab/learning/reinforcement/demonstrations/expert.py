@@ -8,7 +8,7 @@ import torch
 
 from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.replay import ReplayBuffer
-from mjhab.learning.reinforcement.session import ReinforcementSession, training_env
+from mjhab.learning.reinforcement.session import ReinforcementSession, demonstration_env
 from mjhab.learning.reinforcement.sight import Sight
 
 DEMONSTRATION_WORLDS = 16
@@ -40,7 +40,7 @@ def collect_demonstrations(
 
     worlds_count = min(DEMONSTRATION_WORLDS, episodes)
     buffer = make(worlds_count)
-    env = training_env(
+    env = demonstration_env(
         session.request.scene,
         session.config.inputs,
         worlds_count,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,14 @@ def test_chunks_stay_in_their_episode(chunk: int, history: int, seed: int) -> No
         np.testing.assert_array_equal(seen[-1], data.vector[row])
         np.testing.assert_array_equal(seen[0], data.vector[max(row - history + 1, starts[episode])])
     assert taken.images.shape[1] == history
+
+
+def test_demonstrations_without_images_make_chunks() -> None:
+    data = demonstrations(0, (7,))
+    blind = dataclasses.replace(data, images=np.zeros((len(data.vector), 0, 0, 0), np.uint8))
+    taken = take_chunks(blind, data.usable, 2, history=3)
+    assert taken.images.shape == (len(data.usable), 0, 0, 0)
+    assert taken.vector.shape == (len(data.usable), 3 * data.vector.shape[1])
 
 
 def test_batches_mix_old_and_new_and_depend_on_seed_and_number_alone() -> None:

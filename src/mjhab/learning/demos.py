@@ -202,9 +202,11 @@ def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int
     valid = ahead <= data.last[rows, None]
     ahead = np.minimum(ahead, data.last[rows, None])
     images = data.images[seen]
+    # Not -1: a student without cameras has images of size 0.
+    channels = history * images.shape[2]
     return Chunks(
         data.vector[seen].reshape(len(rows), -1),
-        images.reshape(len(rows), -1, *images.shape[3:]),
+        images.reshape(len(rows), channels, *images.shape[3:]),
         data.actions[ahead],
         valid,
     )

@@ -23,7 +23,7 @@ from mjhab.learning.reinforcement.configs import (
 from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac import Sac, SacLearner
-from mjhab.learning.reinforcement.session import network_threads, training_env
+from mjhab.learning.reinforcement.session import training_env
 from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs.collection import Scene
@@ -118,7 +118,7 @@ def _worlds(config: ReinforcementConfig, threads: int) -> tuple[Worlds, Layout, 
 
     Networks get as many threads as in a run.
     """
-    torch.set_num_threads(network_threads(config.inputs, threads or cores()))
+    torch.set_num_threads(config.inputs.network_threads(threads or cores()))
     env = training_env(SCENE, config.inputs, config.worlds, threads, 0)
     layout = layout_of(env, config.inputs, (SCENE.target,))
     sight = Sight(env, layout, config.privileged_critic)

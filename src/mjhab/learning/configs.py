@@ -51,6 +51,14 @@ class InputConfig:
     normalize: bool = True
     shift: int = 1
 
+    def network_threads(self, threads: int) -> int:
+        """Number of torch threads: ``threads`` with images, else 1.
+
+        Small dense layers gain nothing from a second thread. On a machine whose cores other processes use, torch's
+        threads wait for each other in spin loops: a rollout with its update then took nine times the CPU time.
+        """
+        return threads if self.cameras else 1
+
 
 @dataclass(frozen=True)
 class NetworkConfig:

@@ -89,15 +89,6 @@ class Standing:
     evaluated: list[int] = field(default_factory=list)
 
 
-def network_threads(inputs: InputConfig, threads: int) -> int:
-    """Number of torch threads: ``threads`` for image inputs, else 1.
-
-    Small dense layers gain nothing from a second thread. On a machine whose cores other processes use, torch's threads
-    wait for each other in spin loops: a rollout with its update then took nine times the CPU time.
-    """
-    return threads if inputs.cameras else 1
-
-
 def image_options(inputs: InputConfig) -> dict[str, Any]:
     """Options of an environment that renders the images of ``inputs``; empty without images."""
     if not (inputs.image_size and inputs.cameras):
@@ -150,8 +141,9 @@ class ReinforcementSession:
     def __init__(
         self, request: ReinforcementRequest, folder: TrainingFolder, checkpoint: Path, resume: bool
     ) -> None:
-        if request.threads:
-            torch.set_num_threads(network_threads(request.config.inputs, request.threads))
+        threads = request.config.inputs.network_threads(request.threads)
+        if threads:
+            torch.set_num_threads(threads)
         self.request = request
         self.folder = folder
         self.start = _start_of(request)

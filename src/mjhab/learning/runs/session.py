@@ -116,8 +116,9 @@ class Session:
     def __init__(
         self, request: Request, layout: Layout, folder: TrainingFolder, resume: bool
     ) -> None:
-        if request.torch_threads:
-            torch.set_num_threads(request.torch_threads)
+        threads = request.config.student.inputs.network_threads(request.torch_threads)
+        if threads:
+            torch.set_num_threads(threads)
         self.request = request
         self.layout = layout
         self.folder = folder

@@ -173,7 +173,7 @@ def test_actions_come_back_and_are_played_to_their_end() -> None:
 
 def test_other_rules_are_refused() -> None:
     check_rules(PolicyFacts("fine", env_options={"obs_mode": "rgb", "profile": "mjhab"}))
-    with pytest.raises(UsageError, match="by the rules of the profile mjhab"):
+    with pytest.raises(UsageError, match="scores use the rules of the profile mjhab"):
         check_rules(PolicyFacts("sly", env_options={"force_limits": False}))
     with pytest.raises(UsageError, match="unknown track"):
         manifest("subtask", "test")

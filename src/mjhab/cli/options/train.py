@@ -98,7 +98,8 @@ class ReinforcementOptions(RunOptions):
     """Options of all reinforcement learning algorithms."""
 
     samples: MaybeNumber = None
-    """Total number of samples (control steps of single worlds); that of the preset if absent."""
+    """Total number of samples (control steps of single worlds); that of the preset if absent. With PPO's preset fast
+    0 stops after imitation."""
     worlds: MaybeNumber = None
     """Number of parallel worlds; it changes the result. That of the preset if absent."""
     start: Annotated[Path | None, tyro.conf.arg(metavar="CHECKPOINT")] = None

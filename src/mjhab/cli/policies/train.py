@@ -117,9 +117,10 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
     preset = reinforcement_preset(REINFORCEMENT[type(options)], options.preset)
     names = ("samples", "worlds", "privileged_critic", "capacity", "demonstrations")
     values = {name: getattr(options, name, None) for name in names}
+    imitates = preset.ppo is not None and preset.ppo.demonstrations > 0
     for name, value in values.items():
         if value is not None and name != "privileged_critic":
-            at_least(name, value, 1)
+            at_least(name, value, 0 if name == "samples" and imitates else 1)
     return ReinforcementRequest(
         config=changed(preset, values),
         scene=scene,

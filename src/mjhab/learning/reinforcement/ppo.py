@@ -272,11 +272,11 @@ class PpoLearner:
         assert self.shown is not None
         agent = self.agent
         random = self._random("imitate")
-        first = self.shown.draw(NORMALIZED_ROWS, random).seen
-        self.normalize(first)
-        layout = agent.actor.layout
-        self.statistics.fit([agent.actor.normalizer], layout.measured_width)
-        distributed.average([agent.actor.normalizer.mean, agent.actor.normalizer.scale])
+        if self.run.inputs.normalize:
+            self.normalize(self.shown.draw(NORMALIZED_ROWS, random).seen)
+            normalizer = agent.actor.normalizer
+            self.statistics.fit([normalizer], agent.actor.layout.measured_width)
+            distributed.average([normalizer.mean, normalizer.scale])
         updates = self.config.imitation_updates
         parameters = list(agent.actor.parameters())
         optimizer = torch.optim.Adam(parameters, lr=IMITATION_RATE, fused=True)

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from mjhab.config.env import TrainConfig
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.envs.parts.reporting import CHECKERS
@@ -96,10 +97,6 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
     return {"obs_mode": "depth", "cameras": inputs.cameras, "camera_size": inputs.image_size}
 
 
-DENSE = "normalized_dense"
-"""Reward mode of training, see `TrainConfig`."""
-
-
 def training_env(
     scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int, **more: Any
 ) -> Any:
@@ -131,7 +128,7 @@ def demonstration_env(
         threads=threads,
         seed=seed,
         autoreset="disabled",
-        reward_mode=DENSE,
+        reward_mode=TrainConfig.reward_mode,
     )
 
 

@@ -146,7 +146,7 @@ class Rasterizer:
             UsageError: unknown output or quality, shapes that do not fit together.
         """
         _check_names(outputs, quality)
-        home = np.asarray(home, np.int64)
+        home = _read_only(np.asarray(home, np.int64))
         width = cameras.width
         height = cameras.height
         cam_pos = _array(cameras.pos, (len(home), -1, 3), "cam_pos")
@@ -324,7 +324,8 @@ class Rasterizer:
         for k, color in enumerate(scene.light_color[home]):
             if not color.any():
                 continue
-            lens = Lens(scene.light_pos[home, k], np.eye(3), float(focal), 0.05, LEVEL_ERROR)
+            place = _read_only(scene.light_pos[home, k])
+            lens = Lens(place, _read_only(np.eye(3)), float(focal), 0.05, LEVEL_ERROR)
             below = shot._replace(lens=lens)
             with self._lock:
                 still = self._shadows.get((home, k))
@@ -357,7 +358,15 @@ def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
         want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)
     ):
         raise UsageError(f"{name} must have shape {shape} (-1: any); got {array.shape}.")
-    return np.ascontiguousarray(array)
+    return _read_only(array)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """A contiguous view that cannot be written to. Whether an array is writeable is part of its type: kernels would be
+    compiled once more for the other kind."""
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
 
 
 def _images(shape: tuple[int, int, int, int], outputs: Sequence[str]) -> dict[str, np.ndarray]:

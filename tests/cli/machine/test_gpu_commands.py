@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -365,6 +366,8 @@ def quick_report(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_room(plan: Any) -> Any:
         raise UsageError("no room")
 
+    # A collection of this process's garbage takes seconds, and there is one after each measure.
+    monkeypatch.setattr(gpu_report, "gc", SimpleNamespace(collect=int))
     monkeypatch.setattr(gpu_report, "resolve", lambda name: name)
     monkeypatch.setattr(gpu_report, "cuda_devices", list)
     monkeypatch.setattr(gpu_report, "gpu_name", lambda: None)

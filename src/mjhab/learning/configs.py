@@ -182,7 +182,10 @@ PAPER_INPUTS = InputConfig(
 )
 """Inputs of the MS-HAB students: two depth images of 128 x 128 px and the 42-D state, not normalized."""
 
-SMALL = StudentConfig()
+DISTURBED = ("noise=0..0.2", "base_noise=0..0.2")
+"""Style of an expert whose arm and base are disturbed while the student learns what it intended (DART)."""
+
+SMALL = StudentConfig(inputs=InputConfig(base_velocity=True), style=DISTURBED)
 
 PAPER_BC = StudentConfig(
     preset="paper",
@@ -230,7 +233,7 @@ ACT_SMALL = dataclasses.replace(
     SMALL, algorithm=ACT, preset="act", network=NetworkConfig(hidden=128, layers=2)
 )
 
-QUICK = dataclasses.replace(SMALL, preset="quick", demos=128, updates=4000)
+QUICK = dataclasses.replace(SMALL, preset="quick", demos=200, updates=8000)
 
 STATE = StudentConfig(
     preset="state",
@@ -241,7 +244,7 @@ STATE = StudentConfig(
     optimizer=OptimizerConfig(learning_rate=1e-3, schedule="cosine"),
     chunk=1,
     execute=1,
-    style=("noise=0..0.2",),
+    style=DISTURBED,
 )
 """No images: the 42-D state and the velocity of the base, from an expert disturbed by noise."""
 
@@ -255,19 +258,29 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
     FLOW: {
         "flow": TrainConfig(FLOW_SMALL),
         "quick": TrainConfig(
-            dataclasses.replace(FLOW_SMALL, preset="quick", demos=128, updates=4000)
+            dataclasses.replace(FLOW_SMALL, preset="quick", demos=200, updates=8000)
         ),
     },
     ACT: {
         "act": TrainConfig(ACT_SMALL),
         "quick": TrainConfig(
-            dataclasses.replace(ACT_SMALL, preset="quick", demos=128, updates=4000)
+            dataclasses.replace(ACT_SMALL, preset="quick", demos=200, updates=8000)
         ),
     },
     DIFFUSION: {"paper_dp": TrainConfig(PAPER_DP)},
     DAGGER: {
         "small": TrainConfig(SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
-        "quick": TrainConfig(dataclasses.replace(QUICK, updates=2000), DaggerConfig(updates=800)),
+        "quick": TrainConfig(
+            dataclasses.replace(QUICK, updates=3000),
+            DaggerConfig(
+                rounds=5,
+                episodes=96,
+                updates=800,
+                first_prefix=50,
+                prefix_growth=35,
+                final_updates=1500,
+            ),
+        ),
         "flow": TrainConfig(FLOW_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
         "act": TrainConfig(ACT_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
     },

@@ -133,6 +133,23 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
         )
 
 
+def test_the_student_is_the_best_evaluated_actor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Success falls after the second of four evaluations."""
+    rates = iter([0.1, 0.6, 0.4, 0.2])
+    monkeypatch.setattr(
+        sessions.ReinforcementSession, "_judge", lambda self, episodes, last: next(rates)
+    )
+    config = dataclasses.replace(TINY, samples=48, eval_samples=16)
+    result = train_reinforcement(
+        dataclasses.replace(request(config), round_episodes=1), tmp_path / "run"
+    )
+    student = load_checkpoint(tmp_path / "run" / "student.safetensors")
+    assert result.summary["student_samples"] == student.about["samples"] == 16
+    assert result.summary["samples"] == 48 and next(rates, None) is None
+
+
 def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
     """One of two processes, as torchrun starts them."""
     own = {"RANK": number, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}

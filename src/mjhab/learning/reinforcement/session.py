@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from torch import Tensor
 
 from mjhab.config.env import TrainConfig
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.version import __version__
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.learning.checkpoint import (
@@ -81,6 +83,7 @@ class Standing:
     """Progress of a run.
 
     checkpoints: number of checkpoints written. seconds: wall time. evaluated: number of samples at each evaluation.
+    best_success, best_samples: success-once rate of the best evaluation during training, and its number of samples.
     """
 
     samples: int = 0
@@ -88,6 +91,8 @@ class Standing:
     checkpoints: int = 0
     seconds: float = 0.0
     evaluated: list[int] = field(default_factory=list)
+    best_success: float = -1.0
+    best_samples: int = 0
 
 
 def image_options(inputs: InputConfig) -> dict[str, Any]:
@@ -167,7 +172,8 @@ class ReinforcementSession:
         self.standing = Standing()
         if resume and checkpoint.is_file():
             self.saved = load_checkpoint(checkpoint)
-            known = {name: self.saved.about[name] for name in Standing.__dataclass_fields__}
+            about = self.saved.about
+            known = {name: about[name] for name in Standing.__dataclass_fields__ if name in about}
             self.standing = Standing(**known)
         seed = self.seed + self.standing.checkpoints
         self.worlds = Worlds(self.env, sight, seed, self._rules())
@@ -243,7 +249,9 @@ class ReinforcementSession:
             OutOfTime: it does not, so training must end now.
         """
         budget = self.request.budget_seconds
-        reserve = self._eval_seconds * self.request.eval_episodes
+        # At the end the last actor may have to be compared with the best one.
+        episodes = self.request.eval_episodes + self.request.round_episodes
+        reserve = self._eval_seconds * episodes
         # The first process decides for all: if one process stopped alone, the others would wait for its gradients.
         if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
             raise OutOfTime
@@ -283,8 +291,8 @@ class ReinforcementSession:
         shares["other"] = 1.0 - sum(shares.values())
         return {name: round(share, 4) for name, share in shares.items()}
 
-    def save_actor(self, actor: Student) -> None:
-        """Write the actor as a student checkpoint, which `mjhab eval` can run."""
+    def save_actor(self, actor: Student, path: Path | None = None) -> None:
+        """Write the actor as a student checkpoint, which `mjhab eval` can run; by default as the run's student."""
         about = {
             "algorithm": self.config.algorithm,
             "step": self.standing.updates,
@@ -292,13 +300,42 @@ class ReinforcementSession:
             "scene": vars(self.scene),
             "seed": self.request.seed,
         }
-        save_student(self.folder.student, actor, about)
+        save_student(path or self.folder.student, actor, about)
 
-    def evaluate(self, actor: Student, episodes: int, last: bool = False) -> float:
-        """Success-once rate of the actor over the episodes 0 to ``episodes`` - 1, measured as by `mjhab eval`."""
+    def keep_best(self, actor: Student) -> None:
+        """Make the checkpoint with the best evaluation the run's student; of equal ones the latest.
+
+        The actor at the end of training takes part, too.
+        """
+        standing = self.standing
+        if distributed.rank() or not standing.evaluated:
+            return
+        if standing.evaluated[-1] != standing.samples:
+            self.evaluate(actor, self.request.round_episodes)
+        if self.folder.best.is_file() and standing.best_samples != standing.samples:
+            best = self.folder.best
+            write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
+
+    def evaluate(self, actor: Student, episodes: int) -> None:
+        """Evaluate the actor during training, and keep it if no earlier one was better."""
         if distributed.rank():
-            return 0.0
+            return
         self.save_actor(actor)
+        standing = self.standing
+        success = self._judge(episodes, last=False)
+        standing.evaluated.append(standing.samples)
+        if success >= standing.best_success:
+            standing.best_success = success
+            standing.best_samples = standing.samples
+            self.save_actor(actor, self.folder.best)
+
+    def evaluate_student(self, episodes: int) -> None:
+        """The final evaluation, of the run's student checkpoint."""
+        if not distributed.rank():
+            self._judge(episodes, last=True)
+
+    def _judge(self, episodes: int, last: bool) -> float:
+        """Success-once rate of the student checkpoint in the episodes 0 to ``episodes`` - 1, as by `mjhab eval`."""
         first = not self.standing.evaluated
         films = self.request.films if first or last else 0
         began = time.perf_counter()
@@ -316,7 +353,6 @@ class ReinforcementSession:
         self._eval_seconds = spent / episodes
         self.evaluation_seconds += spent
         success = sum(record.success_once for record in self.records) / episodes
-        self.standing.evaluated.append(self.standing.samples)
         self.log.report(
             self.standing.updates,
             self.standing.samples,

@@ -65,8 +65,9 @@ def train_reinforcement(
             except OutOfTime:
                 session.log.show({"phase": "the budget is spent"})
             session.save(run.actor, run.tensors())
+            session.keep_best(run.actor)
             if request.eval_episodes:
-                session.evaluate(run.actor, request.eval_episodes, last=True)
+                session.evaluate_student(request.eval_episodes)
         except KeyboardInterrupt:
             interrupted = True
         finally:
@@ -82,15 +83,17 @@ def train_reinforcement(
 def summarize(session: ReinforcementSession) -> dict[str, Any]:
     """Results of a run as JSON data; ``episodes`` is the number of episodes behind ``success_once``."""
     records = session.records
+    standing = session.standing
     low, high = wilson(sum(record.success_once for record in records), len(records))
     return {
         "algorithm": session.config.algorithm,
         "preset": session.config.preset,
-        "steps": session.standing.updates,
-        "samples": session.standing.samples,
+        "steps": standing.updates,
+        "samples": standing.samples,
         "seconds": round(session.log.seconds, 1),
         "cpu_seconds": round(session.log.cpu_seconds, 1),
         "checkpoint": str(session.folder.student),
+        "student_samples": standing.best_samples if standing.evaluated else standing.samples,
         "success_once": mean(record.success_once for record in records) if records else None,
         "interval": [low, high],
         "episodes": len(records),

@@ -6,6 +6,7 @@ tensorboard/       the same metrics for TensorBoard
 data/round_000/    collected demonstrations of a round, in shards
 training.safetensors   state that the next update depends on
 student.safetensors    the policy for `mjhab eval --policy`
+best.safetensors       of reinforcement: the policy with the best evaluation during training
 evaluations/       run folders of the first and the latest evaluation, as of `mjhab eval`
 summary.json, report.html   written at the end, also after Ctrl-C
 """
@@ -33,6 +34,7 @@ TENSORBOARD = "tensorboard"
 DATA = "data"
 TRAINING = "training.safetensors"
 STUDENT = "student.safetensors"
+BEST = "best.safetensors"
 ROUNDS = "rounds"
 EVALUATIONS = "evaluations"
 SUMMARY = "summary.json"
@@ -69,6 +71,11 @@ class TrainingFolder:
     def student(self) -> Path:
         """Path of the student checkpoint: the policy for evaluation."""
         return self.path / STUDENT
+
+    @property
+    def best(self) -> Path:
+        """Path of the student checkpoint with the best evaluation during training."""
+        return self.path / BEST
 
     def data(self, number: int) -> Path:
         """Folder of the demonstrations of a round."""

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-torchrl gpu-train
+.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -188,6 +188,9 @@ format: $(VENV)/.dev  ## rewrite the sources in the house format
 
 bench: $(VENV)/.core  ## control steps per second of the engine and of the environment
 	$(BIN)/mjhab bench sim --worlds 16
+
+docs-media: $(VENV)/.dev $(VENV)/.learn  ## draw the pictures and films of README and documentation anew, in docs/media
+	$(BIN)/python docs/scripts/media.py --into docs/media
 
 gpu-report: $(VENV)/.dev  ## measure the warp backend, on a GPU if there is one; writes docs/results/gpu-*.json
 	$(BIN)/python -m mjhab.bench.gpu_report docs/results

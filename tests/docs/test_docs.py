@@ -133,3 +133,10 @@ def test_tables_of_the_experts_are_those_of_their_results() -> None:
     page = tables["PAGE"].read_text(encoding="utf-8")
     assert "| set_table | open |" in page
     assert tables["page_with_tables"](page) == page
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_pages_and_pictures_that_a_page_refers_to_exist(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    targets = re.findall(r"\]\(([^)\s#:]+)(?:#[^)]*)?\)", text)
+    assert [name for name in targets if not (page.parent / name).exists()] == []

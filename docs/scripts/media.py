@@ -35,8 +35,8 @@ def make_homes(into: Path, scratch: Path) -> None:
     pictures = []
     for home in HOMES:
         path = scratch / f"{home}.png"
-        width, height = map(str, PICTURE)
-        _run("homes", "render", home, "--view", "inside", "--width", width, "--height", height, "--out", str(path))  # fmt: skip
+        size = ("--width", str(PICTURE[0]), "--height", str(PICTURE[1]))
+        _run("homes", "render", home, "--view", "inside", *size, "--out", str(path))
         pictures.append(np.asarray(Image.open(path).convert("RGB")))
     rows = [np.concatenate(pictures[at : at + 2], axis=1) for at in (0, 2)]
     Image.fromarray(np.concatenate(rows)).save(into / "homes.webp", quality=QUALITY)

@@ -10,10 +10,13 @@ import numpy as np
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.grasps.candidates import KINDS, Grasps
+from mjhab.experts.arm import motion
 from mjhab.robots.parts import ActionColumns
-from mjhab.tasks.style import ANY, PLAIN, SMOOTH, Style
+from mjhab.tasks.style import ANY, PLAIN, SMOOTH, VISIBLE, Style
 
 Array = np.ndarray
+SETTLE_STEPS = 3
+"""See `settle_steps`."""
 NOISE_MEMORY = 0.86
 """Share of smooth noise that is left after a control step: its time constant is a third of a second."""
 FULL_NOISE_ACTION = 0.25
@@ -38,6 +41,20 @@ class StyledView(WorldView):
 def style_of(view: WorldView) -> Style:
     """The style to act with; plain for a view without one."""
     return view.style if isinstance(view, StyledView) else PLAIN
+
+
+def wait_for(view: WorldView, condition: motion.Until) -> motion.Until:
+    """What ends a wait early: ``condition`` in the style of visible waits, else nothing.
+
+    Nobody who sees one state can tell how long the hand has waited in it: of equal states most are followed by more
+    waiting, and that is what a policy learns that imitates the expert.
+    """
+    return condition if style_of(view).waits == VISIBLE else motion.never
+
+
+def settle_steps(view: WorldView) -> int:
+    """Control steps for which both fingers press before the hand moves on."""
+    return 1 if style_of(view).waits == VISIBLE else SETTLE_STEPS
 
 
 def of_kind(grasps: Grasps, kind: str) -> Grasps:

@@ -182,10 +182,11 @@ PAPER_INPUTS = InputConfig(
 )
 """Inputs of the MS-HAB students: two depth images of 128 x 128 px and the 42-D state, not normalized."""
 
-DISTURBED = ("noise=0..0.2", "base_noise=0..0.2")
-"""Style of an expert whose arm and base are disturbed while the student learns what it intended (DART)."""
+TEACHING = ("waits=visible", "noise=0..0.2", "base_noise=0..0.2")
+"""Style of an expert that is imitated: no waits that only a counter ends; arm and base are disturbed while the student
+learns what it intended (DART)."""
 
-SMALL = StudentConfig(inputs=InputConfig(base_velocity=True), style=DISTURBED)
+SMALL = StudentConfig(inputs=InputConfig(base_velocity=True), style=TEACHING)
 
 PAPER_BC = StudentConfig(
     preset="paper",
@@ -244,7 +245,7 @@ STATE = StudentConfig(
     optimizer=OptimizerConfig(learning_rate=1e-3, schedule="cosine"),
     chunk=1,
     execute=1,
-    style=DISTURBED,
+    style=TEACHING,
 )
 """No images: the 42-D state and the velocity of the base, from an expert disturbed by noise."""
 

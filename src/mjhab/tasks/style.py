@@ -24,6 +24,8 @@ TARGET = "target"
 AHEAD = "ahead"
 SMOOTH = "smooth"
 STEP = "step"
+COUNTED = "counted"
+VISIBLE = "visible"
 RANGE = ".."
 OR = ","
 """Between the ends of a range; between words to choose from."""
@@ -63,6 +65,14 @@ class Style:
         metadata={
             "words": (ANY, PUSH, THROW, GRASP),
             "about": "how doors and drawers are shut: push all the way, throw (doors), hold the handle (drawers)",
+        },
+    )
+    waits: str = field(
+        default=COUNTED,
+        metadata={
+            "words": (COUNTED, VISIBLE),
+            "about": "the hand waits a number of control steps before it closes or opens, or only until what it waits "
+            "for can be observed",
         },
     )
     look: str = field(

@@ -7,7 +7,7 @@ A script reads its world through a `WorldView` before each action, so every moti
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,9 +24,15 @@ from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 Motion = Generator[Array, None, bool]
+Until = Callable[[WorldView], bool]
+"""Tells whether a wait is over."""
 OPEN = 1.0
 CLOSED = -1.0
 """Gripper commands."""
+QUIET_RAD_S = 0.3
+"""Speed of the arm's joints below which what it reached for no longer shakes."""
+OPENED_M = 0.004
+"""Distance of a finger from where it was told to go at which the hand counts as opened."""
 ARM_STEP_SHARE = 1.0 - np.exp(-0.5)
 """Share of a commanded change that an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
 
@@ -110,10 +116,43 @@ def gripper_at(robot: Robot, opening: float) -> float:
     return float(np.clip((opening - low - high) / (high - low), CLOSED, OPEN))
 
 
-def hold(view: WorldView, steps: int, *, gripper: float, goal: Array | None = None) -> Motion:
-    """Stand still for some steps, keeping the configuration ``goal`` (J,) (default: the present one)."""
+def never(view: WorldView) -> bool:
+    """A wait that ends after its number of control steps."""
+    return False
+
+
+def is_quiet(view: WorldView) -> bool:
+    """Whether no joint of the arm is faster than `QUIET_RAD_S`."""
+    return bool(np.abs(view.qd[list(view.robot.arm_columns)]).max() < QUIET_RAD_S)
+
+
+def has_opened(command: float) -> Until:
+    """Whether the fingers are where the gripper ``command`` brings them, or as far as they can open."""
+
+    def opened(view: WorldView) -> bool:
+        low, high = view.robot.limits.gripper
+        goal = min(low + 0.5 * (command + 1.0) * (high - low), view.robot.finger_max)
+        return float(view.q[view.robot.columns.fingers].mean()) > goal - OPENED_M
+
+    return opened
+
+
+def hold(
+    view: WorldView,
+    steps: int,
+    *,
+    gripper: float,
+    goal: Array | None = None,
+    until: Until = never,
+) -> Motion:
+    """Stand still for some steps, keeping the configuration ``goal`` (J,) (default: the present one).
+
+    ``until``: ends it earlier.
+    """
     goal = view.q if goal is None else goal
     for _ in range(steps):
+        if until(view):
+            return True
         yield action(view, goal, gripper=gripper)
     return True
 
@@ -218,11 +257,18 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
     return False
 
 
-def still_tcp(view: WorldView, pos: Array, rot: Array, *, gripper: float, steps: int) -> Motion:
-    """Keep the tool centre at a pose (3,), (3, 3) near the present one, until nothing moves any more."""
+def still_tcp(
+    view: WorldView, pos: Array, rot: Array, *, gripper: float, steps: int, until: Until = never
+) -> Motion:
+    """Keep the tool centre at a pose (3,), (3, 3) near the present one, until nothing moves any more.
+
+    ``until``: ends it earlier.
+    """
     robot = view.robot.chain
     dofs = ik.columns(robot, torso=False)
     for _ in range(steps):
+        if until(view):
+            return True
         delta = ik.servo(robot, view.q, pos[None], rot[None], dofs, rest=view.q)[0]
         yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=gripper)
     return True

@@ -12,6 +12,7 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.pilot import simulate
 from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
+from mjhab.experts.style import settle_steps, wait_for
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
@@ -152,7 +153,8 @@ def let_go(
     view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: float = 0.3
 ) -> Motion:
     """Open the hand, then draw it straight back [m] from what it held, base and arm together."""
-    yield from motion.hold(view, 4, gripper=gripper)
+    until = wait_for(view, motion.has_opened(gripper))
+    yield from motion.hold(view, 4, gripper=gripper, until=until)
     pos, rot = motion.tcp(view)
     goal = pos - way * rot[:, 0]
     along = float(-rot[:2, 0] @ np.array([np.cos(view.base[2]), np.sin(view.base[2])]))
@@ -248,7 +250,8 @@ def take(
         if height is not None:
             handle = np.array([*handle[:2], height])
         there = yield from _funnel(view, handle, rot, posture, gripper)
-        if there and (yield from motion.close_fingers(view, link.id)):
+        settle = settle_steps(view)
+        if there and (yield from motion.close_fingers(view, link.id, settle=settle)):
             return True
     return False
 

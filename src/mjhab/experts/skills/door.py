@@ -16,7 +16,7 @@ from mjhab.experts.planning import approach, stances
 from mjhab.experts.planning.stances import Frame, Stances
 from mjhab.experts.skills import door_stances
 from mjhab.experts.skills.door_stances import HALF_OPEN_SHARE, OPEN_TO_SHARE, PRESS_AHEAD_RAD
-from mjhab.experts.style import style_of
+from mjhab.experts.style import style_of, wait_for
 from mjhab.robots.robot import Robot
 from mjhab.tasks.style import PUSH
 
@@ -97,7 +97,8 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
             yield from _follow_arc(
                 view, link, path, (OPEN_TO_SHARE + OPEN_SPARE_SHARE) * link.range[1], motion.CLOSED
             )
-        yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED)
+        until = wait_for(view, motion.is_quiet)
+        yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED, until=until)
         yield from approach.let_go(view, 0.12, gripper=loose)
     return (yield from approach.fold(view, gripper=motion.CLOSED))
 

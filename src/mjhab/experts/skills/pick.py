@@ -39,7 +39,7 @@ from mjhab.experts.planning.reach import (
 )
 from mjhab.experts.planning.sampled import roomier
 from mjhab.experts.skills.nudge import in_steps, nudge, plan_nudge
-from mjhab.experts.style import of_kind, style_of
+from mjhab.experts.style import of_kind, settle_steps, style_of, wait_for
 from mjhab.tasks.style import ANY
 
 Array = np.ndarray
@@ -420,11 +420,14 @@ def _take(
     if fine:
         # A finger that brushed along shoved the object: the pads must meet both of its sides at once all the same.
         pos = pos + view.object_pose(obj)[:3] - start
-    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=6 if fine else 4)
+    until = wait_for(view, motion.is_quiet)
+    steps = 6 if fine else 4
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=steps, until=until)
+    settle = settle_steps(view)
     closed = yield from (
-        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
+        motion.close_fingers(view, obj, steps=25, settle=settle, rate=FINE_CLOSING_M)
         if fine
-        else motion.close_fingers(view, obj)
+        else motion.close_fingers(view, obj, settle=settle)
     )
     if not closed:
         return False
@@ -461,7 +464,10 @@ def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float) -> M
         return False
     fine = _is_fine(goal)
     if fine:
-        yield from motion.still_tcp(view, goal.pre[0], goal.rot[0], gripper=opening, steps=4)
+        until = wait_for(view, motion.is_quiet)
+        yield from motion.still_tcp(
+            view, goal.pre[0], goal.rot[0], gripper=opening, steps=4, until=until
+        )
     last = replace(straight, pos=goal.pos[0], speed=0.15 if fine else 0.2, max_steps=25)
     yield from motion.move_tcp(view, last)
     return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= MAX_SHORT_M)

@@ -39,7 +39,7 @@ from mjhab.experts.planning.reach import (
 )
 from mjhab.experts.planning.sampled import Found, roomier
 from mjhab.experts.skills.pick import height_below, pick_up
-from mjhab.experts.style import style_of
+from mjhab.experts.style import style_of, wait_for
 from mjhab.tasks.style import DROP as DROP_IT
 
 Array = np.ndarray
@@ -353,10 +353,12 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     yield from motion.move_tcp(view, near)
     down = replace(near, pos=pos, speed=0.2, tolerance=0.005, max_steps=25)
     yield from motion.move_tcp(view, down)
-    yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2)
+    until = wait_for(view, motion.is_quiet)
+    yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2, until=until)
     opening = grip(view.robot, let_go_width(view, obj, pos, rot))
     speed = away_speed(view)
-    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5)
+    until = wait_for(view, motion.has_opened(opening))
+    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5, until=until)
     for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
         away = motion.HandMove(
             pos=back,

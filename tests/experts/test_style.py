@@ -82,6 +82,16 @@ def test_slower_takes_longer_and_holding_still_delays():
     assert len(begun) >= 3 and np.median([held - first for first, held in begun]) > 15
 
 
+def test_visible_waits_are_shorter_than_counted_ones():
+    counted = records("place")
+    visible = records("place", "waits=visible")
+    both = [
+        (c, v) for c, v in zip(counted, visible, strict=True) if c.success_once and v.success_once
+    ]
+    assert len(both) >= 3
+    assert np.median([success_step(c) - success_step(v) for c, v in both]) >= 2
+
+
 def test_noise_changes_what_happens_and_is_corrected():
     plain = records("pick")
     noisy = records("pick", "noise=0.1", "base_noise=0.1")

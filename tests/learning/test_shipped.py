@@ -55,9 +55,9 @@ def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
         ),
         (
             {"subtask": "close"},
-            r"give --task, --subtask and --target.*for: set_table.close.kitchen_counter-drawer3",
+            r"give --target, .*for: set_table.close.kitchen_counter-drawer3",
         ),
-        ({}, "give --task, --subtask and --target"),
+        ({"task": "tidy_house"}, "no student for the task 'tidy_house', but for: set_table.close"),
     ],
 )
 def test_where_there_is_none_those_are_named_that_there_are(
@@ -65,6 +65,26 @@ def test_where_there_is_none_those_are_named_that_there_are(
 ) -> None:
     with pytest.raises(UsageError, match=said):
         inspect_policy(str(EvalSpec("student", **given).policy))
+
+
+@pytest.mark.usefixtures("shelf")
+def test_one_student_may_serve_all_targets(shelf: Path) -> None:
+    for_all = shelf / "set_table.pick.safetensors"
+    save_student(for_all, make_student(config(), layout()), {})
+    assert shipped_kind.shipped_path("set_table", "pick", "024_bowl") == for_all
+    assert shipped_kind.shipped_path("set_table", "pick", "") == for_all
+    own = shelf / "set_table.pick.024_bowl.safetensors"
+    save_student(own, make_student(config(), layout()), {})
+    assert shipped_kind.shipped_path("set_table", "pick", "024_bowl") == own
+
+
+def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
+    path = shelf / "set_table.close.kitchen_counter-drawer3.safetensors"
+    scene = {"task": "set_table", "subtask": "close", "target": CLOSE["target"]}
+    save_student(path, make_student(config(), layout()), {"scene": scene})
+    (entry,) = shipped_kind.shipped_entries("set_table")
+    assert (entry.subtask, entry.target, entry.checkpoint) == ("close", CLOSE["target"], path)
+    assert describe_policy(str(EvalSpec("student", task="set_table").policy)).name == "student"
 
 
 def test_a_misspelt_student_is_suggested() -> None:

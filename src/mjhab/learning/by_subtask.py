@@ -81,22 +81,31 @@ def inspect_policy(spec: str) -> PolicyFacts:
         UsageError: see `read_entries`; or two policies need different environment options.
     """
     path = Path(spec)
+    return describe_entries(path.stem, read_entries(path))
+
+
+def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
+    """`inspect_policy` for the checkpoints of ``entries``.
+
+    Raises:
+        UsageError: two policies need different environment options, or a checkpoint cannot be read.
+    """
     hashes = []
     options: dict[str, Any] = {}
     profiles = set()
-    for entry in read_entries(path):
+    for entry in entries:
         facts = policy_kind.inspect_policy(str(entry.checkpoint))
         hashes.append([entry.subtask, entry.target, facts.identity["policy_sha256"]])
         profiles.add(facts.identity["policy_profile"])
-        for name, value in facts.env_options.items():
-            if options.setdefault(name, value) != value:
+        for option, value in facts.env_options.items():
+            if options.setdefault(option, value) != value:
                 raise UsageError(
-                    f"the policies of {path} need different environments: {name} is {options[name]!r} for one and "
-                    f"{value!r} for {entry.checkpoint}."
+                    f"the policies of {name} need different environments: {option} is {options[option]!r} for one "
+                    f"and {value!r} for {entry.checkpoint}."
                 )
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
     identity = {"policy_sha256": digest, "policy_profile": ", ".join(sorted(profiles))}
-    return PolicyFacts(path.stem, identity, options)
+    return PolicyFacts(name, identity, options)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
@@ -105,13 +114,26 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     Raises:
         UsageError: as `inspect_policy`; ``options`` sets a style; or a subtask of the environment has no policy.
     """
-    entries = read_entries(Path(spec))
+    return build_entries(spec, read_entries(Path(spec)), env, options)
+
+
+def build_entries(
+    name: str, entries: Sequence[Entry], env: RolloutEnv, options: PolicyOptions
+) -> Policy:
+    """`build_policy` for the checkpoints of ``entries``.
+
+    Raises:
+        UsageError: as `build_policy`.
+    """
     config = cast(Any, env).config
     wanted = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
     having = {entry.subtask for entry in entries}
-    for name in wanted:
-        if name not in having and not (SUBTASKS[name].navigates and config.navigate == "teleport"):
-            raise UsageError(f"{spec} has no policy for {name}; it has some for {sorted(having)}.")
+    for subtask in wanted:
+        teleports = SUBTASKS[subtask].navigates and config.navigate == "teleport"
+        if subtask not in having and not teleports:
+            raise UsageError(
+                f"{name} has no policy for {subtask}; it has some for {sorted(having)}."
+            )
     policies = [policy_kind.build_policy(str(entry.checkpoint), env, options) for entry in entries]
     width = len(cast(Any, env).action_table)
     return PoliciesBySubtask(entries, policies, env.num_envs, width)
@@ -128,7 +150,7 @@ class PoliciesBySubtask:
     name = "policies"
 
     def __init__(
-        self, entries: tuple[Entry, ...], policies: list[Policy], worlds: int, width: int
+        self, entries: Sequence[Entry], policies: list[Policy], worlds: int, width: int
     ) -> None:
         self._policies = policies
         self._places = {

@@ -15,6 +15,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import (
     BC,
     GAUSSIAN,
+    TEACHING,
     InputConfig,
     NetworkConfig,
     StudentConfig,
@@ -43,9 +44,8 @@ class PpoConfig:
     state_std: the standard deviation depends on the observation instead of being one learned constant.
     critic_updates: number of initial updates that train only the critic, used when the actor is not new.
     demonstrations: number of expert episodes that the actor imitates first, in imitation_updates updates of
-    imitation_batch samples. demonstration_noise: largest standard deviation of the noise on the expert's actions in
-    these episodes [action units]; the actor imitates the intended actions. imitation_coefficient: weight of the
-    imitation loss in the PPO updates that follow; it decreases linearly to zero over imitation_samples samples.
+    imitation_batch samples. demonstration_style: of the expert in these episodes, see `Styles.parse`; the actor
+    imitates the intended actions. imitation_coefficient: weight of the imitation loss in the PPO updates that follow; it decreases linearly to zero over imitation_samples samples.
     """
 
     rollout_steps: int = 32
@@ -68,7 +68,7 @@ class PpoConfig:
     state_std: bool = False
     critic_updates: int = 0
     demonstrations: int = 0
-    demonstration_noise: float = 0.0
+    demonstration_style: tuple[str, ...] = ()
     imitation_updates: int = 3000
     imitation_batch: int = 256
     imitation_coefficient: float = 0.0
@@ -248,7 +248,7 @@ FAST_PPO = dataclasses.replace(
         initial_std=0.1,
         critic_updates=20,
         demonstrations=200,
-        demonstration_noise=0.2,
+        demonstration_style=TEACHING,
         imitation_updates=8000,
         imitation_coefficient=1.0,
         imitation_samples=1_000_000,

@@ -154,10 +154,10 @@ class _Run(ABC):
         folder = self.session.folder.path / name if device.type == "cpu" else None
         return ReplayBuffer(shape, device, folder, reserve)
 
-    def _demonstrations(self, episodes: int, noise: float = 0.0) -> ReplayBuffer:
+    def _demonstrations(self, episodes: int, style: tuple[str, ...] = ()) -> ReplayBuffer:
         """A buffer of recorded episodes or, without any, of ``episodes`` new episodes of the expert.
 
-        ``noise``: of the expert's actions, see `collect_demonstrations`.
+        ``style``: of the expert, see `collect_demonstrations`.
         """
         folder = self.session.folder.path / DEMONSTRATIONS
 
@@ -165,7 +165,7 @@ class _Run(ABC):
             return (
                 self._replay_recorded()
                 if self.session.request.data
-                else self._ask_expert(episodes, noise)
+                else self._ask_expert(episodes, style)
             )
 
         shown = kept_demonstrations(folder, fill)
@@ -183,7 +183,7 @@ class _Run(ABC):
 
         return replay_recorded(session, make, tell)
 
-    def _ask_expert(self, episodes: int, noise: float) -> ReplayBuffer:
+    def _ask_expert(self, episodes: int, style: tuple[str, ...]) -> ReplayBuffer:
         session = self.session
         subtask = SUBTASKS[session.request.scene.subtask]
         horizon = int(max(*horizons(session.env.task_config), subtask.limits.horizon)) + 2
@@ -195,7 +195,7 @@ class _Run(ABC):
         def tell(done: int) -> None:
             session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
 
-        return collect_demonstrations(session, episodes, make, tell, noise)
+        return collect_demonstrations(session, episodes, make, tell, style)
 
 
 class _PpoRun(_Run):
@@ -216,7 +216,7 @@ class _PpoRun(_Run):
         shown: ReplayBuffer | None = None
         if agent.config.demonstrations:
             ppo = agent.config
-            shown = self._demonstrations(ppo.demonstrations, ppo.demonstration_noise)
+            shown = self._demonstrations(ppo.demonstrations, ppo.demonstration_style)
         self.learner = PpoLearner(agent, worlds, self.config, session.seed, shown)
         if session.saved is not None:
             self._restore(session.saved.tensors)

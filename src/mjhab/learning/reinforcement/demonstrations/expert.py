@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import torch
 
-from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession, demonstration_env
 from mjhab.learning.reinforcement.sight import Sight
+from mjhab.tasks.style import Styles
 
 DEMONSTRATION_WORLDS = 16
 """Number of parallel worlds that the expert acts in."""
@@ -22,19 +22,18 @@ def collect_demonstrations(
     episodes: int,
     make: Callable[[int], ReplayBuffer],
     tell: Callable[[int], object],
-    noise: float = 0.0,
+    style: tuple[str, ...] = (),
 ) -> ReplayBuffer:
     """Record at least ``episodes`` whole episodes of the expert into a replay buffer.
 
     Failed episodes are kept, too: the critics learn from their rewards.
 
-    With ``noise``, normal noise is added to the executed actions and the buffer holds what the expert intended (DART,
-    arXiv 1703.09327): a policy that imitates it knows the way back. The standard deviation [action units] is drawn
-    for each world and episode, from 0 to ``noise``.
+    The buffer holds the intended actions. With noise in the style they differ from the executed ones (DART, arXiv
+    1703.09327): a policy that imitates them knows the way back.
 
     Args:
         session: of the run. make: makes a buffer for a number of worlds.
-        tell: called with the number of finished episodes.
+        tell: called with the number of finished episodes. style: of the expert, see `Styles.parse`.
     """
     from mjhab.experts import make_expert
 
@@ -48,7 +47,7 @@ def collect_demonstrations(
         DEMONSTRATION_SEED + session.seed,
     )
     sight = Sight(env, session.layout, session.config.privileged_critic)
-    expert = make_expert(env)
+    expert = make_expert(env, Styles.parse(style))
     obs, info = env.reset(seed=DEMONSTRATION_SEED + session.seed)
     every = torch.ones(worlds_count, dtype=torch.bool)
     expert.reset(every.numpy())
@@ -58,22 +57,17 @@ def collect_demonstrations(
     finished = 0
     device = session.worlds.device
     rounds = -(-episodes // worlds_count)
-    random = stream(session.seed, "demonstration-noise")
     for number in range(rounds):
-        spread = random.uniform(0.0, noise, (worlds_count, 1))
         ended = torch.zeros(worlds_count, dtype=torch.bool)
         while not bool(ended.all()):
-            actions = torch.from_numpy(expert.act(obs, info).copy())
-            executed = actions
-            if noise:
-                drawn = random.standard_normal(actions.shape) * spread
-                executed = (actions + torch.from_numpy(drawn).float()).clamp(-1.0, 1.0)
+            executed = torch.from_numpy(expert.act(obs, info))
+            intended = torch.from_numpy(expert.notes().intended)
             obs, reward, terminated, truncated, info = env.step(executed.numpy())
             over = torch.from_numpy(terminated | truncated)
             following = sight.see(obs, info, executed, ~every)
             buffer.add(
                 seen.to(device),
-                actions.to(device),
+                intended.to(device),
                 torch.from_numpy(reward).float().to(device),
                 torch.from_numpy(terminated).to(device),
             )

@@ -45,7 +45,8 @@ class PpoConfig:
     critic_updates: number of initial updates that train only the critic, used when the actor is not new.
     demonstrations: number of expert episodes that the actor imitates first, in imitation_updates updates of
     imitation_batch samples. demonstration_style: of the expert in these episodes, see `Styles.parse`; the actor
-    imitates the intended actions. imitation_coefficient: weight of the imitation loss in the PPO updates that follow; it decreases linearly to zero over imitation_samples samples.
+    imitates the intended actions. imitation_coefficient: weight of the imitation loss in the PPO updates that follow;
+    it decreases linearly to zero over imitation_samples samples.
     """
 
     rollout_steps: int = 32

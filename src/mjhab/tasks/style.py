@@ -67,6 +67,15 @@ class Style:
             "about": "how doors and drawers are shut: push all the way, throw (doors), hold the handle (drawers)",
         },
     )
+    open_further: float = field(
+        default=0.0,
+        metadata={
+            "low": 0.0,
+            "high": 0.15,
+            "about": "doors are opened so much farther than success asks for, a share of their range beside the usual "
+            "0.03",
+        },
+    )
     waits: str = field(
         default=COUNTED,
         metadata={

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -80,9 +81,13 @@ JAMMED_FORCE_N = 300.0
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Grasp the bar, follow its arc, let go and return to rest; anew after a slip."""
     enough = OPEN_ENOUGH_SHARE * link.range[1]
+    further = style_of(view).open_further
+    end = (OPEN_TO_SHARE + OPEN_SPARE_SHARE + further) * link.range[1]
+    job = f"pull {further}" if further else "pull"
+    search = functools.partial(door_stances.pull_stances, further=further)
     while view.steps_left > 40 and view.link_q(link.id) < enough:
-        found = stances.cached(view.robot, link, "pull", door_stances.pull_stances)
-        path = _reachable(view, link, found, door_stances.pull_angles(link))
+        found = stances.cached(view.robot, link, job, search)
+        path = _reachable(view, link, found, door_stances.pull_angles(link, further))
         if path is None:
             return False
         around, loose = (
@@ -94,9 +99,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         if (
             yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)
         ):
-            yield from _follow_arc(
-                view, link, path, (OPEN_TO_SHARE + OPEN_SPARE_SHARE) * link.range[1], motion.CLOSED
-            )
+            yield from _follow_arc(view, link, path, end, motion.CLOSED)
         until = wait_for(view, motion.is_quiet)
         yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED, until=until)
         yield from approach.let_go(view, 0.12, gripper=loose)

@@ -43,9 +43,12 @@ that is open by 2.2 rad, a hand at 0.6 lies along it, and one at 0 would touch t
 way in: the first pair is for doors that are not wide open."""
 
 
-def pull_angles(link: JointedLink) -> Array:
-    """Door angles (10,) [rad] of the way points of `pull_stances`; the first is the hand before the bar."""
-    return np.append(-0.01, np.linspace(0.0, (OPEN_TO_SHARE + 0.03) * link.range[1], 9))
+def pull_angles(link: JointedLink, further: float = 0.0) -> Array:
+    """Door angles (10,) [rad] of the way points of `pull_stances`; the first is the hand before the bar.
+
+    ``further``: share of the range beyond `OPEN_TO_SHARE`.
+    """
+    return np.append(-0.01, np.linspace(0.0, (OPEN_TO_SHARE + further + 0.03) * link.range[1], 9))
 
 
 def push_angles(link: JointedLink, half: bool) -> Array:
@@ -140,9 +143,9 @@ def _search(
     )
 
 
-def pull_stances(robot: Robot, link: JointedLink) -> Stances:
+def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stances:
     """Hand before the bar, on it, and along its arc. The hand turns less than the door: the pads let the bar turn."""
-    angles = pull_angles(link)
+    angles = pull_angles(link, further)
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
     grip[:, 2] += ABOVE_MIDDLE_M
     share = np.clip(angles / angles[-1], 0.0, 1.0)

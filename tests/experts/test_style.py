@@ -92,6 +92,35 @@ def test_visible_waits_are_shorter_than_counted_ones():
     assert np.median([success_step(c) - success_step(v) for c, v in both]) >= 2
 
 
+def widest_opening(*words: str) -> float:
+    """Share of its range to which the expert opens the fridge, before it lets go."""
+    env = envs.make(
+        task="set_table",
+        subtask="open",
+        target="fridge/top_door",
+        num_envs=1,
+        split="train",
+        autoreset="disabled",
+        threads=1,
+    )
+    expert = make_expert(env, Styles.parse(words))
+    obs, info = env.reset(seed=0, options={"episode": [0]})
+    expert.reset(np.ones(1, bool))
+    view = env.view(0)
+    assert view.subtask is not None
+    link = view.home.links[view.subtask.link]
+    widest = 0.0
+    for _ in range(150):
+        obs, _, _, _, info = env.step(expert.act(obs, info))
+        widest = max(widest, view.link_q(link.id) / link.range[1])
+    return widest
+
+
+def test_doors_are_opened_further_where_that_is_asked_for():
+    plain = widest_opening()
+    assert plain > 0.75 and widest_opening("open_further=0.08") > plain + 0.05
+
+
 def test_noise_changes_what_happens_and_is_corrected():
     plain = records("pick")
     noisy = records("pick", "noise=0.1", "base_noise=0.1")

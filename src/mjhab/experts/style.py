@@ -12,13 +12,15 @@ from mjhab.envs.parts.worlds import Worlds
 from mjhab.episodes.grasps.candidates import KINDS, Grasps
 from mjhab.experts.arm import motion
 from mjhab.robots.parts import ActionColumns
-from mjhab.tasks.style import ANY, PLAIN, SMOOTH, VISIBLE, Style
+from mjhab.tasks.style import ANY, BURSTS, PLAIN, SMOOTH, VISIBLE, Style
 
 Array = np.ndarray
 SETTLE_STEPS = 3
 """See `settle_steps`."""
 NOISE_MEMORY = 0.86
 """Share of smooth noise that is left after a control step: its time constant is a third of a second."""
+BURST_STEPS = (5, 30)
+"""Least and greatest number of control steps of a burst of noise, and of the pause before it."""
 FULL_NOISE_ACTION = 0.25
 """Action from which on noise has its full size. It fades for smaller actions: success asks for a robot that stands
 still, and fingers that close on something must not shake."""
@@ -76,6 +78,9 @@ class Manner:
         self._random = random
         self._phase = 1.0
         self._noise = np.zeros(self._columns.dim)
+        self._in_burst = False
+        self._stretch = 0
+        """Control steps left of the burst or pause."""
         self.holds = style.hold
         """Control steps for which the robot still stands before it begins."""
 
@@ -107,6 +112,8 @@ class Manner:
         style = self.style
         if not (style.noise or style.base_noise):
             return intended
+        if style.noise_kind == BURSTS:
+            return self._burst(intended)
         scale = np.zeros(self._columns.dim)
         scale[self._columns.arm] = style.noise * min(
             1.0, float(np.abs(intended[self._columns.arm]).max()) / FULL_NOISE_ACTION
@@ -114,6 +121,20 @@ class Manner:
         scale[self._base] = style.base_noise * min(
             1.0, float(np.abs(intended[self._base]).max()) / FULL_NOISE_ACTION
         )
+        return self._disturbed(intended, scale)
+
+    def _burst(self, intended: Array) -> Array:
+        """Noise at times, at rest too: who only sees disturbed motions does not learn to come back to rest. The pauses
+        let the robot stand still, as success asks for."""
+        if self._stretch == 0:
+            self._in_burst = not self._in_burst
+            self._stretch = int(self._random.integers(BURST_STEPS[0], BURST_STEPS[1] + 1))
+        self._stretch -= 1
+        scale = np.zeros(self._columns.dim)
+        if self._in_burst:
+            scale[self._columns.arm] = self.style.noise
+            scale[self._columns.body] = self.style.noise
+            scale[self._base] = self.style.base_noise
         return self._disturbed(intended, scale)
 
     def _disturbed(self, action: Array, scale: Array) -> Array:

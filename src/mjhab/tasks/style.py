@@ -24,6 +24,7 @@ TARGET = "target"
 AHEAD = "ahead"
 SMOOTH = "smooth"
 STEP = "step"
+BURSTS = "bursts"
 COUNTED = "counted"
 VISIBLE = "visible"
 RANGE = ".."
@@ -110,8 +111,8 @@ class Style:
     noise_kind: str = field(
         default=SMOOTH,
         metadata={
-            "words": (SMOOTH, STEP),
-            "about": "noise that drifts, or another one in every step",
+            "words": (SMOOTH, STEP, BURSTS),
+            "about": "noise that drifts, or another one in every step, or that in bursts, at rest and on the torso, too",
         },
     )
     hold: int = field(

@@ -168,6 +168,21 @@ def test_a_manner_slows_by_stretching_time():
     np.testing.assert_array_equal(np.delete(out, 7), np.delete(action, 7) * np.float32(0.5))
 
 
+def test_bursts_of_noise_disturb_a_robot_at_rest_and_pause():
+    style = Style(noise=0.1, base_noise=0.1, noise_kind="bursts")
+    manner = Manner(style, ROBOT.action, np.random.default_rng(0))
+    still = np.zeros(13, np.float32)
+    out = np.array([executed(manner, still) for _ in range(400)])
+    disturbed = out.any(axis=1)
+    assert 0.3 < disturbed.mean() < 0.7
+    assert np.diff(disturbed.astype(int)).any() and not out[:, ROBOT.action.gripper].any()
+    moved = [*np.arange(13)[ROBOT.action.arm], *np.arange(13)[ROBOT.action.body]]
+    assert out[disturbed][:, moved].all()
+    # Lengths of bursts and pauses.
+    ends = np.flatnonzero(np.diff(disturbed.astype(int)))
+    assert 5 <= np.diff(ends).min() and np.diff(ends).max() <= 30
+
+
 def test_a_plain_manner_gives_the_very_action():
     manner = Manner(PLAIN, ROBOT.action, np.random.default_rng(0))
     action = np.linspace(-1.0, 1.0, 13).astype(np.float32)

@@ -180,7 +180,7 @@ def test_bursts_of_noise_disturb_a_robot_at_rest_and_pause():
     assert out[disturbed][:, moved].all()
     # Lengths of bursts and pauses.
     ends = np.flatnonzero(np.diff(disturbed.astype(int)))
-    assert 5 <= np.diff(ends).min() and np.diff(ends).max() <= 30
+    assert np.diff(ends).min() >= 5 and np.diff(ends).max() <= 30
 
 
 def test_a_plain_manner_gives_the_very_action():

@@ -112,7 +112,7 @@ class Style:
         default=SMOOTH,
         metadata={
             "words": (SMOOTH, STEP, BURSTS),
-            "about": "noise that drifts, or another one in every step, or that in bursts, also at rest and on the torso",
+            "about": "noise that drifts, or another one in every step, or in bursts, also at rest and on the torso",
         },
     )
     hold: int = field(

@@ -15,8 +15,6 @@ from mjhab.robots.parts import ActionColumns
 from mjhab.tasks.style import ANY, BURSTS, PLAIN, SMOOTH, VISIBLE, Style
 
 Array = np.ndarray
-SETTLE_STEPS = 3
-"""See `settle_steps`."""
 NOISE_MEMORY = 0.86
 """Share of smooth noise that is left after a control step: its time constant is a third of a second."""
 BURST_STEPS = (5, 30)
@@ -52,11 +50,6 @@ def wait_for(view: WorldView, condition: motion.Until) -> motion.Until:
     waiting, and that is what a policy learns that imitates the expert.
     """
     return condition if style_of(view).waits == VISIBLE else motion.never
-
-
-def settle_steps(view: WorldView) -> int:
-    """Control steps for which both fingers press before the hand moves on."""
-    return 1 if style_of(view).waits == VISIBLE else SETTLE_STEPS
 
 
 def of_kind(grasps: Grasps, kind: str) -> Grasps:

@@ -12,7 +12,7 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.pilot import simulate
 from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
-from mjhab.experts.style import settle_steps, wait_for
+from mjhab.experts.style import wait_for
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
@@ -250,8 +250,7 @@ def take(
         if height is not None:
             handle = np.array([*handle[:2], height])
         there = yield from _funnel(view, handle, rot, posture, gripper)
-        settle = settle_steps(view)
-        if there and (yield from motion.close_fingers(view, link.id, settle=settle)):
+        if there and (yield from motion.close_fingers(view, link.id)):
             return True
     return False
 

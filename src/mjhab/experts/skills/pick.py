@@ -39,7 +39,7 @@ from mjhab.experts.planning.reach import (
 )
 from mjhab.experts.planning.sampled import roomier
 from mjhab.experts.skills.nudge import in_steps, nudge, plan_nudge
-from mjhab.experts.style import of_kind, settle_steps, style_of, wait_for
+from mjhab.experts.style import of_kind, style_of, wait_for
 from mjhab.tasks.style import ANY
 
 Array = np.ndarray
@@ -423,11 +423,10 @@ def _take(
     until = wait_for(view, motion.is_quiet)
     steps = 6 if fine else 4
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=steps, until=until)
-    settle = settle_steps(view)
     closed = yield from (
-        motion.close_fingers(view, obj, steps=25, settle=settle, rate=FINE_CLOSING_M)
+        motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
         if fine
-        else motion.close_fingers(view, obj, settle=settle)
+        else motion.close_fingers(view, obj)
     )
     if not closed:
         return False

@@ -42,8 +42,8 @@ setup: $(VENV)/.dev  ## install mjhab and its development tools into .venv
 demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films and report in runs/demo
 	$(BIN)/mjhab demo --out $(DEMO_OUT)
 
-demo-student: $(VENV)/.learn  ## a policy that learned from what the robot sees closes a drawer; films in runs/demo-student
-	$(BIN)/mjhab eval --policy student --task set_table --subtask close --target kitchen_counter/drawer3 --split val \
+demo-student: $(VENV)/.learn  ## a learned policy opens a drawer; films in runs/demo-student
+	$(BIN)/mjhab eval --policy student --task set_table --subtask open --target kitchen_counter/drawer3 --split val \
 	  --episodes 8 --worlds 8 --seed 0 --films 4 --out $(DEMO_STUDENT_OUT) --overwrite
 	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_STUDENT_OUT)/report.html"
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -130,9 +131,9 @@ def profile_table() -> str:
 TABLES = {"subtasks": subtask_table, "chains": chain_table, "ms_hab": profile_table}
 
 
-def page_with_tables(page: str) -> str:
+def page_with_tables(page: str, tables: dict[str, Callable[[], str]] = TABLES) -> str:
     """The page, every ``<!-- table: NAME -->`` ... ``<!-- end -->`` filled anew."""
-    for name, make in TABLES.items():
+    for name, make in tables.items():
         start, end = f"<!-- table: {name} -->\n", "<!-- end -->"
         before, mark, rest = page.partition(start)
         if mark:

@@ -135,6 +135,16 @@ def test_tables_of_the_experts_are_those_of_their_results() -> None:
     assert tables["page_with_tables"](page) == page
 
 
+def test_table_of_the_students_is_that_of_their_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    scripts = ROOT / "docs" / "scripts"
+    monkeypatch.syspath_prepend(str(scripts))
+    tables = runpy.run_path(str(scripts / "students_tables.py"))
+    page = tables["PAGE"].read_text(encoding="utf-8")
+    assert "| set_table | close |" in page
+    filled = tables["page_with_tables"](page, {"students": tables["student_table"]})
+    assert filled == page
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_pages_and_pictures_that_a_page_refers_to_exist(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)

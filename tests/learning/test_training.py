@@ -162,6 +162,13 @@ def test_a_student_comes_back_from_its_file(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.safetensors"]
 
 
+def test_a_checkpoint_has_the_permissions_of_other_new_files(tmp_path: Path) -> None:
+    save_student(tmp_path / "student.safetensors", make_student(config(), layout()), {})
+    (tmp_path / "other").touch()
+    modes = {path.stat().st_mode for path in tmp_path.iterdir()}
+    assert len(modes) == 1
+
+
 def test_files_that_are_no_students_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.safetensors"
     with pytest.raises(UsageError, match="does not exist"):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from mjhab.core.errors import UsageError
@@ -103,4 +103,6 @@ def save_tensors(
         "about": dict(about),
     }
     kept = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
-    write_atomic(path, lambda temporary: save_file(kept, temporary, {_HEAD: json.dumps(head)}))
+    # Not save_file: it makes files that nobody else can read, whatever the umask.
+    content = save(kept, {_HEAD: json.dumps(head)})
+    write_atomic(path, lambda temporary: temporary.write_bytes(content))

@@ -1,0 +1,41 @@
+"""Table of docs/students.md from docs/results/students.json: ``python docs/scripts/students_tables.py``.
+
+`python -m mjhab.reports.students docs/results/students.json RUN EVALUATION` adds rows to the file.
+"""
+
+from __future__ import annotations
+
+from experts_tables import DOCS, page_with_tables, place_of, read, table
+
+PAGE = DOCS / "students.md"
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.1f}"
+
+
+def student_table() -> str:
+    """One line per student."""
+    head = (
+        "task", "subtask", "target", "once %", "95 %", "of", "at end %", "demonstrations",
+        "control steps", "samples", "CPU minutes", "paper BC %", "RL-Per %", "commit",
+    )  # fmt: skip
+    lines = []
+    for row in sorted(read("students")["rows"], key=place_of):
+        training = row["training"]
+        judged = row["evaluation"]
+        paper = row["paper_success_once"] or {}
+        low, high = judged["success_once_interval"]
+        line = [row["task"], row["subtask"], row["target"] or "all"]
+        line += [f"**{percent(judged['success_once'])}**", f"{100 * low:.0f}-{100 * high:.0f}"]
+        line += [str(judged["episodes"]), percent(judged["success_at_end"])]
+        line += [f"{training['episodes']:,}", f"{training['frames']:,}"]
+        line += [f"{training['samples'] / 1e6:.1f} M", f"{training['cpu_minutes']:.0f}"]
+        line += [f"{paper[name]:.1f}" if name in paper else "-" for name in ("bc", "rl_per")]
+        lines.append([*line, training["commits"][-1][:7]])
+    return table(head, lines)
+
+
+if __name__ == "__main__":
+    text = page_with_tables(PAGE.read_text(encoding="utf-8"), {"students": student_table})
+    PAGE.write_text(text, encoding="utf-8")

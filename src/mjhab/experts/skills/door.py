@@ -81,7 +81,8 @@ JAMMED_FORCE_N = 300.0
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Grasp the bar, follow its arc, let go and return to rest; anew after a slip."""
     enough = OPEN_ENOUGH_SHARE * link.range[1]
-    further = style_of(view).open_further
+    # Stances are searched for once per value: a range of values must not mean one search per episode.
+    further = round(style_of(view).open_further, 2)
     end = (OPEN_TO_SHARE + OPEN_SPARE_SHARE + further) * link.range[1]
     job = f"pull {further}" if further else "pull"
     search = functools.partial(door_stances.pull_stances, further=further)

@@ -310,8 +310,9 @@ class ReinforcementSession:
         standing = self.standing
         if distributed.rank() or not standing.evaluated:
             return
-        if standing.evaluated[-1] != standing.samples:
-            self.evaluate(actor, self.request.round_episodes)
+        episodes = self.request.round_episodes
+        if episodes and standing.evaluated[-1] != standing.samples:
+            self.evaluate(actor, episodes)
         if self.folder.best.is_file() and standing.best_samples != standing.samples:
             best = self.folder.best
             write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))

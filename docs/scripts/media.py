@@ -64,12 +64,13 @@ def make_cameras(into: Path) -> None:
     )
     obs, _ = env.reset(seed=0)
     rows = []
-    for camera in ("fetch_head", "fetch_hand"):
-        rgb = obs[f"sensor_data/{camera}/rgb"][0]
-        depth = obs[f"sensor_data/{camera}/depth"][0, ..., 0].astype(float) / 1000.0
+    for name in sorted((key for key in obs if key.endswith("/rgb")), reverse=True):
+        camera = name.removesuffix("/rgb")
+        rgb = obs[name][0]
+        depth = obs[f"{camera}/depth"][0, ..., 0].astype(float) / 1000.0
         grey = np.where(depth > 0.0, 255.0 * np.clip(1.0 - depth / NEAR_TO_FAR_M, 0.0, 1.0), 0.0)
         palette = np.random.default_rng(1).integers(40, 255, (4096, 3))
-        segments = palette[obs[f"sensor_data/{camera}/seg"][0, ..., 0] % len(palette)]
+        segments = palette[obs[f"{camera}/seg"][0, ..., 0] % len(palette)]
         grey = np.repeat(grey[..., None], 3, axis=2)
         rows.append(np.concatenate([rgb, grey.astype(np.uint8), segments.astype(np.uint8)], axis=1))
     env.close()

@@ -92,17 +92,15 @@ def test_visible_waits_are_shorter_than_counted_ones():
     assert np.median([success_step(c) - success_step(v) for c, v in both]) >= 2
 
 
+def one_world(task: str, subtask: str, target: str) -> Any:
+    return envs.make(
+        task=task, subtask=subtask, target=target, num_envs=1, autoreset="disabled", threads=1
+    )
+
+
 def widest_opening(*words: str) -> float:
     """Share of its range to which the expert opens the fridge, before it lets go."""
-    env = envs.make(
-        task="set_table",
-        subtask="open",
-        target="fridge/top_door",
-        num_envs=1,
-        split="train",
-        autoreset="disabled",
-        threads=1,
-    )
+    env = one_world("set_table", "open", "fridge/top_door")
     expert = make_expert(env, Styles.parse(words))
     obs, info = env.reset(seed=0, options={"episode": [0]})
     expert.reset(np.ones(1, bool))
@@ -131,14 +129,7 @@ def test_noise_changes_what_happens_and_is_corrected():
 @lru_cache
 def a_start() -> WorldView:
     """A pick that can be done from every side."""
-    env = envs.make(
-        task="tidy_house",
-        subtask="pick",
-        target="003_cracker_box",
-        num_envs=1,
-        autoreset="disabled",
-        threads=1,
-    )
+    env = one_world("tidy_house", "pick", "003_cracker_box")
     env.reset(seed=0, options={"episode": [0]})
     return env.view(0)
 

@@ -67,7 +67,6 @@ def test_where_there_is_none_those_are_named_that_there_are(
         inspect_policy(str(EvalSpec("student", **given).policy))
 
 
-@pytest.mark.usefixtures("shelf")
 def test_one_student_may_serve_all_targets(shelf: Path) -> None:
     for_all = shelf / "set_table.pick.safetensors"
     save_student(for_all, make_student(config(), layout()), {})

@@ -73,8 +73,7 @@ class Style:
         metadata={
             "low": 0.0,
             "high": 0.15,
-            "about": "doors are opened so much farther than success asks for, a share of their range beside the usual "
-            "0.03",
+            "about": "how much farther than usual doors are opened, as a share of their range",
         },
     )
     waits: str = field(

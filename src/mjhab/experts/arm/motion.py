@@ -127,12 +127,11 @@ def is_quiet(view: WorldView) -> bool:
 
 
 def has_opened(command: float) -> Until:
-    """Whether the fingers are where the gripper ``command`` brings them, or as far as they can open."""
+    """Whether the fingers are about where the gripper ``command`` brings them."""
 
     def opened(view: WorldView) -> bool:
-        low, high = view.robot.limits.gripper
-        goal = min(low + 0.5 * (command + 1.0) * (high - low), view.robot.finger_max)
-        return float(view.q[view.robot.columns.fingers].mean()) > goal - OPENED_M
+        finger = float(view.q[view.robot.columns.fingers].mean())
+        return gripper_at(view.robot, 2.0 * (finger + OPENED_M)) >= command
 
     return opened
 

@@ -316,6 +316,8 @@ class ReinforcementSession:
         if self.folder.best.is_file() and standing.best_samples != standing.samples:
             best = self.folder.best
             write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
+            # They are those of the last actor, and the summary tells of the student.
+            self.records = []
 
     def evaluate(self, actor: Student, episodes: int) -> None:
         """Evaluate the actor during training, and keep it if no earlier one was better."""

@@ -183,14 +183,15 @@ PAPER_INPUTS = InputConfig(
 """Inputs of the MS-HAB students: two depth images of 128 x 128 px and the 42-D state, not normalized."""
 
 TEACHING = (
+    "plan=rule",
     "waits=visible",
     "open_further=0.08",
     "noise=0..0.2",
     "base_noise=0..0.2",
     "noise_kind=bursts",
 )
-"""Style of an expert that is imitated: no waits that only a counter ends, doors opened with some margin; arm and base
-are disturbed while the student learns what it intended (DART)."""
+"""Style of an expert that is imitated: a rule instead of a search, no waits that only a counter ends, doors opened with
+some margin; arm and base are disturbed while the student learns what it intended (DART)."""
 
 SMALL = StudentConfig(inputs=InputConfig(base_velocity=True), style=TEACHING)
 

@@ -27,6 +27,8 @@ STEP = "step"
 BURSTS = "bursts"
 COUNTED = "counted"
 VISIBLE = "visible"
+SEARCH = "search"
+RULE = "rule"
 RANGE = ".."
 OR = ","
 """Between the ends of a range; between words to choose from."""
@@ -82,6 +84,14 @@ class Style:
             "words": (COUNTED, VISIBLE),
             "about": "the hand waits a number of control steps before it closes or opens, or only until what it waits "
             "for can be observed",
+        },
+    )
+    plan: str = field(
+        default=SEARCH,
+        metadata={
+            "words": (SEARCH, RULE),
+            "about": "how Pick and Place find stance, hand pose and way: a search for the quickest that are free, or, "
+            "on open surfaces, a rule that depends on what can be observed",
         },
     )
     look: str = field(

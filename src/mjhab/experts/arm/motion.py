@@ -232,7 +232,7 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
     for _ in range(move.max_steps):
         here, here_rot = tcp(view)
         off = np.linalg.norm(move.pos - here)
-        if off <= move.tolerance and _angle(here_rot, move.rot) <= move.angle_tolerance:
+        if off <= move.tolerance and angle_between(here_rot, move.rot) <= move.angle_tolerance:
             return True
         if view.link_forces.sum() > move.stop_on_force:
             return False
@@ -248,7 +248,7 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
         lead = carrot[0] - here
         size = np.linalg.norm(lead)
         aim = here + lead * min(1.0, 0.06 / max(size, 1e-9))
-        base_next = view.base[None] + _base_motion(view.base[2], move.drive)
+        base_next = view.base[None] + base_motion(view.base[2], move.drive)
         delta = ik.servo(
             robot, view.q, aim[None], carrot_rot, dofs, rest=rest, base_next=base_next
         )[0]
@@ -295,12 +295,12 @@ def raise_tcp(
     return False
 
 
-def _base_motion(yaw: float, drive: tuple[float, float]) -> Array:
+def base_motion(yaw: float, drive: tuple[float, float]) -> Array:
     step = drive[0] * STEP_SECONDS
     return np.array([[step * np.cos(yaw), step * np.sin(yaw), drive[1] * STEP_SECONDS]])
 
 
-def _angle(now: Array, goal: Array) -> float:
+def angle_between(now: Array, goal: Array) -> float:
     """Angle [rad] between two rotations (3, 3)."""
     return float(np.arccos(np.clip((np.trace(now.T @ goal) - 1) / 2, -1.0, 1.0)))
 

@@ -177,7 +177,7 @@ def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -
         return []
     price = drive[base] - 10.0 * score
     q, goal = _configurations(view, work, bases[base], goal, price)
-    rows = _clear_ones(q, work.scene, work.room)
+    rows = clear_ones(q, work.scene, work.room)
     q = q[rows]
     goal = goal[rows]
     pre, fine = _before(q, goal, work)
@@ -208,7 +208,7 @@ def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
     return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
-def _clear_ones(q: Array, scene: Scene, room: float) -> Array:
+def clear_ones(q: Array, scene: Scene, room: float) -> Array:
     """The first few (indices) of the configurations (N, J) that touch nothing; the hand is looked at elsewhere."""
     whole = motion.spheres(scene.body)
     hand_links = scene.body.hand_links

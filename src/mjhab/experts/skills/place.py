@@ -201,12 +201,12 @@ def plan_place(
         care_for(view, hurry),
     )
     depth = inside_depth(view, goal)
-    goals = _roomy(
+    goals = roomy(
         view, obj, goal, near, shelf=depth > 0.0, attempt=attempt, drop=0.0 if depth else drop
     )
     if not len(goals) and not depth:
         # A board above leaves no room to come from above, though nothing calls the place a shelf.
-        goals = _roomy(view, obj, goal, near, shelf=True, attempt=attempt)
+        goals = roomy(view, obj, goal, near, shelf=True, attempt=attempt)
     blocked: list[Blocked] = []
     work = Work(
         point=goal,
@@ -223,7 +223,7 @@ def plan_place(
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
-def _roomy(
+def roomy(
     view: WorldView,
     obj: str,
     goal: Array,

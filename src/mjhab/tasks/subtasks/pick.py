@@ -166,5 +166,5 @@ PICK = SubtaskSpec(
     shows=("object",),
     rests_holding=True,
     start="mjhab.episodes.starts.pick:START",
-    expert="mjhab.experts.skills.pick:pick",
+    expert="mjhab.experts.skills.pick_by_rule:pick",
 )

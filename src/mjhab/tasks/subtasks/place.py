@@ -227,5 +227,5 @@ PLACE = SubtaskSpec(
     starts_holding=True,
     keeps_goal=True,
     start="mjhab.episodes.starts.place:START",
-    expert="mjhab.experts.skills.place:place",
+    expert="mjhab.experts.skills.place_by_rule:place",
 )

@@ -1,0 +1,120 @@
+"""Pick by a rule, see `by_rule`, and the entry point that chooses between rule and search."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.episodes.grasps.candidates import grasp_candidates
+from mjhab.experts.arm import motion
+from mjhab.experts.arm.motion import Motion
+from mjhab.experts.planning.carry import inside_depth
+from mjhab.experts.skills import pick as search
+from mjhab.experts.skills.by_rule import (
+    STANDOFF_M,
+    Drive,
+    Funnel,
+    Hands,
+    Stance,
+    find_stance,
+    move_hand,
+)
+from mjhab.experts.style import style_of
+from mjhab.tasks.style import RULE
+
+Array = np.ndarray
+LEAST_CLEAR_M = 0.004
+"""Least room between hand and neighbours on the approach."""
+SCORE_PRICE = 0.03
+"""Angle [rad] that a point of a grasp's score is worth."""
+AT_GRASP_M = 0.012
+"""The fingers begin to close when the tool centre is nearer than this to the grasp."""
+NEAR_GRASP_M = 0.03
+"""Fingers that have begun to close go on when it is nearer than this."""
+BEGUN_M = 0.004
+"""Distance of a finger from wide open at which it has begun to close."""
+PRESSED_N = 0.4
+"""Force of each finger from which on the object counts as held."""
+LIFT_M = 0.08
+"""Height by which the object is lifted before the arm goes to rest."""
+LIFT_STEP_M = 0.03
+
+
+def pick(view: WorldView) -> Motion:
+    """Pick up the active subtask's object, by the rule or by a search as the style says."""
+    return (yield from (pick_by_rule(view) if style_of(view).plan == RULE else search.pick(view)))
+
+
+def pick_by_rule(view: WorldView) -> Motion:
+    """Pick up the active subtask's object by the rule; by a search on shelves and where the rule finds no grasp."""
+    subtask = view.subtask
+    assert subtask is not None
+    obj = subtask.obj
+    found = plan(view, obj)
+    if found is None:
+        return (yield from search.pick(view))
+    stance, pos, rot = found
+    pilot = stance.pilot()
+    height = float(view.object_pose(obj)[2])
+    arrived = False
+    while True:
+        drive = (0.0, 0.0)
+        if not arrived:
+            v, w, arrived = pilot.step(view.base)
+            drive = (v, w)
+        pose = view.object_pose(obj)
+        if (view.finger_forces(obj) > PRESSED_N).all():
+            yield _carry(view, bool(pose[2] < height + LIFT_M), drive)
+        elif stance.far(view):
+            yield motion.action(view, motion.rest_goal(view), gripper=motion.OPEN, drive=drive)
+        else:
+            turned = mat_from_quat(pose[3:])
+            hand = turned @ rot
+            funnel = Funnel(pose[:3] + turned @ pos, hand, hand[:, 0], stance.ready)
+            yield _grasp(view, funnel, drive)
+
+
+def _carry(view: WorldView, low: bool, drive: Drive) -> Array:
+    """Lift the held object, then bring it to rest."""
+    if not low:
+        return motion.action(view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive)
+    here, rot = motion.tcp(view)
+    return move_hand(
+        view, here + np.array([0.0, 0.0, LIFT_STEP_M]), rot, motion.CLOSED, drive, view.q
+    )
+
+
+def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> Array:
+    """Come nearer to a grasp, and close the fingers at it."""
+    fingers = float(view.q[view.robot.columns.fingers].mean())
+    begun = fingers < view.robot.limits.gripper[1] - BEGUN_M
+    there = funnel.distance(view) < (NEAR_GRASP_M if begun else AT_GRASP_M)
+    return funnel.step(view, motion.CLOSED if there else motion.OPEN, drive)
+
+
+def plan(view: WorldView, obj: str) -> tuple[Stance, Array, Array] | None:
+    """A stance, and the grasp in the frame of the object: position (3,) and rotation (3, 3)."""
+    pose = view.object_pose(obj)
+    if inside_depth(view, pose[:3]):
+        return None
+    scene = search.scene_of(view, obj)
+    every = grasp_candidates(
+        view.object_shape(obj),
+        pose[:3],
+        pose[3:],
+        support_z=scene.support_z,
+        neighbours=scene.beside.near(pose[:3], 0.5),
+        gripper=view.robot.gripper,
+        options=search.OPTIONS,
+    )
+    every = every.take(np.flatnonzero(every.clear >= LEAST_CLEAR_M))
+    lifted = every.pos + np.array([0.0, 0.0, LIFT_M])
+    before = every.pos - STANDOFF_M * every.rot[:, :, 0]
+    hands = Hands(every.pos, every.rot, before, lifted, -SCORE_PRICE * every.score)
+    stance = find_stance(view, scene, pose[:3], hands)
+    if stance is None:
+        return None
+    turned = mat_from_quat(pose[3:])
+    pos = turned.T @ (every.pos[stance.row] - pose[:3])
+    return stance, pos, turned.T @ every.rot[stance.row]

@@ -1,0 +1,108 @@
+"""Place by a rule, see `by_rule`, and the entry point that chooses between rule and search."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.core.joints import BASE
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.experts.arm import motion
+from mjhab.experts.arm.gentle import care_for, eased
+from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.route import holds
+from mjhab.experts.planning.carry import held_spheres, inside_depth
+from mjhab.experts.planning.reach import Scene, surroundings
+from mjhab.experts.skills import place as search
+from mjhab.experts.skills.by_rule import (
+    STANDOFF_M,
+    Drive,
+    Funnel,
+    Hands,
+    Stance,
+    find_stance,
+    move_hand,
+)
+from mjhab.experts.style import style_of
+from mjhab.tasks.style import RULE
+
+Array = np.ndarray
+DOWN = np.array([0.0, 0.0, -1.0])
+AT_GOAL_M = 0.012
+AT_GOAL_RAD = 0.12
+"""The fingers open when the hand is nearer than this to where it lets go."""
+SCORE_PRICE = 0.1
+"""Angle [rad] that a point of a hand pose's score is worth."""
+AWAY_M = 0.11
+"""Distance from where it let go from which on the arm goes to rest."""
+AWAY_STEP_M = 0.02
+
+
+def place(view: WorldView) -> Motion:
+    """Put the held object to the active subtask's goal, by the rule or by a search as the style says."""
+    return (yield from (place_by_rule(view) if style_of(view).plan == RULE else search.place(view)))
+
+
+def place_by_rule(view: WorldView) -> Motion:
+    """Put the held object to its goal by the rule; by a search on shelves and where the rule finds no way.
+
+    Ends when the object is lost: the way back to it would be a search again.
+    """
+    subtask = view.subtask
+    assert subtask is not None
+    obj = subtask.obj
+    found = plan(view, obj, np.array(subtask.goal_pos)) if holds(view, obj) else None
+    if found is None:
+        return (yield from search.place(view))
+    stance, funnel = found
+    pilot = stance.pilot()
+    care = care_for(view)
+    arrived = False
+    opens = False
+    while opens or holds(view, obj):
+        drive = (0.0, 0.0)
+        if not arrived:
+            v, w, arrived = pilot.step(view.base)
+            drive = eased((v, w), _speeds(view), care)
+        opens = opens or (funnel.distance(view) < AT_GOAL_M and funnel.turn(view) < AT_GOAL_RAD)
+        if opens and not holds(view, obj) and not view.signal("at_goal"):
+            break
+        if opens and funnel.distance(view) > AWAY_M:
+            yield motion.action(view, motion.rest_goal(view), gripper=motion.OPEN, drive=drive)
+        elif opens:
+            yield _away(view, funnel, holds(view, obj))
+        elif stance.far(view):
+            yield motion.action(view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive)
+        else:
+            yield funnel.step(view, motion.CLOSED, drive)
+    return False
+
+
+def _speeds(view: WorldView) -> Drive:
+    """Forward speed [m/s] and yaw rate [rad/s] of the base."""
+    v_x, v_y, turn = view.qd[BASE]
+    yaw = float(view.base[2])
+    return float(v_x * np.cos(yaw) + v_y * np.sin(yaw)), float(turn)
+
+
+def _away(view: WorldView, funnel: Funnel, held: bool) -> Array:
+    """Open the fingers, then draw the hand back."""
+    here, rot = motion.tcp(view)
+    aim = funnel.pos if held else here - AWAY_STEP_M * rot[:, 0]
+    return move_hand(view, aim, rot, motion.OPEN, (0.0, 0.0), funnel.ready)
+
+
+def plan(view: WorldView, obj: str, goal: Array) -> tuple[Stance, Funnel] | None:
+    if inside_depth(view, goal):
+        return None
+    near, _ = surroundings(view, obj, goal)
+    goals = search.roomy(view, obj, goal, near, shelf=False, attempt=0)
+    support = float(goal[2]) - view.object_type(obj).half[2]
+    nothing = near.take(np.zeros(0, np.int64))
+    scene = Scene(near, nothing, support, view.robot, held_spheres(view, obj))
+    away = goals.pos - AWAY_M * goals.rot[:, :, 0]
+    above = goals.pos - STANDOFF_M * DOWN
+    hands = Hands(goals.pos, goals.rot, above, away, -SCORE_PRICE * goals.score)
+    stance = find_stance(view, scene, goal, hands)
+    if stance is None:
+        return None
+    return stance, Funnel(goals.pos[stance.row], goals.rot[stance.row], DOWN, stance.ready)

@@ -1,0 +1,104 @@
+"""Pick and place by a rule: real episodes, and the property that makes them worth imitating."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+import mjhab.envs as envs
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.experts import make_expert
+from mjhab.experts.arm import motion
+from mjhab.experts.policy import ExpertPolicy
+from mjhab.experts.skills import pick_by_rule, place_by_rule
+from mjhab.experts.skills.by_rule import DISTANCES_M
+from mjhab.rollout.loop import rollout
+from mjhab.tasks.style import RULE, SEARCH, Styles
+
+BY_RULE = Styles.parse([f"plan={RULE}"])
+WORLDS = 4
+
+
+def build(task: str, subtask: str, worlds: int = WORLDS) -> SequentialTaskEnv:
+    return envs.make(
+        task=task,
+        subtask=subtask,
+        num_envs=worlds,
+        profile="ms_hab",
+        split="train",
+        autoreset="disabled",
+        threads=1,
+    )
+
+
+@lru_cache
+def tidy(subtask: str) -> SequentialTaskEnv:
+    return build("tidy_house", subtask)
+
+
+@pytest.mark.parametrize("subtask", ["pick", "place"])
+def test_most_episodes_succeed_and_are_recorded_as_by_rule(subtask: str) -> None:
+    env = tidy(subtask)
+    expert = make_expert(env, BY_RULE)
+    records = rollout(env, expert, range(WORLDS), seed=11)
+    assert sum(record.success_once for record in records) >= WORLDS - 1
+    assert expert.style(0)["plan"] == RULE
+
+
+@pytest.mark.parametrize("subtask", ["pick", "place"])
+def test_what_it_does_hardly_depends_on_what_it_did_before(subtask: str) -> None:
+    """An expert that begins in the middle of an episode does what the one does that was there from the start."""
+
+    def difference(styles: Styles) -> float:
+        env = tidy(subtask)
+        expert = make_expert(env, styles)
+        every = np.ones(WORLDS, bool)
+        obs, info = env.reset(seed=11)
+        expert.reset(every)
+        found = []
+        for step in range(60):
+            actions = expert.act(obs, info)
+            if step in (30, 45):
+                late: ExpertPolicy = make_expert(env, styles)
+                late.reset(every)
+                found.append(np.abs(late.act(obs, info) - actions))
+            obs, _, _, _, info = env.step(actions)
+        return float(np.mean(found))
+
+    by_rule = difference(BY_RULE)
+    assert by_rule < 0.1
+    assert by_rule < 0.5 * difference(Styles.parse([f"plan={SEARCH}"]))
+
+
+def test_the_stance_faces_the_object_at_a_fixed_distance() -> None:
+    env = tidy("pick")
+    env.reset(seed=11)
+    for world in range(WORLDS):
+        view = env.view(world)
+        assert view.subtask is not None
+        obj = view.subtask.obj
+        found = pick_by_rule.plan(view, obj)
+        assert found is not None
+        stance, pos, rot = found
+        ahead = view.object_pose(obj)[:2] - stance.base[:2]
+        assert min(abs(np.linalg.norm(ahead) - d) for d in DISTANCES_M) < 1e-6
+        assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(stance.base[2])
+        assert np.linalg.norm(pos) < 0.15
+        np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-9)
+        assert motion.planner(view.home).clearance_at(stance.base[:2]) > view.robot.footprint.wide
+
+
+def test_shelves_are_left_to_the_search() -> None:
+    env = build("prepare_groceries", "pick", worlds=1)
+    for episode in range(8):
+        env.reset(seed=0, options={"episode": [episode]})
+        view = env.view(0)
+        assert view.subtask is not None
+        pose = view.object_pose(view.subtask.obj)
+        if pick_by_rule.inside_depth(view, pose[:3]):
+            assert pick_by_rule.plan(view, view.subtask.obj) is None
+            assert place_by_rule.plan(view, view.subtask.obj, pose[:3]) is None
+            return
+    raise AssertionError("no episode begins with an object on a shelf")

@@ -20,6 +20,7 @@ from mjhab.cli.main import main
 from mjhab.cli.policies import evaluate
 from mjhab.core.machine import pip_install
 from mjhab.core.registration.plugins import Plugin
+from mjhab.core.version import __version__
 from mjhab.render import gl_probe, views
 from tests.rollout.fake_env import FakeEnv
 
@@ -33,7 +34,7 @@ def machine(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
 
 def test_help_names_the_commands() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "mjhab.cli.main", "--help"],
+        [sys.executable, "-m", "mjhab", "--help"],
         capture_output=True,
         text=True,
         check=True,
@@ -41,6 +42,11 @@ def test_help_names_the_commands() -> None:
     )
     for name in ("eval", "homes", "bench", "doctor"):
         assert name in done.stdout
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"mjhab {__version__}\n"
 
 
 def test_help_loads_no_heavy_library() -> None:

@@ -47,9 +47,13 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     make_streams_sturdy()
     show_own_warnings_plainly()
+    given = list(sys.argv[1:] if args is None else args)
     try:
         try:
-            return run(parse(args))
+            if given == ["--version"]:
+                print(f"mjhab {__version__}")
+                return 0
+            return run(parse(given))
         finally:
             # Flush here, where a closed pipe can be distinguished from other errors.
             sys.stdout.flush()
@@ -82,7 +86,7 @@ def _code_of(error: OSError) -> int:
     return FAILED if error.errno in DISK_ERRORS or error.filename is None else USAGE
 
 
-def parse(args: Sequence[str] | None) -> Any:
+def parse(args: Sequence[str]) -> Any:
     """Parse a command line; exits with code 2 and a message if it does not fit."""
     return tyro.cli(
         commands.Command,  # type: ignore[arg-type]

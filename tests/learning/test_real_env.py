@@ -12,9 +12,16 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
+from mjhab.core.registration.plugins import load_plugin
 from mjhab.data.store.reading import episodes
+from mjhab.evaluation.evaluate import evaluate
 from mjhab.learning.checkpoint import load_checkpoint, load_student
-from mjhab.learning.configs import DaggerConfig, InputConfig, NetworkConfig, TrainConfig
+from mjhab.learning.configs import (
+    DaggerConfig,
+    InputConfig,
+    NetworkConfig,
+    TrainConfig,
+)
 from mjhab.learning.demos import recorded_profile
 from mjhab.learning.reinforcement.configs import RLPD, ReinforcementConfig, SacConfig
 from mjhab.learning.reinforcement.session import ReinforcementRequest
@@ -23,8 +30,10 @@ from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.session import Request
 from mjhab.learning.runs.train import train
 from mjhab.reports import students as students_report
+from mjhab.robots.registry import ROBOTS, robot_named
 from tests.learning.small import config
 
+BOXY = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
 HOLD_STEPS = 5
 INPUTS = InputConfig(image_size=16, base_velocity=True)
 SCENE = Scene(
@@ -166,3 +175,57 @@ def test_a_run_that_is_over_resumes_to_the_same_student(run: tuple[Path, Request
     )
     after = load_checkpoint(out / "student.safetensors").tensors
     assert all(torch.equal(before[name], after[name]) for name in before)
+
+
+def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    student = config(inputs=INPUTS, demos=1, updates=2, hold_steps=HOLD_STEPS)
+    dagger = DaggerConfig(rounds=1, episodes=1, updates=2, first_prefix=4, horizon=220)
+    opening = dataclasses.replace(SCENE, subtask="open")
+    request = Request(
+        TrainConfig(student, dagger),
+        SCENE,
+        Means(1, 1, 1),
+        eval_episodes=1,
+        round_episodes=0,
+        also=(opening,),
+    )
+    result = train(request, tmp_path / "run")
+    folders = {path.name for path in (tmp_path / "run" / "data" / "round_001").iterdir()}
+    names = [scene.name for scene in request.scenes]
+    assert names[1] == "set_table/open/kitchen_counter/drawer3"
+    assert folders == {name.replace("/", ".") for name in names}
+    assert [row["row"] for row in result.summary["rows"]] == names
+    assert result.summary["episodes"] == 2
+    about = load_checkpoint(tmp_path / "run" / "student.safetensors").about
+    assert [scene["subtask"] for scene in (about["scene"], *about["also"])] == ["close", "open"]
+    kinds = {
+        episode.record.plan[0].kind
+        for name in folders
+        for episode in episodes(tmp_path / "run" / "data" / "round_001" / name)
+    }
+    assert kinds == {"close", "open"}
+    again = train(request, tmp_path / "run", resume=True)
+    assert again.summary["steps"] == result.summary["steps"]
+
+
+def test_other_robots_are_trained_with_their_own_cameras(tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    assert load_plugin(BOXY).error == ""
+    robot = robot_named("boxy")
+    inputs = dataclasses.replace(INPUTS, cameras=robot.camera_names)
+    student = config(inputs=inputs, demos=2, updates=1, hold_steps=HOLD_STEPS)
+    scene = dataclasses.replace(SCENE, robot=robot.name, profile="")
+    request = Request(
+        TrainConfig(student), scene, Means(1, 1, 1), eval_episodes=1, round_episodes=0
+    )
+    try:
+        train(request, tmp_path / "run")
+        layout = load_student(tmp_path / "run" / "student.safetensors").layout
+        assert layout.robot == layout.env_options()["robot"] == robot.name
+        judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
+        assert json.loads(judged.read_text(encoding="utf-8"))["env"]["robot"] == robot.name
+        standing = evaluate("zero", subtask="close", episodes=1, robot=robot.name, films=0)
+        assert standing.records[0].steps
+    finally:
+        ROBOTS.remove(robot.name)

@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from mjhab.core.seeding import stream
+from mjhab.rollout.policy import ACTION_SIZE
 
 KINDS = ("pick", "place", "navigate", "open", "close")
 SET_TABLE = tuple(
@@ -52,6 +53,7 @@ class FakeEnv:
     """W worlds of scripted episodes; ``quality`` is the chance that a subtask succeeds."""
 
     taint_names = ("contact_overflow", "nan", "deep_penetration", "engine_warning")
+    action_table = (None,) * ACTION_SIZE
 
     def __init__(
         self,

@@ -23,11 +23,12 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """
     if spec != "expert" and options.style:
         raise UsageError(f"only the policy expert has a style; {spec} has none.")
+    worlds = cast(Any, env)
     if spec == "zero":
-        return ZeroPolicy()
+        return ZeroPolicy(len(worlds.action_table))
     if spec == "random":
-        return RandomPolicy(options.seed)
+        return RandomPolicy(options.seed, len(worlds.action_table))
     from mjhab.experts import make_expert
 
     # Experts read privileged state, which only mjhab's environments provide.
-    return make_expert(cast(Any, env), Styles.parse(options.style) if options.style else None)
+    return make_expert(worlds, Styles.parse(options.style) if options.style else None)

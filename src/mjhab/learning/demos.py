@@ -145,7 +145,15 @@ def layout_of_data(
     with open_shard(path) as shard:
         episode = shard.episode(name)
         state, actions, control = entries_of(episode)
-        layout = Layout(inputs, state, actions, targets, control, recorded_profile(episode))
+        layout = Layout(
+            inputs,
+            state,
+            actions,
+            targets,
+            control,
+            recorded_profile(episode),
+            robot=str(episode.run.config["env"].get("robot", "")),
+        )
         _images(episode, layout, 1)
     return layout
 

@@ -86,7 +86,7 @@ class Layout:
     inputs: which inputs it has. state: entries of the state vector, in order. actions: names of the dimensions of an
     action. targets, kinds: types of targets and kinds of subtasks in the one-hot condition. control: of the
     environment, see `control_of`. profile: of the environment, see `profile_of`; it is the default profile for
-    evaluations of the student.
+    evaluations of the student. robot: its name; "" in older checkpoints, of the default robot.
     """
 
     inputs: InputConfig
@@ -96,6 +96,7 @@ class Layout:
     control: tuple[str, ...]
     profile: str = DEFAULT_PROFILE
     kinds: tuple[str, ...] = OLDER_KINDS
+    robot: str = ""
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -151,6 +152,7 @@ class Layout:
             tuple(values["control"]),
             str(values.get("profile", DEFAULT_PROFILE)),
             tuple(values.get("kinds", OLDER_KINDS)),
+            str(values.get("robot", "")),
         )
 
     def condition(self, subtask: str, target: str) -> np.ndarray:
@@ -198,6 +200,8 @@ class Layout:
         """Options of an environment with the observations, actions and profile that the student was trained with."""
         mode, base = self.control[:2]
         options: dict[str, Any] = {"profile": self.profile, "control_mode": mode, "base": base}
+        if self.robot:
+            options["robot"] = self.robot
         if tuple(self.control[2:]) != profile_named(self.profile).stationary:
             options["stationary"] = tuple(self.control[2:])
         if self.image_keys:
@@ -220,6 +224,7 @@ def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> L
         control_of(env),
         profile,
         SUBTASKS.names(),
+        env.config.robot,
     )
 
 

@@ -11,7 +11,7 @@ from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
 
 ACTION_SIZE = 13
-"""Arm 7, gripper 1, body (head 2, torso 1) 3, base 2."""
+"""Width of an action of the default robot: arm 7, gripper 1, body (head 2, torso 1) 3, base 2."""
 
 
 class RolloutEnv(Protocol):
@@ -66,7 +66,7 @@ class Policy(Protocol):
         ...
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Return actions (W, 13) float32 in [-1, 1] for the observations and info of the last reset or step."""
+        """Return actions (W, A) float32 in [-1, 1] for the observations and info of the last reset or step."""
         ...
 
 
@@ -108,11 +108,16 @@ class Timed(Protocol):
 
 
 class ZeroPolicy:
-    """Stands still: the all-zero action keeps every joint target and lets the gripper half open."""
+    """Stands still: the all-zero action keeps every joint target and lets the gripper half open.
+
+    Args:
+        width: of an action (A).
+    """
 
     name = "zero"
 
-    def __init__(self) -> None:
+    def __init__(self, width: int = ACTION_SIZE) -> None:
+        self._width = width
         self._worlds = 0
 
     def reset(self, mask: np.ndarray) -> None:
@@ -120,17 +125,22 @@ class ZeroPolicy:
         self._worlds = len(mask)
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Return zeros (W, 13) float32."""
-        return np.zeros((self._worlds, ACTION_SIZE), np.float32)
+        """Return zeros (W, A) float32."""
+        return np.zeros((self._worlds, self._width), np.float32)
 
 
 class RandomPolicy:
-    """Uniform actions, one random stream per episode: the same episode gets the same actions in any world."""
+    """Uniform actions, one random stream per episode: the same episode gets the same actions in any world.
+
+    Args:
+        seed: of the streams. width: of an action (A).
+    """
 
     name = "random"
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, width: int = ACTION_SIZE) -> None:
         self._seed = seed
+        self._width = width
         self._streams: list[np.random.Generator | None] = []
 
     def reset(self, mask: np.ndarray) -> None:
@@ -141,8 +151,8 @@ class RandomPolicy:
             self._streams[w] = None
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Return actions (W, 13) float32, uniform in [-1, 1]."""
-        actions = np.empty((len(self._streams), ACTION_SIZE), np.float32)
+        """Return actions (W, A) float32, uniform in [-1, 1]."""
+        actions = np.empty((len(self._streams), self._width), np.float32)
         for w, episode in enumerate(info["episode_spec"]):
             generator = self._streams[w]
             if generator is None:
@@ -150,5 +160,5 @@ class RandomPolicy:
                     self._seed, "policy", "random", int((episode or {}).get("index", 0))
                 )
                 self._streams[w] = generator
-            actions[w] = generator.uniform(-1.0, 1.0, ACTION_SIZE)
+            actions[w] = generator.uniform(-1.0, 1.0, self._width)
         return actions

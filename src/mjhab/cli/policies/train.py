@@ -23,8 +23,10 @@ from mjhab.cli.options.train import (
 from mjhab.cli.output import at_least, print_json
 from mjhab.config.profile_choice import profile_options
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
+from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.learning.require import require_learn
+from mjhab.robots.registry import robot_named
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -167,7 +169,26 @@ def make_request(options: TrainOptions) -> Request:
         torch_threads=options.threads,
         films=options.films,
         ray=options.ray or "",
+        also=tuple(also_scene(scene, text) for text in options.also),
     )
+
+
+def also_scene(like: Scene, text: str) -> Scene:
+    """The scene that ``TASK/SUBTASK`` or ``TASK/SUBTASK/TARGET`` names, with the other options of ``like``.
+
+    Raises:
+        UsageError: the text has another form, or a name is unknown.
+    """
+    task, _, rest = text.partition("/")
+    subtask, _, target = rest.partition("/")
+    if not task or not subtask:
+        raise UsageError(
+            f"--also takes TASK/SUBTASK or TASK/SUBTASK/TARGET, for instance set_table/open/fridge/top_door; got "
+            f"{text!r}."
+        )
+    TASKS.check(task)
+    SUBTASKS.check(subtask)
+    return dataclasses.replace(like, task=task, subtask=subtask, target=target)
 
 
 def resolved(options: TrainOptions) -> TrainConfig:
@@ -176,7 +197,12 @@ def resolved(options: TrainOptions) -> TrainConfig:
 
     config = preset_of(ALGORITHMS[type(options)], options.preset)
     words = tuple(Styles.parse(options.style).words) or None
-    student = _changed(config.student, demos=options.demos, updates=options.updates, style=words)
+    inputs = config.student.inputs
+    if inputs.cameras and options.robot:
+        inputs = _changed(inputs, cameras=robot_named(options.robot).camera_names)
+    student = _changed(
+        config.student, inputs=inputs, demos=options.demos, updates=options.updates, style=words
+    )
     dagger = config.dagger
     if isinstance(options, TrainDaggerOptions) and dagger is not None:
         changes: dict[str, int] = {}

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 class Scene:
     """Environment options of a training run, as on the command line.
 
-    profile, spawn_rule, stillness: as in `EnvConfig`; "" takes those of the given data, or else the defaults.
+    profile, spawn_rule, stillness: as in `EnvConfig`; "" takes those of the given data, or else the defaults. robot:
+    its name, "" for the default.
     """
 
     task: str = "set_table"
@@ -41,6 +42,12 @@ class Scene:
     profile: str = ""
     spawn_rule: str = ""
     stillness: str = ""
+    robot: str = ""
+
+    @property
+    def name(self) -> str:
+        """``TASK/SUBTASK`` or ``TASK/SUBTASK/TARGET``."""
+        return "/".join(filter(None, (self.task, self.subtask, self.target)))
 
     def env_options(self) -> dict[str, Any]:
         """Options of `mjhab.envs.make`; empty values are left out and take its defaults."""
@@ -48,7 +55,11 @@ class Scene:
 
     def apart_from_profile(self) -> dict[str, Any]:
         """The non-empty options that can be combined with a profile."""
-        given = {"spawn_rule": self.spawn_rule, "stillness": self.stillness}
+        given = {
+            "spawn_rule": self.spawn_rule,
+            "stillness": self.stillness,
+            "robot": self.robot,
+        }
         return {name: value for name, value in given.items() if value}
 
 
@@ -200,7 +211,8 @@ def stage_in(env: SequentialTaskEnv, collected: Round) -> Stage:
     styles = Styles.parse(collected.style)
     if collected.style:
         about["style"] = styles.words
-    return Stage(env, TakeOver(student, make_expert(env, styles), collected.longest), about, (ALL,))
+    policy = TakeOver(student, make_expert(env, styles), collected.longest, len(env.action_table))
+    return Stage(env, policy, about, (ALL,))
 
 
 class StageKeeper:

@@ -41,7 +41,7 @@ def restore_rounds(session: Session, config: DaggerConfig) -> None:
         if number == 0 and session.request.data:
             session.load(session.request.data, session.request.filter)
         else:
-            session.load(session.folder.data(number))
+            session.load_round(number)
 
 
 def collect_round(session: Session, config: DaggerConfig, number: int) -> None:

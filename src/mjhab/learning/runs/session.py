@@ -18,13 +18,14 @@ from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
-from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.layout import Layout, compare_layouts, layout_of
 from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Batch
+from mjhab.reports.metrics import mean
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
 
@@ -41,12 +42,14 @@ LOAD_SHARE = "loading_share"
 
 @dataclass(frozen=True)
 class Request:
-    """A training run: algorithm, scene, data and resources.
+    """A training run: algorithm, scenes, data and resources.
 
-    data: shards, or folders of shards; without any, demonstrations are collected. where: filter on their episodes.
-    budget_seconds: wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of the final evaluation.
-    round_episodes: episodes of the evaluations during training, 0 for none. torch_threads: threads of the network,
-    0 for torch's default. films: episodes to film in the first and the last evaluation. ray: see `Collector`.
+    scene: what the student learns. also: further scenes that the same student learns; they differ from ``scene`` in
+    task, subtask and target only. data: shards, or folders of shards; without any, demonstrations are collected. where:
+    filter on their episodes. budget_seconds: wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of
+    the final evaluation, round_episodes: of the evaluations during training, 0 for none; of every scene. torch_threads:
+    threads of the network, 0 for torch's default. films: episodes of every scene to film in the first and the last
+    evaluation. ray: see `Collector`.
     """
 
     config: TrainConfig
@@ -61,6 +64,12 @@ class Request:
     torch_threads: int = 0
     films: int = 0
     ray: str = ""
+    also: tuple[Scene, ...] = ()
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """All scenes."""
+        return (self.scene, *self.also)
 
     @property
     def filter(self) -> Filter | None:
@@ -86,9 +95,20 @@ def layout_for(request: Request) -> Layout:
         return layout
     from mjhab.episodes.starts import valid_targets
 
-    env = make_env(scene, {}, Means(worlds=1, threads=1))
-    targets = (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
-    return layout_of(env, inputs, targets)
+    layouts: list[Layout] = []
+    for one in request.scenes:
+        env = make_env(one, {}, Means(worlds=1, threads=1))
+        targets = (one.target,) if one.target else tuple(valid_targets(env.config, env.layout))
+        layouts.append(layout_of(env, inputs, targets))
+    first = layouts[0]
+    for other, one in zip(layouts, request.scenes, strict=True):
+        wrong = compare_layouts(first, other.state, other.actions, other.control)
+        if wrong:
+            raise UsageError(
+                f"one student cannot learn {scene.name} and {one.name}: {'; '.join(wrong)}."
+            )
+    known = dict.fromkeys(target for layout in layouts for target in layout.targets)
+    return replace(first, targets=tuple(known))
 
 
 @dataclass
@@ -122,7 +142,7 @@ class Session:
         self.request = request
         self.layout = layout
         self.folder = folder
-        self.scene = replace(request.scene, profile=layout.profile)
+        self.scenes = [replace(scene, profile=layout.profile) for scene in request.scenes]
         self.config = request.config.student
         self.sources: list[Demonstrations] = []
         self.progress = Progress()
@@ -137,9 +157,10 @@ class Session:
         if saved is not None:
             self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None
-        self.collector = Collector(
-            self.scene, layout.env_options(), request.means, request.seed, request.ray
-        )
+        self.collectors = [
+            Collector(scene, layout.env_options(), request.means, request.seed, request.ray)
+            for scene in self.scenes
+        ]
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
         self._eval_seconds = 0.0
@@ -156,29 +177,44 @@ class Session:
             self.trainer.restart_average()
             self.fitted = True
 
+    def place(self, folder: Path, scene: Scene) -> Path:
+        """Where a folder of the run keeps what belongs to a scene: below it, if there are several."""
+        return folder / scene.name.replace("/", ".") if len(self.scenes) > 1 else folder
+
+    def load_round(self, number: int) -> None:
+        """Add the collected demonstrations of a round to the training data."""
+        folder = self.folder.data(number)
+        self.load([self.place(folder, scene) for scene in self.scenes])
+
     def collect(self, wanted: Round) -> None:
-        """Collect the missing demonstrations of a round and add them to the training data.
+        """Collect the missing demonstrations of a round, in every scene, and add them to the training data.
 
         Raises:
             OutOfTime: the time budget ended before they were complete.
         """
-        out = self.folder.data(wanted.number)
         began = time.perf_counter()
+        tried = 0
+        kept = 0
+        for scene, collector in zip(self.scenes, self.collectors, strict=True):
+            phase = f"collecting round {wanted.number}"
+            if len(self.scenes) > 1:
+                phase += f", {scene.name}"
 
-        def tell(now: Standing) -> None:
-            self.log.show(
-                {"phase": f"collecting round {wanted.number}: {now.tried}/{wanted.episodes}"}
-            )
+            def tell(now: Standing, phase: str = phase) -> None:
+                self.log.show({"phase": f"{phase}: {now.tried}/{wanted.episodes}"})
 
-        self.log.show({"phase": f"collecting round {wanted.number}"})
-        standing = self.collector.collect(wanted, out, tell, self._out_of_time)
-        if not standing.complete:
-            raise OutOfTime
-        self.load(out)
+            self.log.show({"phase": phase})
+            out = self.place(self.folder.data(wanted.number), scene)
+            standing = collector.collect(wanted, out, tell, self._out_of_time)
+            if not standing.complete:
+                raise OutOfTime
+            tried += standing.tried
+            kept += standing.kept
+        self.load_round(wanted.number)
         numbers = {
             "round": wanted.number,
             "episodes": sum(source.episodes for source in self.sources),
-            "collection_success": standing.kept / max(standing.tried, 1),
+            "collection_success": kept / max(tried, 1),
             "collection_seconds": round(time.perf_counter() - began, 2),
         }
         self.log.report(self.trainer.step, self.progress.samples, numbers)
@@ -272,7 +308,8 @@ class Session:
             "algorithm": self.request.config.algorithm,
             "step": self.trainer.step,
             "samples": self.progress.samples,
-            "scene": vars(self.scene),
+            "scene": vars(self.scenes[0]),
+            "also": [vars(scene) for scene in self.scenes[1:]],
             "seed": self.request.seed,
         }
         save_student(path, self.trainer.average, about)
@@ -280,32 +317,43 @@ class Session:
     # -- evaluation --------------------------------------------------------------------------------------------------
 
     def evaluate(self, episodes: int, last: bool = False) -> float:
-        """Evaluate the student in the episodes 0 to ``episodes`` - 1 and return its success-once rate.
+        """Evaluate the student in the episodes 0 to ``episodes`` - 1 of every scene and return its success-once rate.
 
         The first and the ``last`` evaluation are filmed. The folders of the first and the latest one are kept.
         """
         self.save()
         first = not self.progress.evaluated
         films = self.request.films if first or last else 0
+        folder = self.folder.evaluation(FIRST if first and not last else LATEST)
         began = time.perf_counter()
-
-        def tell(done: int) -> None:
-            self.log.show({"phase": f"evaluating: {done}/{episodes}"})
-
-        tell(0)
-        evaluations = Evaluations(self.scene, self.request.means, self.request.seed, tell)
-        out = self.folder.evaluation(FIRST if first and not last else LATEST)
-        self.records = list(evaluations.run(self.folder.student, episodes, films, out).records)
+        self.records = []
+        numbers: dict[str, float] = {}
+        for scene in self.scenes:
+            records = self._evaluate_in(scene, episodes, films, self.place(folder, scene))
+            if len(self.scenes) > 1:
+                rate = mean(record.success_once for record in records)
+                numbers[f"success_once/{scene.name}"] = rate
+            self.records += records
         self._eval_seconds = (time.perf_counter() - began) / episodes
-        success = sum(record.success_once for record in self.records) / episodes
+        success = mean(record.success_once for record in self.records)
         self.progress.evaluated.append(self.trainer.step)
-        numbers = {
+        numbers |= {
             "success_once": success,
-            "evaluated_episodes": episodes,
+            "evaluated_episodes": len(self.records),
             "round": self.progress.round,
         }
         self.log.report(self.trainer.step, self.progress.samples, numbers)
         return success
+
+    def _evaluate_in(
+        self, scene: Scene, episodes: int, films: int, out: Path
+    ) -> list[EpisodeRecord]:
+        def tell(done: int) -> None:
+            self.log.show({"phase": f"evaluating {scene.name}: {done}/{episodes}"})
+
+        tell(0)
+        evaluations = Evaluations(scene, self.request.means, self.request.seed, tell)
+        return list(evaluations.run(self.folder.student, episodes, films, out).records)
 
 
 @contextmanager
@@ -325,10 +373,12 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
 
 def resolved_config(request: Request) -> dict[str, Any]:
     """Everything that determines the result of a run, as JSON data."""
+    also = [asdict(scene) for scene in request.also]
     return {
         "algorithm": request.config.algorithm,
         "config": asdict(request.config),
         "scene": asdict(request.scene),
+        **({"also": also} if also else {}),
         "seed": request.seed,
         "data": [str(place) for place in request.data],
         "where": request.where,

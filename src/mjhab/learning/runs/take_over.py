@@ -52,11 +52,18 @@ class TakeOver:
         student: acts first; may be None if ``longest`` is 0.
         expert: acts after the prefix; it is reset in the control step of the take-over, to plan from that state.
         longest: largest prefix [control steps]; lengths are uniform from 0 to this value inclusive.
+        width: of an action (A).
     """
 
     name = "take_over"
 
-    def __init__(self, student: Policy | None, expert: Replanning, longest: int) -> None:
+    def __init__(
+        self,
+        student: Policy | None,
+        expert: Replanning,
+        longest: int,
+        width: int = ACTION_SIZE,
+    ) -> None:
         if longest and student is None:
             raise ValueError("a prefix needs a student")
         self._student = student
@@ -65,7 +72,8 @@ class TakeOver:
         self._prefix = np.zeros(0, np.int64)
         self._step = np.zeros(0, np.int64)
         self._fresh = np.zeros(0, bool)
-        self._intended = np.zeros((0, ACTION_SIZE), np.float32)
+        self._intended = np.zeros((0, width), np.float32)
+        self._width = width
         self._actor = np.zeros(0, np.uint8)
 
     def reset(self, mask: np.ndarray) -> None:
@@ -80,13 +88,13 @@ class TakeOver:
             self._student.reset(mask)
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Actions (W, 13) float32."""
+        """Actions (W, A) float32."""
         self._draw(info)
         taken = self._step >= self._prefix
         beginning = self._step == self._prefix
         if beginning.any():
             self._expert.reset(beginning)
-        actions = np.zeros((len(taken), ACTION_SIZE), np.float32)
+        actions = np.zeros((len(taken), self._width), np.float32)
         if self._student is not None and not taken.all():
             actions[~taken] = self._student.act(obs, info)[~taken]
         self._intended = actions.copy()

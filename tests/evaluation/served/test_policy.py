@@ -13,6 +13,7 @@ from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
 from mjhab.evaluation.served.twin import Place, Twin, TwinResponder, TwinSession
 from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import ZeroPolicy
 from mjhab.serving.server import ServerOptions
 from tests.serving.constant import Constant, serving
 
@@ -194,7 +195,7 @@ def test_a_student_acts_over_the_line_as_it_does_at_home() -> None:
 def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:
     class Lender:
         def borrow(self, config: Mapping[str, Any]) -> Twin:
-            return Twin(cast(Any, None), resolve_policy("zero", cast(Any, None)))
+            return Twin(cast(Any, None), ZeroPolicy())
 
     def part(index: int, step: int) -> dict[str, Any]:
         return {"world": {"episode": {"seed": 0, "index": index}}, "step": step}

@@ -119,7 +119,9 @@ def _title(folder: TrainingFolder) -> str:
     config = folder.config
     scene = config["scene"]
     what = " ".join(filter(None, (scene["subtask"], scene["target"] or "all targets")))
-    return f"{config['algorithm']}: {what}, {scene['task'].replace('_', ' ')}"
+    more = len(config.get("also", ()))
+    others = f" and {more} more" if more else ""
+    return f"{config['algorithm']}: {what}, {scene['task'].replace('_', ' ')}{others}"
 
 
 def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:

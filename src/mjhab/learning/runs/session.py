@@ -146,7 +146,8 @@ class Session:
         self.config = request.config.student
         self.sources: list[Demonstrations] = []
         self.progress = Progress()
-        self.records: list[EpisodeRecord] = []
+        self.results: dict[str, list[EpisodeRecord]] = {}
+        """Episodes of the latest complete evaluation, by the name of the scene."""
         saved = load_checkpoint(folder.training) if resume and folder.training.is_file() else None
         if saved is not None:
             known = {name: saved.about[name] for name in Progress.__dataclass_fields__}
@@ -326,24 +327,35 @@ class Session:
         films = self.request.films if first or last else 0
         folder = self.folder.evaluation(FIRST if first and not last else LATEST)
         began = time.perf_counter()
-        self.records = []
-        numbers: dict[str, float] = {}
-        for scene in self.scenes:
-            records = self._evaluate_in(scene, episodes, films, self.place(folder, scene))
-            if len(self.scenes) > 1:
-                rate = mean(record.success_once for record in records)
-                numbers[f"success_once/{scene.name}"] = rate
-            self.records += records
+        found = {
+            scene.name: self._evaluate_in(scene, episodes, films, self.place(folder, scene))
+            for scene in self.scenes
+        }
+        self.results = found
         self._eval_seconds = (time.perf_counter() - began) / episodes
         success = mean(record.success_once for record in self.records)
         self.progress.evaluated.append(self.trainer.step)
-        numbers |= {
+        numbers: dict[str, float] = {
             "success_once": success,
             "evaluated_episodes": len(self.records),
             "round": self.progress.round,
         }
+        if len(found) > 1:
+            numbers |= {f"success_once/{row}": rate for row, rate in self.success_by_row().items()}
         self.log.report(self.trainer.step, self.progress.samples, numbers)
         return success
+
+    @property
+    def records(self) -> list[EpisodeRecord]:
+        """Episodes of the latest complete evaluation, of all scenes."""
+        return [record for records in self.results.values() for record in records]
+
+    def success_by_row(self) -> dict[str, float]:
+        """Success once by scene in the latest complete evaluation."""
+        return {
+            row: mean(record.success_once for record in records)
+            for row, records in self.results.items()
+        }
 
     def _evaluate_in(
         self, scene: Scene, episodes: int, films: int, out: Path

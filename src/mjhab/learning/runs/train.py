@@ -73,22 +73,13 @@ def summarize(session: Session) -> dict[str, Any]:
         "success_once": mean(record.success_once for record in records) if records else None,
         "interval": [low, high],
         "episodes": len(records),
-        "rows": _rows(session),
+        "rows": [
+            {"row": row, "success_once": rate, "episodes": len(session.results[row])}
+            for row, rate in session.success_by_row().items()
+        ],
         "rounds": min(session.progress.round, dagger.rounds) if dagger else 0,
         "demonstrations": sum(source.episodes for source in session.sources),
     }
-
-
-def _rows(session: Session) -> list[dict[str, Any]]:
-    """Success by scene in the last evaluation."""
-    scenes = session.scenes if session.records else []
-    episodes = len(session.records) // max(len(scenes), 1)
-    rows = []
-    for number, scene in enumerate(scenes):
-        mine = session.records[number * episodes : (number + 1) * episodes]
-        rate = mean(record.success_once for record in mine)
-        rows.append({"row": scene.name, "success_once": rate, "episodes": episodes})
-    return rows
 
 
 def _learn(session: Session) -> None:

@@ -13,8 +13,9 @@ from mjhab.robots.parts import Drives
 
 
 def model_bytes(model: mujoco.MjModel) -> int:
-    """Memory of a compiled model [bytes]."""
-    return int(mujoco.mj_sizeModel(model))
+    """Memory of a compiled model [bytes]. Its Python wrapper takes about as much as the model: the heap grew by 13.9 MB
+    for 20 models of 0.34 MB each."""
+    return 2 * int(mujoco.mj_sizeModel(model))
 
 
 _MODELS = MemoryCache("models", size=model_bytes)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import mujoco
 
 from mjhab.layout.compile import compile_home, model_path
+from mjhab.layout.home_models import model_bytes
 from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M, MIN_CONNECTED_SHARE
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
@@ -86,7 +87,7 @@ def _compile(layout: Layout, home: Home, report: HomesReport) -> str:
         return str(error)
     finally:
         report.compile_s += time.perf_counter() - start
-    report.model_bytes += mujoco.mj_sizeModel(model)
+    report.model_bytes += model_bytes(model)
     digest = layout_hash(model)
     if not report.layout:
         report.layout = digest

@@ -295,6 +295,13 @@ def raise_tcp(
     return False
 
 
+def base_speeds(view: WorldView) -> tuple[float, float]:
+    """Forward speed [m/s] and yaw rate [rad/s] of the base."""
+    v_x, v_y, turn = view.qd[BASE]
+    yaw = float(view.base[2])
+    return float(np.cos(yaw) * v_x + np.sin(yaw) * v_y), float(turn)
+
+
 def base_motion(yaw: float, drive: tuple[float, float]) -> Array:
     step = drive[0] * STEP_SECONDS
     return np.array([[step * np.cos(yaw), step * np.sin(yaw), drive[1] * STEP_SECONDS]])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.core.joints import BASE_X, BASE_XY, BASE_Y, BASE_YAW
+from mjhab.core.joints import BASE_XY, BASE_YAW
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
@@ -197,7 +197,7 @@ def _drive(
     track = [view.base]
     tried = 0
     joints = _joints(view)
-    driver = Driver(trip.legs, trip.lookahead, trip.pace, *_speeds(view))
+    driver = Driver(trip.legs, trip.lookahead, trip.pace, *motion.base_speeds(view))
     while driver.leg is not None:
         leg = driver.leg
         (forward, turn) = driver.step(view.base)
@@ -210,15 +210,6 @@ def _drive(
         if np.abs(_joints(view) - joints).max(initial=0.0) > DOOR_MOVED:
             return None
     return None
-
-
-def _speeds(view: WorldView) -> tuple[float, float]:
-    """Forward speed and yaw rate of the base."""
-    q = view.q
-    qd = view.qd
-    return float(np.cos(q[BASE_YAW]) * qd[BASE_X] + np.sin(q[BASE_YAW]) * qd[BASE_Y]), float(
-        qd[BASE_YAW]
-    )
 
 
 def _still(track: Sequence[Array]) -> bool:
@@ -253,7 +244,7 @@ def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Mo
         else q[BASE_XY] - 0.2 * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     )
     ahead = float((origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
-    speed, _ = _speeds(view)
+    speed, _ = motion.base_speeds(view)
     for _ in range(14):
         speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * STEP_SECONDS)
         yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.joints import BASE
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import care_for, eased
@@ -15,7 +14,6 @@ from mjhab.experts.planning.reach import Scene, surroundings
 from mjhab.experts.skills import place as search
 from mjhab.experts.skills.by_rule import (
     STANDOFF_M,
-    Drive,
     Funnel,
     Hands,
     Stance,
@@ -62,7 +60,7 @@ def place_by_rule(view: WorldView) -> Motion:
         drive = (0.0, 0.0)
         if not arrived:
             v, w, arrived = pilot.step(view.base)
-            drive = eased((v, w), _speeds(view), care)
+            drive = eased((v, w), motion.base_speeds(view), care)
         opens = opens or (funnel.distance(view) < AT_GOAL_M and funnel.turn(view) < AT_GOAL_RAD)
         if opens and not holds(view, obj) and not view.signal("at_goal"):
             break
@@ -75,13 +73,6 @@ def place_by_rule(view: WorldView) -> Motion:
         else:
             yield funnel.step(view, motion.CLOSED, drive)
     return False
-
-
-def _speeds(view: WorldView) -> Drive:
-    """Forward speed [m/s] and yaw rate [rad/s] of the base."""
-    v_x, v_y, turn = view.qd[BASE]
-    yaw = float(view.base[2])
-    return float(v_x * np.cos(yaw) + v_y * np.sin(yaw)), float(turn)
 
 
 def _away(view: WorldView, funnel: Funnel, held: bool) -> Array:

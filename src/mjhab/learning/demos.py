@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import math
+import multiprocessing
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 
-from mjhab.core.arrays import Array, namespace
+from mjhab.core.arrays import Array, as_like, count, namespace
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.names import kind_of
@@ -44,18 +50,18 @@ def nearness(depth: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
-    """N control steps of several episodes, in sequence.
+    """N control steps of several episodes, in sequence; numpy arrays, or after `on` tensors.
 
     vector (N, D) float32: inputs except images, see `Layout.entries`. images (N, C, H, W) uint8: see `nearness`.
     actions (N, A) float32: actions to imitate. first, last (N,): first and last row of the step's episode.
-    usable (M,): rows at which a training sample may start. episodes: number of episodes.
+    usable (M,): rows at which a training sample may start, numpy always. episodes: number of episodes.
     """
 
-    vector: np.ndarray
-    images: np.ndarray
-    actions: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
+    vector: Array
+    images: Array
+    actions: Array
+    first: Array
+    last: Array
     usable: np.ndarray
     episodes: int
 
@@ -79,6 +85,13 @@ class Demonstrations:
             sum(part.episodes for part in parts),
         )
 
+    def on(self, device: torch.device) -> Demonstrations:
+        """Copy as tensors on a device, from which `take_chunks` then takes batches without the host."""
+        arrays = ("vector", "images", "actions", "first", "last")
+        return dataclasses.replace(
+            self, **{name: torch.as_tensor(getattr(self, name), device=device) for name in arrays}
+        )
+
     @property
     def nbytes(self) -> int:
         """Bytes in memory."""
@@ -90,13 +103,13 @@ class Chunks:
     """B training samples.
 
     vector (B, history * D), images (B, history * C, H, W) uint8, actions (B, chunk, A), valid (B, chunk) bool: False
-    after the end of the demonstration.
+    after the end of the demonstration. Arrays of the library and device of the demonstrations.
     """
 
-    vector: np.ndarray
-    images: np.ndarray
-    actions: np.ndarray
-    valid: np.ndarray
+    vector: Array
+    images: Array
+    actions: Array
+    valid: Array
 
 
 def load_demonstrations(
@@ -104,6 +117,7 @@ def load_demonstrations(
     layout: Layout,
     hold_steps: int,
     where: Filter | None = None,
+    workers: int = 1,
 ) -> Demonstrations:
     """Read shards into memory, each episode until ``hold_steps`` control steps after its first success.
 
@@ -112,19 +126,40 @@ def load_demonstrations(
         layout: of the student.
         hold_steps: number of control steps; -1 keeps whole episodes.
         where: filter on the episodes; None takes the successful ones.
+        workers: number of processes; each reads whole shards.
 
     Raises:
         UsageError: no episode passes the filter; an episode lacks images, or its state or actions differ from
             ``layout``.
     """
     found = select(places, where or Filter(SUCCESSES))
+    shards = [
+        (path, [name for _, name in members])
+        for path, members in itertools.groupby(found.matched, lambda place: place[0])
+    ]
+    paths = [path for path, _ in shards]
+    names = [members for _, members in shards]
+    read = partial(_read_shard, layout=layout, hold_steps=hold_steps)
     parts: dict[str, Demonstrations] = {}
-    for path, members in itertools.groupby(found.matched, lambda place: place[0]):
-        with open_shard(path) as shard:
-            for _, name in members:
-                parts[name] = read_episode(shard.episode(name), layout, hold_steps)
+    if min(workers, len(shards)) > 1:
+        # Not forked: torch has threads.
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, context) as pool:
+            for episodes in pool.map(read, paths, names):
+                parts |= episodes
+    else:
+        for path, members in shards:
+            parts |= read(path, members)
     # Sorted, because the shard of an episode depends on which worker was faster.
     return Demonstrations.join([parts[name] for name in sorted(parts)])
+
+
+def _read_shard(
+    path: Path, names: Sequence[str], layout: Layout, hold_steps: int
+) -> dict[str, Demonstrations]:
+    """The named episodes of a shard."""
+    with open_shard(path) as shard:
+        return {name: read_episode(shard.episode(name), layout, hold_steps) for name in names}
 
 
 def layout_of_data(
@@ -204,11 +239,14 @@ def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstra
 
 def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int = 1) -> Chunks:
     """The samples that start at the given rows (B,)."""
-    seen = rows[:, None] + np.arange(1 - history, 1)
-    seen = np.maximum(seen, data.first[rows, None])
-    ahead = rows[:, None] + np.arange(chunk)
-    valid = ahead <= data.last[rows, None]
-    ahead = np.minimum(ahead, data.last[rows, None])
+    xp = namespace(data.first)
+    rows = as_like(rows, data.first)
+    first = data.first[rows][:, None]
+    last = data.last[rows][:, None]
+    seen = xp.maximum(rows[:, None] + (count(history, rows) - (history - 1)), first)
+    ahead = rows[:, None] + count(chunk, rows)
+    valid = ahead <= last
+    ahead = xp.minimum(ahead, last)
     images = data.images[seen]
     # Not -1: a student without cameras has images of size 0.
     channels = history * images.shape[2]
@@ -256,26 +294,28 @@ class BatchSampler:
     def batch(self, step: int, chunk: int, history: int, shift: int) -> Chunks:
         """Batch ``step``, with images shifted randomly by up to ``shift`` pixels."""
         parts = [take_chunks(source, rows, chunk, history) for source, rows in self.rows(step)]
-        images = np.concatenate([part.images for part in parts])
-        if shift and images.size:
+        xp = namespace(parts[0].vector)
+        images = xp.concat([part.images for part in parts])
+        if shift and math.prod(images.shape):
             images = shift_images(images, shift, stream(self._seed, "shift", step))
         return Chunks(
-            np.concatenate([part.vector for part in parts]),
+            xp.concat([part.vector for part in parts]),
             images,
-            np.concatenate([part.actions for part in parts]),
-            np.concatenate([part.valid for part in parts]),
+            xp.concat([part.actions for part in parts]),
+            xp.concat([part.valid for part in parts]),
         )
 
 
-def shift_images(images: np.ndarray, most: int, random: np.random.Generator) -> np.ndarray:
+def shift_images(images: Array, most: int, random: np.random.Generator) -> Array:
     """Shift each image of (B, C, H, W) by a random offset of up to ``most`` pixels; border pixels are repeated."""
-    count, channels, height, width = images.shape
-    offsets = random.integers(-most, most + 1, (2, count, 1))
-    rows = np.clip(np.arange(height) + offsets[0], 0, height - 1)
-    columns = np.clip(np.arange(width) + offsets[1], 0, width - 1)
+    batch, channels, height, width = images.shape
+    xp = namespace(images)
+    offsets = as_like(random.integers(-most, most + 1, (2, batch, 1)), images, xp.int64)
+    rows = xp.clip(count(height, images) + offsets[0], 0, height - 1)
+    columns = xp.clip(count(width, images) + offsets[1], 0, width - 1)
     return images[
-        np.arange(count)[:, None, None, None],
-        np.arange(channels)[None, :, None, None],
+        count(batch, images)[:, None, None, None],
+        count(channels, images)[None, :, None, None],
         rows[:, None, :, None],
         columns[:, None, None, :],
     ]

@@ -88,10 +88,15 @@ class TrainOptions(RunOptions):
     also: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK/SUBTASK[/TARGET] ...")] = ()
     """Further subtasks that the same student learns, for instance tidy_house/pick set_table/open/fridge/top_door.
     Numbers of episodes are for each of them."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """Change fields of the preset, e.g. chunk=4 inputs.image_size=64 optimizer.ema=0; a wrong name lists all."""
+    device: Name = "cpu"
+    """Device that the network is trained on: cpu, auto, cuda:0, ...; episodes are simulated on the CPU. With auto it
+    is the first GPU, if there is one. Only on the CPU do equal runs end with equal bits."""
     worlds: Number = 16
     """Parallel episodes per process. Changes the speed, never the collected data."""
     workers: Number = 1
-    """Processes for collection; 1 uses this process. Changes the speed, never the collected data."""
+    """Processes that collect, or read --data; 1 uses this process. Changes the speed, never the data."""
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
     """Collect with actors of this Ray cluster ("local" starts one here); all nodes must see the folder --out."""
 

@@ -170,6 +170,7 @@ def make_request(options: TrainOptions) -> Request:
         films=options.films,
         ray=options.ray or "",
         also=tuple(also_scene(scene, text) for text in options.also),
+        device=options.device,
     )
 
 
@@ -193,9 +194,10 @@ def also_scene(like: Scene, text: str) -> Scene:
 
 def resolved(options: TrainOptions) -> TrainConfig:
     """The preset with the changes of the options."""
+    from mjhab.learning.changes import with_changes
     from mjhab.learning.configs import preset_of
 
-    config = preset_of(ALGORITHMS[type(options)], options.preset)
+    config = with_changes(preset_of(ALGORITHMS[type(options)], options.preset), options.set)
     words = tuple(Styles.parse(options.style).words) or None
     inputs = config.student.inputs
     if inputs.cameras and options.robot:

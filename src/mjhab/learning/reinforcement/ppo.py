@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.core.seeding import stream
+from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement import distributed
@@ -118,7 +119,7 @@ class Actions:
 
     def sample(self, random: torch.Generator) -> Tensor:
         """Draw actions (B, A)."""
-        noise = torch.randn(self.mean.shape, generator=random).to(self.mean.device)
+        noise = normal(self.mean.shape, random, self.mean)
         return self.mean + self.log_std.exp() * noise
 
     def log_probability(self, actions: Tensor) -> Tensor:

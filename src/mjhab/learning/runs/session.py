@@ -18,6 +18,7 @@ from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
+from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.layout import Layout, compare_layouts, layout_of
 from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.runs.evaluation import Evaluations
@@ -49,7 +50,7 @@ class Request:
     filter on their episodes. budget_seconds: wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of
     the final evaluation, round_episodes: of the evaluations during training, 0 for none; of every scene. torch_threads:
     threads of the network, 0 for torch's default. films: episodes of every scene to film in the first and the last
-    evaluation. ray: see `Collector`.
+    evaluation. ray: see `Collector`. device: of the network's training, see `training_device`; policies act on the CPU.
     """
 
     config: TrainConfig
@@ -65,6 +66,7 @@ class Request:
     films: int = 0
     ray: str = ""
     also: tuple[Scene, ...] = ()
+    device: str = CPU
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -152,9 +154,9 @@ class Session:
         if saved is not None:
             known = {name: saved.about[name] for name in Progress.__dataclass_fields__}
             self.progress = Progress(**known)
-        self.trainer = Trainer(
-            make_student(self.config, layout, request.seed), request.seed, self.config.updates
-        )
+        self.device = training_device(request.device)
+        student = make_student(self.config, layout, request.seed).to(self.device)
+        self.trainer = Trainer(student, request.seed, self.config.updates)
         if saved is not None:
             self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None
@@ -171,8 +173,9 @@ class Session:
     def load(self, places: Path | Sequence[Path], where: Filter | None = None) -> None:
         """Add demonstrations to the training data; the first ones added determine the normalizers."""
         self.log.show({"phase": "reading demonstrations"})
-        data = load_demonstrations(places, self.layout, self.config.hold_steps, where)
-        self.sources.append(data)
+        workers = self.request.means.workers
+        data = load_demonstrations(places, self.layout, self.config.hold_steps, where, workers)
+        self.sources.append(data if self.device.type == CPU else data.on(self.device))
         if not self.fitted:
             self.trainer.student.fit_normalizers(data)
             self.trainer.restart_average()

@@ -39,7 +39,7 @@ class Trainer:
     ``step`` counts the updates; ``average`` is the moving average of the weights, which evaluations use.
 
     Args:
-        student: network to train, on the CPU.
+        student: network to train, on the device that it is trained on.
         seed: of the losses' random draws.
         updates: total number of updates, for the learning rate schedule.
     """
@@ -134,8 +134,8 @@ class Trainer:
             if name in first:
                 self.optimizer.state[parameter] = {
                     "step": torch.tensor(float(step)),
-                    "exp_avg": first[name].clone(),
-                    "exp_avg_sq": second[name].clone(),
+                    "exp_avg": first[name].clone().to(parameter.device),
+                    "exp_avg_sq": second[name].clone().to(parameter.device),
                 }
         self.step = step
 

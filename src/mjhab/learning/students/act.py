@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
+from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Encoder, Normalizer
 from mjhab.learning.students.student import Batch, Student
@@ -68,7 +69,7 @@ class ActionTransformer(Student):
         actions = self.action_token(target) + self.chunk_places
         head = self.style_query.expand(len(vector), -1, -1)
         tokens = torch.cat([head, self.vector_token(vector)[:, None], actions], dim=1)
-        seen = torch.ones(len(vector), 2, dtype=torch.bool)
+        seen = torch.ones(len(vector), 2, dtype=torch.bool, device=valid.device)
         hidden = ~torch.cat([seen, valid], dim=1)
         encoded = self.style_encoder(tokens, src_key_padding_mask=hidden)[:, 0]
         mean, log_variance = self.style_head(encoded).chunk(2, dim=1)
@@ -78,14 +79,14 @@ class ActionTransformer(Student):
         images, vector = self.encoder(batch.vector, batch.images)
         target = self.targets(batch)
         mean, log_variance = self.style(vector, target, batch.valid)
-        noise = torch.randn(mean.shape, generator=random)
+        noise = normal(mean.shape, random, mean)
         predicted = self.predict(images, vector, mean + noise * (0.5 * log_variance).exp())
         divergence = -0.5 * (1.0 + log_variance - mean**2 - log_variance.exp()).mean()
         return self.error(predicted, batch, target) + KL_WEIGHT * divergence
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         features, normalized = self.encoder(vector, images)
-        latent = torch.zeros(len(vector), LATENT_WIDTH)
+        latent = torch.zeros(len(vector), LATENT_WIDTH, device=vector.device)
         return self.action_normalizer.restore(self.predict(features, normalized, latent))
 
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
+from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, PoolingEncoder
 from mjhab.learning.students.student import Batch, Student
@@ -61,8 +62,8 @@ class DiffusionPolicy(Student):
 
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
         target = self.targets(batch)
-        noise = torch.randn(target.shape, generator=random)
-        step = torch.randint(0, len(self.kept), (len(target),), generator=random)
+        noise = normal(target.shape, random, target)
+        step = torch.randint(0, len(self.kept), (len(target),), generator=random).to(target.device)
         kept = self.kept[step][:, None, None]
         noisy = kept.sqrt() * target + (1.0 - kept).sqrt() * noise
         return self.error(
@@ -73,9 +74,9 @@ class DiffusionPolicy(Student):
         seen = self.see(vector, images)
         point = noise[:, 0]
         for step in reversed(range(len(self.kept))):
-            predicted = self.unet(point, torch.full((len(noise),), step), seen)
+            predicted = self.unet(point, torch.full((len(noise),), step, device=noise.device), seen)
             kept = self.kept[step]
-            before = self.kept[step - 1] if step else torch.tensor(1.0)
+            before = self.kept[step - 1] if step else torch.ones_like(kept)
             clean = ((point - (1.0 - kept).sqrt() * predicted) / kept.sqrt()).clamp(-1.0, 1.0)
             fade = kept / before
             mean = before.sqrt() * (1.0 - fade) / (1.0 - kept) * clean

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
+from mjhab.learning.devices import normal, uniform
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, Trunk, mlp
 from mjhab.learning.students.student import Batch, Student
@@ -48,8 +49,8 @@ class FlowMatching(Student):
 
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
         target = self.targets(batch)
-        noise = torch.randn(target.shape, generator=random)
-        time = torch.rand(len(target), generator=random)
+        noise = normal(target.shape, random, target)
+        time = uniform((len(target),), random, target)
         point = torch.lerp(noise, target, time[:, None, None])
         velocity = self.flow(self.trunk(batch.vector, batch.images), point, time)
         return self.error(velocity, batch, target - noise)
@@ -59,6 +60,6 @@ class FlowMatching(Student):
         steps = self.config.sampling_steps
         point = noise[:, 0]
         for step in range(steps):
-            time = torch.full((len(noise),), step / steps)
+            time = torch.full((len(noise),), step / steps, device=noise.device)
             point = point + self.flow(seen, point, time) / steps
         return self.action_normalizer.restore(point)

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.demos import Demonstrations
+from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, Trunk
 from mjhab.learning.students.student import Batch, Student
@@ -50,7 +51,7 @@ class SquashedGaussian(Student):
     def sample(self, features: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
         """Draw actions (B, A); also returns their log density (B,)."""
         mean, log_std = self.distribution(features)
-        noise = torch.randn(mean.shape, generator=random, device=mean.device)
+        noise = normal(mean.shape, random, mean)
         raw = mean + log_std.exp() * noise
         density = -0.5 * noise**2 - log_std - 0.5 * math.log(2.0 * math.pi)
         # log(1 - tanh(x)^2), written so that it does not underflow.

@@ -28,10 +28,10 @@ class Batch:
     def of(cls, chunks: Chunks) -> Batch:
         """Share the memory of ``chunks``."""
         return cls(
-            torch.from_numpy(chunks.vector),
-            torch.from_numpy(chunks.images),
-            torch.from_numpy(chunks.actions),
-            torch.from_numpy(chunks.valid),
+            torch.as_tensor(chunks.vector),
+            torch.as_tensor(chunks.images),
+            torch.as_tensor(chunks.actions),
+            torch.as_tensor(chunks.valid),
         )
 
 

@@ -1,0 +1,84 @@
+"""Changes of single fields of a preset: ``chunk=4``, ``inputs.image_size=64``, ``optimizer.ema=0``."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.learning.configs import TrainConfig
+
+DAGGER = "dagger"
+TRUTH = {"true": True, "false": False}
+
+
+def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
+    """The config with the named fields set.
+
+    Args:
+        config: of a run.
+        words: NAME=VALUE each. NAME is a field of `StudentConfig`, or PART.FIELD with the part inputs, network,
+            optimizer or dagger; the items of a tuple are separated by commas.
+
+    Raises:
+        UsageError: there is no such field, or the value has another type.
+    """
+    for word in words:
+        name, sign, text = word.partition("=")
+        if not sign:
+            raise UsageError(
+                f"--set takes NAME=VALUE, for instance inputs.image_size=64; got {word!r}."
+            )
+        config = _changed(config, name, text)
+    return config
+
+
+def settable(config: TrainConfig) -> dict[str, Any]:
+    """The fields that can be set, with their values in ``config``, by name."""
+    found: dict[str, Any] = {}
+    for name, value in _fields(config.student).items():
+        if dataclasses.is_dataclass(value):
+            found |= {f"{name}.{field}": part for field, part in _fields(value).items()}
+        elif name not in ("algorithm", "preset"):
+            found[name] = value
+    if config.dagger is not None:
+        found |= {f"{DAGGER}.{field}": part for field, part in _fields(config.dagger).items()}
+    return found
+
+
+def _changed(config: TrainConfig, name: str, text: str) -> TrainConfig:
+    known = settable(config)
+    if name not in known:
+        raise unknown_name("field of the preset", name, known)
+    value = _read(name, text, known[name])
+    part, dot, field = name.partition(".")
+    if not dot:
+        return dataclasses.replace(config, student=_replaced(config.student, name, value))
+    if part == DAGGER:
+        return dataclasses.replace(config, dagger=_replaced(config.dagger, field, value))
+    inner = _replaced(getattr(config.student, part), field, value)
+    return dataclasses.replace(config, student=_replaced(config.student, part, inner))
+
+
+def _replaced(record: Any, name: str, value: Any) -> Any:
+    return dataclasses.replace(record, **{name: value})
+
+
+def _fields(record: Any) -> dict[str, Any]:
+    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+
+
+def _read(name: str, text: str, like: Any) -> Any:
+    """The value of a text, of the type of ``like``."""
+    if isinstance(like, tuple):
+        items = [item for item in text.split(",") if item]
+        return tuple(_read(name, item, like[0]) if like else item for item in items)
+    if isinstance(like, bool):
+        if text not in TRUTH:
+            raise UsageError(f"--set {name}: {text!r} is neither true nor false.")
+        return TRUTH[text]
+    try:
+        return type(like)(text)
+    except ValueError as error:
+        raise UsageError(f"--set {name}: {text!r} is no {type(like).__name__}.") from error

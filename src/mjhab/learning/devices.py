@@ -1,0 +1,41 @@
+"""Devices that networks are trained on, and random numbers that are the same on all of them."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from mjhab.core.errors import UsageError
+
+CPU = "cpu"
+AUTO = "auto"
+"""The first GPU if there is one, else the CPU."""
+
+
+def training_device(name: str) -> torch.device:
+    """The device of a name: cpu, auto, cuda or cuda:N.
+
+    Raises:
+        UsageError: this machine has no such device.
+    """
+    found = [f"cuda:{number}" for number in range(torch.cuda.device_count())]
+    if name == AUTO:
+        return torch.device(found[0] if found else CPU)
+    if name == CPU:
+        return torch.device(CPU)
+    full = "cuda:0" if name == "cuda" else name
+    if full not in found:
+        raise UsageError(
+            f"no device {name!r} to train on; valid names here: {', '.join([CPU, AUTO, *found])}."
+        )
+    return torch.device(full)
+
+
+def normal(shape: torch.Size | tuple[int, ...], random: torch.Generator, like: Tensor) -> Tensor:
+    """Standard normal numbers on the device of ``like``, drawn on the CPU by ``random``."""
+    return torch.randn(shape, generator=random).to(like.device)
+
+
+def uniform(shape: torch.Size | tuple[int, ...], random: torch.Generator, like: Tensor) -> Tensor:
+    """Uniform numbers in [0, 1) on the device of ``like``, drawn on the CPU by ``random``."""
+    return torch.rand(shape, generator=random).to(like.device)

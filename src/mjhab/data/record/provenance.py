@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import platform
 import subprocess
 from collections.abc import Mapping
@@ -129,7 +130,10 @@ def versions() -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def source_commit() -> str:
-    """Commit of mjhab's own checkout, with "+changes" if files differ from it; "" when it runs from a package."""
+    """Commit of mjhab's own checkout, with "+changes" if files differ from it.
+
+    Where mjhab runs from a package or a copy without git, the environment variable MJHAB_COMMIT gives it, else "".
+    """
     folder = Path(__file__).parents[2]
 
     def git(*words: str) -> str:
@@ -144,7 +148,7 @@ def source_commit() -> str:
             "+changes" if git("status", "--porcelain", "--", ".") else ""
         )
     except (OSError, subprocess.SubprocessError):
-        return ""
+        return os.environ.get("MJHAB_COMMIT", "")
 
 
 def model_hash(model: Any) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -87,6 +89,16 @@ def test_batches_mix_old_and_new_and_depend_on_seed_and_number_alone() -> None:
     assert len(BatchSampler(sources[:1], 40, 0.5, 0).rows(0)[0][1]) == 40
 
 
+def test_batches_on_a_device_are_those_of_numpy() -> None:
+    sources = [demonstrations(seed) for seed in range(3)]
+    batch = BatchSampler(sources, 40, 0.5, seed=3).batch(7, 4, 2, 1)
+    there = [source.on(torch.device("cpu")) for source in sources]
+    same = BatchSampler(there, 40, 0.5, seed=3).batch(7, 4, 2, 1)
+    for name in ("vector", "images", "actions", "valid"):
+        assert isinstance(getattr(same, name), torch.Tensor)
+        np.testing.assert_array_equal(getattr(same, name).numpy(), getattr(batch, name))
+
+
 def test_only_usable_steps_are_drawn() -> None:
     data = demonstrations()
     data.usable[:] = 3
@@ -152,6 +164,21 @@ def test_what_is_read_is_what_was_recorded(source: Path) -> None:
         at += n
     assert at == len(data.vector) and data.episodes == 4
     assert data.vector.shape[1] == told.width
+
+
+def test_several_processes_read_the_same(source: Path, tmp_path: Path) -> None:
+    shutil.copy(source / "picks.h5", tmp_path / "some.h5")
+    record(
+        tmp_path / "more.h5",
+        range(4, 6),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
+    told = layout_of_data(tmp_path, INPUTS, EVERY)
+    one, two = (load_demonstrations(tmp_path, told, -1, EVERY, workers) for workers in (1, 2))
+    assert one.episodes > 4
+    for name in ("vector", "images", "actions", "first", "last", "usable"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
 def test_data_that_do_not_fit_are_refused_with_what_to_do(source: Path, tmp_path: Path) -> None:

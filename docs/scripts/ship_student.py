@@ -1,19 +1,39 @@
-"""Put a trained student into the package: ``python docs/scripts/ship_student.py RUN/student.safetensors``.
+"""Put a trained student into the package: ``python docs/scripts/ship_student.py FILE ROW...``.
 
-The file is named after what the student was trained for; large weights are stored as 8-bit integers.
+FILE is student.safetensors of a run, ROW what it was trained for: TASK/SUBTASK or TASK/SUBTASK/TARGET. The weights are
+stored in about half of their size, in a file named after the row. A student for several rows is stored as all_rows;
+src/mjhab/learning/shipped/index.json names the rows that it acts for, alone or together with another.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from mjhab.learning.checkpoint import load_checkpoint, save_compact
-from mjhab.learning.shipped_kind import FOLDER, SUFFIX, file_name
+from mjhab.learning.policy_kind import SUFFIX
+from mjhab.learning.shipped_kind import FOLDER, file_name
+
+ALL_ROWS = "all_rows"
+
+
+def ship(source: Path, rows: Sequence[str]) -> None:
+    """Write the file of a student for the given rows."""
+    scenes = []
+    for row in rows:
+        task, subtask, *target = row.split("/", 2)
+        scenes.append({"task": task, "subtask": subtask, "target": "".join(target)})
+    name = file_name(**scenes[0]) if len(scenes) == 1 else ALL_ROWS
+    about = load_checkpoint(source).about
+    told = [{**about["scene"], **scene} for scene in scenes]
+    place = FOLDER / f"{name}{SUFFIX}"
+    save_compact(source, place, {**about, "scene": told[0], "also": told[1:]})
+    place.chmod(0o644)
+    print(f"{place}: {place.stat().st_size / 1e6:.1f} MB")
+
 
 if __name__ == "__main__":
-    for source in map(Path, sys.argv[1:]):
-        scene = load_checkpoint(source).about["scene"]
-        target = FOLDER / (file_name(scene["task"], scene["subtask"], scene["target"]) + SUFFIX)
-        save_compact(source, target)
-        print(f"{target}: {target.stat().st_size / 1e6:.1f} MB")
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
+    ship(Path(sys.argv[1]), sys.argv[2:])

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from experts_tables import DOCS, page_with_tables, place_of, read, table
 
 PAGE = DOCS / "students.md"
@@ -14,11 +16,18 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f}"
 
 
+def minutes(training: dict[str, Any]) -> str:
+    """CPU minutes of everything; of a training on a GPU its duration, without the demonstrations."""
+    if training.get("device", "cpu") == "cpu":
+        return f"{training['cpu_minutes']:.0f}"
+    return f"{training['minutes']:.0f} (GPU)"
+
+
 def student_table() -> str:
     """One line per student."""
     head = (
-        "task", "subtask", "target", "once %", "95 %", "of", "at end %", "demonstrations",
-        "control steps", "samples", "CPU minutes", "paper BC %", "RL-Per %", "commit",
+        "task", "subtask", "target", "px", "once %", "95 %", "of", "at end %", "demonstrations",
+        "control steps", "samples", "minutes", "paper BC %", "RL-Per %", "commit",
     )  # fmt: skip
     lines = []
     for row in sorted(read("students")["rows"], key=place_of):
@@ -26,13 +35,14 @@ def student_table() -> str:
         judged = row["evaluation"]
         paper = row["paper_success_once"] or {}
         low, high = judged["success_once_interval"]
-        line = [row["task"], row["subtask"], row["target"] or "all"]
+        line = [row["task"], row["subtask"], row["target"] or "all", str(row["image_size"])]
         line += [f"**{percent(judged['success_once'])}**", f"{100 * low:.0f}-{100 * high:.0f}"]
         line += [str(judged["episodes"]), percent(judged["success_at_end"])]
-        line += [f"{training['episodes']:,}", f"{training['frames']:,}"]
-        line += [f"{training['samples'] / 1e6:.1f} M", f"{training['cpu_minutes']:.0f}"]
+        frames = training["frames"]
+        line += [f"{training['episodes']:,}", "-" if frames is None else f"{frames:,}"]
+        line += [f"{training['samples'] / 1e6:.1f} M", minutes(training)]
         line += [f"{paper[name]:.1f}" if name in paper else "-" for name in ("bc", "rl_per")]
-        lines.append([*line, training["commits"][-1][:7]])
+        lines.append([*line, training["commits"][-1][:7] or "-"])
     return table(head, lines)
 
 

@@ -38,7 +38,7 @@ class Constant:
 
 
 def test_each_world_has_the_policy_of_its_subtask() -> None:
-    entries = (Entry("pick", "013_apple", Path()), Entry("pick", "", Path()))
+    entries = (Entry("pick", "013_apple", ""), Entry("pick", "", ""))
     apple, others = Constant(1.0), Constant(2.0)
     policy = PoliciesBySubtask(entries, [apple, others], worlds=2, width=3)
     info: dict[str, Any] = {"episode_spec": [{"plan": PLAN}] * 2}
@@ -54,7 +54,7 @@ def test_each_world_has_the_policy_of_its_subtask() -> None:
 
 def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:
     path = tmp_path / "policies.json"
-    entries = (Entry("pick", "", tmp_path / "sub" / "a.safetensors"),)
+    entries = (Entry("pick", "", str(tmp_path / "sub" / "a.safetensors")),)
     path.write_text(entries_text(path, entries), encoding="utf-8")
     assert read_entries(path) == entries
     for wrong, said in (

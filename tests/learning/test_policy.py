@@ -13,7 +13,8 @@ from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.demos import nearness
-from mjhab.learning.policy import StudentPolicy
+from mjhab.learning.policy import StudentEnsemble, StudentPolicy, pooled
+from mjhab.learning.policy_kind import joined
 from mjhab.learning.students.heads import make_student
 from tests.learning.small import INPUTS, SIZE, TARGETS, config, fake_env, layout
 
@@ -145,3 +146,52 @@ def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         match=r"learning needs torch, which is not installed.*pip install 'mjhab\[learn\]'",
     ):
         inspect_policy("any.safetensors")
+
+
+def test_several_students_execute_the_mean_of_their_actions(tmp_path: Path) -> None:
+    files = []
+    for seed in (1, 2):
+        files.append(tmp_path / f"{seed}.safetensors")
+        save_student(files[-1], make_student(config(), layout(), seed=seed), {})
+    spec = "+".join(map(str, files))
+    facts = inspect_policy(spec)
+    assert facts.name == "1+2" and facts.env_options["camera_size"] == SIZE
+    assert (
+        facts.identity["policy_sha256"] != inspect_policy(str(files[0])).identity["policy_sha256"]
+    )
+    together = resolve_policy(spec, fake_env(2))
+    alone = [resolve_policy(str(file), fake_env(2)) for file in files]
+    for policy in (together, *alone):
+        policy.reset(np.ones(2, bool))
+    first = together.act(*scene(2, 0))
+    means = np.mean([policy.act(*scene(2, 0)) for policy in alone], axis=0)
+    np.testing.assert_allclose(first, means, atol=1e-6)
+    assert isinstance(together, StudentEnsemble)
+    for member in together.members:
+        np.testing.assert_array_equal(member._last, first)
+
+
+def test_small_images_are_means_of_larger_ones() -> None:
+    images = np.arange(2 * 4 * 4, dtype=np.uint8).reshape(2, 4, 4)
+    assert pooled(images, 1) is images
+    np.testing.assert_array_equal(pooled(images, 2)[0], [[2, 4], [10, 12]])
+    half = dataclasses.replace(INPUTS, image_size=SIZE // 2)
+    student = make_student(config(inputs=half), layout(half))
+    with pytest.raises(UsageError, match="16x16 px instead of 8x8"):
+        StudentPolicy(student, fake_env(1))
+    assert student.layout.pool_in(fake_env(1)) == 2
+    policy = StudentPolicy(student, fake_env(1), pool=2)
+    policy.reset(np.ones(1, bool))
+    assert policy.act(*scene(1, 0)).shape == (1, 13)
+
+
+def test_students_together_get_the_largest_of_their_images() -> None:
+    small = {"camera_size": 32, "profile": "ms_hab"}
+    assert joined("both", [("a", small), ("b", {**small, "camera_size": 64})]) == {
+        **small,
+        "camera_size": 64,
+    }
+    with pytest.raises(UsageError, match="camera_size is 32 for one and 48 for b"):
+        joined("both", [("a", small), ("b", {**small, "camera_size": 48})])
+    with pytest.raises(UsageError, match="profile is 'ms_hab' for one and 'mjhab' for b"):
+        joined("both", [("a", small), ("b", {**small, "profile": "mjhab"})])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from mjhab.evaluation.evaluate import EvalSpec, describe_policy
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
 from mjhab.learning import shipped_kind
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student
+from mjhab.learning.policy import StudentEnsemble
+from mjhab.learning.policy_kind import members
 from mjhab.learning.students.heads import make_student
 from tests.learning.small import config, fake_env, layout
 
@@ -70,11 +73,41 @@ def test_where_there_is_none_those_are_named_that_there_are(
 def test_one_student_may_serve_all_targets(shelf: Path) -> None:
     for_all = shelf / "set_table.pick.safetensors"
     save_student(for_all, make_student(config(), layout()), {})
-    assert shipped_kind.shipped_path("set_table", "pick", "024_bowl") == for_all
-    assert shipped_kind.shipped_path("set_table", "pick", "") == for_all
+    assert shipped_kind.shipped_path("set_table", "pick", "024_bowl") == str(for_all)
+    assert shipped_kind.shipped_path("set_table", "pick", "") == str(for_all)
     own = shelf / "set_table.pick.024_bowl.safetensors"
     save_student(own, make_student(config(), layout()), {})
-    assert shipped_kind.shipped_path("set_table", "pick", "024_bowl") == own
+    assert shipped_kind.shipped_path("set_table", "pick", "024_bowl") == str(own)
+
+
+def test_one_student_may_act_for_several_names_and_together_with_others(shelf: Path) -> None:
+    name = "set_table.close.kitchen_counter-drawer3"
+    scene = {"task": "set_table", "subtask": "pick", "target": ""}
+    told = {"scene": scene, "also": [{**CLOSE, "split": "train"}]}
+    save_student(shelf / "all.safetensors", make_student(config(), layout(), seed=1), told)
+    index = {name: [name, "all"], "set_table.pick": ["all"]}
+    (shelf / "index.json").write_text(json.dumps(index))
+    spec = shipped_kind.shipped_path(**CLOSE)
+    assert [path.stem for path in members(spec)] == [name, "all"]
+    pick = shipped_kind.shipped_path("set_table", "pick", "024_bowl")
+    assert [path.stem for path in members(pick)] == ["all"]
+    assert list(shipped_kind.shipped()) == [name, "set_table.pick"]
+    (shelf / f"{name}.safetensors").unlink()
+    (shelf / "index.json").write_text(json.dumps({name: ["all"], "set_table.pick": ["all"]}))
+    entries = shipped_kind.shipped_entries("set_table")
+    assert [(entry.subtask, entry.target) for entry in entries] == [
+        ("close", CLOSE["target"]),
+        ("pick", ""),
+    ]
+
+
+@pytest.mark.usefixtures("shelf")
+def test_students_act_together(shelf: Path) -> None:
+    name = "set_table.close.kitchen_counter-drawer3"
+    save_student(shelf / "all.safetensors", make_student(config(), layout(), seed=1), {})
+    (shelf / "index.json").write_text(json.dumps({name: [name, "all"]}))
+    policy = resolve_policy(str(EvalSpec("student", **CLOSE).policy), fake_env(1))
+    assert isinstance(policy, StudentEnsemble) and len(policy.members) == 2
 
 
 def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
@@ -82,7 +115,7 @@ def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
     scene = {"task": "set_table", "subtask": "close", "target": CLOSE["target"]}
     save_student(path, make_student(config(), layout()), {"scene": scene})
     (entry,) = shipped_kind.shipped_entries("set_table")
-    assert (entry.subtask, entry.target, entry.checkpoint) == ("close", CLOSE["target"], path)
+    assert (entry.subtask, entry.target, entry.checkpoint) == ("close", CLOSE["target"], str(path))
     assert describe_policy(str(EvalSpec("student", task="set_table").policy)).name == "student"
 
 
@@ -94,10 +127,13 @@ def test_a_misspelt_student_is_suggested() -> None:
 def test_what_is_shipped_is_small_acts_and_says_where_it_learned() -> None:
     there = shipped_kind.shipped()
     assert shipped_kind.file_name(**CLOSE) in there
-    for name, path in there.items():
-        assert path.stat().st_size <= LARGEST_BYTES
-        student = load_student(path)
-        scene = load_checkpoint(path).about["scene"]
-        assert name == shipped_kind.file_name(scene["task"], scene["subtask"], scene["target"])
-        assert (scene["profile"], student.layout.profile) == ("ms_hab", "ms_hab")
-        assert scene["assets"] == "builtin"
+    for name, spec in there.items():
+        for path in members(spec):
+            assert path.stat().st_size <= LARGEST_BYTES
+            student = load_student(path)
+            about = load_checkpoint(path).about
+            scene = about["scene"]
+            learned = shipped_kind.scenes_of(about)
+            assert name in [shipped_kind.file_name(**one) for one in learned]
+            assert (scene["profile"], student.layout.profile) == ("ms_hab", "ms_hab")
+            assert scene["assets"] == "builtin"

@@ -30,11 +30,12 @@ _FIELDS = ("subtask", "target", "checkpoint")
 
 @dataclass(frozen=True)
 class Entry:
-    """A checkpoint with its subtask and its type of target ("" for all targets)."""
+    """A checkpoint, or several joined by "+" (see `policy_kind`), with its subtask and its type of target ("" for all
+    targets)."""
 
     subtask: str
     target: str
-    checkpoint: Path
+    checkpoint: str
 
 
 def read_entries(path: Path) -> tuple[Entry, ...]:
@@ -50,7 +51,7 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["policies"]
         entries = [
-            Entry(row["subtask"], row["target"], path.parent / row["checkpoint"]) for row in rows
+            Entry(row["subtask"], row["target"], _beside(path, row["checkpoint"])) for row in rows
         ]
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise UsageError(
@@ -61,13 +62,22 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
+def _beside(path: Path, checkpoint: str) -> str:
+    """The checkpoints of an entry, below the folder of the policies file."""
+    files = policy_kind.members(checkpoint)
+    return policy_kind.AND.join(str(path.parent / file) for file in files)
+
+
 def entries_text(path: Path, entries: Sequence[Entry]) -> str:
     """Text of a policies file at ``path``; the checkpoints must lie below its folder."""
     rows = [
         {
             "subtask": entry.subtask,
             "target": entry.target,
-            "checkpoint": str(entry.checkpoint.relative_to(path.parent)),
+            "checkpoint": policy_kind.AND.join(
+                str(member.relative_to(path.parent))
+                for member in policy_kind.members(entry.checkpoint)
+            ),
         }
         for entry in entries
     ]
@@ -91,18 +101,14 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
         UsageError: two policies need different environment options, or a checkpoint cannot be read.
     """
     hashes = []
-    options: dict[str, Any] = {}
+    needed = []
     profiles = set()
     for entry in entries:
-        facts = policy_kind.inspect_policy(str(entry.checkpoint))
+        facts = policy_kind.inspect_policy(entry.checkpoint)
         hashes.append([entry.subtask, entry.target, facts.identity["policy_sha256"]])
         profiles.add(facts.identity["policy_profile"])
-        for option, value in facts.env_options.items():
-            if options.setdefault(option, value) != value:
-                raise UsageError(
-                    f"the policies of {name} need different environments: {option} is {options[option]!r} for one "
-                    f"and {value!r} for {entry.checkpoint}."
-                )
+        needed.append((entry.checkpoint, facts.env_options))
+    options = policy_kind.joined(name, needed)
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
     identity = {"policy_sha256": digest, "policy_profile": ", ".join(sorted(profiles))}
     return PolicyFacts(name, identity, options)
@@ -134,7 +140,9 @@ def build_entries(
             raise UsageError(
                 f"{name} has no policy for {subtask}; it has some for {sorted(having)}."
             )
-    policies = [policy_kind.build_policy(str(entry.checkpoint), env, options) for entry in entries]
+    policies = [
+        policy_kind.build_policy(entry.checkpoint, env, options, pools=True) for entry in entries
+    ]
     width = len(cast(Any, env).action_table)
     return PoliciesBySubtask(entries, policies, env.num_envs, width)
 

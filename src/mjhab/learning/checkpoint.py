@@ -46,14 +46,20 @@ def save_student(path: Path, student: Student, about: Mapping[str, Any]) -> None
     save_tensors(path, student, student.state_dict(), about)
 
 
-def save_compact(source: Path, target: Path) -> None:
-    """Write a student file in a quarter of its size: large weights as 8-bit integers, see `compacted`.
+def save_compact(source: Path, target: Path, about: Mapping[str, Any] | None = None) -> None:
+    """Write a student file in about half of its size, see `compacted`.
+
+    Args:
+        source: the student file.
+        target: the new file.
+        about: in place of the source's.
 
     Raises:
         UsageError: see `load_student`.
     """
     student = load_student(source)
-    save_tensors(target, student, compacted(student.state_dict()), load_checkpoint(source).about)
+    told = load_checkpoint(source).about if about is None else about
+    save_tensors(target, student, compacted(student.state_dict()), told)
 
 
 def save_training(path: Path, trainer: Trainer, about: Mapping[str, Any]) -> None:

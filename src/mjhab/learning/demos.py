@@ -21,7 +21,7 @@ from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.names import kind_of
 from mjhab.core.seeding import stream
 from mjhab.data.select.query import Filter
-from mjhab.data.select.sets import select
+from mjhab.data.select.sets import first_of_targets, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import decode
 from mjhab.data.store.reading import Episode, open_shard
@@ -118,6 +118,7 @@ def load_demonstrations(
     hold_steps: int,
     where: Filter | None = None,
     workers: int = 1,
+    per_target: int = 0,
 ) -> Demonstrations:
     """Read shards into memory, each episode until ``hold_steps`` control steps after its first success.
 
@@ -127,15 +128,17 @@ def load_demonstrations(
         hold_steps: number of control steps; -1 keeps whole episodes.
         where: filter on the episodes; None takes the successful ones.
         workers: number of processes; each reads whole shards.
+        per_target: of every target only this number, those with the lowest indices; 0 for all.
 
     Raises:
         UsageError: no episode passes the filter; an episode lacks images, or its state or actions differ from
             ``layout``.
     """
     found = select(places, where or Filter(SUCCESSES))
+    matched = first_of_targets(found, per_target) if per_target else found.matched
     shards = [
         (path, [name for _, name in members])
-        for path, members in itertools.groupby(found.matched, lambda place: place[0])
+        for path, members in itertools.groupby(matched, lambda place: place[0])
     ]
     paths = [path for path, _ in shards]
     names = [members for _, members in shards]

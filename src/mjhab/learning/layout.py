@@ -172,8 +172,12 @@ class Layout:
         one_hot[len(self.kinds) + self.targets.index(target)] = 1.0
         return one_hot
 
-    def check_env(self, env: StudentEnv) -> None:
+    def check_env(self, env: StudentEnv, pool: int = 1) -> None:
         """Refuse an environment whose observations or actions differ from those that the student was trained with.
+
+        Args:
+            env: the environment.
+            pool: how many times as wide and high its images are.
 
         Raises:
             UsageError: names the differing entries and the options of a matching environment.
@@ -181,7 +185,7 @@ class Layout:
         # Other stationary joint groups than in training are allowed, like another profile: their actions are ignored.
         control = (*control_of(env)[:2], *self.control[2:])
         wrong = compare_layouts(self, state_of(env), actions_of(env), control)
-        size = (self.inputs.image_size, self.inputs.image_size, 1)
+        size = (pool * self.inputs.image_size, pool * self.inputs.image_size, 1)
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
         for key in self.image_keys:
             if key not in shapes:
@@ -195,6 +199,15 @@ class Layout:
                 f"the checkpoint does not fit this environment: {'; '.join(wrong)}. It was trained with "
                 f"{describe_options(self.env_options())}."
             )
+
+    def pool_in(self, env: StudentEnv) -> int:
+        """How many times as wide the images of an environment are as the student's; 1 where that is no whole number."""
+        shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
+        for key in self.image_keys:
+            width = shapes[key][1] if key in shapes else 0
+            if width and width % self.inputs.image_size == 0:
+                return width // self.inputs.image_size
+        return 1
 
     def env_options(self) -> dict[str, Any]:
         """Options of an environment with the observations, actions and profile that the student was trained with."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,8 @@ class StudentPolicy:
         student: network, for instance from `checkpoint.load_student`.
         env: environment that the policy will act in; its layout must match the student's.
         seed: of the noise that flow matching or diffusion start from.
+        pool: the environment's images are so many times as wide and high as the student's, which sees means of
+            ``pool`` x ``pool`` pixels.
 
     Raises:
         UsageError: the environment's observations or actions do not match the student's.
@@ -32,11 +34,12 @@ class StudentPolicy:
 
     name = "student"
 
-    def __init__(self, student: Student, env: ActingEnv, seed: int = 0) -> None:
-        student.layout.check_env(env)
+    def __init__(self, student: Student, env: ActingEnv, seed: int = 0, pool: int = 1) -> None:
+        student.layout.check_env(env, pool)
         self.student = student
         self._env = env
         self._seed = seed
+        self._pool = pool
         config = student.config
         layout = student.layout
         worlds = env.num_envs
@@ -64,6 +67,10 @@ class StudentPolicy:
         self._last = actions.copy()
         return actions
 
+    def replace_action(self, actions: np.ndarray) -> None:
+        """Tell that ``actions`` (W, A) are executed instead of those that ``act`` returned last."""
+        self._last = actions.copy()
+
     def _remember(self, obs: Any, info: Mapping[str, Any]) -> None:
         """Append the current observation to the history; the first one of an episode fills the whole history."""
         vector, images = self._see(obs, info)
@@ -85,7 +92,9 @@ class StudentPolicy:
             parts.append(self._last)
         if layout.inputs.condition:
             parts.append(self._conditions(info))
-        images = [nearness(np.asarray(obs[key])[..., 0]) for key in layout.image_keys]
+        images = [
+            pooled(nearness(np.asarray(obs[key])[..., 0]), self._pool) for key in layout.image_keys
+        ]
         seen = np.stack(images, axis=1) if images else np.zeros((len(parts[0]), 0, 0, 0), np.uint8)
         return np.concatenate(parts, axis=1), seen
 
@@ -122,3 +131,39 @@ class StudentPolicy:
                 random = stream(self._seed, "student", index, int(self._step[world]))
                 noise[row] = random.standard_normal(shape, np.float32)
         return noise
+
+
+class StudentEnsemble:
+    """Several students act together: the mean of their actions is executed.
+
+    Students that were trained separately err differently, so their mean errs less.
+
+    Args:
+        members: policies in the same environment.
+    """
+
+    name = "student"
+
+    def __init__(self, members: Sequence[StudentPolicy]) -> None:
+        self.members = tuple(members)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the worlds in ``mask`` (W,)."""
+        for member in self.members:
+            member.reset(mask)
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, A) float32 in [-1, 1]."""
+        actions = np.mean([member.act(obs, info) for member in self.members], axis=0)
+        for member in self.members:
+            member.replace_action(actions)
+        return actions
+
+
+def pooled(images: np.ndarray, factor: int) -> np.ndarray:
+    """Images (W, H, W') uint8 reduced to means of ``factor`` x ``factor`` pixels."""
+    if factor == 1:
+        return images
+    worlds, height, width = images.shape
+    blocks = images.reshape(worlds, height // factor, factor, width // factor, factor)
+    return np.rint(blocks.mean(axis=(2, 4))).astype(np.uint8)

@@ -1,13 +1,15 @@
 """Checkpoints as policies: ``--policy CHECKPOINT.safetensors`` of every command.
 
-See `evaluation.resolve.PolicyModule`.
+``A.safetensors+B.safetensors`` names several that act together, see `policy.StudentEnsemble`. See
+`evaluation.resolve.PolicyModule`.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
@@ -17,27 +19,73 @@ from mjhab.rollout.policy import Policy, RolloutEnv
 if TYPE_CHECKING:
     from mjhab.learning.layout import ActingEnv
 
+AND = "+"
+SUFFIX = ".safetensors"
+CAMERA_SIZE = "camera_size"
+
+
+def members(spec: str) -> list[Path]:
+    """Files of the checkpoints that a specification names."""
+    if Path(spec).is_file():
+        return [Path(spec)]
+    *first, last = spec.split(f"{SUFFIX}{AND}")
+    return [*(Path(part + SUFFIX) for part in first), Path(last)]
+
+
+def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    """Options of an environment in which several students can act: the largest of their image sizes.
+
+    Args:
+        name: of them together, for the error.
+        needed: name and options of each.
+
+    Raises:
+        UsageError: they need different environments.
+    """
+    options: dict[str, Any] = {}
+    for member, wanted in needed:
+        for option, value in wanted.items():
+            kept = options.setdefault(option, value)
+            if option == CAMERA_SIZE and max(kept, value) % min(kept, value) == 0:
+                options[option] = max(kept, value)
+            elif kept != value:
+                raise UsageError(
+                    f"the policies of {name} need different environments: {option} is {kept!r} for one and {value!r} "
+                    f"for {member}."
+                )
+    return options
+
 
 def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe a checkpoint: its name, the hash of its bytes, its profile, and the environment that it needs.
+    """Describe a checkpoint, or several: name, hash of the bytes, profile, and the environment that is needed.
 
     The run's records hold the checkpoint's profile as ``policy_profile`` and the environment's as ``profile``.
 
     Raises:
-        UsageError: torch is not installed, or the file cannot be read.
+        UsageError: torch is not installed, a file cannot be read, or the students need different environments.
     """
     require_learn()
     from mjhab.learning.checkpoint import load_checkpoint
 
-    path = Path(spec)
-    layout = load_checkpoint(path).layout
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    identity = {"policy_sha256": digest, "policy_profile": layout.profile}
-    return PolicyFacts(path.stem, identity, layout.env_options())
+    paths = members(spec)
+    layouts = [load_checkpoint(path).layout for path in paths]
+    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+    digest = digests[0]
+    if len(digests) > 1:
+        digest = hashlib.sha256("".join(digests).encode()).hexdigest()
+    named = zip(map(str, paths), (layout.env_options() for layout in layouts), strict=True)
+    identity = {"policy_sha256": digest, "policy_profile": layouts[0].profile}
+    return PolicyFacts(AND.join(path.stem for path in paths), identity, joined(spec, named))
 
 
-def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-    """Build the policy of a checkpoint.
+def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool = False) -> Policy:
+    """Build the policy of a checkpoint, or that of several together.
+
+    Args:
+        spec: the files.
+        env: the environment.
+        options: of the run.
+        pools: whether images may be larger than those that a student was trained with, as they may with several.
 
     Raises:
         UsageError: as `inspect_policy`; the environment's observations or actions do not match the student's; or
@@ -47,6 +95,18 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
         raise UsageError(f"only the policy expert has a style; {spec} has none.")
     require_learn()
     from mjhab.learning.checkpoint import load_student
-    from mjhab.learning.policy import StudentPolicy
+    from mjhab.learning.policy import StudentEnsemble, StudentPolicy
 
-    return StudentPolicy(load_student(Path(spec)), cast("ActingEnv", env), options.seed)
+    acting = cast("ActingEnv", env)
+    students = [load_student(path) for path in members(spec)]
+    several = len(students) > 1
+    policies = [
+        StudentPolicy(
+            student,
+            acting,
+            options.seed,
+            student.layout.pool_in(acting) if pools or several else 1,
+        )
+        for student in students
+    ]
+    return StudentEnsemble(policies) if several else policies[0]

@@ -8,27 +8,39 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.reading import read_json_object
 from mjhab.evaluation.resolve import STUDENT, PolicyFacts, PolicyOptions
 from mjhab.learning import policy_kind
 from mjhab.learning.by_subtask import Entry, build_entries, describe_entries
 from mjhab.learning.checkpoint import load_checkpoint
+from mjhab.learning.policy_kind import AND, SUFFIX
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 FOLDER = Path(__file__).parent / "shipped"
 """Folder of checkpoints (`student.safetensors` of runs), named ``TASK.SUBTASK.TARGET.safetensors`` with "-" for "/", or
 ``TASK.SUBTASK.safetensors`` of a student for all targets."""
-SUFFIX = ".safetensors"
+INDEX = "index.json"
+"""File beside them: for a name that several checkpoints act for, or one that acts for other names too, their names."""
 
 
-def shipped() -> dict[str, Path]:
-    """The package's checkpoints by file name without the extension."""
-    return {path.name.removesuffix(SUFFIX): path for path in sorted(FOLDER.glob(f"*{SUFFIX}"))}
+def shipped() -> dict[str, str]:
+    """The package's checkpoints by name, see `FOLDER`; several that act together are joined as in `policy_kind`."""
+    index = FOLDER / INDEX
+    together = read_json_object(index) if index.is_file() else {}
+    listed = {member for members in together.values() for member in members}
+    alone = {path.name.removesuffix(SUFFIX) for path in FOLDER.glob(f"*{SUFFIX}")} - listed
+    return {
+        name: AND.join(str(FOLDER / f"{member}{SUFFIX}") for member in together.get(name, [name]))
+        for name in sorted(alone | set(together))
+    }
 
 
-def shipped_path(task: str, subtask: str, target: str) -> Path:
+def shipped_path(task: str, subtask: str, target: str) -> str:
     """The checkpoint for a subtask on a target: one for this target alone, else one for all.
 
     Raises:
@@ -55,13 +67,22 @@ def shipped_entries(task: str) -> tuple[Entry, ...]:
     entries = []
     for name, path in shipped().items():
         if name.startswith(f"{task}."):
-            scene = load_checkpoint(path).about["scene"]
+            told = load_checkpoint(policy_kind.members(path)[0]).about
+            scene = next(one for one in scenes_of(told) if file_name(**one) == name)
             entries.append(Entry(scene["subtask"], scene["target"], path))
     if not entries:
         raise UsageError(
             f"the package has no student for the task {task!r}, but for: {_listed()}; train others with `mjhab train`."
         )
     return tuple(entries)
+
+
+def scenes_of(about: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Task, subtask and target of everything that a checkpoint was trained for, from what its file says."""
+    return [
+        {key: scene[key] for key in ("task", "subtask", "target")}
+        for scene in (about["scene"], *about.get("also", ()))
+    ]
 
 
 def _listed() -> str:
@@ -86,7 +107,7 @@ def inspect_policy(spec: str) -> PolicyFacts:
     task, subtask, target = _parts(spec)
     if not subtask:
         return describe_entries(STUDENT, shipped_entries(task))
-    facts = policy_kind.inspect_policy(str(shipped_path(task, subtask, target)))
+    facts = policy_kind.inspect_policy(shipped_path(task, subtask, target))
     return dataclasses.replace(facts, name=STUDENT)
 
 
@@ -95,4 +116,4 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     task, subtask, target = _parts(spec)
     if not subtask:
         return build_entries(STUDENT, shipped_entries(task), env, options)
-    return policy_kind.build_policy(str(shipped_path(task, subtask, target)), env, options)
+    return policy_kind.build_policy(shipped_path(task, subtask, target), env, options)

@@ -1,12 +1,15 @@
 """``python -m mjhab.reports.students FILE.json RUN EVALUATION ...``: table of training cost and success of students.
 
-RUN is a folder of `mjhab train dagger`, EVALUATION a folder of `mjhab eval` of its checkpoint. Rows of the same student
-(task, subtask, target, preset, seed) in the file are replaced, others stay.
+RUN is a folder of `mjhab train`, or several joined by "+" whose students act together; EVALUATION is a folder of
+`mjhab eval` of their checkpoints, or of the compact ones next to them. With - for RUN the row of the file for the same
+task, subtask, target and image size keeps its training and gets the evaluation. Rows of the same student (`IDENTITY`)
+are replaced, others stay.
 """
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import sys
 from collections.abc import Sequence
@@ -23,8 +26,12 @@ from mjhab.reports.paper import paper_success
 from mjhab.rollout.store import read_records, write_text
 
 SECONDS_PER_MINUTE = 60.0
-IDENTITY = ("task", "subtask", "target", "preset", "seed")
+IDENTITY = ("task", "subtask", "target", "preset", "image_size", "seed")
 """Keys that identify a row."""
+AND = "+"
+"""Between the runs of students that act together."""
+KEEP = Path("-")
+"""In place of a run: the training of the row stays as it is."""
 
 
 def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
@@ -33,20 +40,47 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
     Raises:
         UsageError: a folder is not such a run, or the evaluation is of another checkpoint.
     """
-    config = read_json(run / "config.json")
-    summary = read_json(run / "summary.json")
+    runs = [Path(part) for part in str(run).split(AND)]
+    config = read_json(runs[0] / "config.json")
     judged = read_json(evaluation / "config.json")
-    records = read_records(evaluation)
-    scene = config["scene"]
-    digest = hashlib.sha256((run / "student.safetensors").read_bytes()).hexdigest()
-    if judged.get("policy_sha256") != digest:
-        raise UsageError(f"{evaluation} is not an evaluation of {run / 'student.safetensors'}.")
+    if judged.get("policy_sha256") not in _digests(runs):
+        raise UsageError(f"{evaluation} is not an evaluation of a checkpoint in {run}.")
+    trained = [training(one) for one in runs]
+    student = config["config"]["student"]
     return {
-        **{name: scene[name] for name in ("task", "subtask", "target", "assets")},
-        "preset": config["config"]["student"]["preset"],
+        **{name: judged[name] or "" for name in ("task", "subtask", "target", "assets")},
+        "preset": student["preset"],
+        "image_size": student["inputs"]["image_size"],
         "seed": config["seed"],
         "profile": judged["policy_profile"],
-        "training": training(run, config, summary),
+        "training": trained[0] | {"members": len(runs)} | _sums(trained),
+        **evaluated(judged, evaluation),
+    }
+
+
+def judged_row(rows: Sequence[dict[str, Any]], evaluation: Path) -> dict[str, Any]:
+    """The row of the student that an evaluation judged, with its numbers.
+
+    Raises:
+        UsageError: the folder is not such a run, or not one row of ``rows`` is of this student.
+    """
+    judged = read_json(evaluation / "config.json")
+    size = judged["env"]["camera_size"] if judged["env"]["obs_mode"] != "state" else 0
+    wanted = (*(judged[name] or "" for name in ("task", "subtask", "target")), size)
+    found = [
+        row
+        for row in rows
+        if (row["task"], row["subtask"], row["target"], row["image_size"]) == wanted
+    ]
+    if len(found) != 1:
+        raise UsageError(f"{len(found)} rows are of {'/'.join(map(str, wanted))} px, not one.")
+    return {**found[0], **evaluated(judged, evaluation)}
+
+
+def evaluated(judged: dict[str, Any], evaluation: Path) -> dict[str, Any]:
+    """The part of a row that an evaluation with the config ``judged`` gives."""
+    records = read_records(evaluation)
+    return {
         "evaluation": {
             **{
                 name: judged[name]
@@ -64,7 +98,7 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
             "labels": label_counts(last_label(record) for record in records),
         },
         "paper_success_once": paper_success(
-            scene["task"], scene["subtask"], judged["split"], scene["target"]
+            judged["task"], judged["subtask"], judged["split"], judged["target"] or ""
         ),
     }
 
@@ -82,8 +116,31 @@ def read_json(path: Path) -> dict[str, Any]:
     return read_json_object(path)
 
 
-def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:
+def _digests(runs: Sequence[Path]) -> set[str]:
+    """Hashes of the policies that the checkpoints of runs can be, one of each together."""
+    files = [
+        [hashlib.sha256(file.read_bytes()).hexdigest() for file in run.glob("*.safetensors")]
+        for run in runs
+    ]
+    if len(runs) == 1:
+        return set(files[0])
+    together = ("".join(chosen) for chosen in itertools.product(*files))
+    return {hashlib.sha256(text.encode()).hexdigest() for text in together}
+
+
+def _sums(trained: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What the trainings of students that act together cost in all."""
+    names = ("episodes", "frames", "updates", "samples", "cpu_minutes", "minutes")
+    return {
+        name: None if None in (values := [one[name] for one in trained]) else sum(values)
+        for name in names
+    }
+
+
+def training(run: Path) -> dict[str, Any]:
     """Training data and training cost of a student."""
+    config = read_json(run / "config.json")
+    summary = read_json(run / "summary.json")
     data = []
     commits = set()
     for folder in sorted((run / "data").glob("round_*")):
@@ -98,8 +155,9 @@ def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict
         "split": config["scene"]["split"],
         "algorithm": config["algorithm"],
         "rounds": data,
-        "episodes": sum(part["episodes"] for part in data),
-        "frames": sum(part["frames"] for part in data),
+        "episodes": summary["demonstrations"],
+        "frames": sum(part["frames"] for part in data) or summary.get("frames"),
+        "device": summary.get("device", "cpu"),
         "updates": summary["steps"],
         "samples": summary["samples"],
         "cpu_minutes": round(summary["cpu_seconds"] / SECONDS_PER_MINUTE, 1),
@@ -108,19 +166,23 @@ def training(run: Path, config: dict[str, Any], summary: dict[str, Any]) -> dict
         "success_once_on_the_way": [
             row["success_once"] for row in metrics if "success_once" in row
         ],
-        "commits": sorted(commits),
+        "commits": sorted(commits) or [summary.get("commit", "")],
     }
 
 
 def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write rows to the file; rows of the same students are replaced."""
-    earlier = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
-    table = {tuple(row[name] for name in IDENTITY): row for row in [*earlier, *rows]}
+    table = {tuple(row[name] for name in IDENTITY): row for row in [*read_rows(path), *rows]}
     content = {
         "what": "students: policies that act from depth images and state",
         "rows": list(table.values()),
     }
     write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """The rows of the file; none if it does not exist."""
+    return json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
 
 
 def main(words: Sequence[str]) -> int:
@@ -129,7 +191,8 @@ def main(words: Sequence[str]) -> int:
     places = [Path(word) for word in words[1:]]
     try:
         rows = [
-            student_row(run, judged) for run, judged in zip(places[::2], places[1::2], strict=True)
+            student_row(run, judged) if run != KEEP else judged_row(read_rows(path), judged)
+            for run, judged in zip(places[::2], places[1::2], strict=True)
         ]
     except MjhabError as error:
         print(f"mjhab: {error}", file=sys.stderr)

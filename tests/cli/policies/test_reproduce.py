@@ -11,6 +11,9 @@ from mjhab.cli.main import main
 from mjhab.learning import configs
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig
 from mjhab.learning.reproduce.rows import table_rows
+from mjhab.learning.reproduce.spec import TableSpec
+from mjhab.learning.reproduce.studies import config_of
+from mjhab.learning.reproduce.variants import STYLES, VARIANTS
 from mjhab.reports.paper import paper_success
 from tests.learning.small import config
 
@@ -36,6 +39,7 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--column", "rl_al"), "Did you mean 'rl_all'"),
         (("--column", "rl_all", "--preset", "small"), "preset"),
         (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
+        (("--demos", "-1"), "--demos must be at least 0"),
     ],
 )
 def test_bad_input(
@@ -94,3 +98,48 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     assert (
         tmp_path / "set_table.close.drawer" / "train" / "student.safetensors"
     ).stat().st_mtime_ns == trained
+
+
+def test_a_study_trains_one_policy_for_each_of_its_variants(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    student = config(inputs=InputConfig(image_size=16), demos=2, updates=2, hold_steps=5)
+    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
+    monkeypatch.setitem(VARIANTS, "demo_count", VARIANTS["demo_count"][:2])
+    out = tmp_path / "study"
+    words = ["reproduce", "demo_count", *COMMAND[2:], "--out", str(out), "--worlds", "2"]
+    words += ["--threads", "1", "--split", "train", "--episodes", "1"]
+    assert main(words) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [row["rules"] for row in rows] == ["demos_1", "demos_10"]
+    assert [row["demonstrations"] for row in rows] == [1, 2]
+    assert [row["paper_says"] for row in rows] == ["0 %", "2 ± 3 %"]
+    assert "at most 10 demonstrations per object" in (out / "report.html").read_text("utf-8")
+    data = out / "set_table.close.drawer" / "data" / "demonstrations" / "shard_000.h5"
+    collected = data.stat().st_mtime_ns
+    assert main([*words, "--resume"]) == 0
+    assert data.stat().st_mtime_ns == collected
+    assert main(["reproduce", "filters", "--column", "rl_all", "--out", str(tmp_path / "f")]) == 2
+    assert "about imitation" in capsys.readouterr().err
+
+
+def test_data_of_the_filter_study_differ_in_how_objects_are_released() -> None:
+    style = {name: words for name, words in STYLES.items() if name}
+    assert {"release=place", "release=drop"} <= {word for words in style.values() for word in words}
+    assert [variant.imitation.data for variant in VARIANTS["filters"] if variant.imitation] == [
+        ("placed",),
+        ("dropped",),
+        ("placed", "dropped"),
+    ]
+
+
+def test_the_diffusion_policy_sees_images_of_the_presets_size() -> None:
+    spec = TableSpec(
+        what="table5", out=Path("x"), rows=(), preset="small", budget_minutes=0, split="val",
+        episodes=1, films=0, seed=0, assets="builtin", worlds=1, threads=1, resume=False,
+        profile="ms_hab",
+    )  # fmt: skip
+    small, paper = (config_of(spec, algorithm).student for algorithm in ("bc", "diffusion"))
+    assert paper.algorithm == "diffusion" and paper.chunk == 16
+    assert paper.inputs.image_size == small.inputs.image_size == 32
+    assert paper.updates == small.updates

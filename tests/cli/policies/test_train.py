@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from mjhab.cli.main import main, parse
-from mjhab.cli.policies.train import make_request
+from mjhab.cli.policies.train import make_request, reinforcement_request
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import configs
 from mjhab.learning.checkpoint import load_student
@@ -85,6 +86,22 @@ def test_bad_input(
 ) -> None:
     assert main(["train", "bc", "--out", str(tmp_path / "run"), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_policies_are_judged_in_homes_that_they_have_not_seen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for algorithm, convert in (("bc", make_request), ("ppo", reinforcement_request)):
+        words = ["train", algorithm, "--out", str(tmp_path)]
+
+        def split(*more: str, words: list[str] = words, convert: Any = convert) -> str:
+            return convert(parse([*words, *more]).command).judged_split
+
+        assert split() == "val"
+        assert split("--home", "builtin_m0_00") == "train"
+        assert split("--eval-split", "test") == "test"
+        assert main([*words, "--eval-split", "vla"]) == 2
+        assert "unknown split" in capsys.readouterr().err
 
 
 def test_no_round_is_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

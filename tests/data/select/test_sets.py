@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ import pytest
 
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
+from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
-from mjhab.data.select.sets import merge, select, split, stats
+from mjhab.data.select.sets import first_of_targets, merge, select, split, stats
 from mjhab.data.store.checking import check
 from mjhab.data.store.hdf5 import dataset, group
 from mjhab.data.store.reading import episodes
@@ -57,6 +58,20 @@ def test_select_and_stats(folder: Path) -> None:
     assert sum(row["steps"] for row in numbers["rows"]) == sum(r.steps for r in records)
     assert numbers["bytes"] == sum(p.stat().st_size for p in folder.iterdir())
     assert stats(folder, Filter("steps < 0"))["episodes"] == 0
+
+
+def test_the_first_of_every_target_are_those_with_the_lowest_indices(folder: Path) -> None:
+    found = select(folder)
+    kept = first_of_targets(found, 1)
+    by_target: dict[str, list[int]] = defaultdict(list)
+    for one in found.records:
+        by_target[target_of(one)].append(one.index)
+    chosen = [one for place, one in zip(found.matched, found.records, strict=True) if place in kept]
+    assert {target_of(one): one.index for one in chosen} == {
+        target: min(indices) for target, indices in by_target.items()
+    }
+    assert kept == [place for place in found.matched if place in set(kept)]
+    assert first_of_targets(found, 1000) == found.matched
 
 
 def test_merge(folder: Path, tmp_path: Path) -> None:

@@ -53,6 +53,8 @@ class RunOptions(PolicyProfileOptions):
     """Seed of everything: weights, batches, episodes."""
     split: Name = "train"
     """Which homes: train, val or test."""
+    eval_split: MaybeName = None
+    """Homes of the final evaluation: val if absent, with --home those of --split, in which those on the way are."""
     home: MaybeName = None
     """Only this home, or those that fit a pattern (see: mjhab homes list)."""
     assets: Assets = "builtin"
@@ -78,6 +80,8 @@ class TrainOptions(RunOptions):
     expert generates demonstrations first."""
     where: Where = None
     """With --data: which episodes, as in `mjhab data query`; the successful ones if absent."""
+    per_target: Number = 0
+    """With --data: only so many demonstrations of every target, those with the lowest indices; 0 for all."""
     demos: MaybeNumber = None
     """Without --data: number of episodes that the expert tries; that of the preset if absent."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()

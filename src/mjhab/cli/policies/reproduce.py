@@ -34,8 +34,9 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
     Raises:
         UsageError: a number is out of range.
     """
-    for name, least in (("episodes", 1), ("worlds", 1), ("films", 0), ("seed", 0), ("threads", 0)):
-        at_least(name, getattr(options, name), least)
+    least = {"episodes": 1, "worlds": 1, "workers": 1}
+    for name in (*least, "films", "seed", "threads", "demos"):
+        at_least(name, getattr(options, name), least.get(name, 0))
     at_least("budget-minutes", options.budget_minutes, 0)
     return TableSpec(
         what=options.what,
@@ -46,6 +47,8 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
         policies=options.policies,
         backend=options.backend,
         device=options.device,
+        demos=options.demos,
+        workers=options.workers,
         budget_minutes=options.budget_minutes,
         profile=options.profile,
         starts=options.starts,

@@ -21,9 +21,10 @@ from mjhab.cli.options.train import (
     TrainSacOptions,
 )
 from mjhab.cli.output import at_least, print_json
+from mjhab.config.env import SPLITS
 from mjhab.config.profile_choice import profile_options
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores
 from mjhab.learning.require import require_learn
 from mjhab.robots.registry import robot_named
@@ -60,6 +61,8 @@ DAGGER_NUMBERS = {
 }
 """Field of `DaggerConfig` that an option sets, and its least value."""
 SECONDS_PER_MINUTE = 60.0
+HELD_OUT = "val"
+"""Split of the homes that nothing is trained in and policies are judged in."""
 
 
 def run_train(options: RunOptions) -> int:
@@ -106,6 +109,19 @@ def make_scene(options: RunOptions) -> Scene:
     )
 
 
+def eval_split(options: RunOptions) -> str:
+    """Homes of the final evaluation: those of split val, unless the options name others.
+
+    Raises:
+        UsageError: there is no such split.
+    """
+    if options.eval_split is None:
+        return options.split if options.home else HELD_OUT
+    if options.eval_split not in SPLITS:
+        raise unknown_name("split", options.eval_split, SPLITS)
+    return options.eval_split
+
+
 def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest:
     """Check the options and turn them into a request.
 
@@ -138,6 +154,7 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
         data=getattr(options, "data", ()),
         where=getattr(options, "where", None) or "",
         recompute_rewards=getattr(options, "recompute_rewards", False),
+        eval_split=eval_split(options),
     )
 
 
@@ -154,6 +171,7 @@ def make_request(options: TrainOptions) -> Request:
     for name in ("worlds", "workers", "demos", "updates"):
         if getattr(options, name) is not None:
             at_least(name, getattr(options, name), 1)
+    at_least("per-target", options.per_target, 0)
     return Request(
         config=resolved(options),
         scene=scene,
@@ -171,6 +189,8 @@ def make_request(options: TrainOptions) -> Request:
         ray=options.ray or "",
         also=tuple(also_scene(scene, text) for text in options.also),
         device=options.device,
+        per_target=options.per_target,
+        eval_split=eval_split(options),
     )
 
 

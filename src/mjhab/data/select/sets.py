@@ -56,6 +56,19 @@ class Selection:
         return f"{len(self.matched)} of {hashlib.sha256(''.join(lines).encode()).hexdigest()[:16]}"
 
 
+def first_of_targets(found: Selection, count: int) -> list[Place]:
+    """The ``count`` selected episodes of every target with the lowest indices, in the order of ``found.matched``."""
+    taken: Counter[str] = Counter()
+    kept: set[Place] = set()
+    pairs = zip(found.matched, found.records, strict=True)
+    for place, record in sorted(pairs, key=lambda pair: (pair[1].index, pair[0][1])):
+        target = target_of(record)
+        if taken[target] < count:
+            taken[target] += 1
+            kept.add(place)
+    return [place for place in found.matched if place in kept]
+
+
 def select(places: Path | Sequence[Path], where: Filter | None = None) -> Selection:
     """Apply a filter to every episode; without a filter all pass.
 

@@ -40,7 +40,7 @@ from mjhab.experts.planning.reach import (
 from mjhab.experts.planning.sampled import roomier
 from mjhab.experts.skills.nudge import in_steps, nudge, plan_nudge
 from mjhab.experts.style import of_kind, style_of, wait_for
-from mjhab.tasks.style import ANY, RULE
+from mjhab.tasks.style import ANY
 
 Array = np.ndarray
 INSIDE_M = 0.06
@@ -71,10 +71,6 @@ _CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
 """Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
 to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=_CLEAR[-1][0])
-SHELF_PITCH = np.deg2rad(15.0)
-"""Angle below the horizontal of a hand that comes straight into a shelf."""
-TURN_PRICE_PER_RAD = 8.0
-"""Score lost per angle between the hand and that, for `plan=rule`."""
 # Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
 # shelf, where there is no way from above, bowls are taken by the rim from the front.
 SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0)
@@ -205,8 +201,6 @@ def plan_pick(
             options=OPTIONS,
         )
     every = balanced(of_kind(every, wish), pose[:3])
-    if depth and style_of(view).plan == RULE:
-        every = straight_ones(every, np.array(_straight_in(view, pose)))
     room = hand_room(view.robot.gripper, every, around) if depth else None
     best = None
     tried = 0
@@ -313,7 +307,14 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     scene = scene_of(view, obj)
     if not inside_depth(view, pose[:3]):
         return False
-    inward = np.array(_straight_in(view, pose))
+    way = _inward(view, pose)
+    place = min(
+        (p for p in view.home.receptacles if p.kind == "shelf"),
+        key=lambda p: float(np.linalg.norm(pose[:3] - p.pos)),
+    )
+    turns = np.round((np.arctan2(way[1], way[0]) - place.yaw) / (np.pi / 2))
+    angle = place.yaw + turns * np.pi / 2
+    inward = np.array([np.cos(angle), np.sin(angle)])
     shape = view.object_shape(obj)
     around = scene.beside.near(pose[:3], 0.5)
 
@@ -337,16 +338,6 @@ def balanced(grasps: Grasps, centre: Array) -> Grasps:
     return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
 
 
-def straight_ones(grasps: Grasps, inward: Array) -> Grasps:
-    """Grasps in the order of scores that count how far the hand is turned from straight into the shelf.
-
-    ``inward``: level unit vector (2,) there. What is taken then depends on the object more than on the way to it.
-    """
-    axes = grasps.rot[:, :, 0] @ np.array([*inward * np.cos(SHELF_PITCH), -np.sin(SHELF_PITCH)])
-    score = grasps.score - TURN_PRICE_PER_RAD * np.arccos(np.clip(axes, -1.0, 1.0))
-    return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
-
-
 def scene_of(view: WorldView, obj: str) -> Scene:
     """What is around an object that lies somewhere."""
     pose = view.object_pose(obj)
@@ -361,18 +352,6 @@ def _inward(view: WorldView, pose: Array) -> tuple[float, float]:
     way = pose[:2] - view.base[:2]
     x, y = way / max(float(np.linalg.norm(way)), 1e-6)
     return float(x), float(y)
-
-
-def _straight_in(view: WorldView, pose: Array) -> tuple[float, float]:
-    """Level unit vector into the shelf on which an object at ``pose`` (7,) lies: its axis nearest to `_inward`."""
-    way = _inward(view, pose)
-    place = min(
-        (p for p in view.home.receptacles if p.kind == "shelf"),
-        key=lambda p: float(np.linalg.norm(pose[:3] - p.pos)),
-    )
-    turns = np.round((np.arctan2(way[1], way[0]) - place.yaw) / (np.pi / 2))
-    angle = place.yaw + turns * np.pi / 2
-    return float(np.cos(angle)), float(np.sin(angle))
 
 
 def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:

@@ -59,7 +59,8 @@ class ReinforcementRequest:
     the last evaluation. backend, device: of the environment, see `EnvConfig`.
     data: shards, or folders of shards, from which RLPD takes its demonstrations; without any, the scripted expert
     generates them. where: filter on the episodes of ``data``; "" takes the successful ones. recompute_rewards: accept
-    episodes that were recorded with another profile or reward; their rewards are computed anew.
+    episodes that were recorded with another profile or reward; their rewards are computed anew. eval_split: homes of
+    the final evaluation, "" for those of the scene, in which those on the way are.
     """
 
     config: ReinforcementConfig
@@ -76,6 +77,12 @@ class ReinforcementRequest:
     data: tuple[Path, ...] = ()
     where: str = ""
     recompute_rewards: bool = False
+    eval_split: str = ""
+
+    @property
+    def judged_split(self) -> str:
+        """Split of the homes of the final evaluation."""
+        return self.eval_split or self.scene.split
 
 
 @dataclass
@@ -348,7 +355,10 @@ class ReinforcementSession:
 
         tell(0)
         means = Means(worlds=min(16, self.config.worlds), threads=self.request.threads)
-        evaluations = Evaluations(self.scene, means, self.request.seed, tell)
+        # Those on the way choose the best actor: not in the homes that it is judged in.
+        split = self.request.judged_split if last else self.scene.split
+        judged = dataclasses.replace(self.scene, split=split)
+        evaluations = Evaluations(judged, means, self.request.seed, tell)
         out = self.folder.evaluation(FIRST if first and not last else LATEST)
         run = evaluations.run(self.folder.student, episodes, films, out)
         self.records = list(run.records)
@@ -393,6 +403,7 @@ def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
         "start": request.start,
         "data": [str(path) for path in request.data],
         "where": request.where,
+        "eval_split": request.judged_split,
         "recompute_rewards": request.recompute_rewards,
         "backend": request.backend,
         "processes": distributed.processes(),

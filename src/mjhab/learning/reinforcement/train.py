@@ -94,6 +94,7 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
         "cpu_seconds": round(session.log.cpu_seconds, 1),
         "checkpoint": str(session.folder.student),
         "student_samples": standing.best_samples if standing.evaluated else standing.samples,
+        "split": session.request.judged_split,
         "success_once": mean(record.success_once for record in records) if records else None,
         "interval": [low, high],
         "episodes": len(records),

@@ -24,7 +24,7 @@ from mjhab.learning.reproduce.rows import (
     policy_targets,
 )
 from mjhab.learning.reproduce.spec import TableSpec, chosen_rows, policy_rows, table_config
-from mjhab.learning.reproduce.variants import VARIANTS, Variant
+from mjhab.learning.reproduce.variants import STUDIES, VARIANTS, Variant
 from mjhab.learning.require import require_learn
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import check_folder, write_text
@@ -87,14 +87,18 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
     folder = spec.out / row.folder
     if (folder / ROW).is_file():
         return
-    trained = [
-        (part, target, policy_run(spec, part, target))
-        for part in policy_rows(row)
-        for target in policy_targets(part, spec.column)
-    ]
-    runs = [run for _, _, run in trained]
+    trained: list[Trained] = []
+    if spec.what not in STUDIES:
+        trained = [
+            (part, target, policy_run(spec, part, target))
+            for part in policy_rows(row)
+            for target in policy_targets(part, spec.column)
+        ]
     found = {}
     for variant in VARIANTS[spec.what]:
+        if variant.imitation is not None:
+            trained = [(row, row.target, study_run(spec, row, variant))]
+        runs = [run for _, _, run in trained]
         if row.subtask:
             judged = _judge_policies(spec, row, trained, variant, sinks)
         else:
@@ -141,7 +145,7 @@ def _judge_task(
         copy = folder / POLICIES.removesuffix(".json") / f"{_name_of(part, target)}.safetensors"
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(run / STUDENT, copy)
-        entries.append(Entry(part.subtask, target, copy))
+        entries.append(Entry(part.subtask, target, str(copy)))
     policies = folder / POLICIES
     write_text(policies, entries_text(policies, entries))
     judging = EvalSpec(
@@ -171,6 +175,23 @@ def judge(spec: TableSpec, judging: EvalSpec, sinks: Sinks) -> Path:
     )
     run_evaluation(full, sinks(full))
     return judging.out
+
+
+def study_run(spec: TableSpec, row: TableRow, variant: Variant) -> Path:
+    """Return the training folder of a policy of a study; trains the policy if necessary.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed; finished parts are kept.
+    """
+    from mjhab.learning.reproduce.studies import train_imitation
+
+    assert variant.imitation is not None
+    folder = spec.out / row.folder
+    run = folder / TRAIN / variant.name
+    resume = (run / CONFIG).is_file()
+    if train_imitation(spec, row, variant.imitation, folder, run, resume).interrupted:
+        raise KeyboardInterrupt
+    return run
 
 
 def policy_run(spec: TableSpec, row: TableRow, target: str) -> Path:

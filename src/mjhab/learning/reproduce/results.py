@@ -11,7 +11,15 @@ from typing import Any
 from mjhab.core.files.reading import read_json_object
 from mjhab.data.store.shard import last_label
 from mjhab.learning.reproduce.rows import TableRow
-from mjhab.learning.reproduce.variants import AS_PUBLISHED, TABLE1, VARIANTS
+from mjhab.learning.reproduce.variants import (
+    AS_PUBLISHED,
+    DEMO_COUNT,
+    FILTERS,
+    STUDIES,
+    TABLE1,
+    TABLE5,
+    VARIANTS,
+)
 from mjhab.reports import parts
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_success
@@ -25,10 +33,14 @@ TITLES = {
     "force_limits": "Force limits",
     "goal_zones": "Shapes of goals",
     "long_horizon": "Whole tasks",
+    TABLE5: "Table 5: imitation",
+    DEMO_COUNT: "Number of demonstrations",
+    FILTERS: "Place: which demonstrations",
 }
 PAPER_TITLES = dict(
     zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True)
 )
+_WHAT = {False: "Rules", True: "Ways of training"}
 SECONDS_PER_MINUTE = 60.0
 COLUMN_TITLES = (
     "row",
@@ -95,9 +107,11 @@ def result_of(
     "paper" holds the paper's success-once rates [%] under the rules of Table 1, by SUCCESS_COLUMNS. "paper_says" is the
     paper's statement about other rules, or "".
     """
-    published = variant == AS_PUBLISHED.name and bool(row.subtask)
+    published = (variant == AS_PUBLISHED.name or config["what"] == TABLE5) and bool(row.subtask)
     paper = paper_success(row.task, row.subtask, config["split"], row.target) if published else {}
     says = ABLATIONS.get(config["what"], {}).get(variant, "")
+    if isinstance(says, dict):
+        says = says.get(config["split"], "")
     return {"row": row.name, "rules": variant, **found, "paper": paper, "paper_says": says}
 
 
@@ -138,8 +152,9 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
     rules = "; ".join(f"{rule.name}: {rule.about}" for rule in VARIANTS[config["what"]])
     hint = (
         f"Success-once rates of our policies in column {config['column']} (preset {config['preset']}) in homes of "
-        f"split {config['split']}. Rules: {rules}. Policies are trained under the rules of Table 1. The paper's "
-        "policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR 2025, Tables 1 and 5)."
+        f"split {config['split']}. {_WHAT[config['what'] in STUDIES]}: {rules}. Policies are trained under the rules "
+        "of Table 1. The paper's policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR "
+        "2025, Tables 1 and 5)."
     )
     title = TITLES[config["what"]]
     body = f"<h1>{escape(title)}</h1>" + parts.section("Success", hint, table)

@@ -10,7 +10,7 @@ from mjhab.config.env import SPLITS
 from mjhab.config.profile_choice import ProfileChoice, profile_options
 from mjhab.config.profiles import profile_named
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.learning.configs import preset_of
+from mjhab.learning.configs import BC, preset_of
 from mjhab.learning.reproduce.rows import (
     COLUMNS,
     STUDENTS,
@@ -21,10 +21,19 @@ from mjhab.learning.reproduce.rows import (
     table_rows,
     task_rows,
 )
-from mjhab.learning.reproduce.variants import GOAL_ZONES, LONG_HORIZON, VARIANTS
+from mjhab.learning.reproduce.variants import (
+    DEMO_COUNT,
+    FILTERS,
+    GOAL_ZONES,
+    LONG_HORIZON,
+    STUDIES,
+    VARIANTS,
+)
 
 DEFAULT_PRESETS = {STUDENTS: "small"}
 REINFORCEMENT_PRESET = "fast"
+DEFAULT_ROWS = {DEMO_COUNT: ("tidy_house/pick",), FILTERS: ("prepare_groceries/place",)}
+"""Rows of a study if none are named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +47,9 @@ class TableSpec(ProfileChoice):
     worlds: parallel worlds of evaluation and of collection. worlds, threads: change the speed, not the results.
     resume: complete the runs that ``out`` already holds. column: one of COLUMNS.
     policies: folder of an earlier reproduction whose policies are evaluated; None trains new ones.
-    backend, device: of the environments of reinforcement learning, see `EnvConfig`.
+    backend, device: of the environments of reinforcement learning, see `EnvConfig`; in STUDIES device is that of the
+    network, see `training_device`. demos: number of episodes that the expert tries for each data set of a study, 0 for
+    that of the preset. workers: processes of the expert in a study; they change the speed, not the results.
     """
 
     what: str
@@ -58,6 +69,8 @@ class TableSpec(ProfileChoice):
     policies: Path | None = None
     backend: str = "cpu"
     device: str = ""
+    demos: int = 0
+    workers: int = 1
 
     @property
     def preset_name(self) -> str:
@@ -75,7 +88,7 @@ def known_rows(what: str) -> dict[str, TableRow]:
         raise unknown_name("result of the paper", what, tuple(VARIANTS))
     if what == LONG_HORIZON:
         return task_rows()
-    return place_rows() if what == GOAL_ZONES else table_rows()
+    return place_rows() if what in (GOAL_ZONES, FILTERS) else table_rows()
 
 
 def policy_rows(row: TableRow) -> list[TableRow]:
@@ -98,7 +111,9 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
     if spec.column not in COLUMNS:
         raise unknown_name("column", spec.column, COLUMNS)
     profile_named(spec.profile)
-    rows = [known[name] for name in spec.rows or known]
+    if spec.what in STUDIES and spec.column != STUDENTS:
+        raise UsageError(f"{spec.what} is about imitation: leave out --column {spec.column}.")
+    rows = [known[name] for name in spec.rows or DEFAULT_ROWS.get(spec.what, known)]
     for row in rows:
         for part in policy_rows(row):
             _check_preset(spec, part)
@@ -111,7 +126,7 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
 
 def _check_preset(spec: TableSpec, row: TableRow) -> None:
     """Refuse a preset that the algorithm of a row does not have."""
-    algorithm = algorithm_of(row, spec.column)
+    algorithm = BC if spec.what in STUDIES else algorithm_of(row, spec.column)
     if spec.column == STUDENTS:
         preset_of(algorithm, spec.preset_name)
         return
@@ -125,4 +140,6 @@ def table_config(spec: TableSpec) -> dict[str, Any]:
     names = ("what", "column", "budget_minutes", "split", "episodes", "seed", "assets", "backend")
     shown = {name: getattr(spec, name) for name in names}
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}
+    if spec.demos:
+        shown["demos"] = spec.demos
     return {**shown, "preset": spec.preset_name, **policies, **profile_options(spec)}

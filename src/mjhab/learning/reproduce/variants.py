@@ -8,28 +8,59 @@ from dataclasses import dataclass
 from typing import Any
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
+from mjhab.learning.configs import BC, DIFFUSION
 
 TABLE1 = "table1"
 FORCE_LIMITS = "force_limits"
 GOAL_ZONES = "goal_zones"
 LONG_HORIZON = "long_horizon"
+TABLE5 = "table5"
+DEMO_COUNT = "demo_count"
+FILTERS = "filters"
+STUDIES = (TABLE5, DEMO_COUNT, FILTERS)
+"""Results about imitation: their variants differ in how policies are trained, not in how they are judged."""
+DEMOS_PER_OBJECT = (1, 10, 100, 500, 1000)
+PLACED = "placed"
+DROPPED = "dropped"
 SAFE_FORCE_LIMIT = 1400.0
 """Limit on the cumulative force in the paper's ablation of human-safe force thresholds [N x control steps]."""
 
 
 @dataclass(frozen=True)
+class Imitation:
+    """How a study trains a policy by imitation.
+
+    algorithm: of `mjhab train`. data: names of the data sets that it learns from, keys of `STYLES`; with several, the
+    first half of the episodes of each. per_target: number of demonstrations of every target, 0 for all.
+    """
+
+    algorithm: str = BC
+    data: tuple[str, ...] = ("",)
+    per_target: int = 0
+
+
+STYLES: dict[str, tuple[str, ...]] = {
+    "": (),
+    PLACED: ("plan=search", "release=place"),
+    DROPPED: ("plan=search", "release=drop"),
+}
+"""What the data sets of a study change in the style of the preset's expert, by name."""
+
+
+@dataclass(frozen=True)
 class Variant:
-    """Rules of an evaluation.
+    """Rules of an evaluation, or a way of training.
 
     name: of the folder of its runs. about: description. force_limit: on the cumulative force [N x control steps];
     infinity for no limit, None for the limit of the profile. goal_type: see `TaskConfig.goal_type`; "" takes that of
-    the profile.
+    the profile. imitation: how the policies are trained, in a study; else None.
     """
 
     name: str
     about: str
     force_limit: float | None = None
     goal_type: str = ""
+    imitation: Imitation | None = None
 
     def env_options(self, options: Mapping[str, Any], subtask: str) -> dict[str, Any]:
         """Environment options under these rules.
@@ -73,5 +104,23 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
         Variant("cylinder", "goals are cylinders", goal_type="cylinder"),
         Variant("simplified", "no force limit, goals are cylinders", math.inf, "cylinder"),
     ),
+    TABLE5: (
+        Variant("bc", "behaviour cloning", imitation=Imitation(BC)),
+        Variant("dp", "the published diffusion policy", imitation=Imitation(DIFFUSION)),
+    ),
+    DEMO_COUNT: tuple(
+        Variant(
+            f"demos_{count}",
+            f"at most {count:,} demonstrations per object",
+            imitation=Imitation(per_target=count),
+        )
+        for count in DEMOS_PER_OBJECT
+    ),
+    FILTERS: (
+        Variant("place_in_goal", "objects put down", imitation=Imitation(data=(PLACED,))),
+        Variant("drop_to_goal", "objects dropped", imitation=Imitation(data=(DROPPED,))),
+        Variant("split_50_50", "half of each", imitation=Imitation(data=(PLACED, DROPPED))),
+    ),
 }
-"""Rules of evaluation for each result of the paper, by the result's name. Training uses the rules of Table 1."""
+"""Rules of evaluation, or ways of training, for each result of the paper, by the result's name. Training uses the rules
+of Table 1, so does the evaluation of STUDIES."""

@@ -128,7 +128,8 @@ def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:
     shown = [
         ("preset", summary["preset"]),
         ("seed", folder.config["seed"]),
-        ("split", folder.config["scene"]["split"]),
+        ("homes of the training", folder.config["scene"]["split"]),
+        ("homes of the final evaluation", folder.config["eval_split"]),
     ]
     chips = "".join(
         f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown

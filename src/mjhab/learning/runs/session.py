@@ -46,11 +46,13 @@ class Request:
     """A training run: algorithm, scenes, data and resources.
 
     scene: what the student learns. also: further scenes that the same student learns; they differ from ``scene`` in
-    task, subtask and target only. data: shards, or folders of shards; without any, demonstrations are collected. where:
-    filter on their episodes. budget_seconds: wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of
-    the final evaluation, round_episodes: of the evaluations during training, 0 for none; of every scene. torch_threads:
-    threads of the network, 0 for torch's default. films: episodes of every scene to film in the first and the last
-    evaluation. ray: see `Collector`. device: of the network's training, see `training_device`; policies act on the CPU.
+    task, subtask and target only. data: shards, or folders of shards; without any, demonstrations are collected.
+    where: filter on their episodes. per_target: number of demonstrations of every target, 0 for all. budget_seconds:
+    wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of the final evaluation, round_episodes: of
+    the evaluations during training, 0 for none; of every scene. torch_threads: threads of the network, 0 for torch's
+    default. films: episodes of every scene to film in the first and the last evaluation. ray: see `Collector`. device:
+    of the network's training, see `training_device`; policies act on the CPU. eval_split: homes of the final
+    evaluation, "" for those of the scene, in which those on the way are.
     """
 
     config: TrainConfig
@@ -67,6 +69,13 @@ class Request:
     ray: str = ""
     also: tuple[Scene, ...] = ()
     device: str = CPU
+    per_target: int = 0
+    eval_split: str = ""
+
+    @property
+    def judged_split(self) -> str:
+        """Split of the homes of the final evaluation."""
+        return self.eval_split or self.scene.split
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -174,7 +183,9 @@ class Session:
         """Add demonstrations to the training data; the first ones added determine the normalizers."""
         self.log.show({"phase": "reading demonstrations"})
         workers = self.request.means.workers
-        data = load_demonstrations(places, self.layout, self.config.hold_steps, where, workers)
+        data = load_demonstrations(
+            places, self.layout, self.config.hold_steps, where, workers, self.request.per_target
+        )
         self.sources.append(data if self.device.type == CPU else data.on(self.device))
         if not self.fitted:
             self.trainer.student.fit_normalizers(data)
@@ -329,9 +340,10 @@ class Session:
         first = not self.progress.evaluated
         films = self.request.films if first or last else 0
         folder = self.folder.evaluation(FIRST if first and not last else LATEST)
+        split = self.request.judged_split if last else self.request.scene.split
         began = time.perf_counter()
         found = {
-            scene.name: self._evaluate_in(scene, episodes, films, self.place(folder, scene))
+            scene.name: self._evaluate_in(scene, split, episodes, films, self.place(folder, scene))
             for scene in self.scenes
         }
         self.results = found
@@ -361,13 +373,14 @@ class Session:
         }
 
     def _evaluate_in(
-        self, scene: Scene, episodes: int, films: int, out: Path
+        self, scene: Scene, split: str, episodes: int, films: int, out: Path
     ) -> list[EpisodeRecord]:
         def tell(done: int) -> None:
             self.log.show({"phase": f"evaluating {scene.name}: {done}/{episodes}"})
 
         tell(0)
-        evaluations = Evaluations(scene, self.request.means, self.request.seed, tell)
+        judged = replace(scene, split=split)
+        evaluations = Evaluations(judged, self.request.means, self.request.seed, tell)
         return list(evaluations.run(self.folder.student, episodes, films, out).records)
 
 
@@ -394,8 +407,10 @@ def resolved_config(request: Request) -> dict[str, Any]:
         "config": asdict(request.config),
         "scene": asdict(request.scene),
         **({"also": also} if also else {}),
+        **({"per_target": request.per_target} if request.per_target else {}),
         "seed": request.seed,
         "data": [str(place) for place in request.data],
         "where": request.where,
+        "eval_split": request.judged_split,
         "mjhab": __version__,
     }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mjhab.data.record.provenance import source_commit
 from mjhab.learning.runs.dagger import train_dagger
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.session import OutOfTime, Request, Session, open_session
@@ -70,6 +71,7 @@ def summarize(session: Session) -> dict[str, Any]:
         "seconds": round(session.log.seconds, 1),
         "cpu_seconds": round(session.log.cpu_seconds, 1),
         "checkpoint": str(session.folder.student),
+        "split": session.request.judged_split,
         "success_once": mean(record.success_once for record in records) if records else None,
         "interval": [low, high],
         "episodes": len(records),
@@ -79,6 +81,9 @@ def summarize(session: Session) -> dict[str, Any]:
         ],
         "rounds": min(session.progress.round, dagger.rounds) if dagger else 0,
         "demonstrations": sum(source.episodes for source in session.sources),
+        "frames": sum(len(source.first) for source in session.sources),
+        "device": str(session.device),
+        "commit": source_commit(),
     }
 
 

@@ -1,0 +1,97 @@
+"""Training for the paper's results about imitation: data sets that the variants of a row share, one policy for each."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mjhab.config.profile_choice import profile_options
+from mjhab.core.machine import cores
+from mjhab.learning.configs import BC, DIFFUSION, TrainConfig, preset_of
+from mjhab.learning.reproduce.rows import TableRow
+from mjhab.learning.reproduce.spec import TableSpec
+from mjhab.learning.reproduce.variants import STYLES, Imitation
+
+if TYPE_CHECKING:
+    from mjhab.learning.runs.collection import Means, Scene
+    from mjhab.learning.runs.train import TrainingResult
+
+DATA = "data"
+SECONDS_PER_MINUTE = 60.0
+
+
+def train_imitation(
+    spec: TableSpec, row: TableRow, imitation: Imitation, folder: Path, run: Path, resume: bool
+) -> TrainingResult:
+    """Train a policy of a row, or continue its training.
+
+    Args:
+        spec: the request.
+        row: of Table 1.
+        imitation: how it is trained.
+        folder: of the row; the data sets lie in ``data`` below it.
+        run: folder of the training run.
+        resume: continue in it.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed while demonstrations were collected; they are kept.
+    """
+    from mjhab.learning.runs.collection import Means, Scene
+    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.train import train
+
+    scene = Scene(row.task, row.subtask, row.target, assets=spec.assets, **profile_options(spec))
+    means = Means(spec.worlds, spec.workers, spec.threads or max(1, cores() // spec.workers))
+    config = config_of(spec, imitation.algorithm)
+    places = tuple(_collected(spec, scene, means, folder / DATA, name) for name in imitation.data)
+    half = f"success and index < {_episodes(spec) // 2}" if len(places) > 1 else ""
+    request = Request(
+        config=config,
+        scene=scene,
+        means=means,
+        seed=spec.seed,
+        data=places,
+        where=half,
+        per_target=imitation.per_target,
+        budget_seconds=SECONDS_PER_MINUTE * spec.budget_minutes,
+        eval_episodes=0,
+        round_episodes=0,
+        torch_threads=spec.threads,
+        device=spec.device or "cpu",
+    )
+    return train(request, run, resume=resume)
+
+
+def config_of(spec: TableSpec, algorithm: str) -> TrainConfig:
+    """Preset of an algorithm; the diffusion policy sees images of the size of the request's preset."""
+    chosen = preset_of(BC, spec.preset_name)
+    if algorithm == BC:
+        return chosen
+    paper = preset_of(DIFFUSION).student
+    inputs = dataclasses.replace(paper.inputs, image_size=chosen.student.inputs.image_size)
+    return TrainConfig(dataclasses.replace(paper, inputs=inputs, updates=chosen.student.updates))
+
+
+def _episodes(spec: TableSpec) -> int:
+    return spec.demos or preset_of(BC, spec.preset_name).student.demos
+
+
+def _by_name(style: tuple[str, ...]) -> dict[str, str]:
+    """The words NAME=VALUE of a style by name."""
+    return {word.partition("=")[0]: word for word in style}
+
+
+def _collected(spec: TableSpec, scene: Scene, means: Means, out: Path, name: str) -> Path:
+    """The folder of a data set; collects what it lacks."""
+    from mjhab.learning.runs.collection import Collector, Round
+    from mjhab.learning.runs.session import Request, layout_for
+
+    config = preset_of(BC, spec.preset_name)
+    student = config.student
+    layout = layout_for(Request(config, scene, means))
+    changes = {**_by_name(student.style), **_by_name(STYLES[name])}
+    wanted = Round(0, _episodes(spec), hold_steps=student.hold_steps, style=tuple(changes.values()))
+    folder = out / (name or "demonstrations")
+    Collector(scene, layout.env_options(), means, spec.seed).collect(wanted, folder)
+    return folder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,23 @@ from mjhab.learning.configs import TrainConfig
 
 DAGGER = "dagger"
 TRUTH = {"true": True, "false": False}
+LEAST = {
+    "hold_steps": -1,
+    "sampling_steps": 0,
+    "inputs.shift": 0,
+    "network.layers": 0,
+    "network.state_features": 0,
+    "optimizer.warmup": 0,
+    "dagger.rounds": 0,
+    "dagger.first_prefix": 0,
+    "dagger.prefix_growth": 0,
+    "dagger.max_prefix": 0,
+    "dagger.horizon": 0,
+    "dagger.final_updates": 0,
+}
+"""Least values of whole numbers other than 1."""
+MAY_BE_EMPTY = ("style", "inputs.cameras")
+SCHEDULES = ("constant", "cosine")
 
 
 def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
@@ -70,15 +88,39 @@ def _fields(record: Any) -> dict[str, Any]:
 
 
 def _read(name: str, text: str, like: Any) -> Any:
-    """The value of a text, of the type of ``like``."""
+    """The value of a text, of the type of ``like``.
+
+    Raises:
+        UsageError: it has another type, or is out of range.
+    """
     if isinstance(like, tuple):
         items = [item for item in text.split(",") if item]
+        if not items and name not in MAY_BE_EMPTY:
+            raise UsageError(f"--set {name}: give at least one value.")
         return tuple(_read(name, item, like[0]) if like else item for item in items)
     if isinstance(like, bool):
         if text not in TRUTH:
             raise UsageError(f"--set {name}: {text!r} is neither true nor false.")
         return TRUTH[text]
     try:
-        return type(like)(text)
+        value = type(like)(text)
     except ValueError as error:
         raise UsageError(f"--set {name}: {text!r} is no {type(like).__name__}.") from error
+    least = LEAST.get(name, 1) if isinstance(value, int) else 0
+    if not isinstance(value, str) and not least <= value < math.inf:
+        raise UsageError(f"--set {name} must be at least {least}, and finite; got {text}.")
+    known = _words(name)
+    if known and value not in known:
+        raise unknown_name(name, text, known)
+    return value
+
+
+def _words(name: str) -> tuple[str, ...]:
+    """The words that a field may have; () for any."""
+    if name == "optimizer.schedule":
+        return SCHEDULES
+    if name == "network.encoder":
+        from mjhab.learning.networks import CAMERA_ENCODERS
+
+        return (*CAMERA_ENCODERS, "paper_dp")
+    return ()

@@ -217,13 +217,18 @@ class Layout:
             options["robot"] = self.robot
         if tuple(self.control[2:]) != profile_named(self.profile).stationary:
             options["stationary"] = tuple(self.control[2:])
-        if self.image_keys:
-            options |= {
-                "obs_mode": "depth",
-                "cameras": self.inputs.cameras,
-                "camera_size": self.inputs.image_size,
-            }
-        return options
+        return options | image_options(self.inputs)
+
+
+def image_options(inputs: InputConfig) -> dict[str, Any]:
+    """Options of an environment with the images that a student sees."""
+    if not inputs.cameras:
+        return {}
+    return {
+        "obs_mode": "depth",
+        "cameras": inputs.cameras,
+        "camera_size": inputs.image_size,
+    }
 
 
 def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> Layout:

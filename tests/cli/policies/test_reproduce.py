@@ -40,6 +40,7 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--column", "rl_all", "--preset", "small"), "preset"),
         (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
         (("--demos", "-1"), "--demos must be at least 0"),
+        (("--demos", "5"), "--demos is for table5, demo_count, filters, not for table1"),
     ],
 )
 def test_bad_input(
@@ -121,6 +122,8 @@ def test_a_study_trains_one_policy_for_each_of_its_variants(
     assert data.stat().st_mtime_ns == collected
     assert main(["reproduce", "filters", "--column", "rl_all", "--out", str(tmp_path / "f")]) == 2
     assert "about imitation" in capsys.readouterr().err
+    assert main(["reproduce", "filters", "--policies", str(out), "--out", str(tmp_path / "f")]) == 2
+    assert "leave out --policies" in capsys.readouterr().err
 
 
 def test_data_of_the_filter_study_differ_in_how_objects_are_released() -> None:

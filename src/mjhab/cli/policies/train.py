@@ -172,6 +172,10 @@ def make_request(options: TrainOptions) -> Request:
         if getattr(options, name) is not None:
             at_least(name, getattr(options, name), 1)
     at_least("per-target", options.per_target, 0)
+    if options.per_target and not options.data:
+        raise UsageError(
+            "--per-target chooses among recorded demonstrations: give --data, or --demos."
+        )
     return Request(
         config=resolved(options),
         scene=scene,

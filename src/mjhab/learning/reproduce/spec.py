@@ -113,6 +113,10 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
     profile_named(spec.profile)
     if spec.what in STUDIES and spec.column != STUDENTS:
         raise UsageError(f"{spec.what} is about imitation: leave out --column {spec.column}.")
+    if spec.what in STUDIES and spec.policies is not None:
+        raise UsageError(f"{spec.what} compares ways of training: leave out --policies.")
+    if spec.demos and spec.what not in STUDIES:
+        raise UsageError(f"--demos is for {', '.join(STUDIES)}, not for {spec.what}.")
     rows = [known[name] for name in spec.rows or DEFAULT_ROWS.get(spec.what, known)]
     for row in rows:
         for part in policy_rows(row):

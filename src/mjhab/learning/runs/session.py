@@ -19,7 +19,7 @@ from mjhab.learning.checkpoint import load_checkpoint, save_student, save_traini
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
 from mjhab.learning.devices import CPU, training_device
-from mjhab.learning.layout import Layout, compare_layouts, layout_of
+from mjhab.learning.layout import Layout, compare_layouts, image_options, layout_of
 from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook, TrainingFolder
@@ -108,7 +108,8 @@ def layout_for(request: Request) -> Layout:
 
     layouts: list[Layout] = []
     for one in request.scenes:
-        env = make_env(one, {}, Means(worlds=1, threads=1))
+        # With its images, so that wrong cameras and sizes are told before anything is written.
+        env = make_env(one, image_options(inputs), Means(worlds=1, threads=1))
         targets = (one.target,) if one.target else tuple(valid_targets(env.config, env.layout))
         layouts.append(layout_of(env, inputs, targets))
     first = layouts[0]

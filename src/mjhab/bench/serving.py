@@ -21,6 +21,7 @@ from mjhab.serving import require_serving
 from mjhab.serving.address import Address
 from mjhab.serving.dialects.dialect import Ask
 from mjhab.serving.dialects.names import DIALECTS
+from mjhab.tasks.subtasks.registry import limits_of
 
 IMAGE_SIZE_PX = 224
 WARM_UP = 10
@@ -185,7 +186,7 @@ def measure_restarts(spec: ServingSpec) -> dict[str, Any]:
     try:
         address = f"ws://127.0.0.1:{server.port}?execute=1&timeout=10&reconnect=60"
         policy = resolve_policy(address, env)
-        horizon = env.task_config.close.horizon
+        horizon = limits_of(env.task_config, "close").horizon
         count = -(-spec.steps // horizon) * spec.worlds
         records: list[EpisodeRecord] = rollout(env, policy, range(count), 0, [killer])
     finally:

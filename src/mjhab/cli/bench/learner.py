@@ -10,7 +10,8 @@ from mjhab.learning.require import require_learn
 def bench_learner(options: BenchLearnerOptions) -> int:
     """Print the results of `measure_learner`."""
     for name, least in (("worlds", 0), ("rounds", 1), ("updates", 1), ("threads", 0), ("seed", 0)):
-        at_least(name, getattr(options, name), least)
+        if getattr(options, name) is not None:
+            at_least(name, getattr(options, name), least)
     at_least("batches", min(options.batches, default=0), 2)
     require_learn()
     from mjhab.bench.learner import measure_learner

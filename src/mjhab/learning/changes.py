@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.learning.configs import TrainConfig
+from mjhab.learning.configs import DAGGER, TrainConfig
 
-DAGGER = "dagger"
 TRUTH = {"true": True, "false": False}
 LEAST = {
     "hold_steps": -1,
@@ -55,13 +54,13 @@ def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
 def settable(config: TrainConfig) -> dict[str, Any]:
     """The fields that can be set, with their values in ``config``, by name."""
     found: dict[str, Any] = {}
-    for name, value in _fields(config.student).items():
+    for name, value in vars(config.student).items():
         if dataclasses.is_dataclass(value):
-            found |= {f"{name}.{field}": part for field, part in _fields(value).items()}
+            found |= {f"{name}.{field}": part for field, part in vars(value).items()}
         elif name not in ("algorithm", "preset"):
             found[name] = value
     if config.dagger is not None:
-        found |= {f"{DAGGER}.{field}": part for field, part in _fields(config.dagger).items()}
+        found |= {f"{DAGGER}.{field}": part for field, part in vars(config.dagger).items()}
     return found
 
 
@@ -81,10 +80,6 @@ def _changed(config: TrainConfig, name: str, text: str) -> TrainConfig:
 
 def _replaced(record: Any, name: str, value: Any) -> Any:
     return dataclasses.replace(record, **{name: value})
-
-
-def _fields(record: Any) -> dict[str, Any]:
-    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
 
 
 def _read(name: str, text: str, like: Any) -> Any:

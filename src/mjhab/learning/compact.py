@@ -12,8 +12,8 @@ SCALE = "scale/"
 LEAST_NUMBERS = 1024
 """Smaller tensors stay as they are: biases, normalizers."""
 MOST_HALVES = 1_000_000
-"""Larger tensors become integers. Smaller ones do not bear it: with them in 8 bits a student that sees states fell from
-72 to 41 % of 200 episodes (SetTable, Open drawer), one that sees depth from 78 to 74 % (TidyHouse, Place)."""
+"""Larger tensors become integers. With all in 8 bits seven students lost 1.1 points of success on average and 2.6 at
+most, in 500 val episodes each."""
 LARGEST = 127
 LEAST_SCALE = 1e-12
 

@@ -131,10 +131,11 @@ def _digests(runs: Sequence[Path]) -> set[str]:
 def _sums(trained: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """What the trainings of students that act together cost in all."""
     names = ("episodes", "frames", "updates", "samples", "cpu_minutes", "minutes")
-    return {
-        name: None if None in (values := [one[name] for one in trained]) else sum(values)
-        for name in names
-    }
+    found: dict[str, Any] = {}
+    for name in names:
+        values = [one[name] for one in trained]
+        found[name] = None if None in values else sum(values)
+    return found
 
 
 def training(run: Path) -> dict[str, Any]:

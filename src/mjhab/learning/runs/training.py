@@ -134,8 +134,8 @@ class Trainer:
             if name in first:
                 self.optimizer.state[parameter] = {
                     "step": torch.tensor(float(step)),
-                    "exp_avg": first[name].clone().to(parameter.device),
-                    "exp_avg_sq": second[name].clone().to(parameter.device),
+                    "exp_avg": first[name].to(parameter.device, copy=True),
+                    "exp_avg_sq": second[name].to(parameter.device, copy=True),
                 }
         self.step = step
 

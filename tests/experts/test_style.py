@@ -119,6 +119,32 @@ def test_doors_are_opened_further_where_that_is_asked_for():
     assert plain > 0.75 and widest_opening("open_further=0.08") > plain + 0.05
 
 
+def room_behind(*words: str) -> float:
+    """How far the base backs away from where it took the drawer's handle [m]; the drawer must open."""
+    env = one_world("set_table", "open", "kitchen_counter/drawer3")
+    expert = make_expert(env, Styles.parse(words))
+    obs, info = env.reset(seed=0, options={"episode": [0]})
+    expert.reset(np.ones(1, bool))
+    view = env.view(0)
+    assert view.subtask is not None
+    link = view.home.links[view.subtask.link]
+    way = 0.0
+    taken: np.ndarray | None = None
+    for _ in range(200):
+        obs, _, _, _, info = env.step(expert.act(obs, info))
+        opening = view.link_q(link.id) / link.range[1]
+        if taken is None and opening > 0.02:
+            taken = view.base[:2]
+        if taken is not None:
+            way = max(way, float(np.linalg.norm(view.base[:2] - taken)))
+    assert view.link_q(link.id) > 0.9 * link.range[1]
+    return way
+
+
+def test_a_drawer_that_the_arm_pulls_needs_less_room_behind_the_robot():
+    assert room_behind("pull=arm") < room_behind() - 0.15
+
+
 def test_noise_changes_what_happens_and_is_corrected():
     plain = records("pick")
     noisy = records("pick", "noise=0.1", "base_noise=0.1")

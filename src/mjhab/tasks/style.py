@@ -20,6 +20,8 @@ DROP = "drop"
 PUSH = "push"
 THROW = "throw"
 GRASP = "grasp"
+BASE = "base"
+ARM = "arm"
 TARGET = "target"
 AHEAD = "ahead"
 SMOOTH = "smooth"
@@ -68,6 +70,14 @@ class Style:
         metadata={
             "words": (ANY, PUSH, THROW, GRASP),
             "about": "how doors and drawers are shut: push all the way, throw (doors), hold the handle (drawers)",
+        },
+    )
+    pull: str = field(
+        default=BASE,
+        metadata={
+            "words": (BASE, ARM),
+            "about": "what opens drawers: the base drives back with the arm held, or the arm pulls as far as it can, "
+            "which needs less room behind the robot",
         },
     )
     open_further: float = field(

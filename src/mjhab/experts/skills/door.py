@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from mjhab.core.boxes import Boxes
-from mjhab.core.joints import BASE, BASE_YAW
+from mjhab.core.joints import BASE
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.planning import approach, stances
+from mjhab.experts.planning import approach, link_path, stances
+from mjhab.experts.planning.link_path import LinkPath
 from mjhab.experts.planning.stances import Frame, Stances
 from mjhab.experts.skills import door_stances
 from mjhab.experts.skills.door_stances import HALF_OPEN_SHARE, OPEN_TO_SHARE, PRESS_AHEAD_RAD
@@ -96,7 +95,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
             for room in (AROUND_BAR_M, LET_GO_BAR_M)
         )
         yield from approach.go(view, path.route, around)
-        rot = path.hand_at(path.angles[1])[1]
+        rot = path.hand_at(path.values[1])[1]
         if (
             yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)
         ):
@@ -141,48 +140,10 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.fold(view))
 
 
-@dataclass(frozen=True, eq=False)
-class ArcPath:
-    """Configurations ``q`` (K, J) of a robot for door angles ``angles`` (K,) (monotonic), and the way to the first one.
-
-    The hand's pose comes from the configurations, relative to where the base should be: no frames to keep."""
-
-    robot: Robot
-    q: Array
-    angles: Array
-    route: approach.Route
-
-    def at(self, angle: float) -> Array:
-        """Configuration (J,) at a door angle."""
-        angles, q = self._rising
-        if angle <= angles[0]:
-            return q[0].copy()
-        if angle >= angles[-1]:
-            return q[-1].copy()
-        k = int(np.searchsorted(angles, angle, side="right")) - 1
-        return (q[k + 1] - q[k]) / (angles[k + 1] - angles[k]) * (angle - angles[k]) + q[k]
-
-    @cached_property
-    def _rising(self) -> tuple[Array, Array]:
-        """Angles (K,) and configurations (K, J) in rising order of the angles."""
-        order = np.argsort(self.angles)
-        return self.angles[order], self.q[order]
-
-    def hand_at(self, angle: float) -> tuple[Array, Array]:
-        """Hand position (3,) and rotation (3, 3) in the world at a door angle."""
-        pos, rot = self.robot.chain.tip_pose(self.at(angle))
-        return pos[0], rot[0]
-
-    @property
-    def height(self) -> float:
-        """Height of the hand [m]."""
-        return float(self.hand_at(self.angles[-1])[0][2])
-
-
 def _follow_arc(
     view: WorldView,
     link: JointedLink,
-    path: ArcPath,
+    path: LinkPath,
     goal: float,
     gripper: float,
     throws: bool = False,
@@ -190,8 +151,8 @@ def _follow_arc(
     """Move hand and base along the path until the door is at ``goal``, or gets there by itself where the hand
     ``throws`` it; False when the hand loses the door."""
     way = 1.0 if goal > view.link_q(link.id) else -1.0
-    aim = float(path.angles[1 if way > 0 else 0])
-    end = float(path.angles[-1])
+    aim = float(path.values[1 if way > 0 else 0])
+    end = float(path.values[-1])
     aim = aim if way > 0 else min(aim, view.link_q(link.id) + PRESS_AHEAD_RAD)
     last = np.inf
     late = 0
@@ -227,7 +188,7 @@ def _follow_arc(
             and _far(view, link, path)
         ):
             return False
-        yield _arc_action(view, path, aim, way * pace, gripper)
+        yield link_path.action(view, path, aim, way * pace, gripper)
     return False
 
 
@@ -250,12 +211,12 @@ def _coasts(speed: float) -> float:
     return COAST_TIME_S * (speed - COAST_STOP_RAD_S * float(np.log1p(speed / COAST_STOP_RAD_S)))
 
 
-def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
+def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
     """Bring the hand to the beginning of a path straight along its axis, and forward only as far as it is in line: with
     the base not quite in place it would meet the door's edge."""
     robot = view.robot.chain
     wish = path.q[0]
-    pos, rot = path.hand_at(float(path.angles[0]))
+    pos, rot = path.hand_at(float(path.values[0]))
     for _ in range(ENTER_STEPS):
         here, turn = motion.tcp(view)
         back = float((pos - here) @ rot[:, 0])
@@ -283,12 +244,12 @@ def _behind_edge(view: WorldView, path: ArcPath) -> Motion:
     return False
 
 
-def _far(view: WorldView, link: JointedLink, path: ArcPath) -> bool:
+def _far(view: WorldView, link: JointedLink, path: LinkPath) -> bool:
     handle = link.handle_pose(view.link_q(link.id))[0]
     return bool(np.linalg.norm(motion.tcp(view)[0][:2] - handle[:2]) > 0.06)
 
 
-def _pace(path: ArcPath, angle: float, way: float) -> float:
+def _pace(path: LinkPath, angle: float, way: float) -> float:
     """Door motion per control step that the arm's joints can follow [rad]."""
     here = path.at(angle)
     there = path.at(angle + way * 0.1)
@@ -298,35 +259,9 @@ def _pace(path: ArcPath, angle: float, way: float) -> float:
     )
 
 
-def _arc_action(view: WorldView, path: ArcPath, aim: float, step: float, gripper: float) -> Array:
-    wish = path.at(aim)
-    pos, rot = path.hand_at(aim)
-    q = view.q
-    ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array(
-        [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]
-    )
-    v, w = approach.base_towards(view, wish, float(ahead) / STEP_SECONDS)
-    base_next = approach.next_base(view, v, w)
-    robot = view.robot.chain
-    here, _ = motion.tcp(view)
-    lead = pos - here
-    pos = here + lead * min(1.0, 0.08 / max(float(np.linalg.norm(lead)), 1e-9))
-    delta = ik.servo(
-        robot,
-        q,
-        pos[None],
-        rot[None],
-        ik.columns(robot),
-        rest=wish,
-        base_next=base_next,
-        options=ik.ServoOptions(rest_gain=0.1),
-    )[0]
-    return motion.action(view, q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w))
-
-
 def _reachable(
     view: WorldView, link: JointedLink, found: Stances, angles: Array, back: float = 0.0
-) -> ArcPath | None:
+) -> LinkPath | None:
     """The soonest reached stance whose whole motion has room in this home; ``back`` [m]: how far from its beginning the
     hand comes straight in."""
     goals, _ = stances.rank(view, Frame.of(link), found)
@@ -339,7 +274,7 @@ def _reachable(
         return None
     before = _withdrawn(view.robot, free[:, 0], back) if back > 0 else None
     best = approach.best_route(view, free[:, 0], before, link if back > 0 else None)
-    return None if best is None else ArcPath(view.robot, free[best[0]], angles, best[1])
+    return None if best is None else LinkPath(view.robot, free[best[0]], angles, best[1])
 
 
 def _distinct(base: Array) -> Array:

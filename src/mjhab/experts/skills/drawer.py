@@ -1,17 +1,19 @@
-"""Opening and closing a drawer: the arm holds its posture, the base drives."""
+"""Opening and closing a drawer: the arm holds its posture and the base drives, or the arm pulls, too."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.joints import BASE_XY
+from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE, BASE_XY
 from mjhab.envs.parts.world_view import JointedLink, WorldView
-from mjhab.experts.arm import motion
-from mjhab.experts.planning import approach, stances
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.planning import approach, link_path, stances
+from mjhab.experts.planning.link_path import LinkPath
 from mjhab.experts.planning.stances import Stances
 from mjhab.experts.style import style_of
 from mjhab.robots.robot import Robot
-from mjhab.tasks.style import GRASP
+from mjhab.tasks.style import ARM, GRASP
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -27,6 +29,22 @@ SPEED_M_S = 0.45
 """Speed at which the drawer moves."""
 HELD_SPEED_M_S = 0.3
 """Speed at which a drawer is shut by its handle: a hand that is pressed deep onto the bar is caught in its recess."""
+OPEN_TO_SHARE = 0.95
+"""Share of the range to which a drawer is pulled; 0.9 counts as open."""
+ARM_WAYS_M = (0.4, 0.36)
+"""How much of the way the arm pulls, where it is asked to; the base drives the rest."""
+PULL_POINTS = 5
+"""Way points from the closed to the open drawer."""
+PULL_STEP_M = 0.018
+"""Motion of the drawer per control step that the arm can follow."""
+PULL_LEAD_M = 0.05
+"""How far the hand's aim runs ahead of the drawer."""
+FOLD_POINTS = 16
+"""Points of the way back to rest at which its clearance is checked."""
+FOLD_ROOM_M = 0.02
+"""Room that the arm must have there."""
+PULL_STEPS = 60
+"""Control steps to pull; then the handle is taken anew."""
 MAX_GRASPS = 2
 """How often the handle is grasped to close the drawer before the closed fingers push it."""
 
@@ -34,13 +52,20 @@ MAX_GRASPS = 2
 def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Grasp the bar, back up with it, let go and return to rest; anew after a slip."""
     full = link.range[1]
+    pulls = style_of(view).pull == ARM
     while view.steps_left > 30 and view.link_q(link.id) < 0.92 * full:
+        if pulls and (path := _arm_path(view, link)) is not None:
+            if (yield from _take_on(view, link, path)):
+                yield from _pull(view, link, path)
+            yield from approach.let_go(view, BACK_OFF_M)
+            continue
         if not (yield from _take_handle(view, link, full)):
             yield from approach.let_go(view, BACK_OFF_M)
             continue
-        yield from _drive_link(view, link, 0.95 * full, -SPEED_M_S)
+        yield from _drive_link(view, link, OPEN_TO_SHARE * full, -SPEED_M_S)
         yield from approach.let_go(view, BACK_OFF_M)
-    return (yield from approach.fold(view))
+    # So near the drawer, open fingers would catch its handle on their way.
+    return (yield from approach.fold(view, gripper=motion.CLOSED if pulls else motion.OPEN))
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
@@ -82,6 +107,41 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     _, turn = view.robot.chain.tip_pose(posture[1])
     rot = stances.hand(-link.handle_pose(q)[2], turn[0, :, 1])
     return (yield from approach.take(view, link, rot, posture[1], gripper=gripper))
+
+
+def _arm_path(view: WorldView, link: JointedLink) -> LinkPath | None:
+    """How the arm pulls the drawer from where it is; None where there is no room."""
+    found = stances.cached(view.robot, link, "pull by arm", _arm_stances)
+    q = view.link_q(link.id)
+    goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q))
+    best = approach.best_route(view, goals[:, 0])
+    if best is None:
+        return None
+    return LinkPath(view.robot, goals[best[0]], _arm_values(link) + q, best[1])
+
+
+def _take_on(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
+    """Go to the beginning of a path and take the handle."""
+    gripper = _around(view.robot, link)
+    yield from approach.go(view, path.route, gripper)
+    q = view.link_q(link.id)
+    rot = path.hand_at(q)[1]
+    return (yield from approach.take(view, link, rot, path.at(q), gripper=gripper))
+
+
+def _pull(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
+    """Move hand and base along the path until the drawer is open; False when the hand loses it."""
+    goal = OPEN_TO_SHARE * link.range[1]
+    aim = view.link_q(link.id)
+    for _ in range(PULL_STEPS):
+        now = view.link_q(link.id)
+        if now >= goal:
+            return True
+        if not view.finger_forces(link.id).any() and aim > now + PULL_LEAD_M:
+            return False
+        aim = min(aim + PULL_STEP_M, max(aim, now + PULL_LEAD_M), float(path.values[-1]))
+        yield link_path.action(view, path, aim, PULL_STEP_M, motion.CLOSED)
+    return False
 
 
 def _around(robot: Robot, link: JointedLink) -> float:
@@ -134,6 +194,56 @@ def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
     boxes = [link.boxes(0.0)] * 2
     sides = [stances.hand(-out, np.array([0.0, 0.0, up])) for up in (1.0, -1.0)]
     return Stances.join([_still(robot, base, pos, rot, boxes) for rot in sides])
+
+
+def _arm_values(link: JointedLink) -> Array:
+    """Joint values (1 + PULL_POINTS,) [m] of the way points of `_arm_stances`; the first is the hand before the bar."""
+    return np.append(
+        -PRE_GRASP_M, np.linspace(0.0, (OPEN_TO_SHARE + 0.05) * link.range[1], PULL_POINTS)
+    )
+
+
+def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
+    """Before the closed drawer as in `_pull_stances`; then the hand draws nearer while the base drives the rest."""
+    out = link.handle_pose(0.0)[2]
+    values = _arm_values(link)
+    handles = [link.handle_pose(max(float(value), 0.0))[0] for value in values]
+    pos = np.stack([handles[0] + PRE_GRASP_M * out, *handles[1:]])
+    boxes = [link.boxes(max(float(value), 0.0)) for value in values]
+    base = _square(handles[0], np.arange(0.86, 1.03, 0.04), np.linspace(-0.24, 0.24, 9))
+    opened = np.clip(values, 0.0, None)
+    found = []
+    for way in ARM_WAYS_M:
+        driven = opened * (1.0 - way / opened[-1])
+        paths = np.repeat(base[:, None], len(values), axis=1)
+        paths[:, :, 0] += driven
+        for up in (1.0, -1.0):
+            rot = stances.hand(-out, np.array([0.0, 0.0, up]))
+            found.append(
+                stances.track(
+                    robot,
+                    paths,
+                    np.broadcast_to(pos, (len(paths), *pos.shape)),
+                    np.broadcast_to(rot, (len(paths), len(values), 3, 3)),
+                    boxes,
+                )
+            )
+    every = Stances.join(found)
+    keep = _folds(robot, every.q[:, -1], link.boxes(float(opened[-1])))
+    return Stances(every.q[keep], every.steps[keep], every.back[keep])
+
+
+def _folds(robot: Robot, end: Array, boxes: Boxes) -> Array:
+    """(N,) bool: from configurations ``end`` (N, J), drawn back by `BACK_OFF_M`, the arm folds without touching what is
+    in front of it: then the base need not back away first."""
+    start = end.copy()
+    start[:, 0] += BACK_OFF_M
+    rest = ik.unwind(robot.chain, robot.rest, start)
+    rest[:, BASE] = start[:, BASE]
+    share = np.linspace(0.0, 1.0, FOLD_POINTS)[:, None]
+    ways = start[:, None] + share * (rest - start)[:, None]
+    gaps = motion.spheres(robot).clearance(ways.reshape(-1, ways.shape[-1]), boxes)
+    return gaps.reshape(len(end), FOLD_POINTS).min(axis=1) > FOLD_ROOM_M
 
 
 def _push_stances(robot: Robot, link: JointedLink) -> Stances:

@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
-from mjhab.learning.changes import settable, with_changes
+from mjhab.learning.changes import fields_of, settable, with_changes, with_fields
 from mjhab.learning.configs import BC, DAGGER, preset_of
 from mjhab.learning.devices import AUTO, CPU, training_device
+from mjhab.learning.reinforcement.configs import PPO, RLPD, SAC, reinforcement_preset
 
 
 def test_fields_are_set_by_name() -> None:
@@ -52,13 +53,36 @@ def test_wrong_words_are_refused(word: str, told: str) -> None:
         with_changes(preset_of(BC), [word])
 
 
+def as_words(fields: dict) -> list[str]:
+    """NAME=VALUE of every field."""
+    return [
+        f"{name}={','.join(map(str, value)) if isinstance(value, tuple) else str(value).lower()}"
+        for name, value in fields.items()
+    ]
+
+
 def test_every_settable_field_takes_its_own_value() -> None:
     preset = preset_of(DAGGER)
-    words = [
-        f"{name}={','.join(map(str, value)) if isinstance(value, tuple) else str(value).lower()}"
-        for name, value in settable(preset).items()
-    ]
-    assert with_changes(preset, words) == preset
+    assert with_changes(preset, as_words(settable(preset))) == preset
+
+
+@pytest.mark.parametrize(("algorithm", "name"), [(PPO, "depth"), (SAC, "fast"), (RLPD, "demos")])
+def test_every_field_of_a_reinforcement_preset_takes_its_own_value(
+    algorithm: str, name: str
+) -> None:
+    preset = reinforcement_preset(algorithm, name)
+    assert with_fields(preset, as_words(fields_of(preset))) == preset
+
+
+def test_fields_of_reinforcement_are_set_by_name() -> None:
+    preset = reinforcement_preset(PPO, "fast")
+    changed = with_fields(preset, ["ppo.demonstrations=800", "network.hidden=512", "horizon=0"])
+    assert changed.ppo is not None
+    assert (changed.ppo.demonstrations, changed.network.hidden) == (800, 512)
+    with pytest.raises(UsageError, match=r"Did you mean 'ppo\.demonstrations'"):
+        with_fields(preset, ["ppo.demonstration=800"])
+    with pytest.raises(UsageError, match="minibatches do not divide"):
+        with_fields(preset, ["ppo.minibatches=7"])
 
 
 def test_devices_have_names() -> None:

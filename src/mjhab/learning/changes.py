@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import DAGGER, TrainConfig
@@ -24,14 +25,31 @@ LEAST = {
     "dagger.max_prefix": 0,
     "dagger.horizon": 0,
     "dagger.final_updates": 0,
+    "ppo.critic_updates": 0,
+    "ppo.demonstrations": 0,
+    "ppo.imitation_updates": 0,
+    "ppo.imitation_samples": 0,
+    "sac.atoms": 0,
+    "sac.warm_up": 0,
+    "sac.demonstrations": 0,
+    "sac.imitation_samples": 0,
+    "sac.frozen_actor_samples": 0,
+    "samples": 0,
+    "horizon": 0,
+    "episode_pool": 0,
 }
 """Least values of whole numbers other than 1."""
-MAY_BE_EMPTY = ("style", "inputs.cameras")
+NO_LEAST = ("sac.value_low", "sac.value_high")
+"""Numbers that may be negative."""
+FIXED = ("algorithm", "preset")
+"""Fields of a config that name it."""
+MAY_BE_EMPTY = ("style", "inputs.cameras", "ppo.demonstration_style")
 SCHEDULES = ("constant", "cosine")
+Record = TypeVar("Record")
 
 
 def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
-    """The config with the named fields set.
+    """The config of an imitation run with the named fields set.
 
     Args:
         config: of a run.
@@ -41,41 +59,69 @@ def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
     Raises:
         UsageError: there is no such field, or the value has another type.
     """
+    student = config.student
+    dagger = config.dagger
+    known = settable(config)
     for word in words:
-        name, sign, text = word.partition("=")
-        if not sign:
-            raise UsageError(
-                f"--set takes NAME=VALUE, for instance inputs.image_size=64; got {word!r}."
-            )
-        config = _changed(config, name, text)
+        name, text = _split(word, known)
+        value = _read(name, text, known[name])
+        part, _, field = name.partition(".")
+        if part == DAGGER:
+            dagger = _replaced(dagger, field, value)
+        else:
+            student = _set(student, name, value)
+    return dataclasses.replace(config, student=student, dagger=dagger)
+
+
+def with_fields(config: Record, words: Sequence[str]) -> Record:
+    """Any config with the named fields set: NAME=VALUE of its own, PART.FIELD=VALUE of a config in its field PART.
+
+    Raises:
+        UsageError: there is no such field, or the value has another type.
+    """
+    known = fields_of(config)
+    for word in words:
+        name, text = _split(word, known)
+        config = _set(config, name, _read(name, text, known[name]))
     return config
 
 
 def settable(config: TrainConfig) -> dict[str, Any]:
-    """The fields that can be set, with their values in ``config``, by name."""
-    found: dict[str, Any] = {}
-    for name, value in vars(config.student).items():
-        if dataclasses.is_dataclass(value):
-            found |= {f"{name}.{field}": part for field, part in vars(value).items()}
-        elif name not in ("algorithm", "preset"):
-            found[name] = value
+    """The fields of an imitation run that can be set, with their values in ``config``, by name."""
+    found = fields_of(config.student)
     if config.dagger is not None:
-        found |= {f"{DAGGER}.{field}": part for field, part in vars(config.dagger).items()}
+        found |= {f"{DAGGER}.{name}": value for name, value in fields_of(config.dagger).items()}
     return found
 
 
-def _changed(config: TrainConfig, name: str, text: str) -> TrainConfig:
-    known = settable(config)
+def fields_of(config: Any) -> dict[str, Any]:
+    """The fields of a config that can be set, with their values, by name; those of its parts as PART.FIELD."""
+    found: dict[str, Any] = {}
+    for name, value in vars(config).items():
+        if dataclasses.is_dataclass(value):
+            found |= {f"{name}.{field}": part for field, part in vars(value).items()}
+        elif name not in FIXED and value is not None:
+            found[name] = value
+    return found
+
+
+def _split(word: str, known: Mapping[str, Any]) -> tuple[str, str]:
+    """Name and value of NAME=VALUE."""
+    name, sign, text = word.partition("=")
+    if not sign:
+        raise UsageError(
+            f"--set takes NAME=VALUE, for instance inputs.image_size=64; got {word!r}."
+        )
     if name not in known:
         raise unknown_name("field of the preset", name, known)
-    value = _read(name, text, known[name])
+    return name, text
+
+
+def _set(config: Any, name: str, value: Any) -> Any:
     part, dot, field = name.partition(".")
     if not dot:
-        return dataclasses.replace(config, student=_replaced(config.student, name, value))
-    if part == DAGGER:
-        return dataclasses.replace(config, dagger=_replaced(config.dagger, field, value))
-    inner = _replaced(getattr(config.student, part), field, value)
-    return dataclasses.replace(config, student=_replaced(config.student, part, inner))
+        return _replaced(config, name, value)
+    return _replaced(config, part, _replaced(getattr(config, part), field, value))
 
 
 def _replaced(record: Any, name: str, value: Any) -> Any:
@@ -102,6 +148,8 @@ def _read(name: str, text: str, like: Any) -> Any:
     except ValueError as error:
         raise UsageError(f"--set {name}: {text!r} is no {type(like).__name__}.") from error
     least = LEAST.get(name, 1) if isinstance(value, int) else 0
+    if name in NO_LEAST:
+        least = -sys.float_info.max
     if not isinstance(value, str) and not least <= value < math.inf:
         raise UsageError(f"--set {name} must be at least {least}, and finite; got {text}.")
     known = _words(name)

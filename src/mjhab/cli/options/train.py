@@ -119,6 +119,8 @@ class ReinforcementOptions(RunOptions):
     privileged_critic: bool | None = None
     """Whether the critic receives simulator state such as forces, velocities and remaining time; the policy never
     does."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """Change fields of the preset, e.g. ppo.demonstrations=800 network.hidden=512; a wrong name lists all."""
     backend: Name = "cpu"
     """Simulation backend: cpu, warp (on a GPU), or auto."""
     device: Name = ""

@@ -128,11 +128,13 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
     Raises:
         UsageError: an unknown name, or a number out of range.
     """
+    from mjhab.learning.changes import with_fields
     from mjhab.learning.reinforcement.configs import changed, reinforcement_preset
     from mjhab.learning.reinforcement.session import ReinforcementRequest
 
     scene = make_scene(options)
     preset = reinforcement_preset(REINFORCEMENT[type(options)], options.preset)
+    preset = with_fields(preset, options.set)
     names = ("samples", "worlds", "privileged_critic", "capacity", "demonstrations")
     values = {name: getattr(options, name, None) for name in names}
     imitates = preset.ppo is not None and preset.ppo.demonstrations > 0

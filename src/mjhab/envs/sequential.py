@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
-from mjhab.core.arrays import Array, object_array
+from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE_XY
 from mjhab.envs.loop import TaskLoop
@@ -18,7 +18,7 @@ from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.plan_tables import PlanTables
-from mjhab.envs.parts.reporting import Reporter, active_instruction
+from mjhab.envs.parts.reporting import Reporter
 from mjhab.envs.parts.snapshots import restore, snapshot
 from mjhab.envs.parts.teleport import Teleports
 from mjhab.envs.parts.tracking import StepNotes, Tracker
@@ -205,15 +205,8 @@ class SequentialTaskEnv(TaskLoop):
         )
 
     def _info(self, told: StepNotes) -> dict[str, Any]:
-        specs = [self.episode_spec(world) for world in range(self.num_envs)]
-        sentences = [
-            active_instruction(spec, pointer)
-            for spec, pointer in zip(specs, self.progress.pointer.tolist(), strict=True)
-        ]
-        return super()._info(told) | {
-            "instruction": object_array(sentences),
-            "episode_spec": object_array(specs),
-        }
+        about = self.reporter.entries(self.episodes_now, self.tables.plans, self.progress.pointer)
+        return super()._info(told) | about
 
     def timed_methods(self) -> dict[str, list[tuple[Any, str]]]:
         """See `TaskLoop.timed_methods`."""

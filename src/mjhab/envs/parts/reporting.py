@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.frozen import FrozenMap
@@ -45,6 +47,11 @@ class Reporter:
         self._config = config
         self._described: list[TaskPlan | None] = [None] * num_worlds
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(num_worlds)]
+        # What `entries` told last; most worlds have the same plan and pointer in the next step.
+        self._told: list[TaskPlan | None] = [None] * num_worlds
+        self._pointer = np.full(num_worlds, -1, np.int64)
+        self._specs = np.full(num_worlds, None, object)
+        self._sentences = np.full(num_worlds, "", object)
 
     def describe(
         self, world: int, episode: Episode | None, plan: TaskPlan
@@ -58,6 +65,27 @@ class Reporter:
                 episode, plan, self._config, self._narrator
             )
         return self._descriptions[world]
+
+    def entries(
+        self, episodes: Sequence[Episode | None], plans: Sequence[TaskPlan], pointer: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Entries of `info` about W episodes: "episode_spec", the description, and "instruction", the active one.
+
+        Args:
+            episodes: episode of every world. plans: its plan. pointer: (W,) index of its active subtask.
+
+        Returns:
+            Two new (W,) arrays of objects.
+        """
+        moved = (pointer != self._pointer).tolist()
+        for world, plan in enumerate(plans):
+            if moved[world] or self._told[world] is not plan:
+                spec = self.describe(world, episodes[world], plan)
+                self._specs[world] = spec
+                self._sentences[world] = active_instruction(spec, int(pointer[world]))
+                self._told[world] = plan if spec is not None else None
+        self._pointer = pointer.copy()
+        return {"instruction": self._sentences.copy(), "episode_spec": self._specs.copy()}
 
 
 def describe_episode(

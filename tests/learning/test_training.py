@@ -262,6 +262,16 @@ def request(source: Path, **changes: Any) -> Request:
     return dataclasses.replace(base, **changes)
 
 
+def test_demonstrations_must_be_of_what_is_judged(source: Path, tmp_path: Path) -> None:
+    others = request(source, scene=Scene("set_table", "open", "fridge/top_door"), eval_episodes=4)
+    told = r"evaluated in open fridge/top_door, but the demonstrations are of .*pick 024_bowl"
+    with pytest.raises(UsageError, match=told):
+        train(others, tmp_path / "others")
+    assert not (tmp_path / "others").exists()
+    # Without evaluations it does not matter what the scene says.
+    train(dataclasses.replace(others, eval_episodes=0), tmp_path / "unjudged")
+
+
 def weights(path: Path) -> dict[str, torch.Tensor]:
     return dict(load_checkpoint(path).tensors)
 

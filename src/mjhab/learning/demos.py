@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import math
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +28,7 @@ from mjhab.data.store.reading import Episode, open_shard
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import Entry, Layout, compare_layouts, profile_of
 from mjhab.learning.runs.take_over import expert_steps
+from mjhab.rollout.records import EpisodeRecord
 
 SUCCESSES = "success"
 """Default filter on the episodes to learn from."""
@@ -177,9 +178,7 @@ def layout_of_data(
     if not found.matched:
         raise nothing_to_learn()
     path, name = found.matched[0]
-    targets = tuple(
-        sorted({kind_of(entry.target) for record in found.records for entry in record.plan})
-    )
+    targets = tuple(sorted({target for _, target in _goals(found.records)}))
     with open_shard(path) as shard:
         episode = shard.episode(name)
         state, actions, control = entries_of(episode)
@@ -194,6 +193,17 @@ def layout_of_data(
         )
         _images(episode, layout, 1)
     return layout
+
+
+def goals_of_data(
+    places: Path | Sequence[Path], where: Filter | None = None
+) -> set[tuple[str, str]]:
+    """Subtask and type of target of every entry in the plans of the selected episodes."""
+    return _goals(select(places, where or Filter(SUCCESSES)).records)
+
+
+def _goals(records: Iterable[EpisodeRecord]) -> set[tuple[str, str]]:
+    return {(entry.kind, kind_of(entry.target)) for record in records for entry in record.plan}
 
 
 def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -17,7 +17,13 @@ from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
 from mjhab.learning.configs import TrainConfig
-from mjhab.learning.demos import BatchSampler, Demonstrations, layout_of_data, load_demonstrations
+from mjhab.learning.demos import (
+    BatchSampler,
+    Demonstrations,
+    goals_of_data,
+    layout_of_data,
+    load_demonstrations,
+)
 from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.layout import Layout, compare_layouts, image_options, layout_of
 from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
@@ -29,6 +35,9 @@ from mjhab.learning.students.student import Batch
 from mjhab.reports.metrics import mean
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
 
 REPORT_EVERY = 50
 """Number of updates between two reports of the loss."""
@@ -103,15 +112,14 @@ def layout_for(request: Request) -> Layout:
                 f"the demonstrations are of profile {layout.profile}, not {scene.profile}. Leave out --profile, or "
                 f"generate new data: mjhab generate --profile {scene.profile}"
             )
+        if request.round_episodes or request.eval_episodes:
+            _check_judged(request)
         return layout
-    from mjhab.episodes.starts import valid_targets
-
     layouts: list[Layout] = []
     for one in request.scenes:
         # With its images, so that wrong cameras and sizes are told before anything is written.
         env = make_env(one, image_options(inputs), Means(worlds=1, threads=1))
-        targets = (one.target,) if one.target else tuple(valid_targets(env.config, env.layout))
-        layouts.append(layout_of(env, inputs, targets))
+        layouts.append(layout_of(env, inputs, _targets(one, env)))
     first = layouts[0]
     for other, one in zip(layouts, request.scenes, strict=True):
         wrong = compare_layouts(first, other.state, other.actions, other.control)
@@ -121,6 +129,39 @@ def layout_for(request: Request) -> Layout:
             )
     known = dict.fromkeys(target for layout in layouts for target in layout.targets)
     return replace(first, targets=tuple(known))
+
+
+def _targets(scene: Scene, env: SequentialTaskEnv) -> tuple[str, ...]:
+    """Types of targets that episodes of a scene are about."""
+    from mjhab.episodes.starts import valid_targets
+
+    return (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
+
+
+def _check_judged(request: Request) -> None:
+    """Refuse demonstrations that lack a subtask or target in which the student is evaluated.
+
+    Raises:
+        UsageError: names what the demonstrations are about, and what is missing.
+    """
+    shown = goals_of_data(request.data, request.filter)
+    wanted: list[tuple[str, str]] = []
+    for scene in request.scenes:
+        if (scene.subtask, scene.target) in shown:
+            continue
+        env = make_env(scene, {}, Means(worlds=1, threads=1))
+        wanted += [(scene.subtask, target) for target in _targets(scene, env)]
+    missing = [goal for goal in wanted if goal not in shown]
+    if missing and request.config.student.inputs.condition:
+        raise UsageError(
+            f"the student is to be evaluated in {_spoken(missing)}, but the demonstrations are of {_spoken(shown)}. "
+            "Name what they are about with --task, --subtask and --target, or leave out evaluations with "
+            "--round-episodes 0 --eval-episodes 0."
+        )
+
+
+def _spoken(goals: Collection[tuple[str, str]]) -> str:
+    return ", ".join(f"{subtask} {target}" for subtask, target in sorted(goals))
 
 
 @dataclass

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.learning.by_subtask import Entry, PoliciesBySubtask, entries_text, read_entries
 
@@ -50,6 +51,66 @@ def test_each_world_has_the_policy_of_its_subtask() -> None:
     assert others.forgotten == [[False, True], [True, False]]
     assert apple.forgotten == [[True, False], [False, True]]
     assert apple.known == [False, True]
+
+
+class Chooser(Constant):
+    """Is told the worlds in which its actions count."""
+
+    def __init__(self, value: float) -> None:
+        super().__init__(value)
+        self.chosen: list[list[bool]] = []
+
+    def act_in(self, obs: Any, info: Any, mask: np.ndarray) -> np.ndarray:
+        self.chosen.append(mask.tolist())
+        return self.act(obs, info)
+
+
+def test_a_policy_that_works_long_is_asked_only_for_its_worlds() -> None:
+    entries = (Entry("navigate", "", "expert"), Entry("pick", "", ""))
+    driver, picker = Chooser(1.0), Constant(2.0)
+    policy = PoliciesBySubtask(entries, [driver, picker], worlds=2, width=3)
+    info: dict[str, Any] = {"episode_spec": [{"plan": PLAN}] * 2, "pointer": np.array([0, 1])}
+    assert policy.act({}, info)[:, 0].tolist() == [1.0, 2.0]
+    assert driver.chosen == [[True, False]]
+
+
+def test_an_entry_names_any_policy(tmp_path: Path) -> None:
+    path = tmp_path / "policies.json"
+    rows = [
+        ("navigate", "expert", "expert"),
+        ("pick", "ms_hab:a.pt", f"ms_hab:{tmp_path / 'a.pt'}"),
+        ("place", "mine.py:Mine", str(tmp_path / "mine.py:Mine")),
+        ("open", "student:set_table/open/fridge/top_door", "student:set_table/open/fridge/top_door"),
+        ("close", "a.safetensors+b.safetensors", f"{tmp_path}/a.safetensors+{tmp_path}/b.safetensors"),
+    ]  # fmt: skip
+    listed = [{"subtask": name, "target": "", "checkpoint": spec} for name, spec, _ in rows]
+    path.write_text(json.dumps({"policies": listed}), encoding="utf-8")
+    assert [entry.checkpoint for entry in read_entries(path)] == [read for *_, read in rows]
+    path.write_text(json.dumps({"policies": [{**listed[0], "checkpoint": "other.json"}]}), "utf-8")
+    with pytest.raises(UsageError, match="not another policies file"):
+        read_entries(path)
+
+
+def test_the_expert_does_what_a_file_leaves_to_it(tmp_path: Path) -> None:
+    path = tmp_path / "policies.json"
+    names = ("navigate", "open", "pick", "place", "close")
+    listed = [
+        {"subtask": name, "target": "", "checkpoint": "zero" if name == "open" else "expert"}
+        for name in names
+    ]
+    path.write_text(json.dumps({"policies": listed}), encoding="utf-8")
+    run = mjhab.evaluate(
+        str(path),
+        task="set_table",
+        episodes=1,
+        worlds=1,
+        films=0,
+        navigate="drive",
+        out=tmp_path / "run",
+    )
+    (record,) = run.records
+    # The expert drives to the drawer; nobody opens it.
+    assert record.completed == 1 and [s.kind for s in record.subtasks] == ["navigate", "open"]
 
 
 def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:

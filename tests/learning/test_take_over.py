@@ -37,8 +37,11 @@ class Steady:
     def reset(self, mask: np.ndarray) -> None:
         self.resets.append(mask.copy())
 
-    def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
-        self.asked += 1 if mask is None else mask
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        return self.act_in(obs, info, np.ones(len(self.asked), bool))
+
+    def act_in(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray) -> np.ndarray:
+        self.asked += mask
         return np.full((len(self.asked), 13), self.value, np.float32)
 
     def notes(self) -> ActionNotes:

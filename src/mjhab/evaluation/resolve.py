@@ -14,7 +14,8 @@ from typing import Any, Protocol, cast
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.rollout.policy import Policy, RolloutEnv
 
-NAMED_POLICIES = ("expert", "random", "zero")
+EXPERT = "expert"
+NAMED_POLICIES = (EXPERT, "random", "zero")
 STUDENT = "student"
 """Name of the checkpoints that come with the package; `full_spec` adds task, subtask and target."""
 

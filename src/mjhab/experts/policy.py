@@ -83,11 +83,14 @@ class ExpertPolicy:
         """The style of the running episode as plain data; empty when no styles were asked for."""
         return {} if self._styles.plain else recorded(self._views[world].style)
 
-    def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
-        """Actions (W, A) for the present state of the environment; those of worlds outside ``mask`` (W,) are old."""
-        for w, view in enumerate(self._views):
-            if mask is None or mask[w]:
-                self._intended[w], self._last[w] = self._next(w, view)
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, A) for the present state of the environment."""
+        return self.act_in(obs, info, np.ones(len(self._views), bool))
+
+    def act_in(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray) -> np.ndarray:
+        """Like `act`; the actions of worlds outside ``mask`` (W,) bool are old."""
+        for w in np.flatnonzero(mask).tolist():
+            self._intended[w], self._last[w] = self._next(w, self._views[w])
         return self._last.copy()
 
     def notes(self) -> ActionNotes:

@@ -1,8 +1,9 @@
 """A separate policy for each subtask of a chain: ``--policy POLICIES.json``. See `evaluation.resolve.PolicyModule`.
 
 The file is ``{"policies": [{"subtask": "pick", "target": "024_bowl", "checkpoint": "pick.safetensors"}, ...]}``; its
-paths are relative to its folder. An entry with the target "" applies to all targets without an entry of their own.
-Navigate needs no policy in an environment that teleports the robot.
+paths are relative to its folder. In place of a checkpoint an entry may name any other policy, as for ``--policy``:
+``"expert"``, ``"ms_hab:pick.pt"``, ``"mine.py:Mine"``. An entry with the target "" applies to all targets without an
+entry of their own. Navigate needs no policy in an environment that teleports the robot.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,20 +19,34 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.names import kind_of
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import (
+    EXPERT,
+    NAMED_POLICIES,
+    STUDENT,
+    PolicyFacts,
+    PolicyOptions,
+    resolve_policy,
+)
+from mjhab.evaluation.resolve import inspect_policy as inspect_any
 from mjhab.learning import policy_kind
-from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.learning.ms_hab.policy_kind import PREFIX as MS_HAB
+from mjhab.rollout.policy import Policy, RolloutEnv, Selective
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 SUFFIX = ".json"
+WITHOUT_FILE = (f"{STUDENT}:", "ws://", "wss://")
+"""Beginnings of specifications that name no file."""
 _FIELDS = ("subtask", "target", "checkpoint")
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A checkpoint, or several joined by "+" (see `policy_kind`), with its subtask and its type of target ("" for all
-    targets)."""
+    """A policy for a subtask and a type of target ("" for all targets).
+
+    checkpoint: a file of `mjhab train`, several joined by "+" (see `policy_kind`), or another specification as for
+    ``--policy``, such as "expert".
+    """
 
     subtask: str
     target: str
@@ -62,10 +77,19 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def _beside(path: Path, checkpoint: str) -> str:
-    """The checkpoints of an entry, below the folder of the policies file."""
-    files = policy_kind.members(checkpoint)
-    return policy_kind.AND.join(str(path.parent / file) for file in files)
+def _beside(path: Path, spec: str) -> str:
+    """The specification of an entry, with its files below the folder of the policies file.
+
+    Raises:
+        UsageError: it is another policies file.
+    """
+    if spec.endswith(SUFFIX):
+        raise UsageError(f"{path}: an entry names one policy, not another policies file ({spec}).")
+    if spec in NAMED_POLICIES or spec.startswith(WITHOUT_FILE):
+        return spec
+    prefix = MS_HAB if spec.startswith(MS_HAB) else ""
+    files = policy_kind.members(spec.removeprefix(prefix))
+    return prefix + policy_kind.AND.join(str(path.parent / file) for file in files)
 
 
 def entries_text(path: Path, entries: Sequence[Entry]) -> str:
@@ -85,7 +109,7 @@ def entries_text(path: Path, entries: Sequence[Entry]) -> str:
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe the policies together: one hash over all checkpoints, and the environment options that all need.
+    """Describe the policies together: one hash over all of them, and the environment options that they need.
 
     Raises:
         UsageError: see `read_entries`; or two policies need different environment options.
@@ -95,7 +119,7 @@ def inspect_policy(spec: str) -> PolicyFacts:
 
 
 def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
-    """`inspect_policy` for the checkpoints of ``entries``.
+    """`inspect_policy` for the policies of ``entries``.
 
     Raises:
         UsageError: two policies need different environment options, or a checkpoint cannot be read.
@@ -104,13 +128,20 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
     needed = []
     profiles = set()
     for entry in entries:
-        facts = policy_kind.inspect_policy(entry.checkpoint)
-        hashes.append([entry.subtask, entry.target, facts.identity["policy_sha256"]])
-        profiles.add(facts.identity["policy_profile"])
+        facts = inspect_any(entry.checkpoint)
+        known = facts.identity.get("policy_sha256") or json.dumps(
+            [facts.name, dict(facts.identity)], sort_keys=True
+        )
+        hashes.append([entry.subtask, entry.target, known])
+        profiles |= (
+            {facts.identity["policy_profile"]} if "policy_profile" in facts.identity else set()
+        )
         needed.append((entry.checkpoint, facts.env_options))
     options = policy_kind.joined(name, needed)
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
-    identity = {"policy_sha256": digest, "policy_profile": ", ".join(sorted(profiles))}
+    identity = {"policy_sha256": digest}
+    if profiles:
+        identity["policy_profile"] = ", ".join(sorted(profiles))
     return PolicyFacts(name, identity, options)
 
 
@@ -126,7 +157,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
 def build_entries(
     name: str, entries: Sequence[Entry], env: RolloutEnv, options: PolicyOptions
 ) -> Policy:
-    """`build_policy` for the checkpoints of ``entries``.
+    """`build_policy` for the policies of ``entries``.
 
     Raises:
         UsageError: as `build_policy`.
@@ -140,11 +171,17 @@ def build_entries(
             raise UsageError(
                 f"{name} has no policy for {subtask}; it has some for {sorted(having)}."
             )
-    policies = [
-        policy_kind.build_policy(entry.checkpoint, env, options, pools=True) for entry in entries
-    ]
+    policies = [_build(entry.checkpoint, env, options) for entry in entries]
     width = len(cast(Any, env).action_table)
     return PoliciesBySubtask(entries, policies, env.num_envs, width)
+
+
+def _build(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
+    """The policy of an entry; a checkpoint may see means of the pixels of larger images."""
+    if spec.endswith(policy_kind.SUFFIX):
+        return policy_kind.build_policy(spec, env, options, pools=True)
+    # Only the expert has a style.
+    return resolve_policy(spec, env, options if spec == EXPERT else replace(options, style=()))
 
 
 class PoliciesBySubtask:
@@ -185,7 +222,11 @@ class PoliciesBySubtask:
             if (mine & entering).any():
                 policy.reset(mine & entering)
             shown = [episode if own else None for episode, own in zip(episodes, mine, strict=True)]
-            actions[mine] = policy.act(obs, {**info, "episode_spec": shown})[mine]
+            told = {**info, "episode_spec": shown}
+            if isinstance(policy, Selective):
+                actions[mine] = policy.act_in(obs, told, mine)[mine]
+            else:
+                actions[mine] = policy.act(obs, told)[mine]
         return actions
 
     def _choose(self, episode: Mapping[str, Any] | None, pointer: int) -> int:

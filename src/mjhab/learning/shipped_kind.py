@@ -1,7 +1,7 @@
 """Checkpoints that come with the package: ``--policy student`` of every command. See `evaluation.resolve.PolicyModule`.
 
 `evaluation.resolve.full_spec` adds the subtask to "student", for instance ``student:set_table/close/fridge/top_door``.
-Without a subtask the students of a task's subtasks act in turn.
+Without a subtask the students of a task's subtasks act in turn; where the robot is not teleported, the expert drives.
 """
 
 from __future__ import annotations
@@ -10,16 +10,18 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import read_json_object
-from mjhab.evaluation.resolve import STUDENT, PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import EXPERT, STUDENT, PolicyFacts, PolicyOptions
 from mjhab.learning import policy_kind
 from mjhab.learning.by_subtask import Entry, build_entries, describe_entries
-from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.policy_kind import AND, SUFFIX
+from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 FOLDER = Path(__file__).parent / "shipped"
 """Folder of checkpoints (`student.safetensors` of runs), named ``TASK.SUBTASK.TARGET.safetensors`` with "-" for "/", or
@@ -64,6 +66,9 @@ def shipped_entries(task: str) -> tuple[Entry, ...]:
     Raises:
         UsageError: there is none; the message lists the existing ones.
     """
+    require_learn()
+    from mjhab.learning.checkpoint import load_checkpoint
+
     entries = []
     for name, path in shipped().items():
         if name.startswith(f"{task}."):
@@ -115,5 +120,10 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """Build a student of the package, or those of a task together, see `policy_kind.build_policy`."""
     task, subtask, target = _parts(spec)
     if not subtask:
-        return build_entries(STUDENT, shipped_entries(task), env, options)
+        entries = shipped_entries(task)
+        if cast(Any, env).config.navigate != "teleport":
+            entries += tuple(
+                Entry(name, "", EXPERT) for name in TASKS[task].subtasks if SUBTASKS[name].navigates
+            )
+        return build_entries(STUDENT, entries, env, options)
     return policy_kind.build_policy(shipped_path(task, subtask, target), env, options)

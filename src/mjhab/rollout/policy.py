@@ -80,6 +80,15 @@ class Annotated(Protocol):
 
 
 @runtime_checkable
+class Selective(Protocol):
+    """A policy that can leave out worlds in which others act, because it works long for every world."""
+
+    def act_in(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray) -> np.ndarray:
+        """Like `Policy.act`; actions (W, A) of which only those in the worlds of ``mask`` (W,) bool count."""
+        ...
+
+
+@runtime_checkable
 class Styled(Protocol):
     """A policy that can be asked to act in one way or another."""
 

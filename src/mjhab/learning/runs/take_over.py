@@ -30,8 +30,8 @@ class Replanning(Protocol):
         """Plan again from the current states of the worlds in ``mask`` (W,) bool."""
         ...
 
-    def act(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray | None = None) -> np.ndarray:
-        """Actions (W, A); only those of the worlds in ``mask`` are computed."""
+    def act_in(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray) -> np.ndarray:
+        """Actions (W, A); only those of the worlds in ``mask`` (W,) bool are computed."""
         ...
 
     def notes(self) -> ActionNotes:
@@ -99,7 +99,7 @@ class TakeOver:
             actions[~taken] = self._student.act(obs, info)[~taken]
         self._intended = actions.copy()
         if taken.any():
-            actions[taken] = self._expert.act(obs, info, taken)[taken]
+            actions[taken] = self._expert.act_in(obs, info, taken)[taken]
             self._intended[taken] = self._expert.notes().intended[taken]
         self._step += 1
         self._actor = taken.astype(np.uint8)

@@ -260,7 +260,7 @@ class LiveSession:
             if token != self._plan_token:
                 mask = np.arange(self.env.num_envs) == world
                 self._adviser.reset(mask)
-                self._adviser.act({}, {}, mask)
+                self._adviser.act_in({}, {}, mask)
             self._plan_token = token
             script = self._adviser.script(world)
         self.expert_plan = plan_marks(script) if script is not None else None

@@ -82,12 +82,13 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     """With --subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3. All of them if absent."""
     policy: PolicyName = "expert"
     """The policy: expert (scripted, reads the simulator state), student (a trained one of the package, with --subtask
-    and --target), random, zero (stands still), a CHECKPOINT.safetensors, your own: FILE.py:CLASS (see
-    docs/evaluation.md), or one that is served elsewhere: ws://host:port (see docs/serving.md)."""
+    and --target), random, zero (stands still), a CHECKPOINT.safetensors, POLICIES.json with one policy per
+    subtask, ms_hab:CHECKPOINT.pt of MS-HAB (see docs/ms_hab.md), your own: FILE.py:CLASS (see docs/evaluation.md),
+    or one that is served elsewhere: ws://host:port (see docs/serving.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
-    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, look, noise, base_noise,
-    noise_kind, hold, dither (see docs/data.md)."""
+    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
+    plan, look, noise, base_noise, noise_kind, hold, dither (see docs/data.md)."""
     episodes: Number = 20
     """Number of episodes, with indices 0 to N-1. The same index is the same episode for every policy."""
     worlds: Number = 8

@@ -47,8 +47,8 @@ class GenerateOptions(MemoryOptions, PolicyProfileOptions):
     docs/evaluation.md)."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
-    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, look, noise, base_noise,
-    noise_kind, hold, dither (see docs/data.md)."""
+    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
+    plan, look, noise, base_noise, noise_kind, hold, dither (see docs/data.md)."""
     per_target: Number = 0
     """Episodes to keep per target (in total for chains and Navigate); 0 for no limit."""
     per_label: Number = 0

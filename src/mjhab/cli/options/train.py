@@ -129,8 +129,8 @@ class ReinforcementOptions(RunOptions):
 
 @dataclass(frozen=True)
 class TrainPpoOptions(ReinforcementOptions):
-    """Proximal policy optimization. Presets: fast (states), depth, polish (of a student), paper,
-    paper_state (the same from states).
+    """Proximal policy optimization. Presets: fast (states), scratch (states, from random weights),
+    depth, polish (of a student), paper, paper_state (the same from states).
 
     `mjhab train ppo --task set_table --subtask close --target kitchen_counter/drawer3 --preset fast
     --budget-minutes 20 --out runs/ppo`
@@ -164,7 +164,7 @@ class TrainRlpdOptions(TrainSacOptions):
 
 @dataclass(frozen=True)
 class TrainBcOptions(TrainOptions):
-    """Behaviour cloning: predict the demonstrated actions. Presets: small, quick, paper.
+    """Behaviour cloning: predict the demonstrated actions. Presets: small, quick, state (no images), paper.
 
     `mjhab train bc --subtask close --target kitchen_counter/drawer3 --out runs/bc`
 

@@ -46,7 +46,8 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
     if judged.get("policy_sha256") not in _digests(runs):
         raise UsageError(f"{evaluation} is not an evaluation of a checkpoint in {run}.")
     trained = [training(one) for one in runs]
-    student = config["config"]["student"]
+    # The config of a reinforcement run is that of its student.
+    student = config["config"].get("student", config["config"])
     return {
         **{name: judged[name] or "" for name in ("task", "subtask", "target", "assets")},
         "preset": student["preset"],

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mjhab.core.errors import UsageError
-from mjhab.core.registration.registry import Registry
+from mjhab.core.registration.registry import Registry, check_item
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import ObjectType, Pack
@@ -36,6 +36,7 @@ def register_object(model: ObjectModel) -> ObjectModel:
         UsageError: an object of that name is registered already; a name or number is none that an object can be made
             of, or a geom names a mesh that is not given.
     """
+    check_item("register_object", model, ObjectModel)
     kind = model.kind
     for geom in (*kind.collision, *kind.visuals):
         if geom.shape == "mesh" and geom.mesh not in model.meshes:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.registration.registry import Registry
+from mjhab.core.registration.registry import Registry, check_item
 from mjhab.scenes.spec import Pack
 
 
@@ -121,6 +121,7 @@ def register_pack(source: PackSource) -> PackSource:
     Raises:
         UsageError: a pack of that name is registered already, or the source takes options that do not exist.
     """
+    check_item("register_pack", source, PackSource)
     known = {f.name for f in dataclasses.fields(PackRequest)} - {"place"}
     for option in source.options:
         if option not in known:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant
 from mjhab.core.errors import UsageError
-from mjhab.core.registration.registry import Registry
+from mjhab.core.registration.registry import Registry, check_item
 from mjhab.tasks.subtasks.spec import EVENT_EDGES, SubtaskSpec
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
@@ -29,8 +29,9 @@ def register_subtask(spec: SubtaskSpec) -> SubtaskSpec:
     """Make a kind of subtask known; returns it.
 
     Raises:
-        UsageError: the name is taken.
+        UsageError: it is no `SubtaskSpec`, or the name is taken.
     """
+    check_item("register_subtask", spec, SubtaskSpec)
     return SUBTASKS.add(spec.name, spec)
 
 

@@ -102,6 +102,15 @@ class Registry(Generic[Item]):
         """All items in the order of `names`."""
         return tuple(self[name] for name in self._names)
 
+    def is_builtin(self, name: str) -> bool:
+        """Whether an item is one of mjhab itself."""
+        return name in self._references
+
+    def told(self, name: str) -> str:
+        """An item in words for messages, with the plugin that registered it: "subtask 'push' of plugin 'push.py'"."""
+        source = self._names.get(name, "")
+        return f"{self._what} {name!r} of plugin {source!r}" if source else f"{self._what} {name!r}"
+
     def source(self, name: str) -> str:
         """Name of the plugin that registered an item, "" for mjhab itself and for code outside of plugins."""
         return self._names[name]

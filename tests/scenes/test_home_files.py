@@ -238,3 +238,19 @@ def test_home_of_an_environment_may_be_a_file(tmp_path: Path) -> None:
     assert (config.assets, config.home) == (path, "*")
     with pytest.raises(UsageError, match="is a file, which is a pack of its own: leave out assets"):
         EnvConfig(task="tidy_house", home=path, assets="data")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("HOME = {}\n1 / 0", r"raised ZeroDivisionError: division by zero \(.*hut\.py, line 2\)"),
+        ("HOME = (", r"raised SyntaxError: '\(' was never closed"),
+        ("import sys\nsys.exit(3)", "raised SystemExit: 3"),
+        ("HOUSE = {}", "has no variable HOME"),
+    ],
+)
+def test_a_python_file_that_cannot_be_run_is_named(text: str, told: str, tmp_path: Path) -> None:
+    file = tmp_path / "hut.py"
+    file.write_text(text)
+    with pytest.raises(UsageError, match=rf"hut\.py: .*{told}"):
+        home_pack(file)

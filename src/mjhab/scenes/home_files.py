@@ -15,9 +15,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.names import check_name
+from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.builtin.pack import ROLES
@@ -179,7 +180,13 @@ def _body(file: Path) -> Any:
     if file.suffix == ".json":
         return read_json(file)
     read_bytes(file)
-    found = runpy.run_path(str(file))
+    try:
+        found = runpy.run_path(str(file))
+    except MjhabError as error:
+        raise UsageError(f"{file}: {error}") from error
+    # The file is code of others, which raises whatever it likes.
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"{file}: running it raised {raised_text(error)}.") from error
     if PYTHON_NAME not in found:
         raise UsageError(f"{file}: has no variable {PYTHON_NAME}, which holds the home.")
     try:

@@ -125,7 +125,7 @@ def register_pack(source: PackSource) -> PackSource:
     known = {f.name for f in dataclasses.fields(PackRequest)} - {"place"}
     for option in source.options:
         if option not in known:
-            raise unknown_name(f"option of pack {source.name!r}", option, known)
+            raise UsageError(f"pack {source.name!r}: {unknown_name('option', option, known)}")
     return PACK_SOURCES.add(source.name, source)
 
 

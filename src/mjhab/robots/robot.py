@@ -160,8 +160,8 @@ class Robot:
         lacking = [g for g in GROUPS if self.group(g) and g not in self.gains]
         if lacking:
             raise UsageError(
-                f"robot {self.name!r}: gains lack group {' and '.join(map(repr, lacking))}; every group of joints needs "
-                f"a Gains, given are: {', '.join(self.gains) or 'none'}."
+                f"robot {self.name!r}: gains lack group {' and '.join(map(repr, lacking))}; every group needs a Gains; "
+                f"given are: {', '.join(self.gains) or 'none'}."
             )
         for group, gains in (*self.gains.items(), ("stiff_gains", self.stiff_gains)):
             if not isinstance(gains, Gains):

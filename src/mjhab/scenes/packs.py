@@ -15,6 +15,7 @@ from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.objects import with_registered_objects
 from mjhab.scenes.pack_folder import load_pack
 from mjhab.scenes.pack_source import (
+    HOME_SUFFIXES,
     PACK_SOURCES,
     Assets,
     PackRequest,
@@ -81,6 +82,11 @@ def _nothing_there(place: str) -> UsageError:
         return UsageError(
             f"asset pack {place!r} is a file; expected the name of a pack ({', '.join(pack_names())}) or a folder "
             "with pack.json and meshes.npz."
+        )
+    if Path(place).suffix in HOME_SUFFIXES:
+        return UsageError(
+            f"home file {place!r} does not exist; expected a {' or '.join(HOME_SUFFIXES)} file with a home "
+            "(docs/extending.md, A new home)."
         )
     if any(separator and separator in place for separator in (os.sep, os.altsep, "/")):
         return UsageError(

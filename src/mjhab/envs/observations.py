@@ -139,12 +139,12 @@ def task_meanings(kinds: Sequence[str]) -> dict[str, str]:
     """
     specs = [SUBTASKS[kind] for kind in kinds]
     return {
-        key: f"{start}: {_listed(about, [s for s in specs if part in (*s.shows, '')], specs)}"
-        "; zero once the plan is finished"
-        for key, start, part, about in (
+        key: f"{_listed(about, [s for s in specs if part in (*s.shows, '')], specs)} ({numbers}); "
+        "zero once the plan is finished"
+        for key, numbers, part, about in (
             (OBJECT_KEY, "position, quaternion with w >= 0", "object", _OBJECT_IN),
             (GOAL_KEY, "position", "goal", _GOAL_IN),
-            (GRASP_KEY, "1 while both fingers hold", "", _GRASPED_IN),
+            (GRASP_KEY, "1 while both fingers hold it", "", _GRASPED_IN),
         )
     }
 

@@ -62,8 +62,8 @@ OBJECT = "extra/obj_pose_wrt_base"
 @pytest.mark.parametrize(
     ("env", "key", "told"),
     [
-        ("Pick", OBJECT, "Pick: its object; zero once"),
-        ("Pick", GOAL, "position: zero in Pick; zero once"),
+        ("Pick", OBJECT, "Pick: its object (position, quaternion with w >= 0); zero once"),
+        ("Pick", GOAL, "zero in Pick (position); zero once"),
         ("Place", GOAL, "Place: where its object goes"),
         ("Close", OBJECT, "zero in Close"),
         ("Open", GOAL, "Open: the handle"),

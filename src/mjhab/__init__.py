@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.robots.controllers.modes import ControlMode, register_control_mode
     from mjhab.robots.registry import register_robot
     from mjhab.scenes.home_files import home_pack
     from mjhab.scenes.object_glb import object_from_glb
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
 
 __all__ = [
+    "ControlMode",
     "LabelRule",
     "ObjectModel",
     "PackRequest",
@@ -46,6 +48,7 @@ __all__ = [
     "make_train",
     "object_from_glb",
     "open_pack",
+    "register_control_mode",
     "register_object",
     "register_pack",
     "register_robot",
@@ -65,6 +68,8 @@ _LAZY = {
     "generate": "mjhab.evaluation.generate",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
+    "ControlMode": "mjhab.robots.controllers.modes",
+    "register_control_mode": "mjhab.robots.controllers.modes",
     "register_robot": "mjhab.robots.registry",
     "make_expert": "mjhab.experts",
     "open_pack": "mjhab.scenes.packs",

@@ -62,6 +62,18 @@ def test_the_example_of_the_docstring(tmp_path: Path, monkeypatch: pytest.Monkey
     ]
 
 
+def test_the_example_of_the_docstring_of_evaluate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (example,) = doctest.DocTestFinder(recurse=False).find(
+        mjhab.evaluate, "mjhab.evaluate", globs={}
+    )
+    assert len(example.examples) > 3
+    assert doctest.DocTestRunner().run(example).failed == 0
+    assert (tmp_path / "runs" / "zero" / "report.html").exists()
+
+
 def test_policies_of_ones_own(built: list[dict[str, Any]], tmp_path: Path) -> None:
     sets = [
         mjhab.generate(policy, episodes=6, worlds=4, out=tmp_path / str(number))

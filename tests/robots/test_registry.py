@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,7 @@ from mjhab.cli.main import main
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
 from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.parts import Finger, TreeLink
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS, register_robot, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.roles import OPEN_SURFACE
@@ -24,6 +26,7 @@ from mjhab.tasks.plan import Subtask
 from mjhab.tasks.subtasks.pick import PICK
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, register_subtask
 
+HEAD = ROBOT.cameras[0]
 SOURCE = Path(mjhab.__file__).parent
 FETCH_WORDS = re.compile(
     r"fetch|gripper_link|_flex_|_roll_joint|_pan_joint|_tilt_joint|torso_lift", re.IGNORECASE
@@ -108,7 +111,7 @@ def test_a_subtask_may_need_other_joint_groups(removed: list[str]) -> None:
         EnvConfig(task="look")
         with pytest.raises(UsageError, match="no joint group 'head', which subtask 'nod' needs"):
             EnvConfig(task="look", robot="changed")
-        with pytest.raises(UsageError, match="unknown joint group of subtask 'nod' 'legs'"):
+        with pytest.raises(UsageError, match="subtask 'nod': unknown joint group 'legs'"):
             dataclasses.replace(nod, joint_groups=("legs",))
     finally:
         TASKS.remove("look")
@@ -126,11 +129,73 @@ def test_a_subtask_may_need_other_joint_groups(removed: list[str]) -> None:
             "'fingers' must be the last",
         ),
         ({"rest_qpos": ROBOT.rest_qpos[:5]}, "rest_qpos needs 15 values"),
+        ({"gains": {}}, "gains lack group 'base' and 'torso' and 'head' and 'arm' and 'fingers'"),
+        ({"gains": {**ROBOT.gains, "arm": 1000.0}}, "gains of 'arm' must be a Gains, got float"),
+        ({"stiff_gains": None}, "gains of 'stiff_gains' must be a Gains"),
+        ({"elbow": "elbow_flex"}, "elbow: unknown joint of the arm 'elbow_flex'. Did you mean"),
+        ({"cameras": ("fetch_head",)}, r"cameras\[0\] must be a CameraMount, got str"),
+        ({"cameras": (HEAD, HEAD)}, "two cameras are called 'fetch_head'"),
+        ({"cameras": (dataclasses.replace(HEAD, fovy=90.0),)}, "fovy of camera 'fetch_head'"),
     ],
 )
 def test_a_robot_that_cannot_be_is_refused(change: dict, message: str) -> None:
-    with pytest.raises(UsageError, match=message):
+    with pytest.raises(UsageError, match=f"robot 'fetch': .*{message}"):
         dataclasses.replace(ROBOT, **change)
+
+
+def with_tree(change: Callable[[tuple[TreeLink, ...]], tuple[TreeLink, ...]]) -> dict[str, Any]:
+    """Fetch's body with another tree."""
+    body = dataclasses.replace(ROBOT.body, tree=change(ROBOT.body.tree))
+    return {"load_body": lambda: body}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tcp": "gripper"}, "tcp: unknown link 'gripper'. Did you mean 'gripper_link'"),
+        ({"base_link": "bas"}, "hangs on 'base_link', which is neither base_link"),
+        ({"base_link": "torso_lift_link"}, "base_link 'torso_lift_link' has a parent in the tree"),
+        ({"arm_root": "torso"}, "arm_root: unknown link 'torso'"),
+        ({"force_links": ("hand",)}, "force_links: unknown link 'hand'"),
+        ({"trunk_links": ("hand",)}, "trunk_links: unknown link 'hand'"),
+        ({"distal_links": ("hand",)}, "distal_links: unknown link 'hand'"),
+        ({"arm_links": ("hand",)}, "arm_links: unknown link 'hand'"),
+        ({"wrist_links": ("hand",)}, "wrist_links: unknown link 'hand'"),
+        ({"fingers": (Finger("thumb", (0.0, 1.0, 0.0)),) * 2}, "fingers: unknown link 'thumb'"),
+        (
+            {"cameras": (dataclasses.replace(HEAD, body="haed_camera_link"),)},
+            "body of camera 'fetch_head': unknown link 'haed_camera_link'. Did you mean 'head",
+        ),
+        (
+            {
+                "force_links": ("estop_link",),
+                "load_body": lambda: dataclasses.replace(ROBOT.body, collision={}),
+            },
+            "link 'estop_link' has neither a joint nor collision shapes",
+        ),
+        ({"load_body": lambda: None}, "load_body must return a Body, got NoneType"),
+        (with_tree(lambda tree: tree[:-1]), "load_body: Body.collision: unknown link"),
+        (with_tree(lambda tree: (*tree, tree[-1])), "is in the tree twice"),
+        (
+            with_tree(lambda tree: tuple(dataclasses.replace(r, joint="") for r in tree)),
+            "joints: unknown joint of load_body",
+        ),
+        (
+            {"load_body": lambda: dataclasses.replace(ROBOT.body, inertials={})},
+            "Body.inertials lacks link 'base_link'",
+        ),
+        (
+            {"rest_qpos": (*ROBOT.rest_qpos[:3], 2.0, *ROBOT.rest_qpos[4:])},
+            "rest_qpos of joint 'torso_lift_joint' is 2, outside of its limits 0 to 0.38615",
+        ),
+    ],
+)
+def test_links_that_do_not_fit_are_told_when_they_are_needed(
+    change: dict[str, Any], message: str
+) -> None:
+    robot = dataclasses.replace(ROBOT, name="odd", **change)
+    with pytest.raises(UsageError, match=f"robot 'odd': .*{message}"):
+        _ = robot.body
 
 
 def test_robots_are_listed_for_machines(capsys: pytest.CaptureFixture[str]) -> None:

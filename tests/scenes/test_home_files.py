@@ -117,7 +117,7 @@ TOO_HIGH = {
 BAD: dict[str, tuple[Change, str]] = {
     "unknown furniture": (
         furniture({"kind": "tabel_01", "at": [4.0, 4.0]}),
-        r"unknown furniture 'tabel_01'\. Did you mean 'table_0",
+        r"room\.json: furniture\[2\]\.kind: unknown furniture 'tabel_01'\. Did you mean 'table_0",
     ),
     "overlap": (
         furniture({"kind": "sofa", "at": [2.3, 2.5]}),
@@ -136,7 +136,18 @@ BAD: dict[str, tuple[Change, str]] = {
         lambda body: body["walls"].pop("outer"),
         r"home\.walls: field 'outer' is missing",
     ),
-    "unknown material": (setting("walls", outer="wall_whit"), "unknown material 'wall_whit'"),
+    "unknown material": (
+        setting("walls", outer="wall_whit"),
+        r"room\.json: walls\.outer: unknown material 'wall_whit'",
+    ),
+    "unknown inner material": (
+        setting("walls", inner_material="wall_whit"),
+        r"walls\.inner_material: unknown material 'wall_whit'",
+    ),
+    "unknown floor": (
+        setting("floor", material="floor_oaks"),
+        r"floor\.material: unknown material 'floor_oaks'\. Did you mean 'floor_oak'",
+    ),
     "small floor": (setting("floor", size=[0.5, 5.0]), r"floor\.size: 0\.5 is out of the range"),
     "huge floor": (setting("floor", size=[6.0, 1e9]), r"floor\.size: 1e\+09 is out of the range"),
     "thick walls": (setting("walls", thickness=3.0), r"walls\.thickness: 3 is out of the range"),
@@ -238,3 +249,27 @@ def test_home_of_an_environment_may_be_a_file(tmp_path: Path) -> None:
     assert (config.assets, config.home) == (path, "*")
     with pytest.raises(UsageError, match="is a file, which is a pack of its own: leave out assets"):
         EnvConfig(task="tidy_house", home=path, assets="data")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("HOME = {}\n1 / 0", r"raised ZeroDivisionError: division by zero \(.*hut\.py, line 2\)"),
+        ("HOME = (", r"raised SyntaxError: '\(' was never closed"),
+        ("import sys\nsys.exit(3)", "raised SystemExit: 3"),
+        ("HOUSE = {}", "has no variable HOME"),
+    ],
+)
+def test_a_python_file_that_cannot_be_run_is_named(text: str, told: str, tmp_path: Path) -> None:
+    file = tmp_path / "hut.py"
+    file.write_text(text)
+    with pytest.raises(UsageError, match=rf"hut\.py: .*{told}"):
+        home_pack(file)
+
+
+@pytest.mark.parametrize("place", ["examples/home/nope.json", "nope.py"])
+def test_a_home_file_that_does_not_exist_is_told(place: str) -> None:
+    with pytest.raises(
+        UsageError, match=f"home file '{place}' does not exist; expected a .json or"
+    ):
+        open_pack(place)

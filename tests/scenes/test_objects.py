@@ -12,9 +12,10 @@ import trimesh
 from trimesh.exchange.gltf import export_glb
 
 from mjhab.core.errors import UsageError
+from mjhab.core.registration.plugins import PluginWarning, load_plugin
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.object_glb import object_from_glb
-from mjhab.scenes.objects import OBJECTS, ObjectModel, register_object
+from mjhab.scenes.objects import OBJECTS, ObjectModel, register_object, with_registered_objects
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Geom, ObjectType
 
@@ -108,11 +109,29 @@ def test_registered_objects_join_every_pack(tmp_path: Path) -> None:
     assert open_pack() is builtin_pack()
 
 
-def test_an_object_of_the_name_of_one_of_the_pack_is_refused() -> None:
+def test_a_plugin_with_an_object_of_a_built_in_name_is_left_out_and_the_rest_works(
+    tmp_path: Path,
+) -> None:
     kind = builtin_pack().objects["003_cracker_box"]
-    register_object(ObjectModel(kind))
-    with pytest.raises(UsageError, match="pack 'builtin' both have '003_cracker_box'"):
-        open_pack()
+    with pytest.raises(UsageError, match="object '003_cracker_box': the built-in packs have"):
+        register_object(ObjectModel(kind))
+    file = tmp_path / "twice.py"
+    file.write_text(
+        "import mjhab\nbox = mjhab.open_pack().objects['003_cracker_box']\n"
+        "mjhab.register_object(mjhab.ObjectModel(box))\n"
+    )
+    with pytest.warns(PluginWarning, match=r"twice\.py.*object '003_cracker_box': the built-in"):
+        load_plugin(file)
+    assert open_pack() is builtin_pack()
+
+
+def test_an_object_of_the_name_of_one_of_another_pack_is_refused() -> None:
+    kind = builtin_pack().objects["003_cracker_box"]
+    theirs = dataclasses.replace(kind, name="their_box")
+    register_object(ObjectModel(theirs))
+    pack = dataclasses.replace(builtin_pack(), name="theirs", objects={"their_box": theirs})
+    with pytest.raises(UsageError, match="pack 'theirs' both have 'their_box'"):
+        with_registered_objects(pack)
 
 
 def test_objects_that_cannot_be_made() -> None:

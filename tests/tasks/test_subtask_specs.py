@@ -43,6 +43,11 @@ SPARE: dict[str, Any] = {
 """All that a subtask needs but a name."""
 
 
+def rules(when: Callable[[Any], Any]) -> dict[str, Any]:
+    """Label rules with a condition."""
+    return {"label_rules": (LabelRule("a", when), LabelRule("b"))}
+
+
 @pytest.fixture
 def stare() -> Iterator[SubtaskSpec]:
     """A subtask of the calling program, without reward, expert and published labels."""
@@ -64,15 +69,30 @@ def test_numbers_are_those_of_the_original() -> None:
         ({"label_rules": ()}, "subtask 'stare' has no label_rules;"),
         ({"conditions": ()}, "has no conditions;"),
         ({"conditions": (), "label_rules": ()}, "has no conditions and no label_rules;"),
-        ({"words": (), "start": None}, "has no words and no start;"),
+        ({"words": (), "start": None}, "has no words and no start; give words=("),
+        ({"start": None}, "give start=, an object of a subclass of mjhab.episodes.starts.Sub"),
+        ({"words": "stare at {object}"}, "words must be a tuple of texts, got the text"),
+        ({"conditions": "is_static"}, "conditions must be a tuple of texts, got the text"),
+        ({"words": ("grab {thing}",)}, "of the wording 'grab {thing}': 'thing'. "),
+        ({"words": ("grab {}",)}, "of the wording 'grab {}': ''. "),
+        ({"words": ("grab {object",)}, "the wording 'grab {object' cannot be read"),
+        (rules(lambda s: s.ever("sucess")), "label rule 'a': unknown signal 'sucess'. Did you"),
+        (rules(lambda s: s.holds("released")), "label rule 'a': unknown signal 'released'."),
+        (rules(lambda s: s.nothing), "label rule 'a' raised AttributeError"),
+        (rules(lambda s: True), "must give one bool per world, shape (W,), as LabelState.ever"),
+        (rules(lambda s: 1.0 * s.ever("success")), "got float64 of shape (2,)"),
         ({"conditions": ("is_statik",)}, "Did you mean 'is_static'"),
         ({"events": ("sucess",)}, "Did you mean 'success'"),
-        ({"edges": {"success": "+sucess"}}, "edge of subtask 'stare'"),
-        ({"edges": {"stared": "+success"}}, "unknown event of subtask 'stare' 'stared'"),
+        ({"edges": {"success": "+sucess"}}, "subtask 'stare': unknown edge '+sucess'"),
+        ({"edges": {"stared": "+success"}}, "subtask 'stare': unknown event 'stared'"),
         ({"shows": ("goals",)}, "Did you mean 'goal'"),
-        ({"measures": {"at_gaol": max}}, "Did you mean 'at_goal'"),
+        ({"measures": {"at_goal": 3}}, "the measure of 'at_goal' must be a function"),
+        (
+            {"measures": {"at_gaol": max}},
+            "subtask 'stare': unknown check 'at_gaol'. Did you mean 'at_goal'",
+        ),
         ({"color": "red"}, "like '#3b82f6'"),
-        ({"about": "thing"}, "about of subtask 'stare'"),
+        ({"about": "thing"}, "subtask 'stare': unknown about 'thing'"),
         ({"label_rules": SPARE["label_rules"][:1]}, "must be without a condition"),
         ({"label_rules": SPARE["label_rules"][::-1]}, "must be without a condition"),
         ({"label_rules": (SPARE["label_rules"][0], LabelRule("stare_success"))}, "a label twice"),
@@ -139,7 +159,10 @@ def test_an_unknown_kind_is_an_error(where: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"targets": ()}, "task 'idle' has no targets;"),
+        ({"targets": ()}, "task 'idle' has no targets; give targets="),
+        ({"words": "idle"}, "task 'idle': words must be a tuple of texts, got the text 'idle'"),
+        ({"objects": "024_bowl"}, "task 'idle': objects must be a tuple of texts"),
+        ({"targets": ({"start": ()},)}, r"targets\[0\] must be a TargetRule, got dict"),
         ({"words": (), "targets": ()}, "has no words and no targets;"),
         ({"name": "no name"}, "lower-case"),
     ],

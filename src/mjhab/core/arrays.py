@@ -109,6 +109,14 @@ def empty(shape: tuple[int, ...], like: Array) -> Array:
     return namespace(like).empty(shape, dtype=like.dtype, device=device_of(like))
 
 
+def value_text(value: object) -> str:
+    """What a value is, in words for messages: "float64 of shape (2, 3)" of an array, its type of anything else."""
+    shape = getattr(value, "shape", None)
+    if shape is None:
+        return type(value).__name__
+    return f"{getattr(value, 'dtype', type(value).__name__)} of shape {tuple(shape)}"
+
+
 def between(x: Array, low: Array, high: Array) -> Array:
     """``x`` moved into [low, high]; all three are arrays, which broadcast."""
     if type(x) is np.ndarray:

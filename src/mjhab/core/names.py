@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +71,24 @@ def check_name(what: str, name: Any, *, empty: bool = False) -> str:
         f"{what}: {shown} is no name. Expected letters, digits and _ - . / : (at most {MAX_NAME_CHARACTERS}), "
         "without '..' and not an absolute path."
     )
+
+
+def check_texts(what: str, texts: Any) -> None:
+    """Check a sequence of texts; a plain text would be read letter by letter.
+
+    Args:
+        what: which field of what, for the message: "subtask 'push': words".
+        texts: what was given.
+
+    Raises:
+        UsageError: it is a plain text, no sequence, or something in it is no text.
+    """
+    if isinstance(texts, str):
+        raise UsageError(
+            f"{what} must be a tuple of texts, got the text {texts!r}; write ({texts!r},)."
+        )
+    if not isinstance(texts, Collection) or not all(isinstance(text, str) for text in texts):
+        raise UsageError(f"{what} must be a tuple of texts, got {texts!r}.")
 
 
 def below(root: Path, *parts: str | Path) -> Path:

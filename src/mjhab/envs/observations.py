@@ -21,6 +21,8 @@ from mjhab.core.joints import BASE_XY, BASE_YAW
 from mjhab.core.rotations import quat_canonical
 from mjhab.envs.spaces import ordered_dict
 from mjhab.robots.robot import Robot
+from mjhab.tasks.subtasks.registry import SUBTASKS
+from mjhab.tasks.subtasks.spec import SubtaskSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +110,59 @@ class ObsEntry:
         return spaces.Box(self.low, self.high, self.shape, self.dtype)  # type: ignore[arg-type]
 
 
+OBJECT_KEY = "extra/obj_pose_wrt_base"
+GOAL_KEY = "extra/goal_pos_wrt_base"
+GRASP_KEY = "extra/is_grasped"
+_OBJECT_IN = {
+    "object": "its object",
+    "link": "the object behind the link",
+    "way": "the object in the hand, zero without one",
+}
+_GOAL_IN = {
+    "object": "where its object goes",
+    "link": "the handle",
+    "way": "where the way leads",
+}
+_GRASPED_IN = {
+    "object": "its object",
+    "link": "the handle",
+    "way": "the object in the hand",
+}
+"""What the rows of the task are, by what a subtask is about (`SubtaskSpec.about`)."""
+
+
+def task_meanings(kinds: Sequence[str]) -> dict[str, str]:
+    """What the rows of the task mean in some kinds of subtasks, by key; from `SubtaskSpec.shows` and ``about``.
+
+    Raises:
+        UsageError: there is no such subtask.
+    """
+    specs = [SUBTASKS[kind] for kind in kinds]
+    return {
+        key: f"{_listed(about, [s for s in specs if part in (*s.shows, '')], specs)} ({numbers}); "
+        "zero once the plan is finished"
+        for key, numbers, part, about in (
+            (OBJECT_KEY, "position, quaternion with w >= 0", "object", _OBJECT_IN),
+            (GOAL_KEY, "position", "goal", _GOAL_IN),
+            (GRASP_KEY, "1 while both fingers hold it", "", _GRASPED_IN),
+        )
+    }
+
+
+def _listed(
+    about: Mapping[str, str], shown: Sequence[SubtaskSpec], all_kinds: Sequence[SubtaskSpec]
+) -> str:
+    """ "Pick, Place: its object; Open: the handle; zero in Navigate"."""
+    by_meaning: dict[str, list[str]] = {}
+    for spec in shown:
+        by_meaning.setdefault(about[spec.about], []).append(spec.name.capitalize())
+    told = [f"{', '.join(names)}: {meaning}" for meaning, names in by_meaning.items()]
+    hidden = [spec.name.capitalize() for spec in all_kinds if spec not in shown]
+    if hidden:
+        told.append(f"zero in {', '.join(hidden)}")
+    return "; ".join(told)
+
+
 def joint_rows(robot: Robot) -> tuple[ObsEntry, ...]:
     """Rows of the joints of a robot, without those of its base."""
     upper = robot.columns.upper
@@ -147,29 +202,28 @@ def task_rows(robot: Robot) -> tuple[ObsEntry, ...]:
             f"{robot.tcp}: position, quaternion with w >= 0",
         ),
         ObsEntry(
-            "extra/obj_pose_wrt_base",
+            OBJECT_KEY,
             (7,),
             "m, wxyz",
             base,
             lambda c: c.obj_pose,
-            "object of the active subtask (Open: the one inside), w >= 0; zero in Close, in Navigate with empty "
-            "hands and once the plan is finished",
+            "object of the active subtask, w >= 0; zero once the plan is finished",
         ),
         ObsEntry(
-            "extra/goal_pos_wrt_base",
+            GOAL_KEY,
             (3,),
             "m",
             base,
             lambda c: c.goal_pos,
-            "Place: goal; Open, Close: handle; Navigate: next target; zero in Pick and once the plan is finished",
+            "goal of the active subtask; zero once the plan is finished",
         ),
         ObsEntry(
-            "extra/is_grasped",
+            GRASP_KEY,
             (1,),
             "0 or 1",
             "-",
             lambda c: c.is_grasped[:, None],
-            "the object (Open, Close: the handle) is grasped; zero once the plan is finished",
+            "what the active subtask is about is grasped; zero once the plan is finished",
         ),
     )
 
@@ -321,8 +375,17 @@ def table_space(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> space
     return ordered_dict(box)
 
 
-def describe(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> list[dict[str, Any]]:
-    """The rows of ``table_space`` for people and machines: key, shape, dtype, unit, frame, meaning."""
+def describe(
+    state: Sequence[ObsEntry], cameras: Sequence[ObsEntry], kinds: Sequence[str]
+) -> list[dict[str, Any]]:
+    """The rows of ``table_space`` for people and machines: key, shape, dtype, unit, frame, meaning.
+
+    ``kinds``: subtasks that the rows of the task are explained for.
+
+    Raises:
+        UsageError: there is no such subtask.
+    """
+    meanings = task_meanings(kinds)
     rows = [
         {
             "key": entry.key,
@@ -330,7 +393,7 @@ def describe(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> list[dic
             "dtype": np.dtype(entry.dtype).name,
             "unit": entry.unit,
             "frame": entry.frame,
-            "meaning": entry.meaning,
+            "meaning": meanings.get(entry.key, entry.meaning),
         }
         for entry in (*state, *cameras)
     ]

@@ -116,6 +116,21 @@ class EpisodeMaker:
         )
         self._in_turn = bool(home)
         require_furniture(self.layout.pack, self.homes, task)
+        self._require_objects()
+
+    def _require_objects(self) -> None:
+        """Check that the roster has the objects that the rules of the task name.
+
+        Raises:
+            UsageError: it lacks one; the message names the rule.
+        """
+        roster = self.layout.roster
+        for k, rule in enumerate(self.spec.targets):
+            if rule.object and rule.object not in roster:
+                raise UsageError(
+                    f"{TASKS.told(self.task)}: targets[{k}]: {unknown_name('object', rule.object, set(roster))} "
+                    "Name it in TaskSpec.objects, too."
+                )
 
     def episode(self, seed: int, index: int) -> Episode:
         """The episode named by (seed, index); the same for everyone who asks.

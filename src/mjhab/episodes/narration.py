@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 
+from mjhab.core.names import kind_of
 from mjhab.core.seeding import stream
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.zones import receptacle_below
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
+from mjhab.scenes.objects import object_words
 from mjhab.scenes.spec import Vec3
 from mjhab.tasks.instructions import Instructions, Request, Spot, instructions, seeded_draw
-from mjhab.tasks.plan import Subtask, TaskPlan
+from mjhab.tasks.plan import GOAL_OF, Subtask, TaskPlan
 
 
 class Narrator:
@@ -45,7 +47,8 @@ class Narrator:
             x, y, z = episode.object_pose[slot, :3].tolist()
             source = spots((x, y, z))
         goal = spots(subtask.goal_pos)
-        return Request(subtask.name, subtask.target, source, goal)
+        names = object_words(kind_of(subtask.target.removeprefix(GOAL_OF)))
+        return Request(subtask.name, subtask.target, source, goal, names)
 
     def _receptacles_of(self, home: str) -> tuple[PlacedReceptacle, ...]:
         return placed_receptacles(self._layout, self._homes[home])

@@ -166,7 +166,14 @@ class EvaluationInterrupted(KeyboardInterrupt):
 def evaluate(policy: PolicyLike = "expert", **options: Any) -> Run:
     """Evaluate a policy and write a run folder with records, summary, films and a report, as ``mjhab eval`` does.
 
-    For instance ``mjhab.evaluate(MyPolicy, subtask="pick", episodes=50, obs_mode="depth", out="runs/mine")``.
+    >>> import mjhab
+    >>> run = mjhab.evaluate("zero", subtask="close", episodes=1, horizon=5, films=0, out="runs/zero")
+    >>> run.summary["episodes"], run.summary["success_once"]
+    (1, 0.0)
+    >>> run.records[0].subtasks[0].label
+    'cant_reach_articulation_failure'
+
+    A policy of one's own is a class: ``mjhab.evaluate(MyPolicy, subtask="pick", obs_mode="depth", out="runs/mine")``.
 
     Args:
         policy: an object with the `Policy` protocol; a class or function that makes one, from the vector environment if

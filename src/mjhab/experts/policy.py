@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.core.registration.plugins import resolved
+from mjhab.core.registration.plugins import raised_text, resolved
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
@@ -36,14 +37,41 @@ def script_of(subtask: str) -> Callable[[WorldView], Script]:
     """The script that does a kind of subtask.
 
     Raises:
-        UsageError: there is no such subtask, or no expert can do it.
+        UsageError: there is no such subtask, no expert can do it, or what its spec names is none.
     """
     expert = SUBTASKS[subtask].expert
     if expert is None:
         raise UsageError(
             f"no expert can do the subtask {subtask!r}: its SubtaskSpec names none. Take another policy."
         )
-    return cast("Callable[[WorldView], Script]", resolved(expert))
+    where = f"{SUBTASKS.told(subtask)}: expert"
+    try:
+        script = resolved(expert)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from error
+    if not callable(script):
+        raise UsageError(
+            f"{where} must be a generator function from a WorldView to actions, or a reference 'module:NAME' to one; "
+            f"got {type(script).__name__}."
+        )
+    return cast("Callable[[WorldView], Script]", script)
+
+
+@contextmanager
+def _blamed(subtask: str) -> Iterator[None]:
+    """Tell whose script raised, where it is code of others.
+
+    Raises:
+        UsageError: the script of a subtask that is none of mjhab's raised something.
+    """
+    try:
+        yield
+    except Exception as error:
+        if SUBTASKS.is_builtin(subtask):
+            raise
+        raise UsageError(
+            f"the expert of {SUBTASKS.told(subtask)} raised {raised_text(error)}."
+        ) from error
 
 
 def _kinds_in(env: Worlds) -> tuple[str, ...]:
@@ -122,7 +150,8 @@ class ExpertPolicy:
             self._tokens[w] = token
             self._scripts[w] = self._start(subtask, view)
         if manner.due() or begins:
-            self._wished[w] = self._from_script(w, view)
+            with _blamed(subtask.name):
+                self._wished[w] = self._from_script(w, view)
         intended = manner.slow(self._wished[w])
         if view.style.look == TARGET and not self._is_moved(subtask):
             intended = self._gaze.turn(view, intended)
@@ -135,7 +164,15 @@ class ExpertPolicy:
     def _start(self, subtask: Subtask, view: WorldView) -> Script:
         if self._is_moved(subtask):
             return _wait(view)
-        return script_of(subtask.name)(view)
+        script = script_of(subtask.name)
+        with _blamed(subtask.name):
+            begun = script(view)
+        if not isinstance(begun, Iterator):
+            raise UsageError(
+                f"the expert of {SUBTASKS.told(subtask.name)} must be a generator function, which yields actions; it "
+                f"returned {type(begun).__name__}."
+            )
+        return begun
 
     def _manner(self, w: int, view: StyledView) -> Manner:
         """The manner of the running episode, which begins with drawing its style."""

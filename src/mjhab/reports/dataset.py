@@ -22,7 +22,7 @@ from mjhab.reports.mosaics import Mosaic, OpenFilm, mosaic
 from mjhab.reports.plots import tone
 from mjhab.reports.run import render_page
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
+from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, recorded_number
 
 _LABEL_HINT = (
     "Percent of the subtasks in this data set, from which a filter may have removed some labels. Published rules: the "
@@ -56,7 +56,7 @@ def render_data_report(
         begin: called with the number of films; returns a function that is called after each.
 
     Raises:
-        UsageError: no episode passes the filter.
+        UsageError: no episode passes the filter, or one is of a subtask that is not registered here.
     """
     paths = shard_paths(places)
     found = select(paths, where)
@@ -64,6 +64,8 @@ def render_data_report(
         raise nothing_passes()
     records = found.records
     subtasks = [subtask for record in records for subtask in record.subtasks]
+    for kind in dict.fromkeys(subtask.kind for subtask in subtasks):
+        recorded_number(kind)
     plots = force_plots(subtasks)
     size = sum(path.stat().st_size for path in paths)
     text = where.text if where else None

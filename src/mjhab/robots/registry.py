@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.core.registration.registry import Registry
+from mjhab.core.registration.registry import Registry, check_item
 from mjhab.robots.robot import Robot
 
 DEFAULT_ROBOT = "fetch"
@@ -23,8 +23,9 @@ def register_robot(robot: Robot) -> Robot:
         The robot, so that it can be registered where it is made.
 
     Raises:
-        UsageError: its name is taken; the message says by whom.
+        UsageError: it is no `Robot`, or its name is taken; the message says by whom.
     """
+    check_item("register_robot", robot, Robot)
     return ROBOTS.add(robot.name, robot)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE, GROUPS, JointColumns
+from mjhab.robots.body_check import BodyNeeds, check_body
 from mjhab.robots.kinematics import Chain
 from mjhab.robots.parts import (
     ActionColumns,
@@ -128,7 +129,9 @@ class Robot:
     def __post_init__(self) -> None:
         for group in self.groups:
             if group not in GROUPS:
-                raise unknown_name("joint group", group, GROUPS)
+                raise UsageError(
+                    f"robot {self.name!r}: {unknown_name('joint group', group, GROUPS)}"
+                )
         named = sorted(joint for group in self.groups.values() for joint in group)
         if named != sorted(self.joints):
             odd = sorted(set(named) ^ set(self.joints)) or "a joint that is in two groups"
@@ -150,6 +153,40 @@ class Robot:
                 f"robot {self.name!r}: rest_qpos needs {len(self.joints)} values, one per joint, got "
                 f"{len(self.rest_qpos)}."
             )
+        self._check_gains()
+        self._check_cameras()
+
+    def _check_gains(self) -> None:
+        lacking = [g for g in GROUPS if self.group(g) and g not in self.gains]
+        if lacking:
+            raise UsageError(
+                f"robot {self.name!r}: gains lack group {' and '.join(map(repr, lacking))}; every group needs a Gains; "
+                f"given are: {', '.join(self.gains) or 'none'}."
+            )
+        for group, gains in (*self.gains.items(), ("stiff_gains", self.stiff_gains)):
+            if not isinstance(gains, Gains):
+                raise UsageError(
+                    f"robot {self.name!r}: gains of {group!r} must be a Gains, got {type(gains).__name__}."
+                )
+        arm = self.group("arm")
+        if arm and self.elbow not in arm:
+            raise UsageError(
+                f"robot {self.name!r}: elbow: {unknown_name('joint of the arm', self.elbow, arm)}"
+            )
+
+    def _check_cameras(self) -> None:
+        for k, camera in enumerate(self.cameras):
+            if not isinstance(camera, CameraMount):
+                raise UsageError(
+                    f"robot {self.name!r}: cameras[{k}] must be a CameraMount, got {type(camera).__name__}."
+                )
+            if camera.name in self.camera_names[:k]:
+                raise UsageError(f"robot {self.name!r}: two cameras are called {camera.name!r}.")
+            if not 0.0 < camera.fovy < np.pi:
+                raise UsageError(
+                    f"robot {self.name!r}: fovy of camera {camera.name!r} must be between 0 and pi [rad], got "
+                    f"{camera.fovy:g}."
+                )
 
     # -- joints ----------------------------------------------------------------------------------------------------
 
@@ -274,8 +311,28 @@ class Robot:
 
     @cached_property
     def body(self) -> Body:
-        """Links, masses and collision shapes."""
-        return self.load_body()
+        """Links, masses and collision shapes.
+
+        Raises:
+            UsageError: ``load_body`` gives links that do not fit the other fields, see `check_body`.
+        """
+        upper = range(BASE.stop, len(self.joints))
+        needs = BodyNeeds(
+            robot=self.name,
+            base_link=self.base_link,
+            links={
+                "tcp": (self.tcp,),
+                "arm_root": (self.arm_root,),
+                "trunk_links": self.trunk_links,
+                "distal_links": self.distal_links,
+                "arm_links": self.arm_links,
+                "wrist_links": self.wrist_links,
+                **{f"body of camera {c.name!r}": (c.body,) for c in self.cameras},
+            },
+            bodies={"force_links": self.force_links, "fingers": self.finger_links},
+            rest={self.joints[j]: self.rest_qpos[j] for j in upper},
+        )
+        return check_body(self.load_body(), needs)
 
     @cached_property
     def links(self) -> tuple[str, ...]:

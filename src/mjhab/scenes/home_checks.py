@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M
-from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
 from mjhab.scenes.pack_check import check_range
 from mjhab.scenes.roles import plays, roles_of
@@ -31,7 +30,7 @@ MAX_SURFACE_HEIGHT_M = 1.6
 
 
 def check_home(source: Path, pack: Pack, home: Home) -> None:
-    """Refuse a home in which something is unknown, out of bounds, in the way, or out of reach.
+    """Refuse a home in which something is out of bounds, in the way, or out of reach.
 
     Args:
         source: file of the home, for messages.
@@ -41,7 +40,6 @@ def check_home(source: Path, pack: Pack, home: Home) -> None:
     Raises:
         UsageError: see `mjhab.scenes.home_files.home_pack`.
     """
-    _check_names(source, pack, home)
     try:
         _check_numbers(home)
     except ValueError as error:
@@ -49,19 +47,6 @@ def check_home(source: Path, pack: Pack, home: Home) -> None:
     _check_singles(source, home)
     _check_overlaps(source, pack, home)
     _check_reach(source, pack, home)
-
-
-def _check_names(source: Path, pack: Pack, home: Home) -> None:
-    kinds = (*pack.props, *pack.articulations)
-    for placement in (*home.props, *home.articulations):
-        if placement.template not in kinds:
-            raise UsageError(
-                f"{source}: furniture: {unknown_name('furniture', placement.template, kinds)}"
-            )
-    materials = {home.floor_material, *(wall.material for wall in home.walls)}
-    for material in sorted(materials):
-        if material not in MATERIALS:
-            raise UsageError(f"{source}: {unknown_name('material', material, MATERIALS)}")
 
 
 def _check_numbers(home: Home) -> None:

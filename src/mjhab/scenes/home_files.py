@@ -15,10 +15,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.names import check_name
+from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
+from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.builtin.pack import ROLES
 from mjhab.scenes.home_checks import check_home
@@ -137,6 +139,7 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
         {**furniture_meshes(), **object_meshes()},
     )
     for file, stated in read:
+        _check_names(pack, stated, file)
         pack = _with_receptacles(pack, stated, file)
     pack = dataclasses.replace(pack, roles=present_roles(pack, ROLES))
     for file, stated in read:
@@ -179,13 +182,40 @@ def _body(file: Path) -> Any:
     if file.suffix == ".json":
         return read_json(file)
     read_bytes(file)
-    found = runpy.run_path(str(file))
+    try:
+        found = runpy.run_path(str(file))
+    except MjhabError as error:
+        raise UsageError(f"{file}: {error}") from error
+    # The file is code of others, which raises whatever it likes.
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"{file}: running it raised {raised_text(error)}.") from error
     if PYTHON_NAME not in found:
         raise UsageError(f"{file}: has no variable {PYTHON_NAME}, which holds the home.")
     try:
         return json.loads(json.dumps(found[PYTHON_NAME]))
     except (TypeError, ValueError) as error:
         raise UsageError(f"{file}: {PYTHON_NAME} is no plain data ({error}).") from error
+
+
+def _check_names(pack: Pack, stated: HomeFile, file: Path) -> None:
+    """Refuse furniture and materials that do not exist.
+
+    Raises:
+        UsageError: names file and field.
+    """
+    kinds = (*pack.props, *pack.articulations)
+    for k, piece in enumerate(stated.furniture):
+        if piece.kind not in kinds:
+            raise UsageError(
+                f"{file}: furniture[{k}].kind: {unknown_name('furniture', piece.kind, kinds)}"
+            )
+    for field, material in (
+        ("floor.material", stated.floor.material),
+        ("walls.outer", stated.walls.outer),
+        ("walls.inner_material", stated.walls.inner_material),
+    ):
+        if material not in MATERIALS:
+            raise UsageError(f"{file}: {field}: {unknown_name('material', material, MATERIALS)}")
 
 
 def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:

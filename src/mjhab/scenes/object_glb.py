@@ -28,7 +28,9 @@ MAX_EXTENT_M = 0.6
 """Extents of an object along its axes; what lies beyond was probably drawn in another unit."""
 
 
-def object_from_glb(name: str, path: Path | str, mass: float, scale: float = 1.0) -> ObjectModel:
+def object_from_glb(
+    name: str, path: Path | str, mass: float, scale: float = 1.0, words: tuple[str, ...] = ()
+) -> ObjectModel:
     """Make an object type of a ``.glb`` file (glTF 2.0: +y up, metres).
 
     Every mesh of the file whose name begins with ``collision`` is one convex piece: its convex hull collides, and it
@@ -41,6 +43,7 @@ def object_from_glb(name: str, path: Path | str, mass: float, scale: float = 1.0
         path: the file.
         mass: [kg], spread evenly over the volume of the pieces.
         scale: factor from the unit of the file to metres.
+        words: its names in instructions, see `ObjectModel`.
 
     Raises:
         UsageError: the file is missing or broken, a collision mesh is flat, or name, mass or size is out of bounds.
@@ -80,7 +83,7 @@ def object_from_glb(name: str, path: Path | str, mass: float, scale: float = 1.0
         (look(f"{name}/look", "plain_white"),),
         grasp_shape="mesh",
     )
-    return ObjectModel(kind, {**meshes, f"{name}/look": textured_mesh(shown)})
+    return ObjectModel(kind, {**meshes, f"{name}/look": textured_mesh(shown)}, words)
 
 
 def _upright(part: Primitive, scale: float) -> Primitive:

@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mjhab.core.errors import UsageError
-from mjhab.core.registration.registry import Registry
+from mjhab.core.names import check_texts
+from mjhab.core.registration.registry import Registry, check_item
+from mjhab.scenes.builtin.objects import builtin_objects
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import ObjectType, Pack
@@ -15,10 +17,26 @@ from mjhab.scenes.spec import ObjectType, Pack
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A movable object: its type, and by name the meshes that the geoms of the type name."""
+    """A movable object.
+
+    kind: its type. meshes: by name, those that the geoms of the type name. words: names in instructions, such as
+    ("mug", "coffee mug"), one of which is drawn; without them it is called by its id, "my_mug" by "my mug".
+    """
 
     kind: ObjectType
     meshes: Mapping[str, Mesh] = field(default_factory=dict)
+    words: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.kind, ObjectType):
+            raise UsageError(
+                f"the kind of an ObjectModel must be an ObjectType, got {type(self.kind).__name__}."
+            )
+        check_texts(f"object {self.kind.name!r}: words", self.words)
+        if not all(word.strip() for word in self.words):
+            raise UsageError(
+                f"object {self.kind.name!r}: words must not be empty, got {self.words}."
+            )
 
 
 OBJECTS: Registry[ObjectModel] = Registry("object")
@@ -33,9 +51,10 @@ def register_object(model: ObjectModel) -> ObjectModel:
     An environment has an object in it if its task's roster names it, or its option ``extra_objects``.
 
     Raises:
-        UsageError: an object of that name is registered already; a name or number is none that an object can be made
-            of, or a geom names a mesh that is not given.
+        UsageError: it is no `ObjectModel`; an object of that name is registered already, or built in; a name or number
+            is none that an object can be made of, or a geom names a mesh that is not given.
     """
+    check_item("register_object", model, ObjectModel)
     kind = model.kind
     for geom in (*kind.collision, *kind.visuals):
         if geom.shape == "mesh" and geom.mesh not in model.meshes:
@@ -47,8 +66,17 @@ def register_object(model: ObjectModel) -> ObjectModel:
         raise UsageError(
             f"object {kind.name!r} has no collision geom: nothing could hold or touch it."
         )
+    if kind.name in builtin_objects():
+        raise UsageError(
+            f"object {kind.name!r}: the built-in packs have an object of this name; register it under another name."
+        )
     check_pack(Pack("objects", {}, {}, (), {kind.name: kind}, dict(model.meshes)), kind.name)
     return OBJECTS.add(kind.name, model)
+
+
+def object_words(kind: str) -> tuple[str, ...]:
+    """Names in instructions of a registered object type; () for others, and where none were given."""
+    return OBJECTS[kind].words if kind in OBJECTS else ()
 
 
 def with_registered_objects(pack: Pack) -> Pack:

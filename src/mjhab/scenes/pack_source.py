@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.registration.registry import Registry
+from mjhab.core.registration.registry import Registry, check_item
 from mjhab.scenes.spec import Pack
 
 
@@ -121,10 +121,11 @@ def register_pack(source: PackSource) -> PackSource:
     Raises:
         UsageError: a pack of that name is registered already, or the source takes options that do not exist.
     """
+    check_item("register_pack", source, PackSource)
     known = {f.name for f in dataclasses.fields(PackRequest)} - {"place"}
     for option in source.options:
         if option not in known:
-            raise unknown_name(f"option of pack {source.name!r}", option, known)
+            raise UsageError(f"pack {source.name!r}: {unknown_name('option', option, known)}")
     return PACK_SOURCES.add(source.name, source)
 
 

@@ -9,11 +9,21 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.registration import plugins
+from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.objects import with_registered_objects
 from mjhab.scenes.pack_folder import load_pack
-from mjhab.scenes.pack_source import Assets, pack_names, pack_request, source_of
+from mjhab.scenes.pack_source import (
+    HOME_SUFFIXES,
+    PACK_SOURCES,
+    Assets,
+    PackRequest,
+    PackSource,
+    pack_names,
+    pack_request,
+    source_of,
+)
 from mjhab.scenes.spec import Pack
 
 
@@ -38,10 +48,32 @@ def open_pack(assets: Assets = "builtin") -> Pack:
     request = pack_request(assets)
     source = source_of(request)
     if source is not None:
-        return with_registered_objects(source.open(request))
+        return with_registered_objects(_opened(source, request))
     if Path(request.place).is_dir():
         return with_registered_objects(load_pack(Path(request.place)))
     raise _nothing_there(request.place)
+
+
+def _opened(source: PackSource, request: PackRequest) -> Pack:
+    """The pack that a source opens; of a plugin's source anything may come.
+
+    Raises:
+        UsageError: the source raises, or returns no pack.
+    """
+    if PACK_SOURCES.is_builtin(source.name):
+        return source.open(request)
+    told = f"{PACK_SOURCES.told(source.name)} cannot open {request}"
+    try:
+        pack = source.open(request)
+    except MjhabError as error:
+        raise UsageError(f"{told}: {error}") from error
+    except Exception as error:
+        raise UsageError(f"{told}: its open raised {raised_text(error)}.") from error
+    if not isinstance(pack, Pack):
+        raise UsageError(
+            f"{told}: its open must return a mjhab.scenes.spec.Pack, got {type(pack).__name__}."
+        )
+    return pack
 
 
 def _nothing_there(place: str) -> UsageError:
@@ -50,6 +82,11 @@ def _nothing_there(place: str) -> UsageError:
         return UsageError(
             f"asset pack {place!r} is a file; expected the name of a pack ({', '.join(pack_names())}) or a folder "
             "with pack.json and meshes.npz."
+        )
+    if Path(place).suffix in HOME_SUFFIXES:
+        return UsageError(
+            f"home file {place!r} does not exist; expected a {' or '.join(HOME_SUFFIXES)} file with a home "
+            "(docs/extending.md, A new home)."
         )
     if any(separator and separator in place for separator in (os.sep, os.altsep, "/")):
         return UsageError(

@@ -78,12 +78,16 @@ class Spot:
 
 @dataclass(frozen=True)
 class Request:
-    """What a subtask is about: ``kind``; ``target`` as in a plan; where its object lies and where it belongs."""
+    """What a subtask is about: ``kind``; ``target`` as in a plan; where its object lies and where it belongs.
+
+    ``names``: names of the target's type, such as ("mug", "coffee mug"); () for those of `target_words`.
+    """
 
     kind: str
     target: str
     source: Spot = Spot()
     goal: Spot = Spot()
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,7 +155,7 @@ def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
     carries = request.target.startswith(GOAL_OF)
     wordings = CARRY_WORDINGS if carries else SUBTASKS[request.kind].words
     target = request.target.removeprefix(GOAL_OF)
-    thing = target_words(target, draw)
+    thing = target_words(target, draw, request.names)
     destination = f"{thing} {request.source.phrase()}"
     if carries:
         destination = request.goal.words or "its goal"
@@ -175,19 +179,22 @@ def task_instruction(task: str, requests: Sequence[Request], draw: Draw = first_
     wordings = TASKS[task].words
     name = wordings[draw(len(wordings))]
     moves = [
-        f"put {target_words(request.target, draw)} {request.goal.phrase('at its goal')}"
+        f"put {target_words(request.target, draw, request.names)} {request.goal.phrase('at its goal')}"
         for request in requests
         if SUBTASKS[request.kind].brings_to_goal
     ]
     return f"{name}: {', then '.join(moves)}" if moves else name
 
 
-def target_words(target: str, draw: Draw = first_wording) -> str:
-    """A target in words: "the bowl" for "024_bowl_:0003", "drawer 3 of the kitchen counter" for a link."""
+def target_words(target: str, draw: Draw = first_wording, own: Sequence[str] = ()) -> str:
+    """A target in words: "the bowl" for "024_bowl_:0003", "drawer 3 of the kitchen counter" for a link.
+
+    ``own``: names of its type, where it has names of its own.
+    """
     kind = kind_of(target)
     if "/" in kind:
         return _link_words(kind)
-    names = OBJECT_WORDS.get(kind) or (_plain_words(kind),)
+    names = tuple(own) or OBJECT_WORDS.get(kind) or (_plain_words(kind),)
     return f"the {names[draw(len(names))]}"
 
 

@@ -21,6 +21,7 @@ from mjhab.core.arrays import (
     norm3,
     pick_column,
     pile,
+    value_text,
 )
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
@@ -252,5 +253,10 @@ def _own_measures(
         mine = active.kind == number
         if may_hold(mine):
             own = function(state, active, config)
+            if getattr(own, "shape", None) != mine.shape or own.dtype != mine.dtype:
+                raise UsageError(
+                    f"{SUBTASKS.told(SUBTASKS.names()[number])}: the measure of {CHECKS[row]!r} must give one bool per "
+                    f"world, shape {tuple(mine.shape)}; got {value_text(own)}."
+                )
             out[row] = namespace(own).where(mine, own, out[row])
     return out

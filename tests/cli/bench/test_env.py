@@ -12,7 +12,10 @@ from mjhab.bench.reward import auc, figure, summary
 from mjhab.bench.soak.run import CURVE_POINTS, MemoryCurve
 from mjhab.bench.stages import STAGES
 from mjhab.cli.main import main
+from mjhab.cli.options.env import EnvsDescribeOptions
+from mjhab.cli.worlds.envs import description
 from mjhab.envs.catalog import env_ids
+from tests.examples.plugins import loaded
 
 
 def run(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict]:
@@ -50,6 +53,30 @@ def test_envs_list_and_describe(capsys: pytest.CaptureFixture[str]):
     assert {t["subtask"] for t in found["reward_terms"]} == {"open"} and found["horizons"] == {
         "open": 200
     }
+
+
+GOAL = "extra/goal_pos_wrt_base"
+OBJECT = "extra/obj_pose_wrt_base"
+
+
+@pytest.mark.parametrize(
+    ("env", "key", "told"),
+    [
+        ("Pick", OBJECT, "Pick: its object (position, quaternion with w >= 0); zero once"),
+        ("Pick", GOAL, "zero in Pick (position); zero once"),
+        ("Place", GOAL, "Place: where its object goes"),
+        ("Close", OBJECT, "zero in Close"),
+        ("Open", GOAL, "Open: the handle"),
+        ("Push", GOAL, "Push: where its object goes"),
+    ],
+)
+def test_the_goal_is_explained_by_the_spec_of_the_subtask(env: str, key: str, told: str) -> None:
+    with loaded("push"):
+        options = EnvsDescribeOptions(f"mjhab/{env}SubtaskTrain-v1")
+        rows = {row["key"]: row["meaning"] for row in description(options)["observations"]}
+    assert told in rows[key]
+    others = {"Pick", "Place", "Close", "Open", "Push", "Navigate"} - {env}
+    assert not any(other in rows[key] for other in others)
 
 
 def test_an_unknown_id_names_the_nearest(capsys: pytest.CaptureFixture[str]):

@@ -22,6 +22,7 @@ from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.spec import Geom, Pack
 
+EXAMPLES = Path(__file__).parents[3] / "examples"
 KEYS = ["homes", "ok", "failed", "layout", "ngeom", "nv", "compile_s"]
 
 
@@ -198,3 +199,17 @@ def test_options_of_a_real_pack_go_into_its_request(
     monkeypatch.undo()
     assert main(["homes", "show", "builtin_m0_00", "--articulate", "cabinet"]) == 2
     assert "takes no option 'articulate'" in capsys.readouterr().err
+
+
+def test_check_tells_roles_that_nobody_asks_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    body = json.loads((EXAMPLES / "home" / "cottage.json").read_text())
+    body["receptacles"][0]["roles"] = ["open_surfaces", "sink"]
+    file = tmp_path / "cottage.json"
+    file.write_text(json.dumps(body))
+    assert main(["homes", "check", "--assets", str(file), "--json"]) == 0
+    remarks = [row["what"] for row in said(capsys)["remarks"] if "role" in row["what"]]
+    assert remarks == [
+        "no registered task asks for the role 'open_surfaces'; did you mean 'open_surface'?"
+    ]

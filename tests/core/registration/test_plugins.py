@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.core.registration import plugins
 from mjhab.core.registration.registry import Registry
@@ -26,7 +27,10 @@ def shelf() -> Registry[object]:
 def forget() -> Iterator[None]:
     """Plugins that a test loads are forgotten after it."""
     before = list(plugins._found)
+    entries = dict(plugins._entries)
     yield
+    plugins._entries.clear()
+    plugins._entries.update(entries)
     plugins._found[:] = before
 
 
@@ -44,7 +48,9 @@ def test_builtin_items_come_first_and_are_imported_when_asked_for(shelf: Registr
 
 def test_a_name_is_registered_once(shelf: Registry[object]) -> None:
     for name in ("path", "mine"):
-        with pytest.raises(UsageError, match=f"thing '{name}' is registered twice"):
+        who = {"path": "mjhab itself", "mine": "the calling program"}[name]
+        told = f"thing '{name}' is registered twice: by {who} and by the calling program"
+        with pytest.raises(UsageError, match=told):
             shelf.add("mine", 1)
             shelf.add(name, 2)
     with pytest.raises(UsageError, match="has not been registered by a plugin"):
@@ -57,10 +63,12 @@ def test_an_unknown_name_lists_the_names_and_the_plugins_that_failed(
     with pytest.raises(UsageError, match=r"unknown thing 'pth'\. Did you mean 'path'"):
         _ = shelf["pth"]
     file = tmp_path / "broken.py"
-    file.write_text("raise ValueError('no weights')")
+    file.write_text("raise ValueError('no weights.')")
     with pytest.warns(plugins.PluginWarning, match=r"broken\.py.*ValueError: no weights"):
         plugins.load_plugin(file)
-    with pytest.raises(UsageError, match=r"could not be loaded: .*broken\.py: ValueError"):
+    with pytest.raises(
+        UsageError, match=r"could not be loaded: .*broken\.py: ValueError: no weights\.$"
+    ):
         _ = shelf["pth"]
 
 
@@ -95,9 +103,107 @@ def test_a_folder_is_a_package_and_a_path_that_is_none_is_told(tmp_path: Path) -
     digest = plugins.source_digest(str(folder))
     (folder / "part.py").write_text("VALUE = 5")
     assert digest and plugins.source_digest(str(folder)) != digest
-    assert plugins.source_digest("") == plugins.source_digest("an_installed_plugin") == ""
+    assert plugins.source_digest("") == plugins.source_digest("no_plugin") == ""
     with pytest.warns(plugins.PluginWarning, match="neither a Python file nor a folder"):
         plugins.load_plugin(tmp_path / "nothing.py")
+
+
+def test_an_edit_of_an_installed_plugin_changes_its_digest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A module, and a module in a package whose neighbour is edited; and another version of the distribution."""
+    package = tmp_path / "digested_package"
+    package.mkdir()
+    module = tmp_path / "digested_module.py"
+    neighbour = package / "rules.py"
+    for file in (module, neighbour, package / "__init__.py", package / "plugin.py"):
+        file.write_text("VALUE = 1")
+    info = tmp_path / "digested-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: digested\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[mjhab.plugins]\nalone = digested_module\ninside = digested_package.plugin\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(plugins, "_done", False)
+    monkeypatch.delenv("MJHAB_PLUGINS", raising=False)
+    plugins.load_plugins()
+    for name, file in (("alone", module), ("inside", neighbour)):
+        digest = plugins.source_digest(name)
+        assert digest and plugins.source_digest(name) == digest
+        file.write_text("VALUE = 2")
+        assert plugins.source_digest(name) != digest
+    digest = plugins.source_digest("alone")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: digested\nVersion: 1.1\n")
+    monkeypatch.setattr(plugins, "_done", False)
+    plugins.load_plugins()
+    assert plugins.source_digest("alone") != digest
+
+
+def test_a_plugin_that_is_listed_twice_is_loaded_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    folder = tmp_path / "several"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("from .part import VALUE")
+    (folder / "part.py").write_text("VALUE = 4")
+    (tmp_path / "one.py").write_text("")
+    monkeypatch.chdir(tmp_path)
+    names = ("one.py", str(tmp_path / "one.py"), "./one.py", "several", "several/__init__.py")
+    monkeypatch.setenv("MJHAB_PLUGINS", os.pathsep.join(names))
+    monkeypatch.setattr(plugins, "_done", False)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: ())
+    before = len(plugins.loaded_plugins())
+    found = plugins.load_plugins()[before:]
+    assert [plugin.name for plugin in found] == ["one.py", "several"]
+    assert not any(plugin.error for plugin in found) and not recwarn.list
+    # The digest is of the file, not of a path that is relative to another folder.
+    monkeypatch.chdir("/")
+    assert plugins.source_digest("one.py")
+
+
+def test_the_warning_is_at_the_line_that_imports(tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text("1 / 0")
+    with pytest.warns(plugins.PluginWarning) as caught:
+        plugins.load_plugin(tmp_path / "bad.py")
+    assert caught[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    ("reference", "told"),
+    [
+        ("nowhere", "is no reference"),
+        ("nowhere_at_all:fn", "module 'nowhere_at_all'.* cannot be imported: ModuleNotFoundError"),
+        ("broken_module:fn", r"cannot be imported: ZeroDivisionError.*broken_module\.py, line 2"),
+        ("pathlib:Nothing", "has no 'Nothing'"),
+    ],
+)
+def test_a_reference_that_leads_nowhere_is_told(
+    reference: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_module.py").write_text("\n1 / 0")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UsageError, match=told):
+        plugins.resolved(reference)
+
+
+@pytest.mark.parametrize(
+    ("function", "kind"),
+    [
+        ("register_subtask", "SubtaskSpec"),
+        ("register_task", "TaskSpec"),
+        ("register_robot", "Robot"),
+        ("register_control_mode", "ControlMode"),
+        ("register_object", "ObjectModel"),
+        ("register_pack", "PackSource"),
+    ],
+)
+@pytest.mark.parametrize("given", [{"name": "x"}, "x", None])
+def test_a_registering_function_says_what_it_expects(
+    function: str, kind: str, given: object
+) -> None:
+    with pytest.raises(UsageError, match=f"mjhab.{function} expects a {kind}, got "):
+        getattr(mjhab, function)(given)
 
 
 def test_plugins_of_the_variable_and_of_entry_points_are_loaded_on_import(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from mjhab.cli.main import main
 from mjhab.data.select import relabel as module
 from mjhab.data.select.relabel import relabel
 from mjhab.data.store.checking import check
-from mjhab.data.store.episode_data import EpisodeData
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.episode_data import EpisodeData, RunInfo
+from mjhab.data.store.reading import episodes, open_shard
 from mjhab.data.store.schema import CHECKS
 from mjhab.data.store.shard import ShardWriter
 from mjhab.tasks.plan import SubtaskKind
@@ -123,3 +123,24 @@ def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(tmp_path: Pa
         _, history = episode.history(0)
         differ += int((history.ee_contact != history.touch).sum())
     assert differ
+
+
+@pytest.mark.parametrize("command", [("label",), ("data", "report", "--out", "report.html")])
+def test_data_of_a_subtask_that_is_not_registered_hint_at_its_plugin(
+    command: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record(Path("a.h5"), range(1), FakeEnv(subtask="pick"))
+    with open_shard(Path("a.h5")) as shard:
+        episode = next(iter(shard))
+        arrays = {name: episode.array(name) for name in episode.paths if name != "record"}
+        kinds = tuple(dataclasses.replace(s, kind="pushh") for s in episode.record.subtasks)
+        told = dataclasses.replace(episode.record, subtasks=kinds)
+    with ShardWriter(Path("b.h5")) as writer:
+        writer.append(EpisodeData(told, RunInfo({"a": 1}), "m", "success", arrays))
+    assert main([*command, "b.h5"]) == 2
+    error = capsys.readouterr().err
+    assert "recorded subtask 'pushh' is not known here" in error and "MJHAB_PLUGINS=PATH" in error

@@ -88,7 +88,9 @@ def description(options: EnvsDescribeOptions) -> dict[str, Any]:
     found = {
         "id": options.env,
         "profile": env.config.profile,
-        "observations": [{k: _plain(v) for k, v in row.items()} for row in env.observer.describe()],
+        "observations": [
+            {k: _plain(v) for k, v in row.items()} for row in env.observer.describe(kinds)
+        ],
         "actions": [
             {k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in env.action_table
         ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from typing import Any
 
 from mjhab.cli.options.common import HomesCheckOptions
@@ -20,11 +22,30 @@ def check(options: HomesCheckOptions) -> int:
     homes = homes_of_split(pack, options.split)
     with progress_bar("checking homes", len(homes)) as advance:
         report = check_homes(Layout(pack, roster_of(pack)), homes, lambda home: advance())
+    report.remarks += unasked_roles(pack, homes)
     if options.json:
         print_json(as_json(report))
     else:
         _print(report)
     return 1 if report.failed else 0
+
+
+def unasked_roles(pack: Any, homes: Sequence[Any]) -> list[tuple[str, str]]:
+    """(home, what) of roles that a home states itself and that no registered task asks for: perhaps misspelt."""
+    from mjhab.scenes.roles import FRIDGE_SHELF, OPEN_SURFACE
+    from mjhab.tasks.household.registry import TASKS
+
+    # Clutter stands on open surfaces and on the fridge shelf, whatever the task.
+    asked = {OPEN_SURFACE, FRIDGE_SHELF, *(role for spec in TASKS.values() for role in spec.roles)}
+    asked |= {*pack.roles.places, *pack.roles.links}
+    found = []
+    for home in homes:
+        own = () if home.roles is None else (*home.roles.places, *home.roles.links)
+        for role in sorted(set(own) - asked):
+            near = difflib.get_close_matches(role, asked, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            found.append((home.name, f"no registered task asks for the role {role!r}{hint}"))
+    return found
 
 
 def roster_of(pack: Any) -> tuple[str, ...]:

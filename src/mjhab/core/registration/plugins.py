@@ -1,4 +1,5 @@
-"""Plugins: code outside the package that registers subtasks, tasks, robots, packs or objects when mjhab is imported.
+"""Plugins: code outside the package that registers subtasks, tasks, robots, control modes,
+packs or objects when mjhab is imported.
 
 A plugin is a Python file or a folder with an ``__init__.py``, named in the environment variable ``MJHAB_PLUGINS``, or
 an installed module behind an entry point of the group ``mjhab.plugins``. It calls ``mjhab.register_subtask`` and the
@@ -13,18 +14,22 @@ import importlib.util
 import multiprocessing
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import MjhabError, UsageError
 
 ENTRY_POINT_GROUP = "mjhab.plugins"
 PATHS_VARIABLE = "MJHAB_PLUGINS"
 """Paths of plugin files and folders, separated as in PATH (``:``, on Windows ``;``)."""
 _MODULE_PREFIX = "mjhab_plugin_"
+_PACKAGE = str(Path(__file__).parents[2])
+"""Folder of mjhab: warnings are about the code that imports it."""
+_DIGEST_CHARACTERS = 16
 
 
 class PluginWarning(UserWarning):
@@ -57,6 +62,8 @@ class _Loading:
 _found: list[Plugin] = []
 _loading: list[_Loading] = []
 _done = False
+_entries: dict[str, EntryPoint] = {}
+"""Entry points that were found, by name."""
 
 
 def load_plugins() -> tuple[Plugin, ...]:
@@ -69,16 +76,31 @@ def load_plugins() -> tuple[Plugin, ...]:
     if not _done:
         _done = True
         for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
+            _entries[entry.name] = entry
             _load(entry.name, f"entry point {entry.value}", entry.load)
-        for path in filter(None, os.environ.get(PATHS_VARIABLE, "").split(os.pathsep)):
+        for path in _paths(os.environ.get(PATHS_VARIABLE, "")):
             load_plugin(path)
     return tuple(_found)
 
 
 def load_plugin(path: str | Path) -> Plugin:
     """Load one plugin file or folder now; see `load_plugins` for what happens when it raises."""
-    place = Path(path).expanduser().resolve()
+    place = _place(path)
     return _load(str(path), str(place), lambda: _import_path(place))
+
+
+def _place(path: str | Path) -> Path:
+    """The full path of a plugin; of a package its folder."""
+    place = Path(path).expanduser().resolve()
+    return place.parent if place.name == "__init__.py" else place
+
+
+def _paths(text: str) -> list[str]:
+    """The paths in `PATHS_VARIABLE`; a file that is named twice, say by a relative and an absolute path, once."""
+    found: dict[Path, str] = {}
+    for path in filter(None, text.split(os.pathsep)):
+        found.setdefault(_place(path), path)
+    return list(found.values())
 
 
 def loaded_plugins() -> tuple[Plugin, ...]:
@@ -91,7 +113,7 @@ def failed_plugins() -> str:
     failed = [plugin for plugin in _found if plugin.error]
     if not failed:
         return ""
-    told = "; ".join(f"{plugin.name}: {plugin.error}" for plugin in failed)
+    told = "; ".join(f"{plugin.name}: {plugin.error.rstrip(' .')}" for plugin in failed)
     return f" Plugins that could not be loaded: {told}."
 
 
@@ -130,12 +152,22 @@ def _load(name: str, origin: str, run: Callable[[], object]) -> Plugin:
     _found.append(plugin)
     # Worker processes load the same plugins; the process that started them has told.
     if error and multiprocessing.parent_process() is None:
-        warnings.warn(
-            f"mjhab: plugin {name!r} could not be loaded and is left out: {error}",
-            PluginWarning,
-            stacklevel=2,
-        )
+        _warn(f"mjhab: plugin {name!r} could not be loaded and is left out: {error}")
     return plugin
+
+
+def _warn(message: str) -> None:
+    """A `PluginWarning` at the line outside of mjhab that imports it; the outermost line if there is none."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith((_PACKAGE, "<frozen")):
+        frame = frame.f_back
+    warnings.warn_explicit(
+        message,
+        PluginWarning,
+        frame.f_code.co_filename,
+        frame.f_lineno,
+        registry=frame.f_globals.setdefault("__warningregistry__", {}),
+    )
 
 
 def _import_path(path: Path) -> None:
@@ -162,18 +194,58 @@ def _import_path(path: Path) -> None:
 
 
 def source_digest(name: str) -> str:
-    """Hash of the Python files of a plugin of ``MJHAB_PLUGINS``, "" for mjhab and for installed plugins.
+    """Hash of the Python files of a plugin, "" for mjhab and for names that are none.
 
-    Caches of results that a plugin's code decides are keyed by it.
+    Of an installed plugin these are the files of its package, with name and version of the distribution. Caches of
+    results that a plugin's code decides are keyed by it.
     """
-    path = Path(name).expanduser()
-    if not name or not path.exists():
+    if not name:
         return ""
-    files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
     digest = hashlib.sha256()
+    if name in _entries:
+        entry = _entries[name]
+        files = _files_of_module(entry.module)
+        if entry.dist is not None:
+            digest.update(f"{entry.dist.name} {entry.dist.version}".encode())
+    else:
+        # By its full path: the working directory may be another one by now.
+        origin = next((plugin.origin for plugin in _found if plugin.name == name), name)
+        files = _python_files(_place(origin))
+    if not files:
+        return ""
     for file in files:
         digest.update(file.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()[:_DIGEST_CHARACTERS]
+
+
+def _python_files(path: Path) -> list[Path]:
+    """The Python files of a plugin at a path, none if there is nothing."""
+    if path.is_dir():
+        return sorted(path.rglob("*.py"))
+    return [path] if path.is_file() else []
+
+
+def _files_of_module(module: str) -> list[Path]:
+    """The Python files of the outermost package that a module is in, or of the module where that is one file."""
+    parts = module.split(".")
+    for count in range(1, len(parts) + 1):
+        spec = importlib.util.find_spec(".".join(parts[:count]))
+        # A namespace package has no file of its own, and parts of other distributions.
+        if spec is None or spec.origin is None:
+            continue
+        folders = spec.submodule_search_locations or [spec.origin]
+        return [file for folder in folders for file in _python_files(Path(folder))]
+    return []
+
+
+def raised_text(error: BaseException) -> str:
+    """An exception in code of others, in words: its type, its message, and the line that raised it."""
+    text = f"{type(error).__name__}: {error}".rstrip(" .:")
+    frames = traceback.extract_tb(error.__traceback__)
+    outside = [frame for frame in frames if not frame.filename.startswith((_PACKAGE, "<frozen"))]
+    if not outside:
+        return text
+    return f"{text} ({outside[-1].filename}, line {outside[-1].lineno})"
 
 
 def resolved(item: object) -> object:
@@ -185,12 +257,20 @@ def referred(reference: str) -> object:
     """The object that ``"package.module:name"`` names.
 
     Raises:
-        UsageError: the text has no such form, or the module no such name.
+        UsageError: the text has no such form, the module cannot be imported, or it has no such name.
     """
     module, colon, name = reference.partition(":")
     if not (module and colon and name):
         raise UsageError(f"{reference!r} is no reference; expected 'package.module:name'.")
-    found = importlib.import_module(module)
+    try:
+        found = importlib.import_module(module)
+    except MjhabError:
+        raise
+    # The module may be code of others, which raises whatever it likes.
+    except Exception as error:
+        raise UsageError(
+            f"module {module!r}, which {reference!r} refers to, cannot be imported: {raised_text(error)}."
+        ) from error
     if not hasattr(found, name):
         raise UsageError(f"module {module!r} has no {name!r}, which {reference!r} refers to.")
     return getattr(found, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterator, Mapping
 from typing import Generic, TypeVar, cast
 
@@ -37,7 +38,7 @@ class Registry(Generic[Item]):
         source = plugins.current_source()
         if name in self._names:
             raise UsageError(
-                f"{self._what} {name!r} is registered twice: by {_who(self._names[name])} and by {_who(source)}. "
+                f"{self._what} {name!r} is registered twice: by {self._owner(name)} and by {_who(source)}. "
                 "Give one of them another name."
             )
         self._items[name] = item
@@ -45,6 +46,10 @@ class Registry(Generic[Item]):
         self.version += 1
         plugins.note_registration(f"{self._what} {name!r}", lambda: self.remove(name))
         return item
+
+    def _owner(self, name: str) -> str:
+        """Who has registered a name."""
+        return "mjhab itself" if name in self._references else _who(self._names[name])
 
     def remove(self, name: str) -> None:
         """Take back a registration. Items of mjhab itself stay.
@@ -97,10 +102,39 @@ class Registry(Generic[Item]):
         """All items in the order of `names`."""
         return tuple(self[name] for name in self._names)
 
+    def is_builtin(self, name: str) -> bool:
+        """Whether an item is one of mjhab itself."""
+        return name in self._references
+
+    def told(self, name: str) -> str:
+        """An item in words for messages, with the plugin that registered it: "subtask 'push' of plugin 'push.py'"."""
+        source = self._names.get(name, "")
+        return f"{self._what} {name!r} of plugin {source!r}" if source else f"{self._what} {name!r}"
+
     def source(self, name: str) -> str:
         """Name of the plugin that registered an item, "" for mjhab itself and for code outside of plugins."""
         return self._names[name]
 
 
+def check_item(function: str, item: object, kind: type) -> None:
+    """Check what a registering function was given.
+
+    Args:
+        function: its name, such as "register_subtask".
+        item: what it was given.
+        kind: what it expects.
+
+    Raises:
+        UsageError: the item is of another kind.
+    """
+    if isinstance(item, kind):
+        return
+    given = "the class itself" if item is kind else f"{reprlib.repr(item)} ({type(item).__name__})"
+    raise UsageError(
+        f"mjhab.{function} expects a {kind.__name__}, got {given}. "
+        f"Make one first: mjhab.{function}({kind.__name__}(...))."
+    )
+
+
 def _who(source: str) -> str:
-    return f"plugin {source!r}" if source else "mjhab or the calling program"
+    return f"plugin {source!r}" if source else "the calling program"

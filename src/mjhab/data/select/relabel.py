@@ -13,7 +13,7 @@ from mjhab.tasks.labelling.events import event_names, step_events
 from mjhab.tasks.labelling.labels import label_history, label_names
 from mjhab.tasks.labelling.legacy import legacy_history
 from mjhab.tasks.labelling.state import History
-from mjhab.tasks.subtasks.registry import number_of
+from mjhab.tasks.subtasks.registry import recorded_number
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
 def relabel_subtask(old: SubtaskRecord, history: History) -> SubtaskRecord:
     """The record of a subtask with label, published label and events computed from its signals (T+1, 1)."""
     rows, steps = _changing(history)
-    kind = np.array([number_of(old.kind)])
+    kind = np.array([recorded_number(old.kind)])
     code = label_history(kind, rows)
     events: list[Event] = []
     for t in range(1, len(steps)):

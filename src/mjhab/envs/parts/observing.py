@@ -30,6 +30,7 @@ from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.signals import Signals
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from mjhab.render.home_scene import HomeRenderer
@@ -92,9 +93,17 @@ class ObservedRows:
             for name, mount in mounts.items()
         }
 
-    def describe(self) -> list[dict[str, Any]]:
-        """Rows of the table: key, shape, dtype, unit, frame, meaning."""
-        return describe(self.state_rows, self.camera_rows)
+    def describe(self, kinds: Sequence[str] | None = None) -> list[dict[str, Any]]:
+        """Rows of the table: key, shape, dtype, unit, frame, meaning.
+
+        ``kinds``: subtasks that the rows of the task are explained for, all there are if None.
+
+        Raises:
+            UsageError: there is no such subtask.
+        """
+        return describe(
+            self.state_rows, self.camera_rows, SUBTASKS.names() if kinds is None else kinds
+        )
 
 
 class Observer(ObservedRows):

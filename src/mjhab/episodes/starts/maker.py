@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -71,8 +70,24 @@ def check_target(config: EnvConfig, layout: Layout) -> None:
 
 
 def start_of(kind: int) -> SubtaskStart:
-    """What says how a kind of subtask begins."""
-    return cast(SubtaskStart, resolved(spec_of(kind).start))
+    """What says how a kind of subtask begins.
+
+    Raises:
+        UsageError: there is no such subtask, or the ``start`` of its spec is no `SubtaskStart`.
+    """
+    spec = spec_of(kind)
+    where = f"{SUBTASKS.told(spec.name)}: start"
+    try:
+        start = resolved(spec.start)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from error
+    if not isinstance(start, SubtaskStart):
+        given = f"the class {start.__name__}" if isinstance(start, type) else type(start).__name__
+        raise UsageError(
+            f"{where} must be an object of a subclass of mjhab.episodes.starts.SubtaskStart, or a reference "
+            f"'module:NAME' to one; got {given}."
+        )
+    return start
 
 
 class StartMaker:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjhab.core.errors import UsageError
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.spawns import Held, SpawnGoal
 from mjhab.episodes.starts.home_state import HomeState
 from mjhab.scenes.spec import Home
+from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import Box, Subtask, TaskPlan
 from mjhab.tasks.subtasks.registry import spec_of
 
@@ -52,9 +54,18 @@ class Situation:
 
     @property
     def last_way(self) -> tuple[float, float, float]:
-        """Where the last Navigate before the subtask led to [m, world]."""
-        before = self.plan.subtasks[: self.position][::-1]
-        return next(s.goal_pos for s in before if spec_of(s.kind).navigates)
+        """Where the last Navigate before the subtask led to [m, world].
+
+        Raises:
+            UsageError: there is none in the plan.
+        """
+        for subtask in reversed(self.plan.subtasks[: self.position]):
+            if spec_of(subtask.kind).navigates:
+                return subtask.goal_pos
+        raise UsageError(
+            f"{TASKS.told(self.plan.task)}: subtask {self.subtask.name!r} begins where the navigate before it led to, "
+            f"but no navigate is before position {self.position} of the plan. Put one into the chain of the TargetRule."
+        )
 
     def open_before(self) -> tuple[str, bool]:
         """The link that the plan has left open by now, or "", and whether its object is placed by then."""

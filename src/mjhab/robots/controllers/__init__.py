@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 
 from mjhab.core.arrays import Array
-from mjhab.core.errors import UsageError, unknown_name
-from mjhab.robots.controllers.arm import (
-    Arm,
-    ArmRequest,
-    JointDelta,
-    JointPosition,
-    JointPositionVelocity,
-    JointTargetDelta,
-    JointVelocity,
-)
+from mjhab.core.errors import UsageError
+from mjhab.robots.controllers.arm import ArmRequest
 from mjhab.robots.controllers.controller import BASES, STATIONARY, Controller
-from mjhab.robots.controllers.end_effector import EndEffector
+from mjhab.robots.controllers.modes import (
+    CONTROL_MODES,
+    DEFAULT_MODE,
+    ControlMode,
+    register_control_mode,
+)
 from mjhab.robots.controllers.table import ActionEntry
 from mjhab.robots.parts import ActionLimits
 from mjhab.robots.registry import robot_named
@@ -32,30 +28,12 @@ __all__ = [
     "STATIONARY",
     "ActionEntry",
     "ActionLimits",
+    "ControlMode",
     "Controller",
     "check_actions",
     "make_controller",
+    "register_control_mode",
 ]
-
-DEFAULT_MODE = "pd_joint_delta_pos"
-"""The mode of MS-HAB: every policy and expert speaks it."""
-_STIFF_BODY = "pd_joint_delta_pos_stiff_body"
-_ARMS: dict[str, Callable[[ArmRequest], Arm]] = {
-    DEFAULT_MODE: JointDelta,
-    "pd_joint_target_delta_pos": JointTargetDelta,
-    "pd_joint_pos": JointPosition,
-    "pd_joint_vel": JointVelocity,
-    "pd_joint_pos_vel": partial(JointPositionVelocity, delta=False),
-    "pd_joint_delta_pos_vel": partial(JointPositionVelocity, delta=True),
-    "pd_ee_delta_pos": partial(EndEffector, start="measured", rotates=False),
-    "pd_ee_delta_pose": partial(EndEffector, start="measured"),
-    "pd_ee_delta_pose_align": partial(EndEffector, start="measured", own_axes=True),
-    "pd_ee_target_delta_pos": partial(EndEffector, start="target", rotates=False),
-    "pd_ee_target_delta_pose": partial(EndEffector, start="target"),
-    "pd_ee_pose": partial(EndEffector, start="absolute"),
-    _STIFF_BODY: JointDelta,
-}
-CONTROL_MODES: tuple[str, ...] = tuple(_ARMS)
 
 
 def make_controller(
@@ -81,16 +59,20 @@ def make_controller(
         like: an array of the library, device and dtype of the simulator's joint positions; numpy float64 if not given.
 
     Raises:
-        UsageError: a name that is not in these lists.
+        UsageError: a name that is not in these lists, or a mode of a plugin that makes no arm controller.
     """
-    if mode not in _ARMS:
-        raise unknown_name("control mode", mode, CONTROL_MODES)
+    chosen = CONTROL_MODES[mode]
     robot = robot or robot_named()
     limits = limits or robot.limits
     request = ArmRequest(robot, num_worlds, limits, np.zeros(0) if like is None else like)
-    arm = _ARMS[mode](request)
     return Controller(
-        mode, robot, arm, limits, stiff_body=mode == _STIFF_BODY, base=base, stationary=stationary
+        mode,
+        robot,
+        chosen.arm(request),
+        limits,
+        stiff_body=chosen.stiff_body,
+        base=base,
+        stationary=stationary,
     )
 
 

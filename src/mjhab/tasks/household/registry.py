@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mjhab.core.errors import UsageError
-from mjhab.core.registration.registry import Registry
+from mjhab.core.registration.registry import Registry, check_item
 from mjhab.tasks.household.spec import TaskSpec
 from mjhab.tasks.plan import Target, TaskPlan
 
@@ -22,8 +22,9 @@ def register_task(spec: TaskSpec) -> TaskSpec:
     """Make a household task known; returns it.
 
     Raises:
-        UsageError: the name is taken, or its plan has a subtask that is not registered.
+        UsageError: it is no `TaskSpec`, the name is taken, or its plan has a subtask that is not registered.
     """
+    check_item("register_task", spec, TaskSpec)
     spec.subtasks  # noqa: B018 - its chain is tried here, where the error tells who is to blame
     return TASKS.add(spec.name, spec)
 

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Literal, get_args
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import check_texts
 from mjhab.tasks.household.steps import open_goal, open_start, pick_and_place
 from mjhab.tasks.plan import Subtask, Target, TaskPlan
 from mjhab.tasks.subtasks.registry import subtask_names
@@ -20,6 +21,11 @@ MIN_START_GOAL_M = 0.5
 Opens = Literal["", "start", "goal"]
 Chain = Callable[[Target], list[Subtask]]
 _CHAINS: dict[str, Chain] = {"": pick_and_place, "start": open_start, "goal": open_goal}
+_NEEDED = {
+    "words": 'words=("set the table", ...), wordings of its name',
+    "targets": 'targets=(TargetRule(start=("sink",), goal=("counter_top",)), ...), one per object that is handled',
+}
+"""Fields that have no default, and what to give."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _SAMPLE = Target("object", (0.0, 0.0, 0.0), start_link="link", goal_link="link")
 
@@ -46,6 +52,8 @@ class TargetRule:
     def __post_init__(self) -> None:
         if self.opens not in get_args(Opens):
             raise unknown_name("opens of a TargetRule", self.opens, get_args(Opens))
+        check_texts("start of a TargetRule", self.start)
+        check_texts("goal of a TargetRule", self.goal)
         if not self.start or not self.goal:
             raise UsageError("a TargetRule needs roles of receptacles for its start and its goal.")
         if bool(self.opens) != bool(self.link):
@@ -88,11 +96,19 @@ class TaskSpec:
             raise UsageError(
                 f"a task needs a name of lower-case letters, digits and _, got {self.name!r}."
             )
-        missing = [part for part in ("words", "targets") if not getattr(self, part)]
+        for name in ("words", "objects"):
+            check_texts(f"task {self.name!r}: {name}", getattr(self, name))
+        missing = [part for part in _NEEDED if not getattr(self, part)]
         if missing:
             raise UsageError(
-                f"task {self.name!r} has no {' and no '.join(missing)}; see TaskSpec for what they are."
+                f"task {self.name!r} has no {' and no '.join(missing)}; "
+                f"give {'; '.join(_NEEDED[part] for part in missing)}."
             )
+        for k, rule in enumerate(self.targets):
+            if not isinstance(rule, TargetRule):
+                raise UsageError(
+                    f"task {self.name!r}: targets[{k}] must be a TargetRule, got {type(rule).__name__}."
+                )
 
     @property
     def roles(self) -> tuple[str, ...]:

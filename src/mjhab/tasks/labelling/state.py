@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, map_record, namespace, pile, to_numpy
+from mjhab.core.errors import unknown_name
 
 
 class Watched(Protocol):
@@ -137,12 +138,39 @@ class LabelState:
     """``release_at_goal`` as it was at the first success."""
 
     def holds(self, name: str) -> Array:
-        """(W,) bool: the check of ``WATCHED`` holds in the last step."""
-        return self.now[_NOW[name]]
+        """(W,) bool: the check of ``WATCHED`` holds in the last step.
+
+        Raises:
+            UsageError: there is no such signal.
+        """
+        return self.now[_row(name, _NOW)]
 
     def ever(self, name: str) -> Array:
-        """(W,) bool: the check of ``WATCHED`` has held, or the object was "released" or has "left_goal"."""
-        return self.seen[_EVER[name]]
+        """(W,) bool: the check of ``WATCHED`` has held, or the object was "released" or has "left_goal".
+
+        Raises:
+            UsageError: there is no such signal.
+        """
+        return self.seen[_row(name, _EVER)]
+
+
+def _row(name: str, rows: Mapping[str, int]) -> int:
+    try:
+        return rows[name]
+    except (KeyError, TypeError):
+        raise unknown_name("signal", str(name), rows) from None
+
+
+def uneventful(num_worlds: int) -> LabelState:
+    """The state of W worlds, as numpy arrays, in which nothing holds and nothing has happened."""
+    no = np.zeros(num_worlds, bool)
+    return LabelState(
+        np.zeros((len(_NOW), num_worlds), bool),
+        np.zeros((len(_EVER), num_worlds), bool),
+        no,
+        no,
+        no,
+    )
 
 
 def start(signals: Watched) -> LabelState:

@@ -9,7 +9,8 @@ import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant
 from mjhab.core.errors import UsageError
-from mjhab.core.registration.registry import Registry
+from mjhab.core.registration.plugins import PATHS_VARIABLE, failed_plugins
+from mjhab.core.registration.registry import Registry, check_item
 from mjhab.tasks.subtasks.spec import EVENT_EDGES, SubtaskSpec
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
@@ -29,8 +30,9 @@ def register_subtask(spec: SubtaskSpec) -> SubtaskSpec:
     """Make a kind of subtask known; returns it.
 
     Raises:
-        UsageError: the name is taken.
+        UsageError: it is no `SubtaskSpec`, or the name is taken.
     """
+    check_item("register_subtask", spec, SubtaskSpec)
     return SUBTASKS.add(spec.name, spec)
 
 
@@ -46,6 +48,20 @@ def number_of(name: str) -> int:
         UsageError: there is no such subtask.
     """
     return SUBTASKS.names().index(SUBTASKS[name].name)
+
+
+def recorded_number(name: str) -> int:
+    """The number of a kind that recorded data name.
+
+    Raises:
+        UsageError: there is no such subtask; the message says how a plugin is loaded.
+    """
+    if name not in SUBTASKS:
+        raise UsageError(
+            f"recorded subtask {name!r} is not known here; known are {', '.join(SUBTASKS)}. If a plugin registers it, "
+            f"load the plugin: {PATHS_VARIABLE}=PATH mjhab ...{failed_plugins()}"
+        )
+    return number_of(name)
 
 
 def name_of(kind: int) -> str:

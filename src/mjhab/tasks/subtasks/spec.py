@@ -5,12 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from string import Formatter
 from typing import Any, Literal, get_args
 
-from mjhab.core.arrays import Array
+import numpy as np
+
+from mjhab.core.arrays import Array, value_text
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import GROUPS
-from mjhab.tasks.labelling.state import WATCHED, LabelState
+from mjhab.core.names import check_texts
+from mjhab.core.registration.plugins import raised_text
+from mjhab.tasks.labelling.state import WATCHED, LabelState, uneventful
 from mjhab.tasks.rewards.table import RewardTable
 from mjhab.tasks.signals import CHECKS, Active, WorldState
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
@@ -65,6 +70,26 @@ USUAL_JOINT_GROUPS = ("base", "arm", "fingers")
 """Every action has columns for the base, an arm and a gripper, and every observation has the arm's tool centre."""
 USUAL_LIMITS = SubtaskConfig(horizon=200, force_limit=10000.0)
 
+_TEXTS = (
+    "words",
+    "conditions",
+    "arm_conditions",
+    "checks",
+    "events",
+    "shows",
+    "joint_groups",
+)
+"""Fields that are tuples of texts."""
+_NEEDED = {
+    "words": 'words=("pick up {object}", ...), wordings of its instruction',
+    "conditions": 'conditions=("at_goal", "is_static", ...), checks of mjhab.tasks.signals.CHECKS',
+    "label_rules": 'label_rules=(LabelRule("done", lambda s: s.ever("success")), ..., LabelRule("failed"))',
+    "start": "start=, an object of a subclass of mjhab.episodes.starts.SubtaskStart, or a reference to one",
+}
+"""Fields that have no default, and what to give."""
+PLACEHOLDERS = ("object", "link", "destination", "source", "goal")
+"""What wordings of subtasks may name in braces; `tasks.instructions` fills them in."""
+_TRIED_WORLDS = 2
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 
@@ -155,17 +180,34 @@ class SubtaskSpec:
             raise UsageError(
                 f"a subtask needs a name of lower-case letters, digits and _, got {self.name!r}."
             )
-        parts = ("words", "conditions", "label_rules", "start")
-        missing = [part for part in parts if not getattr(self, part)]
+        for name in _TEXTS:
+            check_texts(f"subtask {self.name!r}: {name}", getattr(self, name))
+        missing = [part for part in _NEEDED if not getattr(self, part)]
         if missing:
             raise UsageError(
-                f"subtask {self.name!r} has no {' and no '.join(missing)}; see SubtaskSpec for what they are."
+                f"subtask {self.name!r} has no {' and no '.join(missing)}; "
+                f"give {'; '.join(_NEEDED[part] for part in missing)}."
             )
+        self._check_words()
         self._check_names()
         self._check_labels()
 
+    def _check_words(self) -> None:
+        for wording in self.words:
+            try:
+                named = [name for _, name, _, _ in Formatter().parse(wording) if name is not None]
+            except ValueError as error:
+                raise UsageError(
+                    f"subtask {self.name!r}: the wording {wording!r} cannot be read: {error}."
+                ) from error
+            for name in named:
+                if name not in PLACEHOLDERS:
+                    raise UsageError(
+                        f"subtask {self.name!r}: words: "
+                        f"{unknown_name(f'placeholder of the wording {wording!r}:', name, PLACEHOLDERS)}"
+                    )
+
     def _check_names(self) -> None:
-        what = f"of subtask {self.name!r}"
         for given, valid, kind in (
             ((self.about,), get_args(About), "about"),
             ((*self.conditions, *self.checks, *self.measures), CHECKS, "check"),
@@ -178,9 +220,17 @@ class SubtaskSpec:
         ):
             for name in given:
                 if name not in valid:
-                    raise unknown_name(f"{kind} {what}", name, valid)
+                    raise UsageError(f"subtask {self.name!r}: {unknown_name(kind, name, valid)}")
         if not _COLOR.fullmatch(self.color):
-            raise UsageError(f"the color {what} must be like '#3b82f6', got {self.color!r}.")
+            raise UsageError(
+                f"subtask {self.name!r}: color must be like '#3b82f6', got {self.color!r}."
+            )
+        for name, function in self.measures.items():
+            if not callable(function):
+                raise UsageError(
+                    f"subtask {self.name!r}: the measure of {name!r} must be a function of (state, active, config), "
+                    f"got {function!r}."
+                )
 
     def _check_labels(self) -> None:
         conditions = [rule.when for rule in self.label_rules]
@@ -191,6 +241,26 @@ class SubtaskSpec:
             )
         if len(set(self.labels)) != len(self.labels):
             raise UsageError(f"subtask {self.name!r} has a label twice: {', '.join(self.labels)}.")
+        for rule in self.label_rules[:-1]:
+            self._try_rule(rule)
+
+    def _try_rule(self, rule: LabelRule) -> None:
+        """Ask a rule about worlds in which nothing has happened, so that a wrong name is told before any episode."""
+        where = f"subtask {self.name!r}: label rule {rule.label!r}"
+        try:
+            given = rule.holds(uneventful(_TRIED_WORLDS))
+        except UsageError as error:
+            raise UsageError(f"{where}: {error}") from error
+        # A rule is code of others, which raises whatever it likes.
+        except Exception as error:
+            raise UsageError(f"{where} raised {raised_text(error)}.") from error
+        if not (isinstance(given, np.ndarray) and given.shape == (_TRIED_WORLDS,)) or (
+            given.dtype != np.bool_
+        ):
+            raise UsageError(
+                f"{where} must give one bool per world, shape (W,), as LabelState.ever and holds do; "
+                f"got {value_text(given)}."
+            )
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -1,0 +1,99 @@
+"""Whether the links of a robot fit what else its `Robot` says: asked when they are first needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.robots.parts import Body
+
+REST_TOLERANCE = 1e-6
+"""How far a joint at rest may be beyond its limits [m or rad]: rounding of published numbers."""
+
+
+@dataclass(frozen=True)
+class BodyNeeds:
+    """What a `Robot` says about its links and joints.
+
+    robot: its name. base_link: the link that the base moves. links: names of links, by the field that names them.
+    bodies: those of them whose poses and forces are read. rest: position of every joint but those of the base [m, rad].
+    """
+
+    robot: str
+    base_link: str
+    links: Mapping[str, tuple[str, ...]]
+    bodies: Mapping[str, tuple[str, ...]]
+    rest: Mapping[str, float]
+
+
+def check_body(body: Body, needs: BodyNeeds) -> Body:
+    """Return a body that has the links and joints which a robot names.
+
+    Raises:
+        UsageError: it is no `Body`; the tree is not ordered from the base link; a link has no mass; a field names a
+            link that is not there, or one that merges into its parent; a joint is missing, or at rest beyond its
+            limits.
+    """
+    robot = f"robot {needs.robot!r}"
+    if not isinstance(body, Body):
+        raise UsageError(f"{robot}: load_body must return a Body, got {type(body).__name__}.")
+    links = _links(body, needs.base_link, robot)
+    _check_names("load_body: Body.collision", body.collision, links, robot)
+    for link in links:
+        if link not in body.inertials:
+            raise UsageError(
+                f"{robot}: load_body: Body.inertials lacks link {link!r}; every link has a mass."
+            )
+    for field, names in needs.links.items():
+        _check_names(field, names, links, robot)
+    moved = tuple(row.link for row in body.tree if row.joint)
+    for field, names in needs.bodies.items():
+        _check_names(field, names, links, robot)
+        for name in names:
+            if name not in (*body.collision, *moved, needs.base_link):
+                raise UsageError(
+                    f"{robot}: {field}: link {name!r} has neither a joint nor collision shapes, so that it merges into "
+                    "its parent and no force on it is known. Leave it out, or give it shapes."
+                )
+    _check_rest(body, needs.rest, robot)
+    return body
+
+
+def _links(body: Body, base_link: str, robot: str) -> tuple[str, ...]:
+    """Names of all links, the base link first."""
+    if base_link in {row.link for row in body.tree}:
+        raise UsageError(
+            f"{robot}: base_link {base_link!r} has a parent in the tree of load_body; it must be its root."
+        )
+    found = [base_link]
+    for row in body.tree:
+        if row.parent not in found:
+            raise UsageError(
+                f"{robot}: load_body: link {row.link!r} hangs on {row.parent!r}, which is neither base_link "
+                f"({base_link!r}) nor a link before it."
+            )
+        if row.link in found:
+            raise UsageError(f"{robot}: load_body: link {row.link!r} is in the tree twice.")
+        found.append(row.link)
+    return tuple(found)
+
+
+def _check_names(field: str, names: Iterable[str], links: tuple[str, ...], robot: str) -> None:
+    for name in names:
+        if name not in links:
+            raise UsageError(f"{robot}: {field}: {unknown_name('link', name, links)}")
+
+
+def _check_rest(body: Body, rest: Mapping[str, float], robot: str) -> None:
+    limits = {row.joint: row.limits for row in body.tree if row.joint}
+    for joint, value in rest.items():
+        if joint not in limits:
+            raise UsageError(
+                f"{robot}: joints: {unknown_name('joint of load_body', joint, limits)}"
+            )
+        low, high = limits[joint]
+        if not low - REST_TOLERANCE <= value <= high + REST_TOLERANCE:
+            raise UsageError(
+                f"{robot}: rest_qpos of joint {joint!r} is {value:g}, outside of its limits {low:g} to {high:g}."
+            )

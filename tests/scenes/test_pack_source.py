@@ -1,0 +1,43 @@
+"""Sources of packs from outside that fail: the error names the source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import mjhab
+from mjhab.core.errors import UsageError
+from mjhab.scenes.pack_source import PACK_SOURCES
+
+
+def broken(request: Any) -> Any:
+    raise KeyError("walls")
+
+
+def refused(request: Any) -> Any:
+    raise UsageError("no walls.")
+
+
+@pytest.mark.parametrize(
+    ("open_it", "told"),
+    [
+        (broken, r"asset pack 'mine' cannot open mine: its open raised KeyError: 'walls' \(.*line"),
+        (refused, r"asset pack 'mine' cannot open mine: no walls\."),
+        (lambda request: None, "asset pack 'mine' .* must return a .*Pack, got NoneType"),
+    ],
+)
+def test_a_source_that_fails_is_named(open_it: Callable[[Any], Any], told: str) -> None:
+    mjhab.register_pack(mjhab.PackSource("mine", open_it))
+    try:
+        with pytest.raises(UsageError, match=told):
+            mjhab.open_pack("mine")
+    finally:
+        PACK_SOURCES.remove("mine")
+
+
+def test_an_option_that_does_not_exist_is_told() -> None:
+    source = mjhab.PackSource("mine", broken, options=frozenset({"articulated"}))
+    with pytest.raises(UsageError, match=r"pack 'mine': unknown option 'articulated'\. Did you"):
+        mjhab.register_pack(source)

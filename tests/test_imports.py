@@ -36,7 +36,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "serving": frozenset({"core"}),
     "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports", "serving"},
     "integrations": frozenset({"core", "tasks", "robots", "envs", "evaluation"}),
-    "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
+    "learning": frozenset({"core", "tasks", "robots", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,
     "bench": _RUN | {"assets", "learning", "viewer"},

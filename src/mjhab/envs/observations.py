@@ -1,7 +1,7 @@
 """One table of observations: key, shape, unit, frame, function (mshab/envs/sequential_task.py).
 
-The concatenation of the six state entries is the 42-D ``state``. Entries that the active subtask does not use are zero,
-so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds what the robot's own
+The concatenation of the six state entries is ``state`` (W, S); S = 42 for fetch. Entries that the active subtask does
+not use are zero, so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds what the robot's own
 sensors tell instead. Rows of the robot's cameras follow when images are asked for.
 """
 

@@ -103,15 +103,17 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
     hashes = []
     needed = []
     profiles = set()
+    robot = ""
     for entry in entries:
         facts = policy_kind.inspect_policy(entry.checkpoint)
         hashes.append([entry.subtask, entry.target, facts.identity["policy_sha256"]])
         profiles.add(facts.identity["policy_profile"])
         needed.append((entry.checkpoint, facts.env_options))
+        robot = facts.robot
     options = policy_kind.joined(name, needed)
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
     identity = {"policy_sha256": digest, "policy_profile": ", ".join(sorted(profiles))}
-    return PolicyFacts(name, identity, options)
+    return PolicyFacts(name, identity, options, robot)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjhab.bench.specs import EngineSpec
 from mjhab.core.machine import cores
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.policy import ACTION_SIZE
 from mjhab.tasks.household.registry import TASKS
 
@@ -31,7 +32,7 @@ def measure_engine(spec: EngineSpec) -> dict[str, Any]:
     from mjhab.envs import make
 
     env = make(
-        robot=spec.robot,
+        robot=spec.robot or DEFAULT_ROBOT,
         task=spec.task,
         num_envs=spec.worlds,
         assets=spec.assets,

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mjhab.config.profile_choice import ProfileChoice
-from mjhab.robots.registry import DEFAULT_ROBOT
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,7 @@ class EngineSpec:
     rounds: int = 9
     seed: int = 0
     assets: str = "builtin"
-    robot: str = DEFAULT_ROBOT
+    robot: str | None = None
 
 
 @dataclass(frozen=True)

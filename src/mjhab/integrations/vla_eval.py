@@ -32,7 +32,7 @@ RANGE = (-1.0, 1.0)
 class MjhabBenchmark(StepBenchmark):
     """Subtasks or chains of mjhab for model servers of vla-eval.
 
-    A model sees two RGB images, the state (S,) (42 numbers for fetch) and the instruction of the active subtask.
+    A model sees two RGB images, the state (S,) and the instruction of the active subtask.
 
     Args:
         track: "subtasks" or "chains", see `evaluation.score.manifest`.

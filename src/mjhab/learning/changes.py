@@ -25,7 +25,7 @@ LEAST = {
     "dagger.horizon": 0,
     "dagger.final_updates": 0,
 }
-"""Least values of whole numbers other than 1."""
+"""Smallest allowed value of integer fields for which it is not 1."""
 MAY_BE_EMPTY = ("style", "inputs.cameras")
 SCHEDULES = ("constant", "cosine")
 

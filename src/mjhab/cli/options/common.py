@@ -400,8 +400,8 @@ class BenchSimOptions(EngineSpec):
     """Pairs of blocks; the results are medians over them."""
     seed: Number = EngineSpec.seed
     """Seed of the episodes."""
-    robot: Name = EngineSpec.robot
-    """The robot (see: mjhab robots list)."""
+    robot: MaybeName = None
+    """The robot (see: mjhab robots list); fetch if absent."""
     assets: Assets = EngineSpec.assets
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
@@ -421,8 +421,8 @@ class BenchGraspOptions:
 
     seconds: float = 10.0
     """Time of motion for each object [s]."""
-    robot: Name = EngineSpec.robot
-    """The robot (see: mjhab robots list)."""
+    robot: MaybeName = None
+    """The robot (see: mjhab robots list); fetch if absent."""
     seed: Number = 0
     """Seed of the motion."""
     json: bool = False

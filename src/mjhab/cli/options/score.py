@@ -8,9 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Name, Number, PolicyName
+from mjhab.cli.options.common import MaybeName, Name, Number, PolicyName
 from mjhab.cli.options.served import ServedOptions
-from mjhab.robots.registry import DEFAULT_ROBOT
 
 
 @dataclass(frozen=True)
@@ -32,10 +31,10 @@ class ScoreOptions(ServedOptions):
     """The episodes: single subtasks, or whole household tasks."""
     split: Name = "test"
     """Which homes: train, val or test. Official scores use the test homes."""
-    robot: Name = DEFAULT_ROBOT
-    """The robot (see: mjhab robots list). Scores of different robots cannot be compared."""
+    robot: MaybeName = None
+    """The robot (see: mjhab robots list); fetch if absent. Scores of different robots cannot be compared."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder of the runs and of result.json; scores/<policy>_<track>_<split> if absent (with _<robot> if not fetch)."""
+    """Folder of the runs and of result.json; scores/<policy>_<track>_<split> if absent."""
     worlds: Number = 8
     """How many episodes run at the same time. Changes the speed, never the results."""
     threads: Number = 0

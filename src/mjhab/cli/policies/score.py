@@ -52,7 +52,7 @@ def _score(options: ScoreOptions) -> int:
         worlds=options.worlds,
         threads=options.threads,
         episodes=options.episodes,
-        robot=options.robot,
+        robot=options.robot or DEFAULT_ROBOT,
     )
     with sigterm_interrupts():
         try:
@@ -71,7 +71,7 @@ def _score(options: ScoreOptions) -> int:
 
 def _default_out(options: ScoreOptions) -> Path:
     words = [options.policy, options.track, options.split]
-    if options.robot != DEFAULT_ROBOT:
+    if options.robot:
         words.append(options.robot)
     return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
 

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -51,6 +51,10 @@ test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at th
 	@# Kernels are compiled before several pytest workers could write their caches at the same time.
 	$(BIN)/mjhab warmup --task set_table
 	$(BIN)/python -m pytest --durations=15 --durations-min=0.5 $(PYTEST_ARGS)
+
+UNIT_TESTS := tests/core tests/tasks tests/rollout tests/reports tests/serving
+test-unit: $(VENV)/.dev  ## the fast unit tests alone, without simulation of homes: under a minute on 2 cores
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(UNIT_TESTS) $(PYTEST_ARGS)
 
 GENERATE_OUT := runs/generate
 EPISODES ?= 50

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -36,7 +37,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     "serving": frozenset({"core"}),
     "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports", "serving"},
     "integrations": frozenset({"core", "tasks", "robots", "envs", "evaluation"}),
-    "learning": frozenset({"core", "tasks", "config", "episodes", "envs", "experts"})
+    "learning": frozenset({"core", "tasks", "robots", "config", "episodes", "envs", "experts"})
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,
     "bench": _RUN | {"assets", "learning", "viewer"},
@@ -62,6 +63,10 @@ HEAVY: dict[str, frozenset[str]] = {
 MOST_FILES = 15
 """Files beside the subfolders of a folder."""
 FILES = sorted(path for path in SOURCE.rglob("*.py") if path.parent != SOURCE)
+
+
+PAGE = Path(__file__).parents[1] / "docs" / "architecture.md"
+"""Documentation whose tables repeat ALLOWED and HEAVY."""
 
 
 @functools.cache
@@ -138,6 +143,31 @@ def test_a_circle_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     (tmp_path / "b.py").write_text("def f():\n    from mjhab.a import g")
     with pytest.raises(CycleError, match=r"mjhab\.a"):
         TopologicalSorter(import_graph(sorted(tmp_path.rglob("*.py")))).prepare()
+
+
+def rows_of(head: str) -> dict[str, str]:
+    """First and last cell of every row of the table in PAGE that begins with a line."""
+    text = PAGE.read_text(encoding="utf-8")
+    assert f"\n{head}\n" in text, f"{PAGE.name} has no table {head}"
+    table = text.split(f"\n{head}\n")[1].split("\n\n")[0].splitlines()[1:]
+    cells = [row.strip("| ").split(" | ") for row in table]
+    return {row[0].strip("`"): row[-1] for row in cells}
+
+
+def names_in(cell: str) -> frozenset[str]:
+    """Names in a cell: a list in backticks, "all but" such a list, or "nothing"."""
+    listed = frozenset(re.findall(r"`(\w+)`", cell))
+    assert listed or cell == "nothing", f"unreadable cell {cell!r}"
+    return frozenset(ALLOWED) - listed if cell.startswith("all but") else listed
+
+
+def test_the_page_on_architecture_has_the_same_imports() -> None:
+    packages = rows_of("| package | holds | may import |")
+    assert set(packages) == set(ALLOWED)
+    for name, cell in packages.items():
+        assert names_in(cell) - {name} == ALLOWED[name], f"row {name!r} of {PAGE.name}"
+    libraries = rows_of("| library | packages |")
+    assert {name: names_in(cell) for name, cell in libraries.items()} == HEAVY
 
 
 def test_no_folder_is_a_heap() -> None:

@@ -1,4 +1,4 @@
-"""A plugin that adds a pack of homes: the cottage, and a smaller copy of it.
+"""A plugin that adds a pack of two homes from files: the cottage (JSON) and the hut (Python).
 
 MJHAB_PLUGINS=examples/home/village.py mjhab homes list --assets village
 """
@@ -14,7 +14,7 @@ FOLDER = Path(__file__).parent
 
 
 def open_village(request: mjhab.PackRequest) -> Pack:
-    """The pack; made once, since what is derived from a pack is kept for the object."""
+    """The pack, the same object at every call: layouts and maps are kept per pack object."""
     if not _village:
         files = (FOLDER / "cottage.json", FOLDER / "hut.py")
         _village.append(mjhab.home_pack(*files, name="village"))

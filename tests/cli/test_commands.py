@@ -162,7 +162,9 @@ def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPa
         "cache",
         "memory_cache_mb",
         "plugins",
+        "robots",
     ]
+    assert found["robots"]["fetch"] == ""
     assert [plugin["registered"] for plugin in found["plugins"]] == [["subtask 'push'"], []]
     assert found["plugins"][1]["error"] == "E: gone"
     assert found["renderers"] == {"rasterizer": True, "egl": True, "osmesa": False}
@@ -263,7 +265,7 @@ def test_bench_grasp_fails_when_an_object_drops(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = [{"object": "013_apple", "slip_mm": 1.2, "dropped": False}]
-    monkeypatch.setattr(grasp_bench, "grasp_table", lambda seconds, seed: rows)
+    monkeypatch.setattr(grasp_bench, "grasp_table", lambda **options: rows)
     assert machine(capsys, "bench", "grasp") == {"grasps": rows}
     rows.append({"object": "024_bowl", "slip_mm": 99.0, "dropped": True})
     assert main(["bench", "grasp"]) == 1

@@ -79,10 +79,13 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     (tmp_path / "examples").symlink_to(ROOT / "examples")
+    # A plugin finds its files beside itself, whatever the working directory is.
+    plugin = tmp_path / "plugin"
+    plugin.mkdir()
     for file in FILES.get(name_of(page), ()):
-        shutil.copy(ROOT / "examples" / file, tmp_path)
+        shutil.copy(ROOT / "examples" / file, plugin)
     before = set(sys.modules)
-    names: dict[str, object] = {}
+    names: dict[str, object] = {"__file__": str(plugin / "plugin.py")}
     # Other pages go on with the policy that the README has its readers save.
     for block in [*saved(README), *blocks(page)]:
         if block.file:

@@ -18,7 +18,14 @@ from mjhab.evaluation.score.actions import Replayed, packed_actions, unpacked_ac
 from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import DRAWER, Row, manifest
-from mjhab.evaluation.score.result import Result, digest_of, read_result, summary_of, write_result
+from mjhab.evaluation.score.result import (
+    Result,
+    digest_of,
+    manifest_of,
+    read_result,
+    summary_of,
+    write_result,
+)
 from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score, scored_options
 from mjhab.rollout.records import SubtaskRecord
 
@@ -169,6 +176,17 @@ def test_actions_come_back_and_are_played_to_their_end() -> None:
         np.testing.assert_array_equal(acted[0], actions[step])
         assert player.fault(0) == ("no answer" if step == 4 else "")
         assert "end here" in player.fault(1)
+
+
+def test_scores_of_another_robot_are_of_another_manifest() -> None:
+    own = manifest("subtasks", "test")
+    other = manifest("subtasks", "test", "panda_omron")
+    assert other.rows == own.rows and other.digest != own.digest and not other.starts
+    assert manifest_of({"track": "subtasks", "split": "test"}) == own
+    facts = {"track": "subtasks", "split": "test", "robot": "panda_omron"}
+    assert manifest_of(facts) == other
+    with pytest.raises(UsageError, match="unknown robot"):
+        manifest("subtasks", "test", "pandas")
 
 
 def test_other_rules_are_refused() -> None:

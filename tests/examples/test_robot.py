@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 import mjhab
+from mjhab.bench.engine import measure_engine
+from mjhab.bench.grasp import grasp_table
+from mjhab.bench.specs import EngineSpec
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.envs.observations import state_dim
 from mjhab.robots.registry import ROBOTS, robot_named
@@ -72,6 +75,14 @@ def test_the_expert_reaches_for_a_bowl_with_it(boxy: Robot) -> None:
         hand = obs["extra/tcp_pose_wrt_base"][0, :3]
         nearest = min(nearest, float(np.linalg.norm(obs["extra/obj_pose_wrt_base"][0, :3] - hand)))
     assert nearest < 0.5 * start
+
+
+@pytest.mark.usefixtures("boxy")
+def test_the_grasp_bench_and_the_engine_bench_take_it() -> None:
+    rows = grasp_table(seconds=0.5, objects=("004_sugar_box",), robot="boxy")
+    assert [row["object"] for row in rows] == ["004_sugar_box"] and not rows[0]["dropped"]
+    measured = measure_engine(EngineSpec(worlds=1, threads=1, steps=2, rounds=1, robot="boxy"))
+    assert measured["env_sps"] > 0
 
 
 def test_a_robot_whose_files_are_missing_says_where_to_get_them() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.evaluation.evaluate import EvalSpec, describe_policy
+from mjhab.evaluation.evaluate import EvalSpec, describe_policy, resolved_config
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
 from mjhab.learning import shipped_kind
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student
@@ -46,6 +46,13 @@ def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
     assert facts.name == "student" and len(facts.identity["policy_sha256"]) == 64
     assert resolve_policy(spec.policy, fake_env(1)).name == "student"
     assert full_spec("expert", "set_table", None, None) == "expert"
+
+
+@pytest.mark.usefixtures("shelf")
+def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
+    spec = EvalSpec("student", **CLOSE, env={"robot": "panda_omron"})
+    with pytest.raises(UsageError, match=r"trained with robot 'fetch'; leave out --robot"):
+        resolved_config(spec, describe_policy(spec.policy))
 
 
 @pytest.mark.usefixtures("shelf")

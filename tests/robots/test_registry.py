@@ -14,9 +14,9 @@ import pytest
 import mjhab
 from mjhab.cli.main import main
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import MjhabError, UsageError
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.robots.parts import Finger, TreeLink
+from mjhab.robots.parts import Body, Finger, TreeLink
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS, register_robot, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.roles import OPEN_SURFACE
@@ -43,8 +43,8 @@ JOINT_NUMBERS = re.compile(
 )
 """A number where a column of joint positions belongs."""
 OTHERS = (
-    *("data/imports/ms_hab.py", "data/select/describing.py", "learning/ms_hab"),
-    *("data/export/lerobot/export.py", "serving/dialects/behavior.py"),
+    *("data/imports/ms_hab.py", "data/store/older.py", "learning/ms_hab"),
+    "serving/dialects/behavior.py",
 )
 """Files that speak of what others, or older versions, have recorded or ask for."""
 DOWNLOADS = ("assets/", "cli/worlds/assets.py")
@@ -201,8 +201,27 @@ def test_links_that_do_not_fit_are_told_when_they_are_needed(
 def test_robots_are_listed_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robots", "list", "--json"]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])["robots"]
-    assert found[0] == {"name": "fetch", "dofs": 15, "action_dim": 13, "state_dim": 42}
+    sizes = {"name": "fetch", "dofs": 15, "action_dim": 13, "state_dim": 42}
+    assert found[0] == {**sizes, "available": True, "missing": ""}
     assert [robot["name"] for robot in found] == list(ROBOTS)
+
+
+def test_a_robot_without_its_files_is_listed_as_not_available(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def load_body() -> Body:
+        raise MjhabError("its meshes are missing; run: pip install meshes")
+
+    ROBOTS.add("bare", dataclasses.replace(ROBOT, name="bare", load_body=load_body))
+    try:
+        assert main(["robots", "list", "--json"]) == 0
+        rows = json.loads(capsys.readouterr().out.splitlines()[-1])["robots"]
+        (bare,) = [row for row in rows if row["name"] == "bare"]
+        assert not bare["available"] and bare["missing"].endswith("pip install meshes")
+        assert main(["robots", "list"]) == 0
+        assert "run: pip install meshes" in capsys.readouterr().out
+    finally:
+        ROBOTS.remove("bare")
 
 
 def test_a_robot_is_shown(capsys: pytest.CaptureFixture[str]) -> None:

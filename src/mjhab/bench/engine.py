@@ -11,6 +11,7 @@ import numpy as np
 
 from mjhab.bench.specs import EngineSpec
 from mjhab.core.machine import cores
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.policy import ACTION_SIZE
 from mjhab.tasks.household.registry import TASKS
 
@@ -25,12 +26,13 @@ def measure_engine(spec: EngineSpec) -> dict[str, Any]:
     """Control steps/s of the engine and of the environment, measured in the same run: `measure_sps`, and "threads".
 
     Raises:
-        UsageError: unknown task.
+        UsageError: unknown task or robot.
     """
     TASKS.check(spec.task)
     from mjhab.envs import make
 
     env = make(
+        robot=spec.robot or DEFAULT_ROBOT,
         task=spec.task,
         num_envs=spec.worlds,
         assets=spec.assets,
@@ -59,9 +61,10 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
         ``reset_ms``: time of one world's reset [ms] to an episode whose arrangement is in the cache.
     """
     worlds = env.num_envs
+    width = len(env.action_table)
     times: dict[str, list[float]] = {"engine": [], "env": [], "reset": []}
     for number in range(rounds):
-        actions = sway(worlds, steps, seed + number)
+        actions = sway(worlds, steps, seed + number, width)
         episodes = np.arange(number * worlds, (number + 1) * worlds)
 
         def begin(episodes: np.ndarray = episodes) -> float:
@@ -71,7 +74,7 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
             env.reset(seed=seed, options=options)
             seconds = time.perf_counter() - started
             for _ in range(WARM_STEPS):
-                env.step(np.zeros((worlds, ACTION_SIZE), np.float32))
+                env.step(np.zeros((worlds, width), np.float32))
             return seconds
 
         begin()

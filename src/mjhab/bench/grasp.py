@@ -19,7 +19,7 @@ from mjhab.core.seeding import stream
 from mjhab.core.timing import STEP_SECONDS, SUBSTEPS
 from mjhab.layout.contact_sensors import normal_force
 from mjhab.layout.layout import Layout, build_spec
-from mjhab.robots.registry import robot_named
+from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.spec import Home, ObjectType, Pack
@@ -29,6 +29,8 @@ GRIP_TARGET = -0.01
 SETTLE_STEPS = 10
 DROP_DISTANCE = 0.08
 """An object that moved this far in the gripper's frame [m] is lost."""
+RATES_HZ = (0.35, 0.25, 0.4, 0.3, 0.45, 0.5, 0.55)
+"""Frequencies of the swinging arm joints; an arm with more joints begins again."""
 MIN_FORCE = 0.5
 MAX_ANGLE = np.deg2rad(30.0)
 """Grasp test (mani_skill/agents/robots/fetch/fetch.py, called with 30 degrees by mshab)."""
@@ -60,7 +62,10 @@ BENCH_OBJECTS: tuple[str, ...] = tuple(GRASPS)
 
 
 def grasp_table(
-    seconds: float = 10.0, seed: int = 0, objects: tuple[str, ...] = BENCH_OBJECTS
+    seconds: float = 10.0,
+    seed: int = 0,
+    objects: tuple[str, ...] = BENCH_OBJECTS,
+    robot: str = DEFAULT_ROBOT,
 ) -> list[dict[str, object]]:
     """Move every object in the gripper and measure how far it slips.
 
@@ -68,36 +73,40 @@ def grasp_table(
         seconds: time of motion.
         seed: chooses the phases of the motion.
         objects: names from ``BENCH_OBJECTS``.
+        robot: name of the robot.
 
     Returns:
-        One row per object: ``object``; ``slip_mm`` and ``rotation_deg``, the largest displacement in the gripper's
-        frame of the object's point at the tool centre [mm] and the largest turn [degrees] since the motion began;
-        ``grasp_share`` of control steps in which the grasp test held; ``dropped``, whether the object moved farther
-        than ``DROP_DISTANCE``; ``force_n``, mean normal force on a finger [N].
+        One row per object that fits between the fingers: ``object``; ``slip_mm`` and ``rotation_deg``, the largest
+        displacement in the gripper's frame of the object's point at the tool centre [mm] and the largest turn [degrees]
+        since the motion began; ``grasp_share`` of control steps in which the grasp test held; ``dropped``, whether the
+        object moved farther than ``DROP_DISTANCE``; ``force_n``, mean normal force on a finger [N].
 
     Raises:
-        UsageError: an object has no entry in ``GRASPS``.
+        UsageError: an object has no entry in ``GRASPS``, or the robot is unknown.
     """
+    body = robot_named(robot)
     for name in objects:
         if name not in GRASPS:
             raise unknown_name("bench object", name, GRASPS)
-    return [_shake(name, seconds, seed) for name in objects]
+    widest = body.gripper.opening
+    fitting = [name for name in objects if GRASPS[name].width <= widest]
+    return [_shake(body, name, seconds, seed) for name in fitting]
 
 
-def bench_model(name: str) -> mujoco.MjModel:
-    """Robot and one object on an empty floor, with the options and sensors of every home."""
+def bench_model(name: str, robot: Robot | None = None) -> mujoco.MjModel:
+    """A robot (the default one if not given) and one object on an empty floor, with the options of every home."""
     kind: ObjectType = builtin_objects()[name]
     home = Home("grasp_bench", "bench", "train", 0, 0, (), (-5.0, -5.0, 5.0, 5.0), "", (), ())
     pack = Pack("bench", {}, {}, (home,), {name: kind}, dict(object_meshes()))
-    return build_spec(Layout(pack, (name,)), home).compile()
+    return build_spec(Layout(pack, (name,), robot), home).compile()
 
 
 class GraspBench:
     """One robot with one object in its hand."""
 
-    def __init__(self, name: str) -> None:
-        self.model = bench_model(name)
-        self.robot = robot_named()
+    def __init__(self, name: str, robot: Robot | None = None) -> None:
+        self.robot = robot or robot_named()
+        self.model = bench_model(name, self.robot)
         self.data = mujoco.MjData(self.model)
         self.qpos = np.array([self.model.joint(n).qposadr[0] for n in self.robot.joints])
         self.object = copy_name(name, 0)
@@ -162,15 +171,16 @@ def shake_motion(
     arm = list(robot.arm_columns)
     goal[list(robot.torso_columns)] -= 0.1
     goal[arm[-2]] -= 0.4  # off its upper limit
-    rate = 2 * np.pi * np.array([0.35, 0.25, 0.4, 0.3, 0.45, 0.5, 0.55])
+    rate = 2 * np.pi * np.resize(RATES_HZ, len(arm))
     goal[arm] += 0.6 / rate * np.sin(rate * time + phase)
     forward = 1.0 if int(time) % 2 == 0 else -1.0
     return goal, forward, float(np.sin(2 * np.pi * 0.3 * time) * 1.5)
 
 
-def _shake(name: str, seconds: float, seed: int) -> dict[str, object]:
-    bench = GraspBench(name)
-    phase = stream(seed, "grasp_bench").uniform(0.0, 2 * np.pi, 7)
+def _shake(robot: Robot, name: str, seconds: float, seed: int) -> dict[str, object]:
+    bench = GraspBench(name, robot)
+    joints = len(robot.arm_columns)
+    phase = stream(seed, "grasp_bench").uniform(0.0, 2 * np.pi, joints)
     for _ in range(SETTLE_STEPS):
         bench.step(bench.rest, 0.0, 0.0)
     pos0, turn0 = bench.pose_in_hand()

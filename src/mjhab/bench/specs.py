@@ -19,6 +19,7 @@ class EngineSpec:
     rounds: int = 9
     seed: int = 0
     assets: str = "builtin"
+    robot: str | None = None
 
 
 @dataclass(frozen=True)

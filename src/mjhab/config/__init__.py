@@ -1,1 +1,1 @@
-"""What an environment is told: its options, and profiles that set many of them at once."""
+"""Options of environments (`EnvConfig`), and profiles: named values of many options at once."""

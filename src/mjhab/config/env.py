@@ -34,52 +34,45 @@ DENSE_MODES = ("dense", "normalized_dense")
 REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
-"""Default of the options that the profile gives a value, where no other is given."""
+"""Default of the options whose value the profile determines."""
 _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 
 
 @dataclass(frozen=True)
 class EnvConfig:
-    """What world to build and what to do in it.
+    """Options of an environment: robot, homes, task, observations, actions, rewards, episodes and backend.
 
-    profile: which values the options have whose default is OF_PROFILE, and ``horizon`` 0; see `profiles.Profile`. With
-    "ms_hab" they may not be given other values. Once the configuration is made they have their values.
-    robot: name of a robot, see `mjhab robots list`.
-    task: HAB task. subtask: "" for the whole chain, or one kind of it, done alone to its horizon.
-    target: restricts ``subtask`` (or the draw of targets) to an object type or a link; "" or "all" for any.
-    split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``), or
-    a home file. assets: a pack by
-    name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the episodes. threads: 0 takes all
-    cores. extra_objects: types of further objects, one slot each behind those of the task's roster;
-    a target that is another object of the pack gets a slot, too.
-    obs_mode: "state", or images too, see `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size:
-    pixels, one number or (height, width). obs_keys: "flat" as in obs["extra/is_grasped"], or "nested" as in
-    obs["extra"]["is_grasped"]; wrappers and recorders take flat keys. frame_stack: frames that `wrappers.FrameStack`
-    stacks; 1: what it is told.
-    control_mode, base, stationary: see `controllers.make_controller`.
-    reward_mode: one of REWARD_MODES; "" is the pointer for a chain, sparse for one subtask. reward_scales: changes of
-    the scales of single dense reward terms, as {"pick": {"reach": 4.0}}. reward_formula, reward_normaliser: see
-    `tasks.rewards.scoring.RewardOptions`.
-    stillness: "absolute" or "published", see `TaskConfig.stillness`.
-    horizon: control steps of every subtask, 0 for those of the profile. continuous: one subtask runs to its horizon and
-    success may come and go; False ends it at success or failure; None: True for one subtask, False for a chain.
-    overrides: other values of `tasks.thresholds.TaskConfig`, as {"goal_type": "cylinder", "pick.force_limit": 2000}.
-    force_limits: False lifts the limits on the cumulative force.
-    episode_pool: 0 gives every reset an arrangement of its own; n draws one of n, so that a long training finds them
-    in the cache (where the robot starts is drawn anew each time all the same).
-    open_start: share of the resets of Open that find a drawer already 20 % of the way to open.
-    spawn_rule: "front_box" or "published", see `profiles.Profile`. spawns: file of precomputed starts
-    (`mjhab spawns make`). autoreset: what happens after an episode's end.
-    handle_points: what observations and rewards of Open and Close take for the handle: "ours", the point at which our
-    collision geometry is gripped, or "published", the point that the original's plans name (3 to 4 cm off). Built-in
-    furniture and the fridge's lower door have no published points and keep ours.
-    episodes_file: a file in the HAB format whose i-th episode is episode i, in the home it names; "" to generate.
-    navigate: of a chain: "teleport" puts the robot near every goal, as the paper does; "drive" leaves the way to the
-    policy, and arm and grasp count. Navigate alone is always driven.
-    render_mode: "rgb_array" makes ``render()`` give human views.
-    backend: "cpu"; "warp" for the environments on a GPU, `device.DeviceEnv`; "auto" is warp where there is CUDA.
-    device, starts, buffers: of backend warp: the device ("" for the first GPU; "cpu" is slow, for tests); how many
-    precomputed starts worlds draw from (0: by num_envs); other sizes of the engine's buffers (`BufferSizes`).
+    profile: name of a `profiles.Profile`. It gives values to the options whose default is OF_PROFILE, and to
+    ``horizon`` if that is 0; after construction the fields hold these values. "ms_hab" refuses other values of these
+    options. robot: name of a robot, see `mjhab robots list`. task: HAB task. subtask: "" for the whole chain, or one
+    kind of it, done alone to its horizon. target: restricts ``subtask`` (or the draw of targets) to an object type or a
+    link; "" or "all" for any. split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``),
+    or a home file. assets: a pack by name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the
+    episodes. threads: 0 takes all cores. extra_objects: types of further objects, one slot each behind those of the
+    task's roster; a target that is another object of the pack gets a slot, too. obs_mode: "state", or images too, see
+    `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size: pixels, one number or (height, width).
+    obs_keys: "flat" as in obs["extra/is_grasped"], or "nested" as in obs["extra"]["is_grasped"]; wrappers and recorders
+    take flat keys. frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told. control_mode, base,
+    stationary: see `controllers.make_controller`. reward_mode: one of REWARD_MODES; "" is the pointer for a chain,
+    sparse for one subtask. reward_scales: changes of the scales of single dense reward terms, as {"pick": {"reach":
+    4.0}}. reward_formula, reward_normaliser: see `tasks.rewards.scoring.RewardOptions`. stillness: "absolute" or
+    "published", see `TaskConfig.stillness`. horizon: control steps of every subtask, 0 for those of the profile.
+    continuous: one subtask runs to its horizon and success may come and go; False ends it at success or failure; None:
+    True for one subtask, False for a chain. overrides: other values of `tasks.thresholds.TaskConfig`, as {"goal_type":
+    "cylinder", "pick.force_limit": 2000}. force_limits: False lifts the limits on the cumulative force. episode_pool: 0
+    gives every reset an arrangement of its own; n draws one of n, so that a long training finds them in the cache
+    (where the robot starts is drawn anew each time all the same). open_start: share of the resets of Open that find a
+    drawer already 20 % of the way to open. spawn_rule: "front_box" or "published", see `profiles.Profile`. spawns: file
+    of precomputed starts (`mjhab spawns make`). autoreset: what happens after an episode's end. handle_points: what
+    observations and rewards of Open and Close take for the handle: "ours", the point at which our collision geometry is
+    gripped, or "published", the point that the original's plans name (3 to 4 cm off). Built-in furniture and the
+    fridge's lower door have no published points and keep ours. episodes_file: a file in the HAB format whose i-th
+    episode is episode i, in the home it names; "" to generate. navigate: of a chain: "teleport" puts the robot near
+    every goal, as the paper does; "drive" leaves the way to the policy, and arm and grasp count. Navigate alone is
+    always driven. render_mode: "rgb_array" makes ``render()`` give human views. backend: "cpu"; "warp" for the
+    environments on a GPU, `device.DeviceEnv`; "auto" is warp where there is CUDA. device, starts, buffers: of backend
+    warp: the device ("" for the first GPU; "cpu" is slow, for tests); how many precomputed starts worlds draw from (0:
+    by num_envs); other sizes of the engine's buffers (`BufferSizes`).
     """
 
     trains: ClassVar[bool] = False

@@ -1,4 +1,4 @@
-"""Who acted, and what was intended: what a policy tells about its actions beside the actions."""
+"""Notes of a policy about its actions: which policy acted, and the action without noise."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class ActionNotes:
-    """What a policy tells about the actions of W worlds beside the actions themselves.
+    """Notes about the actions of W worlds in one control step.
 
-    intended: (W, 13) float32, the actions that it holds for right; they differ from those it gives where it adds noise,
-        and where one policy acts while another one says what it would have done.
-    actor: (W,) uint8, who acts in each world, as a place in ``actors``.
-    actors: names of all who can act, the same in every step; for example ("student", "expert").
+    intended: (W, A) float32, the actions to learn from. They equal the executed actions, except where a policy adds
+        noise (intended: without noise) and where an expert corrects a student that acts (intended: the expert's).
+    actor: (W,) uint8, index into ``actors`` of the policy whose action is executed in each world.
+    actors: names of all policies that can act, the same in every step; for example ("student", "expert").
 
     Raises:
-        ValueError: shapes do not fit each other, or a number in ``actor`` has no name.
+        ValueError: the shapes differ in W, or an index in ``actor`` is outside of ``actors``.
     """
 
     intended: np.ndarray
@@ -35,5 +35,5 @@ class ActionNotes:
 
     @classmethod
     def plain(cls, actions: np.ndarray, name: str) -> ActionNotes:
-        """Notes of a policy that means what it does: ``actions`` (W, 13), all by ``name``."""
+        """Notes of one policy without noise: the executed ``actions`` (W, A) are the intended ones."""
         return cls(actions, np.zeros(len(actions), np.uint8), (name,))

@@ -4,8 +4,9 @@ Order of one control step: action, controllers, 5 substeps, measure, success, pr
 worlds (final observation, reset), next subtasks, observe. Measuring changes nothing; a reset of some worlds leaves
 every bit of the others.
 
-Worlds that move on, end or break are told apart by masks. On numpy, work that no world needs is skipped
-(`core.arrays.may_hold`); on a device everything is done in every step, because asking would wait for the device.
+Masks (W,) bool select the worlds that begin the next subtask, end or become invalid. On numpy, work that no world needs
+is skipped (`core.arrays.may_hold`). On a device all work is done in every step, because reading a mask on the host
+would wait for the device.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from mjhab.tasks.subtasks.registry import properties
 
 
 class Told(Protocol):
-    """What one control step tells in `info` beside the present state: events, and subtasks that ended."""
+    """Entries of `info` that belong to one control step: its events, and the records of subtasks that ended in it."""
 
     def entries(self) -> dict[str, Any]:
         """Entries of `info`."""
@@ -47,24 +48,25 @@ class Told(Protocol):
 
 
 class SubtaskNotes(Protocol):
-    """Notes on the active subtask of every world, from which labels and events come."""
+    """Signals of the active subtask of every world, collected for its label and events."""
 
     def begin(self, mask: Any, signals: Signals, progress: Progress) -> None:
-        """Start new notes in the worlds of ``mask`` (W,) from the signals at the start of their subtask."""
+        """Forget what was collected in the worlds of ``mask`` (W,), and begin with the signals at a subtask's start."""
         ...
 
 
 class TaskLoop(VectorEnv, ABC):
-    """W worlds of the HAB tasks, stepped together: what the environments of all backends share.
+    """Base class of the vector environments of all backends: W worlds of the HAB tasks that step together.
 
-    A backend says where arrays are and how worlds begin: it sets ``sim``, ``tables`` and ``tracker``, and fills in the
-    abstract methods. Arrays (W, ...) are never written into once they were given out.
+    A subclass sets ``sim``, ``tables`` and ``tracker`` and implements the abstract methods. Arrays (W, ...) that were
+    returned are never modified afterwards.
 
-    For reading: ``state``, ``signals``, ``progress``, ``focus`` are the present ones; ``judged`` are the signals that
-    decided the last step, which in worlds where a subtask began are those of the one before.
+    Attributes to read: ``state``, ``signals``, ``progress`` and ``focus`` describe the present. ``judged`` are the
+    signals from which success was computed in the last step; they differ from ``signals`` in worlds that began a
+    subtask in that step, where they belong to the subtask before.
 
     Args:
-        config: what was asked for.
+        config: options of the environment.
         like: an array of the library, device and float type of the simulator's.
     """
 
@@ -93,10 +95,10 @@ class TaskLoop(VectorEnv, ABC):
         """(W,) bool: no world."""
 
     def _make_parts(self, nav_distance: GoalDistance) -> None:
-        """Make what measures and rewards; ``sim`` must be there.
+        """Make `Sensing` and `Rewarder`; ``sim`` must be set.
 
         Args:
-            nav_distance: way to the goal of Navigate.
+            nav_distance: function for the length of the way to the goal of Navigate [m].
         """
         config = self.config
         self.layout = self.sim.layout
@@ -126,9 +128,9 @@ class TaskLoop(VectorEnv, ABC):
         self.taint_names = TAINTS
 
     def _init_worlds(self) -> None:
-        """Begin with worlds that nobody has reset; ``sim`` and ``tables`` must be there."""
+        """Initialise the attributes of worlds that were never reset; ``sim`` and ``tables`` must be set."""
         whole = self._xp.int64
-        # Each has memory of its own: on numpy a restored state is written into them.
+        # Arrays that do not share memory: on numpy, restoring a state writes into them.
         self.count = as_like([0] * self.num_envs, self._like, whole)
         self.nan_resets = as_like([0] * self.num_envs, self._like, whole)
         """(W,): episodes begun; times that the state of a world became NaN or infinite."""
@@ -136,25 +138,26 @@ class TaskLoop(VectorEnv, ABC):
         self.success = self._no
         self.fail = self._no
         self.due = self._no
-        """(W,): spawned where nothing better was found; outcome of the last step; reset due in the next step."""
+        """(W,) bool: no valid start pose was found for the episode; success and failure in the last step; the next step
+        resets the world (autoreset "next_step")."""
         self.reward_terms: dict[str, Array] = {}
         self.joint_start = as_like([0.0] * self.num_envs, self._like)
         self.grip = as_like([1.0] * self.num_envs, self._like, self._xp.float32)
-        """(W,): joint of the active link when its subtask began; the gripper's number in the last action."""
+        """(W,): joint position of the active link when its subtask began; entry of the gripper in the last action."""
         self.signals: Signals | None = None
         self.judged: Signals | None = None
         self.state: SimState = self.sim.state()
-        # A world that nobody has reset is like one whose episode is over.
+        # A world that was never reset is treated as one whose episode has ended.
         begun = progress_rules.start(self.tables.arrays, self.task_config)
         self.follow(dataclasses.replace(begun, done=~self._no))
 
     def follow(self, progress: Progress) -> None:
-        """Take over progress whose pointers, or the plans they point into, have changed."""
+        """Set ``progress`` and look up ``focus`` again, after pointers or plans have changed."""
         self.progress: Progress = progress
         self.focus: Focus = look_up(self.tables, progress.pointer, self.task_config)
 
     def timed_methods(self) -> dict[str, list[tuple[Any, str]]]:
-        """What `mjhab bench env` times: stage of a control step to the (object, method name) that do it."""
+        """Methods that `mjhab bench env` times: stage of a control step to its (object, method name) pairs."""
         return {
             "physics": [(self.sim, "step")],
             "measure": [(self, "_sense"), (self, "_measure")],
@@ -165,56 +168,60 @@ class TaskLoop(VectorEnv, ABC):
 
     @abstractmethod
     def _reseed(self, seed: Any, mask: Array) -> None:
-        """Let the worlds of ``mask`` (W,) begin anew under another seed; None keeps the present one."""
+        """Set the seed of the next episodes in the worlds of ``mask`` (W,); None keeps the present one."""
 
     @abstractmethod
     def _next_episodes(self) -> Array:
-        """(W,) int64: the episode that every world would begin next."""
+        """(W,) int64: index of the episode that each world begins at its next automatic reset."""
 
     @abstractmethod
     def _chosen_episodes(self, wanted: Any, mask: Array) -> Array:
-        """(W,) int64 with ``wanted``, one entry for each world of ``mask``, in its place; checks them."""
+        """Scatter the episode indices ``wanted``, one per world of ``mask``, to an array (W,) int64, and check them."""
 
     @abstractmethod
     def _adopt(self, fresh: Array, episodes: Array) -> None:
-        """Give the worlds ``fresh`` (W,) their ``episodes`` (W,): rows of ``tables``, ``fallback``, and what else
-        belongs to an episode."""
+        """Set all data of an episode in the worlds ``fresh`` (W,) to those of ``episodes`` (W,): rows of ``tables``,
+        ``fallback`` and so on."""
 
     @abstractmethod
     def _place(self, fresh: Array, moved: Array) -> Array:
-        """Put worlds where their subtask begins.
+        """Set the physics of worlds to the start state of their subtask.
 
         Args:
             fresh: (W,) bool, worlds that begin an episode.
             moved: (W,) bool, worlds that begin the next subtask of their episode, none of them ``fresh``.
 
         Returns:
-            (W,) bool, worlds whose physics is in another state now.
+            (W,) bool, worlds whose physics state was changed.
         """
 
     @abstractmethod
     def _checked(self, actions: Any) -> Array:
-        """Actions (W, A) float32, with memory of their own."""
+        """A copy of the actions as (W, A) float32, after a check of shape and type."""
 
     @abstractmethod
     def _simulate(self, ctrl: Array) -> Array:
-        """Advance physics under ``ctrl`` (W, nu); returns (W,) bool, worlds that broke and have been put back."""
+        """Advance physics under ``ctrl`` (W, nu).
+
+        Returns:
+            (W,) bool, worlds whose state became NaN or infinite and was set back to that before the step.
+        """
 
     @abstractmethod
     def _note(self, signals: Signals, outcome: Outcome, progress: Progress) -> Told:
-        """Note a step whose ``outcome`` is known; ``progress`` is the one before the pointer moves."""
+        """Update the tracker with a step and its ``outcome``; ``progress`` is that before the pointer advances."""
 
     @abstractmethod
     def _nothing(self) -> Told:
-        """What a step tells in which nothing happened."""
+        """Entries of `info` of a step without events and without ended subtasks."""
 
     @abstractmethod
     def _observe(self, known: dict[str, Array] | None = None, changed: Array | None = None) -> dict:
-        """Observations of the present.
+        """Observations of the present state.
 
         Args:
-            known: observations made before in this step.
-            changed: (W,) bool, worlds whose physics is in another state since; only these need new pictures.
+            known: observations from earlier in this step.
+            changed: (W,) bool, worlds whose physics state has changed since; only their images are rendered again.
         """
 
     # -- reset -----------------------------------------------------------------------------------------------------
@@ -258,7 +265,7 @@ class TaskLoop(VectorEnv, ABC):
         """Begin ``episodes`` (W,) in the worlds ``fresh``, and the next subtask in the worlds ``moved``.
 
         Returns:
-            (W,) bool, worlds whose physics is in another state now.
+            (W,) bool, worlds whose physics state was changed.
         """
         moved = moved & ~fresh
         if may_hold(fresh):
@@ -273,7 +280,7 @@ class TaskLoop(VectorEnv, ABC):
         return changed
 
     def _restart(self, fresh: Array, episodes: Array) -> None:
-        """Let the worlds ``fresh`` stand at the beginning of their ``episodes``; physics is still where it was."""
+        """Set progress and outcome of the worlds ``fresh`` to the start of ``episodes``; `_place` sets the physics."""
         xp = self._xp
         self._adopt(fresh, episodes)
         self.count = self.count + fresh
@@ -329,7 +336,7 @@ class TaskLoop(VectorEnv, ABC):
         return self._finish(told, reward, outcome)
 
     def _advance_physics(self, actions: Array) -> Array:
-        """Step the worlds; returns (W,) bool, those that broke and have been put back."""
+        """Advance physics by one control step; returns the mask of `_simulate`."""
         if self.config.teleports:
             actions = self._held_still(actions)
         self.grip = actions[:, self.controller.gripper]
@@ -339,7 +346,7 @@ class TaskLoop(VectorEnv, ABC):
         return broken
 
     def _held_still(self, actions: Array) -> Array:
-        """``actions``, but in Navigate, where a teleport does the moving: there the robot stands and keeps its grip."""
+        """Actions in which worlds that navigate by teleport keep their joints and their grip."""
         teleporting = self.focus.navigates
         if not may_hold(teleporting):
             return actions
@@ -361,7 +368,7 @@ class TaskLoop(VectorEnv, ABC):
     def _finish(
         self, told: Told, reward: Array, outcome: Outcome
     ) -> tuple[dict, Array, Array, Array, dict]:
-        """Begin what comes next, episodes by the autoreset mode and subtasks, and observe."""
+        """Reset finished worlds as the autoreset mode says, begin next subtasks, and observe."""
         mode = self.config.autoreset
         terminated: Array = outcome.place_broken
         if not self.config.runs_to_horizon:
@@ -377,7 +384,7 @@ class TaskLoop(VectorEnv, ABC):
             final["final_obs"] = self._keyed(seen)
             final |= {"_final_obs": fresh, "_final_info": fresh}
         elif mode == "next_step":
-            # Gymnasium: the step after an episode's end is the reset, whatever the action; it brings no reward.
+            # Gymnasium: the step after an episode's end is the reset; its action is ignored and its reward is 0.
             fresh = self.due
             reward = self._xp.where(fresh, 0.0, reward)
         if mode != "disabled" or not self.config.subtask:
@@ -391,20 +398,20 @@ class TaskLoop(VectorEnv, ABC):
         return self._keyed(obs), reward, terminated, truncated, self._info(told) | final
 
     def link_state(self) -> Array:
-        """(W, 5) of the link of the active subtask, see `Sensing.link_state`: no observation shows it."""
+        """(W, 5) state of the active subtask's link, see `Sensing.link_state`; it is not part of observations."""
         return self.sensing.link_state(self.state, self.focus)
 
     def info(self) -> dict[str, Any]:
-        """`info` of the present state, as of a step in which nothing happened; something must have been reset."""
+        """`info` of the present state, without events; `reset` must have been called."""
         return self._info(self._nothing())
 
     def _info(self, told: Told) -> dict[str, Any]:
-        """Arrays (W,) that stay as they are, whatever the environment does next, and what a step tells.
+        """The dict `info`: arrays (W,), which later steps do not modify, and the entries of ``told``.
 
         "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
         "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
-        "reward_terms" (name to (W,)). What a step tells is told of the episode that was stepped, under "same_step" of
-        the one that has just ended; the rest is of the present.
+        "reward_terms" (name to (W,)). The entries of ``told`` belong to the episode that was stepped, which under
+        "same_step" may have ended; all others describe the present state.
         """
         signals = self.signals
         progress = self.progress
@@ -427,7 +434,7 @@ class TaskLoop(VectorEnv, ABC):
 
 
 def _give_up(broken: Array, progress: Progress, signals: Signals) -> tuple[Progress, Signals]:
-    """Let the time of worlds that broke be up, and nothing in them count as success."""
+    """Set the remaining steps of the worlds in ``broken`` to 0 and their success to False."""
     left = namespace(broken).where(broken, 0, progress.steps_left)
     success = signals.success & ~broken
     return dataclasses.replace(progress, steps_left=left), dataclasses.replace(

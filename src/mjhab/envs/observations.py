@@ -1,8 +1,8 @@
 """One table of observations: key, shape, unit, frame, function (mshab/envs/sequential_task.py).
 
-The concatenation of the six state entries is the 42-D ``state``. Entries that the active subtask does not use are zero,
-so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds what the robot's own
-sensors tell instead. Rows of the robot's cameras follow when images are asked for.
+The concatenation of the six state entries is ``state`` (W, S), see `state_dim`. Entries that the active subtask does
+not use are zero, so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds what
+the robot's own sensors measure instead. Rows of the robot's cameras follow when images are asked for.
 """
 
 from __future__ import annotations

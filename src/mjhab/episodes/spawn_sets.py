@@ -152,7 +152,8 @@ def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) ->
 
 
 def _content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
-    """Hash of what a set holds, whatever file it is in and wherever the assets lie (their hash is in the header)."""
+    """Hash of the content of a set. It does not depend on the paths of the file and of the assets, whose hash is in the
+    header."""
     recipe = {name: value for name, value in header["recipe"].items() if name != "assets"}
     digest = hashlib.sha256(json.dumps({**header, "recipe": recipe}, sort_keys=True).encode())
     for name in _COLUMNS:
@@ -164,10 +165,10 @@ def _content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
 
 
 def _check_content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> None:
-    """Refuse names that are none and columns that do not fit each other: whoever wrote the digest may be anyone.
+    """Refuse invalid names and columns of different lengths. The digest does not exclude them: anyone can compute it.
 
     Raises:
-        ValueError, KeyError, TypeError: says which.
+        ValueError, KeyError, TypeError: the message names the entry.
     """
     recipe = header["recipe"]
     for name in ("task", "split"):

@@ -323,9 +323,15 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     """Further environment options: those that the policy needs, overridden by those of the user.
 
     Raises:
-        UsageError: the policy names an option that does not exist.
+        UsageError: the policy names an option that does not exist, or was trained with another robot than the user's.
     """
     check_env_options(facts.env_options)
+    asked = spec.env.get("robot", facts.robot)
+    if facts.robot and asked != facts.robot:
+        raise UsageError(
+            f"the policy {facts.name} was trained with robot {facts.robot!r}; leave out --robot (got {asked!r}), or "
+            f"train a policy with it: mjhab train ALGORITHM --robot {asked}"
+        )
     return {**facts.env_options, **spec.env}
 
 

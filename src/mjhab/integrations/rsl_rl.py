@@ -14,7 +14,7 @@ from mjhab.tasks.subtasks.registry import horizons
 def to_rsl_rl(env: VectorEnv) -> Any:
     """Wrap a vector environment as a ``rsl_rl.env.VecEnv``.
 
-    Observations are TensorDicts: group "state" (W, 42), and one group per image ("<camera>/depth" and so on), with the
+    Observations are TensorDicts: group "state" (W, S), and one group per image ("<camera>/depth" and so on), with the
     channel first. ``extras["time_outs"]`` marks episodes that ended by time; rsl_rl adds the value of what would have
     followed to their last reward.
 

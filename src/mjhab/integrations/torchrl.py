@@ -16,7 +16,7 @@ SUCCESS = "success"
 def to_torchrl(env: VectorEnv) -> Any:
     """Wrap a vector environment as a ``torchrl.envs.EnvBase`` with batch size (W,).
 
-    Observations are entries of the TensorDict: "state" (W, 42), one per image, CAMERA/depth and so on, with the
+    Observations are entries of the TensorDict: "state" (W, S), one per image, CAMERA/depth and so on, with the
     channel first, and SUCCESS. torchrl resets finished worlds itself (``rollout(..., break_when_any_done=False)``,
     collectors), so their last observation stays in "next"; "truncated" without "terminated" means that time was up.
 

@@ -20,7 +20,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.observations import STATE_KEY, camera_key, state_dim
 from mjhab.evaluation.score.manifest import Row, manifest
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
-from mjhab.robots.registry import robot_named
+from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 
 CAMERAS = ("head", "wrist")
 """Names of the images, in the order of the robot's cameras."""
@@ -32,7 +32,7 @@ RANGE = (-1.0, 1.0)
 class MjhabBenchmark(StepBenchmark):
     """Subtasks or chains of mjhab for model servers of vla-eval.
 
-    A model sees two RGB images, the 42-D state and the instruction of the active subtask.
+    A model sees two RGB images, the state (S,) and the instruction of the active subtask.
 
     Args:
         track: "subtasks" or "chains", see `evaluation.score.manifest`.
@@ -40,6 +40,7 @@ class MjhabBenchmark(StepBenchmark):
         rows: names of some of the rows, such as "set_table.pick"; None for all.
         actions: name of the action space of the model, see `evaluation.served.action_spaces`.
         camera_size: side of the images [px].
+        robot: name of the robot, see `mjhab robots list`; it has two cameras, the first on its head or column.
 
     Raises:
         UsageError: an unknown name.
@@ -59,6 +60,7 @@ class MjhabBenchmark(StepBenchmark):
         rows: Sequence[str] | None = None,
         actions: str = "ee",
         camera_size: int = 224,
+        robot: str = DEFAULT_ROBOT,
     ) -> None:
         super().__init__()
         asked = manifest(track, split)
@@ -71,6 +73,7 @@ class MjhabBenchmark(StepBenchmark):
         self._rows = {name: known[name] for name in rows or known}
         self._actions = actions
         self._size = camera_size
+        self._robot = robot_named(robot)
         self._env: Any = None
         self._row: Row | None = None
         self._reader: ActionReader | None = None
@@ -90,7 +93,7 @@ class MjhabBenchmark(StepBenchmark):
         options = {"episode": np.array([index]), "reset_mask": np.ones(1, bool)}
         obs, self._info = self._env.reset(seed=self._asked.seed, options=options)
         self._success = False
-        self._recorder.record_video(_image(obs, 0))
+        self._recorder.record_video(self._image(obs, 0))
         return obs
 
     def step(self, action: dict[str, Any]) -> StepResult:
@@ -109,7 +112,7 @@ class MjhabBenchmark(StepBenchmark):
         self._info = info
         self._success |= bool(info["success"][0])
         done = bool(terminated[0] or truncated[0])
-        self._recorder.record_video(_image(obs, 0))
+        self._recorder.record_video(self._image(obs, 0))
         self._recorder.record_step(
             reward=float(reward[0]), done=done, success=self._success, action=sent[0]
         )
@@ -118,7 +121,7 @@ class MjhabBenchmark(StepBenchmark):
     def make_obs(self, raw_obs: Any, task: dict[str, Any]) -> dict[str, Any]:
         """Images, state and instruction."""
         return {
-            "images": {name: _image(raw_obs, k) for k, name in enumerate(CAMERAS)},
+            "images": {name: self._image(raw_obs, k) for k, name in enumerate(CAMERAS)},
             "states": np.asarray(raw_obs[STATE_KEY][0], np.float32),
             "task_description": self._info["instruction"][0],
         }
@@ -151,7 +154,7 @@ class MjhabBenchmark(StepBenchmark):
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
         """Two images, the state and the instruction."""
-        state = DimSpec("state", state_dim(robot_named()), RAW.format)
+        state = DimSpec("state", state_dim(self._robot), RAW.format)
         return {**dict.fromkeys(CAMERAS, IMAGE_RGB), "state": state, "language": LANGUAGE}
 
     def get_hold_action(self, last_action: dict[str, Any] | None) -> dict[str, Any]:
@@ -173,11 +176,13 @@ class MjhabBenchmark(StepBenchmark):
     def _table(self) -> Any:
         from mjhab.robots.controllers import make_controller
 
-        return make_controller(space_named(self._actions).control_mode).table
+        mode = space_named(self._actions).control_mode
+        return make_controller(mode, robot=self._robot).table
 
     def _open(self, row: Row) -> None:
         self.cleanup()
         self._env = envs.make(
+            robot=self._robot.name,
             task=row.task,
             subtask=row.subtask,
             target=row.target,
@@ -191,6 +196,5 @@ class MjhabBenchmark(StepBenchmark):
         self._row = row
         self._reader = ActionReader(self._actions, self._env.action_table)
 
-
-def _image(obs: Any, camera: int) -> np.ndarray:
-    return obs[camera_key(robot_named().camera_names[camera], "rgb")][0]
+    def _image(self, obs: Any, camera: int) -> np.ndarray:
+        return obs[camera_key(self._robot.camera_names[camera], "rgb")][0]

@@ -1,4 +1,4 @@
-"""Compile homes to MjModels, and remember the result on disk under a hash of everything that went in."""
+"""Compilation of homes to MjModels, with a cache on disk; the key is a hash of all inputs."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def model_path(layout: Layout, home: Home) -> Path:
 
 
 def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
-    """The MjModel of a home, from the cache when it was compiled before.
+    """The MjModel of a home, read from the cache if it was compiled before.
 
     Raises:
-        ValueError: when MuJoCo refuses the home; the message names it.
+        ValueError: MuJoCo refuses the home; the message names it.
     """
     path = model_path(layout, home)
     if not path.exists():
@@ -51,5 +51,5 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
             reason = ", ".join(str(error).splitlines())
             raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
         path = write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None))
-    # A compiled model carries a signature that the saved one lacks; all are taken from the file, to be equal.
+    # A freshly compiled model has a signature that saving drops. Loading it from the file makes all models equal.
     return mujoco.MjModel.from_binary_path(str(path))

@@ -46,7 +46,7 @@ _GEOM_TYPE = {
 }
 SLIDING_FRICTION = 0.3
 """Sliding friction of everything but the finger pads, as in the original (ManiSkill's default material). A pair of
-geoms takes the larger of two equal values: 0.3 too."""
+geoms with different values gets the larger one; all values are equal here, so that every pair gets 0.3."""
 OBJECT_FRICTION = (SLIDING_FRICTION, 0.01, 0.003)
 """Sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest and sleep."""
 SLIDE_DAMPING = 5.0
@@ -55,7 +55,7 @@ HINGE_DAMPING = 1.0
 HINGE_FRICTION = 0.5
 JOINT_ARMATURE = 0.1
 PARK_ORIGIN = (40.0, 40.0)
-"""Objects an episode does not use lie on the floor from here on, 0.5 m apart, asleep."""
+"""Position x, y [m] of the first object that an episode does not use; these lie 0.5 m apart on the floor, asleep."""
 
 
 def yaw_quat(yaw: float) -> Quat:

@@ -127,6 +127,7 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
     hashes = []
     needed = []
     profiles = set()
+    robot = ""
     for entry in entries:
         facts = inspect_any(entry.checkpoint)
         known = facts.identity.get("policy_sha256") or json.dumps(
@@ -137,12 +138,13 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
             {facts.identity["policy_profile"]} if "policy_profile" in facts.identity else set()
         )
         needed.append((entry.checkpoint, facts.env_options))
+        robot = robot or facts.robot
     options = policy_kind.joined(name, needed)
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
     identity = {"policy_sha256": digest}
     if profiles:
         identity["policy_profile"] = ", ".join(sorted(profiles))
-    return PolicyFacts(name, identity, options)
+    return PolicyFacts(name, identity, options, robot)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:

@@ -38,7 +38,7 @@ LEAST = {
     "horizon": 0,
     "episode_pool": 0,
 }
-"""Least values of whole numbers other than 1."""
+"""Smallest allowed value of integer fields for which it is not 1."""
 NO_LEAST = ("sac.value_low", "sac.value_high")
 """Numbers that may be negative."""
 FIXED = ("algorithm", "preset")

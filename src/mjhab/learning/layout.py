@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import InputConfig
+from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 OLDER_KINDS = ("pick", "place", "navigate", "open", "close")
@@ -97,6 +98,11 @@ class Layout:
     profile: str = DEFAULT_PROFILE
     kinds: tuple[str, ...] = OLDER_KINDS
     robot: str = ""
+
+    @property
+    def robot_name(self) -> str:
+        """Name of the robot; older checkpoints, which name none, are of the default robot."""
+        return self.robot or DEFAULT_ROBOT
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -218,6 +224,21 @@ class Layout:
         if tuple(self.control[2:]) != profile_named(self.profile).stationary:
             options["stationary"] = tuple(self.control[2:])
         return options | image_options(self.inputs)
+
+
+def inputs_of_robot(inputs: InputConfig, robot: str) -> InputConfig:
+    """The inputs with the cameras of a robot in place of those that the presets name.
+
+    Args:
+        inputs: of a preset, or with cameras of the caller's choice, which stay.
+        robot: its name; "" for the default robot, whose cameras the presets name.
+
+    Raises:
+        UsageError: there is no such robot.
+    """
+    if not robot or inputs.cameras != InputConfig.cameras:
+        return inputs
+    return replace(inputs, cameras=robot_named(robot).camera_names)
 
 
 def image_options(inputs: InputConfig) -> dict[str, Any]:

@@ -75,7 +75,8 @@ def inspect_policy(spec: str) -> PolicyFacts:
         digest = hashlib.sha256("".join(digests).encode()).hexdigest()
     named = zip(map(str, paths), (layout.env_options() for layout in layouts), strict=True)
     identity = {"policy_sha256": digest, "policy_profile": layouts[0].profile}
-    return PolicyFacts(AND.join(path.stem for path in paths), identity, joined(spec, named))
+    name = AND.join(path.stem for path in paths)
+    return PolicyFacts(name, identity, joined(spec, named), layouts[0].robot_name)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool = False) -> Policy:

@@ -83,7 +83,7 @@ class Robot:
         arm_root: link whose frame end-effector actions are given in; base and torso carry it along.
         tcp: link whose origin is the tool centre, x along the fingers, y the line on which they close.
         fingers: left and right finger; empty for a robot without a gripper.
-        force_links: links whose contact force counts against the robot: all that can touch, without the fingers.
+        force_links: links whose contact forces add up to ``robot_force``: all with collision shapes but the fingers.
         trunk_links, distal_links: links of the second kind collide with those of the first. Other pairs of links of
             the robot do not collide.
         cameras: its cameras, that of the head first.

@@ -125,7 +125,7 @@ class EpisodeRecord:
 
         Raises:
             KeyError: a field is missing.
-            ValueError: a name in it is none (`core.names.check_name`): names become parts of paths.
+            ValueError: a name has characters that `core.names.check_name` refuses, because names become parts of paths.
         """
         values = {f.name: data[f.name] for f in fields(cls) if f.name not in OPTIONAL}
         values["style"] = dict(data.get("style", {}))
@@ -145,7 +145,7 @@ class EpisodeRecord:
 
 
 def _check_numbers(record: EpisodeRecord) -> None:
-    """Refuse counts that are no whole numbers from 0, and successes that are no truth values."""
+    """Refuse counts that are not integers of at least 0, and successes that are not bool."""
     for name in ("seed", "index", "steps", "completed"):
         value = getattr(record, name)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:

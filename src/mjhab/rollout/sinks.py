@@ -21,7 +21,7 @@ class StepView:
 
     ``active`` (W,) bool: worlds in which an episode runs; the rest idles and must be ignored. ``steps`` (W,) int: step
     number within the episode, the first is 1. ``done`` (W,) bool: active worlds whose episode ended in this step.
-    ``actions`` (W, 13) were applied; ``obs``, ``reward`` (W,) and ``info`` came back. ``notes``: which actions were
+    ``actions`` (W, A) were applied; ``obs``, ``reward`` (W,) and ``info`` came back. ``notes``: which actions were
     intended, and by whom.
     """
 

@@ -1,7 +1,7 @@
-"""Are the names and numbers of a pack such as a home can be made of? Asked once, of every pack that is read.
+"""Check of the names and numbers of an asset pack, done once for every pack that is read.
 
-The engine and the maps of free floor take numbers as they are: a length of 1e300 ends in a crash, a mass of 0 or a
-quaternion of length 3 in physics that mean nothing.
+The engine and the maps of free floor do not check numbers: a length of 1e300 m crashes them, and a mass of 0 or a
+quaternion of length 3 gives meaningless physics.
 """
 
 from __future__ import annotations

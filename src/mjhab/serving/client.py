@@ -25,14 +25,14 @@ from mjhab.serving.packing import ProtocolError, pack, unpack
 MAX_ANSWER_BYTES = 64 << 20
 GREETING_TIMEOUT_S = 10.0
 RETRY_S = 0.2
-"""Between two attempts to reach a server."""
+"""Time between two attempts to connect to a server [s]."""
 MAX_ATTEMPTS = 3
-"""So often a request is sent when the connection is lost each time."""
+"""Number of times that a request is sent before the episode fails, if the connection is lost each time."""
 _MOST_SHOWN = 300
 
 
 class PolicyFault(MjhabError):
-    """A served policy did not answer, or answered something that is no action: an error of one episode."""
+    """A served policy gave no answer, or an answer without a valid action. It ends one episode, not the run."""
 
 
 class Connection:

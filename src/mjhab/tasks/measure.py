@@ -158,7 +158,7 @@ def _arrival(
     dx = to_goal[:, 0]
     dy = to_goal[:, 1]
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
-    # Nothing is outside of a box of NaN, which is none.
+    # A box of NaN stands for "no box": comparisons with NaN are false, so no position is outside of it.
     outside = (position < active.box[:, ::2]) | (position > active.box[:, 1::2])
     near = (xp.sqrt(dx * dx + dy * dy) <= config.nav_distance) & ~(outside[:, 0] | outside[:, 1])
     return near, xp.abs(bearing) <= config.nav_bearing

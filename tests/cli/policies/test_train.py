@@ -14,6 +14,7 @@ from mjhab.cli.policies.train import make_request, reinforcement_request
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import configs
 from mjhab.learning.checkpoint import load_student
+from mjhab.robots.registry import robot_named
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.small import train_config
@@ -65,6 +66,24 @@ def test_options_become_a_request(tmp_path: Path) -> None:
 def test_every_algorithm_has_a_command(algorithm: str, tmp_path: Path) -> None:
     request = make_request(parse(["train", algorithm, "--out", str(tmp_path)]).command)
     assert request.config == configs.preset_of(algorithm)
+
+
+def test_presets_take_the_cameras_of_the_robot(tmp_path: Path) -> None:
+    """Imitation and reinforcement; cameras of the user's choice stay, and so do presets without images."""
+    own = robot_named("panda_omron").camera_names
+
+    def cameras(words: str) -> tuple[str, ...]:
+        command = parse(["train", *words.split(), "--out", str(tmp_path)]).command
+        if words.startswith(("ppo", "sac", "rlpd")):
+            return reinforcement_request(command).config.inputs.cameras
+        return make_request(command).config.student.inputs.cameras
+
+    for algorithm in ("bc", "dagger", "sac --preset fast", "rlpd"):
+        assert cameras(f"{algorithm} --robot panda_omron") == own
+        assert cameras(algorithm) == robot_named().camera_names
+    assert cameras("ppo --preset fast --robot panda_omron") == ()
+    chosen = f"inputs.cameras={own[1]}"
+    assert cameras(f"bc --robot panda_omron --set {chosen}") == own[1:]
 
 
 @pytest.mark.parametrize(

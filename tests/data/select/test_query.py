@@ -61,6 +61,13 @@ def ask(text: str, record: EpisodeRecord = GOOD) -> bool:
     return Filter(text)(record, RUN)
 
 
+def test_the_robot_is_a_fact_and_older_data_are_of_fetch() -> None:
+    panda = RunInfo({}, layout={"robot": "panda_omron"})
+    assert Filter("robot == 'panda_omron'")(GOOD, panda)
+    assert not Filter("robot == 'panda_omron'")(GOOD, RUN)
+    assert Filter("robot == 'fetch'")(GOOD, RUN)
+
+
 @pytest.mark.parametrize(
     ("text", "answer"),
     [

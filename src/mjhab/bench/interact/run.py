@@ -103,7 +103,8 @@ class InteractBench:
             tensor = (
                 self.sim.state().robot_q.new_tensor
             )  # on the device: no copy to the host in a step
-            self._offset, self._moves = tensor(self._offset), tensor(self._moves)
+            self._offset = tensor(self._offset)
+            self._moves = tensor(self._moves)
 
     def _drawer(self, backend: str, threads: int) -> Callable[[], Mapping[str, Any]]:
         if backend == "warp":

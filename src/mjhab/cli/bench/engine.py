@@ -5,6 +5,7 @@ from __future__ import annotations
 from mjhab.bench.engine import measure_engine
 from mjhab.cli.options.common import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.robots.registry import DEFAULT_ROBOT
 
 
 def bench_sim(options: BenchSimOptions) -> int:
@@ -21,7 +22,8 @@ def bench_sim(options: BenchSimOptions) -> int:
             ("bare engine", result["engine_sps"]),
             ("env.step without cameras", result["env_sps"]),
         ]
-        title = f"{options.task}, {options.worlds} worlds, {result['threads']} threads"
+        robot = options.robot or DEFAULT_ROBOT
+        title = f"{options.task}, {robot}, {options.worlds} worlds, {result['threads']} threads"
         print_table(title, ("what", "control steps/s over all worlds"), rows)
         print(
             f"the environment runs at {100 * result['ratio']:.0f} % of the bare engine; "
@@ -36,7 +38,9 @@ def bench_grasp(options: BenchGraspOptions) -> int:
     at_least("seconds", options.seconds, 0.1)
     from mjhab.bench.grasp import grasp_table
 
-    rows = grasp_table(seconds=options.seconds, seed=options.seed)
+    rows = grasp_table(
+        seconds=options.seconds, seed=options.seed, robot=options.robot or DEFAULT_ROBOT
+    )
     if options.json:
         print_json({"grasps": rows})
     else:

@@ -24,7 +24,6 @@ EXTRAS = {
     "view": ("viser",),
     "serve": ("msgpack", "websockets"),
     "scale": ("ray",),
-    "robots": ("robosuite",),
 }
 """Modules that each extra of the package installs, as in pyproject.toml (without "all" and "dev")."""
 
@@ -49,9 +48,12 @@ def diagnose() -> dict[str, Any]:
     Returns:
         ``python`` and ``mujoco``: versions; ``renderers``: whether each works, by name; ``gpu``: its name or None;
         ``cores``; ``cache``: its folder; ``memory_cache_mb``: limit of a process's cache in memory [MB]; ``plugins``:
-        name, origin, registered names, and error ("" for none) of each.
+        name, origin, registered names, and error ("" for none) of each; ``robots``: by name the message that says which
+        files are missing, "" for none.
     """
     from mjhab.render.gl_probe import renderer_probe
+    from mjhab.robots.availability import missing_files
+    from mjhab.robots.registry import ROBOTS
 
     return {
         "python": platform.python_version(),
@@ -62,6 +64,7 @@ def diagnose() -> dict[str, Any]:
         "cache": str(cache_dir()),
         "memory_cache_mb": memory_limit_mb(),
         "plugins": [dataclasses.asdict(plugin) for plugin in loaded_plugins()],
+        "robots": {robot.name: missing_files(robot) for robot in ROBOTS.values()},
     }
 
 
@@ -80,6 +83,10 @@ def _print(found: dict[str, Any]) -> None:
         here = all(importlib.util.find_spec(module) for module in modules)
         extras.append((name, ", ".join(modules), "yes" if here else f"no: {pip_install(name)}"))
     print_table("extras", ("extra", "modules", "installed"), extras)
+    robots = [
+        (name, f"no: {missing}" if missing else "yes") for name, missing in found["robots"].items()
+    ]
+    print_table("robots", ("robot", "available"), robots)
     renderers = [
         (name, "works" if works else _advice(name)) for name, works in found["renderers"].items()
     ]

@@ -401,6 +401,8 @@ class BenchSimOptions(EngineSpec):
     """Pairs of blocks; the results are medians over them."""
     seed: Number = EngineSpec.seed
     """Seed of the episodes."""
+    robot: MaybeName = None
+    """The robot (see: mjhab robots list); fetch if absent."""
     assets: Assets = EngineSpec.assets
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
@@ -413,10 +415,15 @@ class BenchSimOptions(EngineSpec):
 
 @dataclass(frozen=True)
 class BenchGraspOptions:
-    """Shake objects in the gripper with base and arm motion and measure how far they slip."""
+    """Shake objects in the gripper with base and arm motion and measure how far they slip.
+
+    Objects that are too wide for the robot's gripper are left out.
+    """
 
     seconds: float = 10.0
     """Time of motion for each object [s]."""
+    robot: MaybeName = None
+    """The robot (see: mjhab robots list); fetch if absent."""
     seed: Number = 0
     """Seed of the motion."""
     json: bool = False

@@ -27,7 +27,10 @@ from mjhab.cli.options.common import (
 
 @dataclass(frozen=True)
 class RobotsListOptions:
-    """List the robots with their number of joints and the widths of an action (default control mode) and `state`."""
+    """List the robots: number of joints, widths of an action (default control mode) and of `state`, and availability.
+
+    A robot is available if the files that it is made of are installed.
+    """
 
     json: bool = False
     """Print one line of JSON instead of a table."""

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Name, Number, PolicyName
+from mjhab.cli.options.common import MaybeName, Name, Number, PolicyName
 from mjhab.cli.options.served import ServedOptions
 
 
@@ -31,6 +31,8 @@ class ScoreOptions(ServedOptions):
     """The episodes: single subtasks, or whole household tasks."""
     split: Name = "test"
     """Which homes: train, val or test. Official scores use the test homes."""
+    robot: MaybeName = None
+    """The robot (see: mjhab robots list); fetch if absent. Scores of different robots cannot be compared."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder of the runs and of result.json; scores/<policy>_<track>_<split> if absent."""
     worlds: Number = 8

@@ -18,6 +18,7 @@ from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.result import Result, read_result
 from mjhab.evaluation.score.run import CHECKED_EPISODES, ScoreSpec, check, score
 from mjhab.evaluation.score.starts import write_starts
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.serving.address import with_options
 
 _MOST_SHOWN = 10
@@ -51,6 +52,7 @@ def _score(options: ScoreOptions) -> int:
         worlds=options.worlds,
         threads=options.threads,
         episodes=options.episodes,
+        robot=options.robot or DEFAULT_ROBOT,
     )
     with sigterm_interrupts():
         try:
@@ -68,7 +70,9 @@ def _score(options: ScoreOptions) -> int:
 
 
 def _default_out(options: ScoreOptions) -> Path:
-    words = (options.policy, options.track, options.split)
+    words = [options.policy, options.track, options.split]
+    if options.robot:
+        words.append(options.robot)
     return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
 
 

@@ -27,7 +27,6 @@ from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores
 from mjhab.learning.require import require_learn
-from mjhab.robots.registry import robot_named
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -225,12 +224,7 @@ def resolved(options: TrainOptions) -> TrainConfig:
 
     config = with_changes(preset_of(ALGORITHMS[type(options)], options.preset), options.set)
     words = tuple(Styles.parse(options.style).words) or None
-    inputs = config.student.inputs
-    if inputs.cameras and options.robot:
-        inputs = _changed(inputs, cameras=robot_named(options.robot).camera_names)
-    student = _changed(
-        config.student, inputs=inputs, demos=options.demos, updates=options.updates, style=words
-    )
+    student = _changed(config.student, demos=options.demos, updates=options.updates, style=words)
     dagger = config.dagger
     if isinstance(options, TrainDaggerOptions) and dagger is not None:
         changes: dict[str, int] = {}

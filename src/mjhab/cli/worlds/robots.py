@@ -20,8 +20,13 @@ def list_robots(options: RobotsListOptions) -> int:
     if options.json:
         print_json({"robots": rows})
         return 0
-    heads = ("name", "joints", "action", "state")
-    print_table("robots", heads, [tuple(row.values()) for row in rows])
+    heads = ("name", "joints", "action", "state", "available")
+    sizes = ("name", "dofs", "action_dim", "state_dim")
+    shown = [(*(row[key] for key in sizes), "yes" if row["available"] else "no") for row in rows]
+    print_table("robots", heads, shown)
+    for row in rows:
+        if row["missing"]:
+            print(row["missing"])
     print('mjhab.make(robot="NAME", ...); --robot NAME of eval and generate')
     return 0
 
@@ -56,16 +61,28 @@ def show_robot(options: RobotsShowOptions) -> int:
 
 
 def robot_rows() -> list[dict[str, Any]]:
-    """Name of every robot, its number of joints, and the widths of an action and of the observation ``state``."""
+    """Facts about every robot.
+
+    Returns:
+        One row per robot: ``name``; ``dofs``, its number of joints; ``action_dim`` and ``state_dim``, widths of an
+        action and of the observation ``state``; ``available``, whether its files are installed; ``missing``, the
+        message that names the command which installs them, "" if available.
+    """
     from mjhab.envs.observations import state_dim
+    from mjhab.robots.availability import missing_files
     from mjhab.robots.registry import ROBOTS
 
-    return [
-        {
-            "name": robot.name,
-            "dofs": len(robot.joints),
-            "action_dim": robot.action.dim,
-            "state_dim": state_dim(robot),
-        }
-        for robot in ROBOTS.values()
-    ]
+    rows = []
+    for robot in ROBOTS.values():
+        missing = missing_files(robot)
+        rows.append(
+            {
+                "name": robot.name,
+                "dofs": len(robot.joints),
+                "action_dim": robot.action.dim,
+                "state_dim": state_dim(robot),
+                "available": not missing,
+                "missing": missing,
+            }
+        )
+    return rows

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.data.store.older import OLDER_JOINTS
 from mjhab.data.store.reading import Episode
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.instructions import (
@@ -18,21 +19,6 @@ from mjhab.tasks.instructions import (
 )
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
-OLD_JOINTS: tuple[str, ...] = (
-    "torso_lift",
-    "head_pan",
-    "shoulder_pan",
-    "head_tilt",
-    "shoulder_lift",
-    "upperarm_roll",
-    "elbow_flex",
-    "forearm_roll",
-    "wrist_flex",
-    "wrist_roll",
-    "r_gripper_finger",
-    "l_gripper_finger",
-)
-"""Joints of the robot in shards that do not name them, without the base (breadth-first order, as in MS-HAB)."""
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PARTS: dict[str, tuple[str, ...]] = {
     "extra/tcp_pose_wrt_base": _POSE,
@@ -96,7 +82,7 @@ def state_names(columns: Mapping[str, int], layout: Mapping[str, Any]) -> list[s
         columns: names and widths of its parts (`Episode.columns`).
         layout: of the run that made the episode (`RunInfo.layout`), which names the joints.
     """
-    joints = tuple(layout.get("joints", OLD_JOINTS))
+    joints = tuple(layout.get("joints", OLDER_JOINTS))
     names = []
     for part, width in columns.items():
         head = part.rpartition("/")[2]

@@ -73,6 +73,7 @@ def _asked() -> tuple[Fact, ...]:
             "name of what acted",
             lambda _, run: str(run.config.get("policy", {}).get("name", "")),
         ),
+        Fact("robot", TEXT, "name of the robot", lambda _, run: run.robot),
         Fact(
             "profile",
             TEXT,

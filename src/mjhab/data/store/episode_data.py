@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.files.reading import parse_json
+from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.schema import VERSION, column_widths, problems
 from mjhab.rollout.records import EpisodeRecord
 
@@ -38,6 +39,11 @@ class RunInfo:
     assets: str = "builtin"
     licence: str = ""
     absent: Sequence[str] = ()
+
+    @property
+    def robot(self) -> str:
+        """Name of the robot; shards that name none are of `OLDER_ROBOT`."""
+        return str(self.layout.get("robot") or OLDER_ROBOT)
 
     @property
     def config_id(self) -> str:

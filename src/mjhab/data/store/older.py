@@ -13,6 +13,23 @@ STAND_INS: dict[str, str] = {"actions_intended": "actions", "actor": "actions"}
 POSES: tuple[str, ...] = ("extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base")
 """Observations with position and quaternion; in schema 1 the quaternion's sign is arbitrary."""
 _POSE_SIZE = 7
+OLDER_ROBOT = "fetch"
+"""Robot of shards that do not name theirs. Strings of old data: they stay when the robot's code changes."""
+OLDER_JOINTS: tuple[str, ...] = (
+    "torso_lift",
+    "head_pan",
+    "shoulder_pan",
+    "head_tilt",
+    "shoulder_lift",
+    "upperarm_roll",
+    "elbow_flex",
+    "forearm_roll",
+    "wrist_flex",
+    "wrist_roll",
+    "r_gripper_finger",
+    "l_gripper_finger",
+)
+"""Its joints in these shards, without the base (breadth-first order, as in MS-HAB)."""
 
 
 def stand_in(path: str, source: np.ndarray) -> np.ndarray:

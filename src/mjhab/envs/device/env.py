@@ -197,7 +197,7 @@ class DeviceEnv(TaskLoop):
             return super().step(actions)
 
     def _checked(self, actions: Any) -> Tensor:
-        # What a policy still knows of its gradients would stay in the buffers of the engine, and grow with every step.
+        # Without detach, the engine's buffers would keep the policy's autograd graph, which grows with every step.
         actions = torch.as_tensor(actions, device=self.device).detach()
         need = (self.num_envs, len(self.action_table))
         if actions.dtype in (torch.bool, torch.complex64, torch.complex128):

@@ -14,7 +14,7 @@ from mjhab.core.errors import UsageError
 from mjhab.scenes.freespace import FreeMap
 
 MAX_BYTES = 4 << 30
-"""The table may take so much memory of the device; a goal in an apartment of 10 x 7.6 m takes 61 kB."""
+"""Largest size of the table in device memory; a goal in an apartment of 10 x 7.6 m takes 61 kB."""
 _STEPS = int(np.iinfo(np.int16).max)
 
 

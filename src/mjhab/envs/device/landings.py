@@ -1,9 +1,9 @@
-"""Teleports on the device: where every Navigate of a chain ends is found when its start is made.
+"""Teleports on the device: the goal poses of all Navigate subtasks of a chain, computed with the start of its episode.
 
-The cpu backend tries places against the present state of a world, in the same order. Here they were tried against the
-state in which the subtask comes up if all before went well. So the robot lands at the same place, unless the tries
-fare differently because something lies where nobody foresaw it, and then it may touch that. With an object in hand the
-arm keeps its pose, which the cpu backend varies a little.
+The cpu backend samples poses during the episode and checks each against the present state of the world. This module
+samples the same poses in the same order, but checks them against the expected state: that after success of all earlier
+subtasks. Both give the same pose unless objects lie elsewhere than expected; then the robot may touch them. With an
+object in hand the arm keeps its pose here, while the cpu backend adds noise to it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from mjhab.tasks.subtasks.registry import spec_of
 def find_landings(
     starts: StartMaker, episode: Episode, start: Start, length: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the robot lands for every Navigate of a chain.
+    """Goal pose of the robot for every Navigate subtask of a chain.
 
     Returns:
-        Joints (length, J), zero where the subtask is no Navigate; and (length,) bool, whether
-        no try was valid and the place is the best there is.
+        Joint positions (length, J), zero for other subtasks; and (length,) bool, True if no sampled pose was valid and
+        the nearest one is used.
     """
     joints = np.zeros((length, len(starts.layout.robot.joints)))
     fallback = np.zeros(length, bool)

@@ -1,4 +1,4 @@
-"""Labels and events of every world's subtask on the device; what happened is told on the host, when somebody asks."""
+"""Labels and events of every world's subtask on the device. Records are decoded on the host, only on request."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class _Row(lb.History):
 
 @dataclass(frozen=True)
 class _Ended:
-    """What a record needs of the last step, (W, ...): references to tensors that nobody writes into."""
+    """Data of the last step from which records are made, (W, ...): references to tensors that are never modified."""
 
     signals: Signals
     outcome: Outcome
@@ -42,7 +42,7 @@ class _Ended:
 
 @dataclass(frozen=True)
 class DeviceStepNotes:
-    """What a control step tells, as tensors that stay as they are.
+    """Events and ended subtasks of a control step, as tensors that later steps do not modify.
 
     ``event_flags`` (W, E) bool, columns `event_columns`; ``ended`` (W,) bool, whose subtask ended; ``label`` (W,) int64
     of that subtask, -1 for none.

@@ -28,7 +28,7 @@ from mjhab.tasks.subtasks.registry import spec_of
 LEAST = 256
 MOST = 8192
 PER_WORLD = 4
-"""Starts of a pool unless the configuration says how many."""
+"""Default size of a pool: PER_WORLD starts per world, at least LEAST and at most MOST."""
 
 
 def pool_size(config: EnvConfig) -> int:
@@ -38,7 +38,11 @@ def pool_size(config: EnvConfig) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """One start on the host: landing joints (S, J), and whether each was for want of a better place (S,)."""
+    """One start on the host.
+
+    qpos: (nq,) state. landings: (S, J) joints of the robot after the teleport of each subtask. fallback: (S,) bool, no
+    sampled pose was valid and the nearest one is used.
+    """
 
     episode: Episode
     start: Start

@@ -1,1 +1,1 @@
-"""What an environment is put together from: each part does one thing in a control step."""
+"""Parts of an environment; each does one task in a control step: sensing, rewards, labels, observations, reports."""

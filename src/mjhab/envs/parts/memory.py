@@ -1,4 +1,4 @@
-"""How much memory worlds take, on the host and on a device, asked before they are made."""
+"""Estimates of the memory of worlds on the host and on a device, checked before worlds are made."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mjhab.core.machine import available_mb
 from mjhab.envs.observations import mode_outputs
 
 CAMERAS = 2
-"""Cameras of a robot, where no other number is given: one on its head, one on its hand."""
+"""Default number of cameras of a robot: one on its head, one on its hand."""
 BASE_MB = 500
 """An environment of one layout before its worlds: libraries and compiled homes (`mjhab bench env` measures it)."""
 WORLD_MB = 1.5
@@ -19,7 +19,7 @@ PIXEL_BYTES = {"rgb": 3, "depth": 2, "seg": 2, "pointcloud": 12 + 3 + 2}
 RASTER_BYTES = 3 + 4 + 2
 """What the rasterizer holds of a pixel beside: colour, depth float32, id."""
 OBS_COPIES = 2
-"""The last observation, and that of the step before, which the caller may still hold."""
+"""Number of observations in memory: the last one, and that of the step before, which the caller may still hold."""
 WARP_BASE_MB = 700
 """CUDA context, kernels, the shared model, tables of homes, contacts kept for a crowd. Not measured on a GPU."""
 WARP_WORLD_MB = 1.1
@@ -49,7 +49,7 @@ class Need:
         return self.base_mb + self.world_mb * num_envs
 
     def most(self, free_mb: float) -> int:
-        """The largest number of worlds that fits."""
+        """Largest number of worlds that fits into the free memory."""
         return max(0, int((free_mb - self.base_mb) / self.world_mb))
 
 

@@ -1,4 +1,4 @@
-"""How far every world's robot still has to drive around the furniture of its home, looked up in every step."""
+"""Length of the way of every world's robot to its navigation goal around furniture, looked up in every step."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class NavDistance:
         self._shape = np.ones((num_worlds, 2), np.int64)
 
     def begin(self, world: int, home: str, goal_xy: np.ndarray) -> None:
-        """From now on ``world`` drives to ``goal_xy`` (2,) [m] in ``home``; takes some 10 ms for a new goal.
+        """Set the goal of ``world`` to ``goal_xy`` (2,) [m] in ``home``; takes about 10 ms for a new goal.
 
         Raises:
             UsageError: no such home, or the base fits nowhere in it.

@@ -1,4 +1,4 @@
-"""From the simulator's state to the observations of a mode: the state, camera images, point clouds."""
+"""Observations of a mode, computed from the simulator's state: state vector, camera images, point clouds."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class ObservedRows:
         self.single_space = table_space(self.state_rows, self.camera_rows)
 
     def calibration(self) -> dict[str, dict[str, Any]]:
-        """What there is to know of each camera, as plain data by its name.
+        """Calibration of each camera as plain data, by its name.
 
         "size": (height, width) [px]; "intrinsic": pinhole matrix [px], pixel centres lie at + 0.5; "body", "pos" [m],
         "quat" (wxyz): where it is fixed to the robot, in the axes of MuJoCo's cameras (x right, y up, looks along -z).
@@ -187,7 +187,7 @@ class Observer(ObservedRows):
         return obs
 
     def draw(self, state: SimState, homes: Sequence[str]) -> dict[str, np.ndarray]:
-        """What cameras see, and what is made of it, in the worlds of ``state``."""
+        """Camera images, and the observations computed from them, of the worlds of ``state``."""
         pos, mat = self.renderer.camera_poses(state, self.cameras)
         images = self.renderer.robot_views(state, homes, self.size, self.drawn, self.cameras)
         views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)

@@ -1,4 +1,4 @@
-"""What `info` tells: signals, progress, faults, and what the episode of every world is."""
+"""Entries of `info`: signals, progress, faults of the simulation, and the description of every world's episode."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CHECKERS = (
     "touch",
     "ee_contact",
 )
-"""Signals of the active subtask that info carries under their own names, (W,) bool."""
+"""Signals of the active subtask that `info` contains under their own names, (W,) bool."""
 
 
 class Reporter:
@@ -91,7 +91,7 @@ class Reporter:
 def describe_episode(
     episode: Episode, plan: TaskPlan, config: EnvConfig, narrator: Narrator
 ) -> Mapping[str, Any]:
-    """What `info` tells of an episode: its name, home, plan and instructions, read-only.
+    """Description of an episode in `info`: name, home, plan and instructions, read-only.
 
     Args:
         episode: which one.
@@ -103,7 +103,7 @@ def describe_episode(
     sentences = narrator.instructions(episode, plan, alone=bool(config.subtask))
     if config.teleports:
         sentences = with_teleports(sentences, [s.name for s in plan.subtasks])
-    # The same object goes into every info until the next episode, so nobody may write into it.
+    # The same object is in every info until the next episode; it is read-only, so that callers cannot change it.
     return FrozenMap(
         {
             "seed": episode.seed,

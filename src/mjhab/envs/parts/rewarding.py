@@ -1,4 +1,4 @@
-"""The reward of a control step: gathers what the reward tables read, and keeps what they remember."""
+"""Rewards of a control step: computes the inputs of the reward tables, and keeps their memory between steps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mjhab.tasks.thresholds import TaskConfig
 
 @dataclass(frozen=True, eq=False)
 class RewardInputs:
-    """What is known of W worlds after `measure`; ``progress`` only serves the mode "pointer"."""
+    """Inputs of the reward of W worlds after `measure`; only the reward mode "pointer" reads ``progress``."""
 
     state: SimState
     world: WorldState
@@ -35,18 +35,19 @@ class RewardInputs:
 
 
 GoalDistance = Callable[[RewardInputs], Array]
-"""Ways (W,) [m] from the base to the goal of Navigate; what it says of worlds of other kinds is not read."""
+"""Function for the length (W,) [m] of the way from the base to the goal of Navigate; entries of worlds with other
+subtasks are ignored."""
 
 
 def straight_distance(inputs: RewardInputs) -> Array:
-    """Distance (W,) along the floor from the base to the goal of Navigate, as if nothing stood in between [m]."""
+    """Straight distance (W,) from the base to the goal of Navigate on the floor, obstacles ignored [m]."""
     delta = inputs.focus.active.goal_pos[:, :2] - inputs.world.base_pose[:, BASE_XY]
     return namespace(delta).sqrt(delta[:, 0] * delta[:, 0] + delta[:, 1] * delta[:, 1])
 
 
 @dataclass(frozen=True)
 class RewardRules:
-    """What the reward of an environment is.
+    """Options of the reward of an environment.
 
     config: the thresholds of the task.
     mode: "dense": sum of the terms of the active subtask's table (`tasks.rewards`); "normalized_dense": the same,
@@ -113,7 +114,7 @@ class Rewarder:
         self._closed_near = self._zero > 0
 
     def begin(self, mask: Array, inputs: RewardInputs) -> None:
-        """Forget what was remembered of the worlds in ``mask`` (W,) bool: their subtask begins at ``inputs``."""
+        """Reset the memory of the worlds in ``mask`` (W,) bool to ``inputs``, the start of their subtask."""
         self._closed_near = self._closed_near & ~mask
 
     def step(self, inputs: RewardInputs) -> tuple[Array, dict[str, Array]]:
@@ -135,7 +136,7 @@ class Rewarder:
         return reward, dict(zip(self.dense.names, scored.terms, strict=True))
 
     def _view(self, inputs: RewardInputs) -> RewardView:
-        """Gather what the kinds at hand read; the rest is zero."""
+        """Inputs of the reward tables; fields that no table of the present subtasks reads are zero."""
         state = inputs.state
         world = inputs.world
         focus = inputs.focus
@@ -151,7 +152,7 @@ class Rewarder:
             handle = self._sensing.handle_pos(state, rows, some)
             distance = norm3(world.tcp_pos - handle)
             self._closed_near = closed_near(self._closed_near, inputs.signals.closed, distance)
-        # A robot without a torso has its arm as high as it gets.
+        # A robot without a torso counts as one with its torso fully up.
         torso = zero + 1.0
         if self._torso is not None:
             torso = world.robot_q[:, self._torso] / self._torso_top
@@ -174,9 +175,9 @@ class Rewarder:
         )
 
     def get_state(self, world: int) -> dict[str, bool]:
-        """What is remembered of one world."""
+        """Memory of one world."""
         return {"closed_near": bool(self._closed_near[world])}
 
     def set_state(self, world: int, state: Mapping[str, bool]) -> None:
-        """Put back what `get_state` returned; other worlds keep theirs."""
+        """Restore the memory of one world from `get_state`; other worlds are not changed."""
         self._closed_near[world] = state["closed_near"]

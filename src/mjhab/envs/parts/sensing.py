@@ -1,4 +1,4 @@
-"""From simulator arrays to what the task functions and the observations read."""
+"""Inputs of the task functions and of the observations, computed from simulator arrays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mjhab.sim.protocol import SimState
 from mjhab.tasks.signals import Signals, WorldState
 
 NEARLY_CLOSED = 0.02
-"""Opening [share of the range] that `Sensing.link_state` resolves."""
+"""Resolution of the opening in `Sensing.link_state`, as a fraction of the range."""
 
 
 class Sensing:

@@ -1,4 +1,4 @@
-"""Full states of worlds: taken out, put back, kept in files."""
+"""Full states of single worlds: read, restored, and stored in files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FLAGS = ("fallback", "success", "fail")
 
 
 class RestorableWorlds(Protocol):
-    """What is read and written of the worlds of an environment to take out and put back the state of one."""
+    """Interface of an environment that snapshots read and write."""
 
     sim: CpuSimulator
     state: SimState
@@ -48,16 +48,16 @@ class RestorableWorlds(Protocol):
         ...
 
     def adopt(self, world: int, episode: Episode) -> object:
-        """Let a world be in an episode."""
+        """Set the episode of a world."""
         ...
 
     def follow(self, progress: Progress) -> None:
-        """Take over the progress of all worlds, and what depends on it."""
+        """Set the progress of all worlds and everything derived from it."""
         ...
 
 
 def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
-    """Everything a world is, as a nested dict of arrays, numbers, strings and lists that later steps do not change.
+    """Full state of a world: a nested dict of arrays, numbers, strings and lists, which later steps do not change.
 
     Its episode by name, physics, progress, signals, label notes, controller targets, reward memory, faults. Physics
     holds no sleep: a restored world is awake, see `CpuSimulator.get_world`.
@@ -123,7 +123,7 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
 
 
 def _with_entry(values: np.ndarray, world: int, value: float) -> np.ndarray:
-    """A copy with another value for one world: arrays that were given out stay as they are."""
+    """Copy of an array with another value for one world; arrays that were returned before are not modified."""
     changed = values.copy()
     changed[world] = value
     return changed

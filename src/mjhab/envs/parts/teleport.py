@@ -21,12 +21,12 @@ from mjhab.episodes.starts import StartMaker
 from mjhab.sim.protocol import SimState
 
 TRIES_PER_STEP = 3
-"""Tries of one world in one control step."""
+"""Number of poses that are sampled for one world in one control step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Landing:
-    """Where a world goes: its state ``qpos`` (nq,), and whether it is only the best of places that are not valid."""
+    """Result of a teleport: state ``qpos`` (nq,), and whether no sampled pose was valid and the nearest one is used."""
 
     world: int
     qpos: np.ndarray
@@ -34,7 +34,7 @@ class Landing:
 
 
 class Teleports:
-    """Which worlds wait for a teleport, and how often each has tried.
+    """Pending teleports: the worlds that wait, and the number of poses sampled for each.
 
     Args:
         starts: tries places.

@@ -1,4 +1,4 @@
-"""What is reported of a subtask when it ends: label, events, forces, times."""
+"""Records of subtasks at their end: label, events, forces, times."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mjhab.tasks.subtasks.registry import name_of
 
 @dataclass(frozen=True)
 class StepNotes:
-    """What a control step tells of every world: names of its events, and the record of a subtask that ended."""
+    """Events of every world in one control step, and the record of a subtask that ended in it, else None."""
 
     events: list[list[str]]
     ended: list[dict[str, Any] | None]
@@ -28,7 +28,7 @@ class StepNotes:
 
 
 class Tracker:
-    """Keeps the notes of every world's active subtask and writes its record."""
+    """Collects signals of every world's active subtask and makes its record at the end."""
 
     def __init__(self, num_worlds: int) -> None:
         self._num_worlds = num_worlds
@@ -36,7 +36,7 @@ class Tracker:
         self._start_step = np.zeros(num_worlds, np.int64)
 
     def begin(self, mask: np.ndarray, signals: Signals, progress: Progress) -> None:
-        """Start new notes in the worlds of ``mask`` (W,) from the signals at the start of their subtask."""
+        """Start collecting anew in the worlds of ``mask`` (W,) with the signals at the start of their subtask."""
         if self._notes is None:
             self._notes = SubtaskTracker(signals)
         else:
@@ -44,18 +44,18 @@ class Tracker:
         self._start_step = np.where(mask, progress.episode_step, self._start_step)
 
     def get_row(self, world: int) -> dict[str, Any]:
-        """Copy of everything noted about a world."""
+        """Copy of the collected data of a world."""
         assert self._notes is not None
         return {"start_step": int(self._start_step[world]), **self._notes.get_row(world)}
 
     def set_row(self, world: int, row: dict[str, Any]) -> None:
-        """Put what ``get_row`` gave into a world."""
+        """Restore the data of a world from ``get_row``."""
         assert self._notes is not None
         self._start_step[world] = row["start_step"]
         self._notes.set_row(world, row)
 
     def update(self, signals: Signals, progress: Progress) -> list[list[str]]:
-        """Note one control step, before the pointer moves; returns the names of its events per world."""
+        """Add one control step, before the pointer advances; returns the names of its events per world."""
         assert self._notes is not None
         live = ~progress.done if progress.done.any() else None
         return self._notes.step(signals.kind, signals, progress.episode_step, live)

@@ -21,7 +21,7 @@ class Worlds(Protocol):
 
     @property
     def config(self) -> EnvConfig:
-        """What was asked for."""
+        """Options of the environment."""
         ...
 
     @property
@@ -31,7 +31,7 @@ class Worlds(Protocol):
 
     @property
     def num_envs(self) -> int:
-        """W."""
+        """Number of worlds W."""
         ...
 
     @property
@@ -46,7 +46,7 @@ class Worlds(Protocol):
 
     @property
     def sensing(self) -> Sensing:
-        """What the simulator's arrays mean."""
+        """Positions of joints, bodies and objects in the simulator's arrays."""
         ...
 
     @property

@@ -14,7 +14,7 @@ from mjhab.envs.wrappers.base import PIXELS, ObservationMap, check_key, dict_spa
 
 
 class FlattenStatePixels(ObservationMap):
-    """Keeps ``{"state": (W, 42), "pixels": {"<camera>_<output>": images}}``, images with channels first.
+    """Keeps ``{"state": (W, S), "pixels": {"<camera>_<output>": images}}``, images with channels first.
 
     An image (W, H, W, C) becomes (W, C, H, W), a stack of them (W, S, H, W, C) becomes (W, S, C, H, W); both are views
     of the arrays they come from. Cameras are in the order asked for. Everything else

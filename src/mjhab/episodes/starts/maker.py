@@ -228,7 +228,11 @@ class StartMaker:
     def _spawn(
         self, episode: Episode, qpos: np.ndarray, goal: SpawnGoal, held: Held | None
     ) -> tuple[np.ndarray, bool, int]:
-        """The state (nq,) with the robot in it, whether it stands there for want of a better place, and the tries."""
+        """Sample a pose of the robot.
+
+        Returns:
+            State (nq,); True if no sampled pose was valid and the nearest one is used; number of sampled poses.
+        """
         name = ("spawn", episode.task, episode.index)
         rngs = (stream(episode.seed, *name, attempt) for attempt in range(MAX_TRIES))
         found, tries = self.sampler.search(episode.home, qpos, goal, rngs, held)
@@ -237,7 +241,7 @@ class StartMaker:
         return found, False, tries
 
     def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
-        """A chain begins with the robot somewhere in the home; its first Navigate brings it to work."""
+        """`_spawn` for the start of a chain: a random pose in the whole home."""
         rng = stream(episode.seed, "roam", episode.task, episode.index)
         cells = self.sampler.walkable(episode.home, ROAM_RADIUS_M)
         for attempt in range(MAX_TRIES):

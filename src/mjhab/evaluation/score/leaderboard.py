@@ -9,6 +9,7 @@ from typing import Any
 from mjhab.evaluation.score.capabilities import CAPABILITIES
 from mjhab.evaluation.score.manifest import TRACKS
 from mjhab.evaluation.score.result import Result
+from mjhab.robots.registry import DEFAULT_ROBOT
 
 _HEAD = """# Leaderboard
 
@@ -41,7 +42,7 @@ def _scores(results: Sequence[Result]) -> str:
         done = f"{summary['episodes']}" + ("" if summary["complete"] else " (incomplete)")
         rows.append(
             (
-                result.facts["policy"],
+                _policy(result),
                 result.facts["split"],
                 _percent(summary["score"]),
                 done,
@@ -57,7 +58,7 @@ def _scores(results: Sequence[Result]) -> str:
 def _rows(results: Sequence[Result], names: Sequence[str]) -> str:
     scores = [{row["name"]: row for row in result.summary["rows"]} for result in results]
     rows = [(name, *(_row_cell(score[name]) for score in scores)) for name in names]
-    return _markdown(("row", *(result.facts["policy"] for result in results)), rows)
+    return _markdown(("row", *(_policy(result) for result in results)), rows)
 
 
 def _row_cell(row: Mapping[str, Any]) -> str:
@@ -73,7 +74,7 @@ def _profile(results: Sequence[Result]) -> str:
     for result in results:
         shown = result.summary["capabilities"]
         cells = [_capability_cell(shown[name]) for name in CAPABILITIES]
-        rows.append((result.facts["policy"], *cells))
+        rows.append((_policy(result), *cells))
     return _markdown(("policy", *CAPABILITIES), rows)
 
 
@@ -83,6 +84,13 @@ def _capability_cell(entry: Mapping[str, Any]) -> str:
 
 def _percent(rate: float) -> str:
     return f"{100 * rate:.1f}"
+
+
+def _policy(result: Result) -> str:
+    """Name of a policy, with the robot if it is not the default one."""
+    name = str(result.facts["policy"])
+    robot = result.manifest.robot
+    return name if robot == DEFAULT_ROBOT else f"{name} ({robot})"
 
 
 def _version(result: Result) -> str:

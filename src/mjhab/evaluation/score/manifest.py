@@ -14,6 +14,7 @@ import numpy as np
 from mjhab.config.env import SPLITS
 from mjhab.core.errors import unknown_name
 from mjhab.data.record.worlds import RecordedEnv
+from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 
 HAB_TASKS = ("tidy_house", "prepare_groceries", "set_table")
 """The scored tasks. The list is fixed, so that plugins do not change a score."""
@@ -69,34 +70,42 @@ TRACKS: dict[str, tuple[Row, ...]] = {
 
 @dataclass(frozen=True)
 class Manifest:
-    """The episodes of a track on a split. starts: digests of the start states by row and index."""
+    """The episodes of a track on a split with a robot. starts: digests of the start states by row and index.
+
+    Only the default robot has start digests; scores of two robots have two manifests and cannot be compared.
+    """
 
     track: str
     split: str
     rows: tuple[Row, ...]
     seed: int
     starts: Mapping[str, tuple[str, ...]]
+    robot: str = DEFAULT_ROBOT
 
     @property
     def digest(self) -> str:
         """Hash of the whole manifest."""
         rows = [asdict(row) for row in self.rows]
         content = [VERSION, self.track, self.split, rows, self.seed, dict(self.starts)]
+        if self.robot != DEFAULT_ROBOT:
+            content.append(self.robot)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def manifest(track: str, split: str) -> Manifest:
-    """The manifest of a track on a split; ``starts`` lacks rows whose digests were never written.
+def manifest(track: str, split: str, robot: str = DEFAULT_ROBOT) -> Manifest:
+    """The manifest of a track on a split with a robot; ``starts`` lacks rows whose digests were never written.
 
     Raises:
-        UsageError: the track or split is unknown.
+        UsageError: the track, split or robot is unknown.
     """
     if track not in TRACKS:
         raise unknown_name("track", track, TRACKS)
     if split not in SPLITS:
         raise unknown_name("split", split, SPLITS)
-    starts = {row: tuple(digests) for row, digests in _starts().get(f"{track}/{split}", {}).items()}
-    return Manifest(track, split, TRACKS[track], SEED, starts)
+    ROBOTS.check(robot)
+    written = _starts().get(f"{track}/{split}", {}) if robot == DEFAULT_ROBOT else {}
+    starts = {row: tuple(digests) for row, digests in written.items()}
+    return Manifest(track, split, TRACKS[track], SEED, starts, robot)
 
 
 def start_digest(env: RecordedEnv, world: int) -> str:

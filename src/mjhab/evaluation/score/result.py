@@ -15,6 +15,7 @@ from mjhab.core.files.reading import parse_json
 from mjhab.evaluation.score.capabilities import profile
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
 from mjhab.reports.metrics import label_counts, mean, wilson
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.records import EpisodeRecord
 
 FORMAT = "mjhab-score"
@@ -49,12 +50,22 @@ class Result:
 
     @property
     def manifest(self) -> Manifest:
-        """Manifest of the result's track and split.
+        """Manifest of the result's track, split and robot.
 
         Raises:
-            UsageError: the file names an unknown track or split.
+            UsageError: the file names an unknown track, split or robot.
         """
-        return manifest(str(self.facts["track"]), str(self.facts["split"]))
+        return manifest_of(self.facts)
+
+
+def manifest_of(facts: Mapping[str, Any]) -> Manifest:
+    """Manifest of the track, split and robot that a result names; older results name no robot.
+
+    Raises:
+        UsageError: one of them is unknown.
+    """
+    robot = str(facts.get("robot", DEFAULT_ROBOT))
+    return manifest(str(facts["track"]), str(facts["split"]), robot)
 
 
 def summary_of(asked: Manifest, episodes: Sequence[Scored]) -> dict[str, Any]:
@@ -113,7 +124,7 @@ def _share(part: float, whole: int) -> float:
 
 def write_result(path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored]) -> Result:
     """Write a result file and return its content."""
-    asked = manifest(str(facts["track"]), str(facts["split"]))
+    asked = manifest_of(facts)
     content = {
         "format": FORMAT,
         "version": VERSION,

@@ -21,14 +21,15 @@ from mjhab.evaluation.resolve import STUDENT, PolicyFacts, full_spec
 from mjhab.evaluation.score.actions import ActionKeeper, Replayed, kept_path, unpacked_actions
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
 from mjhab.evaluation.score.result import Result, Scored, write_result
+from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
 FREE_OPTIONS = frozenset(
-    {"obs_mode", "cameras", "camera_size", "control_mode", "base", "stationary", "profile"}
+    {"obs_mode", "cameras", "camera_size", "control_mode", "base", "stationary", "profile", "robot"}
 )
-"""Environment options that a policy may choose: observations and control. The benchmark fixes all others."""
+"""Environment options that a policy may choose: observations, control and robot. The benchmark fixes all others."""
 RESULT_FILE = "result.json"
 CHECKED_EPISODES = 100
 """Largest number of episodes that a check replays."""
@@ -40,10 +41,11 @@ class ScoreSpec:
 
     policy: a specification as for `resolve_policy`. track, split: see `manifest`. out: folder of the runs and of the
     result file; existing runs are continued. worlds, threads: of every run. episodes: largest number of episodes per
-    row, None for all; a score of fewer episodes is marked as incomplete.
+    row, None for all; a score of fewer episodes is marked as incomplete. robot: name of the robot; scores of different
+    robots cannot be compared.
 
     Raises:
-        UsageError: a number is out of range.
+        UsageError: a number is out of range, or the robot is unknown.
     """
 
     policy: str
@@ -53,8 +55,10 @@ class ScoreSpec:
     worlds: int = 8
     threads: int = 0
     episodes: int | None = None
+    robot: str = DEFAULT_ROBOT
 
     def __post_init__(self) -> None:
+        ROBOTS.check(self.robot)
         for name, value in (("worlds", self.worlds), ("episodes", self.episodes)):
             if value is not None and value < 1:
                 raise UsageError(f"{name} must be at least 1, got {value}.")
@@ -84,7 +88,7 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
     Raises:
         UsageError: a name is unknown; the policy needs other rules; or the folder holds another run.
     """
-    asked = manifest(spec.track, spec.split)
+    asked = manifest(spec.track, spec.split, spec.robot)
     started = time.perf_counter()
     episodes: list[Scored] = []
     policies: dict[str, Any] = {}
@@ -94,6 +98,13 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
             continue
         policies[row.name] = {"name": facts.name, **plain(facts.identity)}
         options = scored_options(facts)
+        if facts.robot not in ("", spec.robot):
+            raise UsageError(
+                f"the policy {facts.name} was trained with robot {facts.robot!r}, not {spec.robot!r}; score it with "
+                f"--robot {facts.robot}."
+            )
+        if spec.robot != DEFAULT_ROBOT:
+            options["robot"] = spec.robot
         policies[row.name]["env_options"] = plain(options)
         evaluation = evaluation_of(spec, asked, row, options)
         kept = spec.out / "actions" / row.name
@@ -183,6 +194,7 @@ def facts_of(
     return {
         "track": asked.track,
         "split": asked.split,
+        "robot": asked.robot,
         "manifest": asked.digest,
         "policy": first["name"],
         "policies": dict(policies),

@@ -242,11 +242,9 @@ class Follower:
         turn = 0.0 if self.final_yaw is None else float(wrap(self.final_yaw - pose[2]))
         stuck = moved < 0.1 * STEP_SECONDS and abs(turn) < self.limits.yaw_tolerance
         if self._arrived and gap > (1.0 if stuck else 2.0) * self.limits.pos_tolerance:
-            self._arrived, self._done_to, self.direction = (
-                False,
-                self.length,
-                1 if self._ahead(pose) >= 0 else -1,
-            )
+            self._arrived = False
+            self._done_to = self.length
+            self.direction = 1 if self._ahead(pose) >= 0 else -1
         else:
             self._arrived = (
                 self._arrived or gap < 0.5 * self.limits.pos_tolerance or self._beside(pose, gap)

@@ -1,4 +1,4 @@
-"""Moving base and arm at the same time: what the way will sweep is looked at before it is driven.
+"""Motions of base and arm at the same time; the volume that they sweep is checked for collisions before they start.
 
 Lengths [m], angles [rad], world frame. Letters: T control steps, P way points, Q joints.
 """
@@ -23,19 +23,19 @@ from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 MARGIN_M = 0.015
-"""Clearance wanted around the robot on its way."""
+"""Wanted clearance between the robot and obstacles along a route."""
 SELF_CLEARANCE_M = 0.015
-"""Clearance wanted between the arm and the trunk."""
+"""Wanted clearance between arm and trunk."""
 DRIVE_ERROR_M = 0.03
-"""Clearance that is wanted in addition while the base drives, for deviations from the planned way."""
+"""Additional clearance while the base drives, because it deviates from the planned route."""
 MIN_MAP_CLEARANCE_M = 0.27
-"""Clearance of the map's cells that the base may pass."""
+"""Least clearance of the map cells that a route may use."""
 LOW_HEIGHT_M = 0.3
-"""Things below this height concern the base alone, and the map keeps it clear of them."""
+"""Obstacles below this height can touch the base only; the map already keeps the base clear of them."""
 OVERHANG_M = 0.05
-"""Drawers and doors hang above the base, where the body is slimmer by this."""
+"""The robot is narrower by this length at the height of drawers and doors than at its base."""
 BLOCKED_FORCE_N = 60.0
-"""Contact force from which on the robot counts as blocked."""
+"""Least contact force at which the robot counts as blocked."""
 BLOCKED_STEPS = 4
 LOST_STEPS = 3
 STALLED_STEPS = 10

@@ -68,9 +68,12 @@ class HandGoals:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is around: ``near`` all but the object, ``target`` that while it is not held, ``support_z`` the height of
-    what it lies on or goes to, ``body`` the robot, ``held`` spheres fixed to the hand (centres, radii), ``care``
-    for them in the drive."""
+    """Obstacles and robot around a work place.
+
+    near: boxes of everything but the object. target: boxes of the object, empty while it is held. support_z: height of
+    the surface that the object lies on or goes to [m]. body: the robot. held: centres and radii [m] of spheres that
+    cover the held object, in the frame of the hand. care: limits of the motion for a held object.
+    """
 
     near: Boxes
     target: Boxes
@@ -86,14 +89,14 @@ class Scene:
 
     @property
     def beside(self) -> Boxes:
-        """Without what lies below the supporting surface."""
+        """Boxes of ``near`` that rise above the supporting surface."""
         top = self.near.center[:, 2] + np.einsum(
             "kj,kj->k", np.abs(self.near.rot[:, 2]), self.near.half
         )
         return self.near.take(top > self.support_z + 0.004)
 
     def robot(self) -> RobotSpheres:
-        """The arm with what it holds."""
+        """Spheres of the arm and of the held object."""
         arm = motion.arm_spheres(self.body)
         return arm if self.held is None else arm.with_held(*self.held)
 
@@ -110,8 +113,11 @@ class Stance:
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
-    """What could be reached, if there were a straight way: configurations ``pre`` and ``at`` (N, J) for hand poses
-    ``goal`` (N,) of ``goals``, most wanted first, the base coming straight in over ``drive_in`` at the end."""
+    """Hand poses that the arm can reach, but without a collision-free straight motion from ``pre`` to ``at``.
+
+    goals: all hand poses. goal: (N,) indices into ``goals``, best first. pre, at: (N, J) joint configurations before
+    and at each hand pose. scene: obstacles. drive_in: distance of the straight drive at the end [m].
+    """
 
     goals: HandGoals
     goal: Array
@@ -123,15 +129,15 @@ class Blocked:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Work:
-    """What the hand is to do, and what limits the ways there.
+    """A request for a base pose, an arm motion and a route.
 
     Attributes:
-        point: (3,) what the base stands around [m].
-        goals: hand poses, one of which is to be reached.
-        scene: what is around.
-        drive_in: distance [m] over which the base comes straight forward at the end with the arm already stretched
-            out, as into a fridge; the routes end that far behind.
-        avoid: (A, 3) base poses that did not work before.
+        point: (3,) point near which the base stands [m].
+        goals: hand poses, of which one is reached.
+        scene: obstacles and robot.
+        drive_in: distance [m] that the base drives straight forward at the end, with the arm already stretched out, for
+            instance into a fridge. The route ends at this distance before the work place.
+        avoid: (A, 3) base poses from which an earlier attempt failed.
         room: least clearance [m] at the work, see `CLEARANCES_M`.
         nearer: how much nearer [m] than that the hand may come just before its work.
         home: weight of the control steps from the work back to rest.

@@ -1,8 +1,10 @@
-"""Turning a box on a shelf by a push, so that a hand that comes from the front can grasp it around its narrow side.
+"""Turning a box on a shelf by a push, so that the hand can grasp it from the front around its narrow side.
 
-A box whose graspable pair of sides faces front and back cannot be straddled through a door. The hand pushes one end of
-its front inwards, low, pointing to where it will come from to grasp it: then it lies along the box in the end and does
-not stop it from turning. How far to turn is decided before, by looking for grasps at the poses it would have then.
+A box on a shelf cannot be grasped if its narrow sides, the only ones that fit between the fingers, face front and back:
+the hand enters through the door and cannot put its fingers before and behind the box. So the hand first pushes one end
+of the front side inwards, near the shelf. It points in the direction of the later grasp: at the end of the push it is
+parallel to the box and does not block the rotation. The angle is chosen beforehand: for several angles, the pose of the
+turned box is computed and its grasps are counted.
 Lengths [m], angles [rad], world frame.
 """
 
@@ -36,32 +38,32 @@ from mjhab.robots.parts import Gripper
 
 Array = np.ndarray
 Graspable = Callable[[Array, float], int]
-"""Number of grasps with enough room, and some more [m], of the object at a pose (7,)."""
+"""Function from a pose (7,) of the object and an additional clearance [m] to the number of collision-free grasps."""
 TURNS_RAD = tuple(np.radians((20.0, 35.0, 50.0, 65.0)))
 """Angles by which the box may be turned, tried in this order."""
 EXTRA_TURN_RAD = np.radians(7.0)
-"""Angle that is planned in addition."""
+"""Angle by which a push is planned further than needed."""
 ENOUGH_GRASPS = 16
-"""The box has turned far enough once it has so many grasps with a clearance that may be smaller by TIGHTER_M."""
+"""The push ends when the box has this number of grasps, counted with the additional clearance TIGHTER_M."""
 TIGHTER_M = -0.008
-"""See `ENOUGH_GRASPS`."""
+"""Additional clearance of the grasps that `ENOUGH_GRASPS` counts; negative: less clearance than for a grasp."""
 LEAST_TURN_SHARE = 0.6
-"""Share of the planned turn before which a push does not end for `ENOUGH_GRASPS`."""
+"""Fraction of the planned angle before which `ENOUGH_GRASPS` does not end a push."""
 TURNED_SHARE = 0.4
-"""Share of the planned turn beyond which the box counts as turned."""
+"""Fraction of the planned angle beyond which the box counts as turned."""
 MIN_UPRIGHT_COSINE = 0.97
 """Least cosine between an axis of the box and the vertical."""
 DEPTHS_M = (0.42, 0.3, 0.15)
-"""Distances that the base may drive straight in to push."""
+"""Distances of the straight drive before the push, tried in this order."""
 TILT_SINES = (0.25, 0.4, 0.55)
-"""Sines of the angles by which the hand points down: low fingers do not topple the box, and the wrist keeps off the
-shelf."""
+"""Sines of the angles by which the hand points down. Fingers near the shelf do not topple the box; a larger angle keeps
+the wrist clear of the shelf."""
 STRAIGHTER_RAD = np.radians((0.0, 10.0, 20.0, 30.0))
-"""Angles by which the hand may point straighter in than for the grasp that follows."""
+"""Angles between the directions of the hand in the push and in the later grasp; 0 is parallel."""
 PUSH_SPEED_M_S = 0.35
 """Speed of the push inwards."""
 MAX_ASIDE_M = 0.007
-"""Greatest motion along the box per control step."""
+"""Largest motion of the hand along the box per control step."""
 MAX_PUSH_STEPS = 30
 """Control steps after which a push ends."""
 MAX_PUSH_FORCE_N = 200.0
@@ -73,16 +75,19 @@ START_GAP_M = 0.03
 FLOOR_GAP_M = 0.008
 """Clearance of the fingers above the shelf."""
 _SPIN = 0.52
-"""Lever of the friction below a box that turns, per half diagonal: about its mean distance from the centre."""
+"""Lever of the friction below a turning box as a fraction of its half diagonal: about the mean distance of its bottom
+from the centre."""
 _MAX_DEFICIT_M = -0.03
-"""Routes whose room is less than this (negative: a deficit) are not taken."""
+"""Routes with less clearance than this are refused; negative: up to this deficit is accepted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nudge:
-    """A push: ``stance`` refers to ``goals`` (where it ends at the latest), the base comes ``depth`` straight in.
+    """A planned push.
 
-    ``turn``: how far the box should turn; ``inward``, ``outer`` (2,): unit vectors into the shelf, to the pushed end.
+    stance: reaches one of ``goals``. goals: hand poses at the end of the longest possible push. depth: distance of the
+    straight drive before the push [m]. turn: planned angle of the box [rad]. inward, outer: (2,) unit vectors into the
+    shelf and from the centre of the box to the pushed end.
     """
 
     stance: Stance
@@ -95,8 +100,12 @@ class Nudge:
 
 @dataclass(frozen=True, eq=False)
 class _Push:
-    """A push at ``end`` (2,) relative to the centre of the box, that turns it by ``turn``; then the hand gets around it
-    at the angle ``after`` to the way in. ``spin``: lever of the friction."""
+    """A push of one end of a box.
+
+    end: (2,) pushed point relative to the centre of the box [m]. inward, outer: as in `Nudge`. spin: lever of the
+    friction below the box [m]. turn: angle by which the push turns the box [rad]. after: angle between ``inward`` and
+    the direction of the later grasp [rad]. grasps: number of grasps of the turned box.
+    """
 
     end: Array
     inward: Array
@@ -108,12 +117,12 @@ class _Push:
 
     @property
     def radius(self) -> float:
-        """From the end to the point that stays where it is."""
+        """Distance from the pushed end to the centre of rotation [m]."""
         lever = max(float(self.end @ self.outer), 0.02)
         return lever + self.spin**2 / lever
 
     def pose_after(self, pose: Array, turn: float) -> Array:
-        """Pose (7,) of the box once it has turned."""
+        """Pose (7,) of the box after a rotation by ``turn`` [rad]."""
         beyond = self.radius - max(float(self.end @ self.outer), 0.02)
         out = pose.copy()
         out[:2] += beyond * (np.sin(turn) * self.inward)
@@ -127,7 +136,7 @@ class _Push:
 def plan_nudge(
     view: WorldView, obj: str, scene: Scene, inward: Array, graspable: Graspable
 ) -> Nudge | None:
-    """The quickest push that turns a box on a shelf until it can be grasped; None where there is none.
+    """The fastest push after which a box on a shelf can be grasped; None if no push is found.
 
     Args:
         inward: (2,) unit vector into the shelf.

@@ -28,7 +28,7 @@ from mjhab.learning.checkpoint import (
     save_tensors,
 )
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.sight import Sight
@@ -61,6 +61,11 @@ class ReinforcementRequest:
     generates them. where: filter on the episodes of ``data``; "" takes the successful ones. recompute_rewards: accept
     episodes that were recorded with another profile or reward; their rewards are computed anew. eval_split: homes of
     the final evaluation, "" for those of the scene, in which those on the way are.
+
+    The cameras that presets name are replaced by those of the scene's robot, see `inputs_of_robot`.
+
+    Raises:
+        UsageError: the scene names an unknown robot.
     """
 
     config: ReinforcementConfig
@@ -78,6 +83,10 @@ class ReinforcementRequest:
     where: str = ""
     recompute_rewards: bool = False
     eval_split: str = ""
+
+    def __post_init__(self) -> None:
+        inputs = inputs_of_robot(self.config.inputs, self.scene.robot)
+        object.__setattr__(self, "config", dataclasses.replace(self.config, inputs=inputs))
 
     @property
     def judged_split(self) -> str:

@@ -25,7 +25,13 @@ from mjhab.learning.demos import (
     load_demonstrations,
 )
 from mjhab.learning.devices import CPU, training_device
-from mjhab.learning.layout import Layout, compare_layouts, image_options, layout_of
+from mjhab.learning.layout import (
+    Layout,
+    compare_layouts,
+    image_options,
+    inputs_of_robot,
+    layout_of,
+)
 from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook, TrainingFolder
@@ -62,6 +68,11 @@ class Request:
     default. films: episodes of every scene to film in the first and the last evaluation. ray: see `Collector`. device:
     of the network's training, see `training_device`; policies act on the CPU. eval_split: homes of the final
     evaluation, "" for those of the scene, in which those on the way are.
+
+    The cameras that presets name are replaced by those of the scene's robot, see `inputs_of_robot`.
+
+    Raises:
+        UsageError: the scene names an unknown robot.
     """
 
     config: TrainConfig
@@ -80,6 +91,12 @@ class Request:
     device: str = CPU
     per_target: int = 0
     eval_split: str = ""
+
+    def __post_init__(self) -> None:
+        student = self.config.student
+        inputs = inputs_of_robot(student.inputs, self.scene.robot)
+        config = replace(self.config, student=replace(student, inputs=inputs))
+        object.__setattr__(self, "config", config)
 
     @property
     def judged_split(self) -> str:

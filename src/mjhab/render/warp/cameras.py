@@ -74,7 +74,8 @@ class WarpCameras:
             self._cells = self._make_cells()
             self._images = self._make_images()
         self._views = {name: wp.to_torch(self._images[name]) for name in self._outputs}
-        self._pos, self._mat = wp.to_torch(self._worlds.cam_pos), wp.to_torch(self._worlds.cam_mat)
+        self._pos = wp.to_torch(self._worlds.cam_pos)
+        self._mat = wp.to_torch(self._worlds.cam_mat)
         self._wanted = wp.to_torch(self._worlds.wanted)
 
     def draw(self, only: torch.Tensor | None = None) -> dict[str, torch.Tensor]:

@@ -79,11 +79,9 @@ class DeviceScene:
         self._there = present(scene) & (scene.instance_body == 0)
         self._meshes: dict[str, wp.Mesh] = {}
         self.seg = _ints(scene.instance_seg)
-        self.looks, self.movers, self.stills = (
-            self._make_looks(),
-            self._make_movers(),
-            self._make_stills(),
-        )
+        self.looks = self._make_looks()
+        self.movers = self._make_movers()
+        self.stills = self._make_stills()
 
     def _faces(self, instance: int) -> slice:
         start = int(self.scene.mesh_face_start[self._level[instance]])

@@ -119,7 +119,8 @@ class Controller:
             [row.high if row.normalized else 1.0 for row in self._arm.rows], like
         )
         # The bounds are those of float32 actions, to the bit.
-        self._low, self._high = as_like(self.low, like), as_like(self.high, like)
+        self._low = as_like(self.low, like)
+        self._high = as_like(self.high, like)
         free = as_like(
             [column not in self._zeroed for column in range(self.dim)], like, namespace(like).bool
         )

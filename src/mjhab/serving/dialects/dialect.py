@@ -1,4 +1,4 @@
-"""What a dialect is: how observations and actions go into messages, at both ends."""
+"""Interface of a dialect: the message format in which observations and actions are exchanged with a policy server."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 OWN = "mjhab"
-"""Key of what only servers of mjhab say (in their greeting) and want (in requests)."""
+"""Key of the entries that only mjhab sends: in the greeting of its servers and in the requests of its clients."""
 RESET_DONE = "reset successful"
-"""Answer to the message that begins an episode, where there is one."""
+"""Answer to the message that begins an episode, in dialects that answer it."""
 
 
 @dataclass(frozen=True)
 class Ask:
-    """What is seen in one world, on its way to a server.
+    """Observation of one world that is sent to a policy server.
 
-    external, wrist: images (H, W, 3) uint8, None without. state: (S,) float32 proprioception and goals. arm: (7,) joint
-    positions [rad]. gripper: share to which the gripper is closed, 0 to 1. tcp: (6,) position [m] and rotation vector
-    [rad] in the frame of the base. prompt: the instruction. session: name of the episode's session. chunk: most actions
-    wanted. own: what servers of mjhab want beside it.
+    external, wrist: images (H, W, 3) uint8, None if not rendered. state: (S,) float32 proprioception and goals. arm:
+    (N,) positions of the arm's joints [rad]. gripper: 0 for an open gripper, 1 for a closed one. tcp: (6,) position [m]
+    and rotation vector [rad] in the frame of the base. prompt: the instruction. session: name of the episode's session.
+    chunk: largest number of actions in the answer. own: additional entries for servers of mjhab.
     """
 
     external: np.ndarray | None
@@ -46,36 +46,37 @@ class Incoming:
 
 
 class Dialect(Protocol):
-    """One way to put observations and actions into messages."""
+    """A message format for observations and actions."""
 
     name: ClassVar[str]
     batches: ClassVar[bool]
     """A request may hold several worlds."""
     remembers: ClassVar[bool]
-    """Servers are told when an episode begins, so they may keep what they saw of it: a lost connection loses that."""
+    """Whether clients tell the server that an episode begins. The server may then keep state of the episode, which is
+    lost with the connection."""
 
     def greeting(self, own: Mapping[str, Any]) -> dict[str, Any]:
-        """Metadata that a server sends first. own: what clients of mjhab want to know."""
+        """Metadata that a server sends on connection. own: entries for clients of mjhab."""
         ...
 
     def begin(self, session: str) -> dict[str, Any] | None:
-        """The message that begins an episode, None if there is none."""
+        """The message that begins an episode; None if the dialect has none."""
         ...
 
     @property
     def begin_answered(self) -> bool:
-        """The server answers to the message that begins an episode."""
+        """Whether the server answers the message that begins an episode."""
         ...
 
     def request(self, asks: Sequence[Ask], metadata: Mapping[str, Any]) -> dict[str, Any]:
-        """The message that asks for actions, in one world or in a batch."""
+        """The request for actions of one world or of a batch of worlds."""
         ...
 
     def actions(self, answer: Any, batch: int) -> np.ndarray:
         """Actions (B, H, A) in the answer to a request about B worlds.
 
         Raises:
-            ProtocolError: they are not where the dialect has them.
+            ProtocolError: the answer has no actions at the place that the dialect defines.
         """
         ...
 

@@ -65,12 +65,15 @@ class CpuSimulator:
         self._world_models = [first] * num_worlds
         self.batch = Batch(first, num_worlds, self.num_threads, persistent=True)
         self.batch.set_models(self._world_models)
-        # Live arrays, looked up once: the batch takes longer to find a field than numpy to read it.
-        self._qpos, self._qvel, self._ctrl = (self.batch.bind(f) for f in ("qpos", "qvel", "ctrl"))
-        self._sensors, self._xpos, self._xquat = (
-            self.batch.bind(f) for f in ("sensordata", "xpos", "xquat")
-        )
-        self._warmstart, self._time = self.batch.bind("qacc_warmstart"), self.batch.bind("time")
+        # Views of the batch's memory, bound once: looking a field up takes longer than reading it.
+        self._qpos = self.batch.bind("qpos")
+        self._qvel = self.batch.bind("qvel")
+        self._ctrl = self.batch.bind("ctrl")
+        self._sensors = self.batch.bind("sensordata")
+        self._xpos = self.batch.bind("xpos")
+        self._xquat = self.batch.bind("xquat")
+        self._warmstart = self.batch.bind("qacc_warmstart")
+        self._time = self.batch.bind("time")
         self._xmat = self.batch.bind("xmat").reshape(num_worlds, -1, 3, 3)
         # A batch with caller models shows a world its static poses only after that world's reset.
         self.batch.reset()

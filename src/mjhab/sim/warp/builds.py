@@ -1,4 +1,4 @@
-"""Tells on stderr that Warp compiles kernels, which takes minutes when it happens for the first time."""
+"""Progress messages on stderr while Warp compiles kernels; the first compilation takes minutes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import warp as wp
 from warp._src import build
 
 LINE_EVERY = 15.0
-"""Seconds between two lines where nobody looks on: a log gets a few, a terminal one that renews itself."""
+"""Time between two messages [s] if stderr is a file; on a terminal every message replaces the one before."""
 
 
 class BuildProgress:
-    """Counts the modules that are compiled, and says so before each.
+    """Counts compiled modules and prints a message before each.
 
     Args:
-        clock: seconds from any moment on.
+        clock: returns the time [s] since an arbitrary moment.
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -31,7 +31,10 @@ class BuildProgress:
         self._last_line = -LINE_EVERY
 
     def watch(self, compiler: Callable[..., Any], source: Callable[..., str]) -> Callable[..., Any]:
-        """``compiler``, announced; ``source`` gives the path of the file from the compiler's arguments."""
+        """Wrap a function ``compiler`` so that each call counts a module and prints a message.
+
+        ``source`` returns the path of the compiled file from the arguments of ``compiler``.
+        """
 
         @functools.wraps(compiler)
         def announced(*args: Any, **kwargs: Any) -> Any:
@@ -63,10 +66,10 @@ class BuildProgress:
 
 @functools.cache
 def announce_builds() -> BuildProgress:
-    """From now on, say whenever this process compiles kernels."""
+    """Print a message whenever this process compiles kernels, from this call on."""
     wp.config.log_level = wp.LOG_WARNING
     progress = BuildProgress()
-    # Warp tells of a module when it is there; what takes long is these two, called for what no cache holds.
+    # Warp reports a module after it is compiled. These two functions do the compilation; cached modules skip them.
     build.build_cpu = progress.watch(build.build_cpu, lambda binary, source, *_: str(source))
     build.build_cuda = progress.watch(build.build_cuda, lambda source, *_: str(source))
     return progress

@@ -127,10 +127,8 @@ class Engine:
         self._everyone = wp.ones(worlds, dtype=wp.bool)
         self.new_qpos = wp.zeros((worlds, model.nq), dtype=wp.float32)
         self._qpos_before = wp.zeros_like(self.data.qpos)
-        self._asleep_before, self._slept = (
-            wp.zeros_like(self.data.tree_asleep),
-            wp.zeros_like(self.data.tree_asleep),
-        )
+        self._asleep_before = wp.zeros_like(self.data.tree_asleep)
+        self._slept = wp.zeros_like(self.data.tree_asleep)
         overflow = [int(CONTACT_OVERFLOW), int(ROW_OVERFLOW), int(ENGINE_OVERFLOW)]
         self._overflow_bits = wp.array(overflow, dtype=wp.int32)
         self._tcp = a.robot_body[a.robot.tcp]
@@ -182,12 +180,15 @@ class Engine:
         self.time_t = wp.to_torch(data.time)
         self.asleep_t = wp.to_torch(data.tree_asleep)
         self.overflow_t = wp.to_torch(data.overflow)
-        self.taint_t, self.broken_t = wp.to_torch(self.taint), wp.to_torch(self.broken)
-        self.update_t, self.new_qpos_t = wp.to_torch(self.update), wp.to_torch(self.new_qpos)
-        self.fresh_t, self.moved_t, self.new_rows_t = map(
-            wp.to_torch, (self.fresh, self.moved, self.new_rows)
-        )
-        self.new_ctrl_t, self.new_rings_t = wp.to_torch(self.new_ctrl), wp.to_torch(self.new_rings)
+        self.taint_t = wp.to_torch(self.taint)
+        self.broken_t = wp.to_torch(self.broken)
+        self.update_t = wp.to_torch(self.update)
+        self.fresh_t = wp.to_torch(self.fresh)
+        self.moved_t = wp.to_torch(self.moved)
+        self.new_qpos_t = wp.to_torch(self.new_qpos)
+        self.new_rows_t = wp.to_torch(self.new_rows)
+        self.new_ctrl_t = wp.to_torch(self.new_ctrl)
+        self.new_rings_t = wp.to_torch(self.new_rings)
 
     def _record_peak(self, model: mjw.Model, data: mjw.Data) -> None:
         # Called after each collision pass. With sleep on there are two a substep, and the second starts the engine's
@@ -195,7 +196,7 @@ class Engine:
         wp.launch(kernels.record_peak, dim=1, inputs=[data.ncollision], outputs=[self.pairs_peak])
 
     def clear(self, worlds: torch.Tensor, rows: torch.Tensor, rings: torch.Tensor) -> None:
-        """Put worlds (n,) into the homes of table ``rows`` (n,), at rest; their positions are to be written.
+        """Put worlds (n,) into the homes of table ``rows`` (n,), at rest; the caller writes their positions afterwards.
 
         ``rings`` (n, ntree) int32: for a tree that is to sleep the next of those that sleep with it, else negative.
         """
@@ -258,17 +259,18 @@ class Engine:
         )
 
     def renew(self) -> None:
-        """Begin the worlds of ``fresh_t`` anew and teleport those of ``moved_t``, which are others, to ``new_qpos_t``.
+        """Reset the worlds of ``fresh_t`` and teleport those of ``moved_t``; both take their positions from
+        ``new_qpos_t``.
 
-        Homes, commands and sleep of the former are read from ``new_rows_t``, ``new_ctrl_t`` and ``new_rings_t``. Shapes
-        do not depend on the masks and nothing is asked of the device: on CUDA the launch of one captured graph, which
-        does next to nothing where both masks are empty. Other worlds keep every bit.
+        The masks are disjoint. Homes, commands and sleeping trees of reset worlds are read from ``new_rows_t``,
+        ``new_ctrl_t`` and ``new_rings_t``. All shapes are fixed and no value is copied to the host: on CUDA this is one
+        launch of a captured graph, which skips its work if both masks are empty. Other worlds stay bitwise the same.
         """
         with wp.ScopedDevice(self.device):
             self.graphs.run("renew", self._renew_due)
 
     def mend(self) -> None:
-        """Make everything derived current in the worlds that the last step broke and put back."""
+        """Recompute derived quantities in the worlds that the last step set back because of NaN or infinite values."""
         with wp.ScopedDevice(self.device):
             self.graphs.run("mend", self._mend_due)
 

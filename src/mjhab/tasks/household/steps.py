@@ -1,4 +1,4 @@
-"""Sequences of subtasks that household tasks are made of, one object at a time."""
+"""Functions that return the subtasks for one object: the building blocks of household plans."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from mjhab.tasks.plan import GOAL_OF, Subtask, SubtaskKind, Target
 
 
 def pick_and_place(target: Target) -> list[Subtask]:
-    """Navigate to the object, pick it, carry it to its goal, place it."""
+    """Subtasks Navigate, Pick, Navigate, Place for one object."""
     kind = SubtaskKind
     return [
         Subtask(
@@ -27,19 +27,19 @@ def pick_and_place(target: Target) -> list[Subtask]:
 
 
 def open_start(target: Target) -> list[Subtask]:
-    """`pick_and_place`, with the drawer or door that the object is behind opened before and closed after.
+    """`pick_and_place` for an object in a drawer or behind a door, which the plan opens before and closes after.
 
     Raises:
-        UsageError: the object is behind none.
+        UsageError: the object does not start in a drawer or behind a door.
     """
     return _opened(target, target.start_link, "start_link")
 
 
 def open_goal(target: Target) -> list[Subtask]:
-    """`pick_and_place`, with the drawer or door that the object goes behind opened before and closed after.
+    """`pick_and_place` to a goal in a drawer or behind a door, which the plan opens before and closes after.
 
     Raises:
-        UsageError: the object goes behind none.
+        UsageError: the goal is not in a drawer or behind a door.
     """
     return _opened(target, target.goal_link, "goal_link")
 

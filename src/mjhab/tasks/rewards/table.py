@@ -1,4 +1,4 @@
-"""What a dense reward is made of: a table of terms, what they read, and the raw measures they share.
+"""Dense rewards as tables of terms: the terms, the quantities that they read, and shared functions for raw values.
 
 A term is ``scale`` times a raw value between 0 and 1, given while its condition ``when`` holds. Terms, scales and
 shapes are those of mshab/envs/{pick,place,open,close,navigate}.py, with Euclidean distances and absolute speeds.
@@ -18,22 +18,22 @@ from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.thresholds import TaskConfig
 
 ALWAYS = "always"
-"""The condition of terms that are given in every step."""
+"""Condition of terms that are added in every step."""
 FREE_FORCE = 0.2
-"""Scaled contact force up to which the force term costs nothing."""
+"""Scaled contact force below which the force term is 0."""
 HAND_FORCE_PER_NEWTON = 0.001
-"""Scale of contact forces in Pick and Place: those below 200 N cost nothing."""
+"""Scale of contact forces in Pick and Place [1/N]; with FREE_FORCE, forces below 200 N are free."""
 IDEAL_SPEED = {"hinge": 2.0, "slide": 1.0}
-"""A door should turn no faster [rad/s] and a drawer slide no faster [m/s] than this, by type of joint."""
+"""Largest joint speed without penalty by type of joint: doors [rad/s], drawers [m/s]."""
 CLOSED_NEAR_M = 0.3
-"""A link counts as closed by the hand when its handle is this close to it."""
+"""Largest distance between tool centre and handle at which a closing link counts as closed by the hand [m]."""
 READABLE = ("object_vel", "joint", "nav_distance")
-"""What a table may ask for by ``RewardTable.reads``: it costs time and is zero in a view for tables that do not."""
+"""Fields of `RewardView` that are computed only for tables that name them in ``RewardTable.reads``; zero for others."""
 
 
 @dataclass(frozen=True)
 class RewardView:
-    """What dense rewards read of W worlds after a control step, about the active subtask. World frame, SI units."""
+    """Inputs of a dense reward: W worlds after a control step, active subtask. World frame, SI units."""
 
     world: WorldState
     signals: Signals
@@ -42,23 +42,25 @@ class RewardView:
     object_pos: Array
     """(W, 3) position of the subtask's object."""
     object_vel: Array
-    """(W, 6) linear [m/s] and angular [rad/s] velocity of the object; of tables that read "object_vel"."""
+    """(W, 6) linear [m/s] and angular [rad/s] velocity of the object; zero unless the table reads "object_vel"."""
     goal_pos: Array
-    """(W, 3) goal of the object, or point to go to."""
+    """(W, 3) goal of the object, or goal of the base in Navigate."""
     torso_up: Array
     """(W,) height of the torso as a share of its travel."""
     handle_distance: Array
-    """(W,) from the tool centre to the handle [m]; of tables that read "joint", like the next two and closed_near."""
+    """(W,) distance from the tool centre to the handle [m]; zero unless the table reads "joint", as are the next two
+    and closed_near."""
     joint_qd: Array
     """(W,) velocity of the link's joint [m/s or rad/s]."""
     joint_ideal: Array
-    """(W,) the joint should move no faster than this [m/s or rad/s]."""
+    """(W,) largest speed of the joint without penalty [m/s or rad/s]."""
     open_frac: Array
     """(W,) part of its range at which the link counts as open."""
     nav_distance: Array
-    """(W,) way to the navigation goal [m], along the floor; of tables that read "nav_distance"."""
+    """(W,) length of the way to the navigation goal around obstacles [m]; zero unless the table reads
+    "nav_distance"."""
     closed_near: Array
-    """(W,) bool: the link has been closed with the hand at it, see `closed_near`."""
+    """(W,) bool: the link has been closed while the tool centre was near its handle, see `closed_near`."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,9 @@ class Term:
     name: str
     scale: float
     when: str
-    """Condition under which it is given, see the kind's raw function."""
+    """Name of the condition under which the term is added; the raw function of the table computes it."""
     about: str
-    """What is rewarded and how: the raw value is the formula, or 1."""
+    """Description: the rewarded behaviour, and the formula of the raw value if it is not 1."""
 
 
 RawFunction = Callable[[RewardView, TaskConfig], tuple[dict[str, Array], dict[str, Array]]]
@@ -83,19 +85,19 @@ class RewardTable:
     """The dense reward of one kind of subtask.
 
     Raises:
-        UsageError: it asks for something that views do not have.
+        UsageError: ``reads`` names something other than READABLE.
     """
 
     terms: tuple[Term, ...]
     cases: tuple[tuple[str, ...], ...]
-    """Conditions that can hold together, besides ALWAYS: each a stage of the subtask at its best."""
+    """Sets of conditions that can hold at the same time, besides ALWAYS; one set per stage of the subtask."""
     raw: RawFunction
     published: float | None = None
-    """The normaliser of the original, None if it has no such subtask."""
+    """Normaliser of the published code; None if it lacks the subtask."""
     reads: tuple[str, ...] = ()
-    """What it reads of a view beyond what is always there, of READABLE."""
+    """Names from READABLE that the raw function needs."""
     raw_published: RawFunction | None = None
-    """The original's own conditions and raw values, None where they do not differ."""
+    """Conditions and raw values of the published code; None if they do not differ from ``raw``."""
 
     def __post_init__(self) -> None:
         for name in self.reads:
@@ -104,7 +106,7 @@ class RewardTable:
 
     @property
     def attainable(self) -> float:
-        """The largest sum the terms can reach: in the best of the cases, every raw value 1 (0 if its scale < 0)."""
+        """Largest possible sum of the terms over ``cases``: raw values are 1, or 0 for terms with a negative scale."""
         return max(
             sum(max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case))
             for case in self.cases

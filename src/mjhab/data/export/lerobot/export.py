@@ -31,12 +31,11 @@ from mjhab.data.select.describing import (
 from mjhab.data.select.own_state import split_state
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
+from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.shard import last_label
 
 FPS = round(1 / STEP_SECONDS)
-OLD_ROBOT = "fetch"
-"""Robot of shards that do not name theirs."""
 STATE = "observation.state"
 """Proprioception: joints, velocity of the base, tcp pose."""
 ENVIRONMENT_STATE = "observation.environment_state"
@@ -139,7 +138,7 @@ class _Export:
         self._choice = choice
         self._until = Until.parse(choice.until)
         self._features: Features = {}
-        self._robot = OLD_ROBOT
+        self._robot = OLDER_ROBOT
         self._cameras: Mapping[str, Any] = {}
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
@@ -157,7 +156,7 @@ class _Export:
                 episode.refuse_damage()
                 features = describe(episode, self._choice)
                 self._features = self._features or features
-                self._robot = str(episode.run.layout.get("robot", OLD_ROBOT))
+                self._robot = episode.run.robot
                 self._cameras = self._cameras or episode.run.layout.get("cameras", {})
                 if features != self._features:
                     raise _differs(episode, self._features, features)

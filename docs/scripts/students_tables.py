@@ -35,12 +35,13 @@ def student_table() -> str:
         judged = row["evaluation"]
         paper = row["paper_success_once"] or {}
         low, high = judged["success_once_interval"]
-        line = [row["task"], row["subtask"], row["target"] or "all", str(row["image_size"])]
+        line = [row["task"], row["subtask"], row["target"] or "all", str(row["image_size"] or "states")]
         line += [f"**{percent(judged['success_once'])}**", f"{100 * low:.0f}-{100 * high:.0f}"]
         line += [str(judged["episodes"]), percent(judged["success_at_end"])]
         frames = training["frames"]
         line += [f"{training['episodes']:,}", "-" if frames is None else f"{frames:,}"]
-        line += [f"{training['samples'] / 1e6:.1f} M", minutes(training)]
+        samples = training["samples"]
+        line += [f"{samples / 1e6:.1f} M" if samples else "-", minutes(training)]
         line += [f"{paper[name]:.1f}" if name in paper else "-" for name in ("bc", "rl_per")]
         lines.append([*line, training["commits"][-1][:7] or "-"])
     return table(head, lines)

@@ -23,9 +23,12 @@ from mjhab.learning.reinforcement.configs import (
     ReinforcementConfig,
     SacConfig,
 )
+from mjhab.learning.reinforcement.ppo import PpoLearner
+from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Scene
+from mjhab.learning.runs.run import Logbook
 
 SCENE = Scene(
     "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
@@ -148,6 +151,57 @@ def test_the_student_is_the_best_evaluated_actor(
     student = load_checkpoint(tmp_path / "run" / "student.safetensors")
     assert result.summary["student_samples"] == student.about["samples"] == 16
     assert result.summary["samples"] == 48 and next(rates, None) is None
+
+
+def test_ctrl_c_before_the_first_checkpoint_keeps_the_actor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 16:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(sessions.ReinforcementSession, "check_time", interrupted)
+    result = train_reinforcement(request(TINY), tmp_path / "run")
+    assert result.interrupted and result.summary["trained"]
+    kept = load_checkpoint(Path(result.summary["checkpoint"]))
+    assert kept.about["samples"] == result.summary["student_samples"] == 16
+    monkeypatch.setattr(PpoLearner, "collect", ctrl_c)
+    early = train_reinforcement(request(TINY), tmp_path / "early")
+    assert early.interrupted and early.summary["checkpoint"] is None
+    assert not early.summary["trained"] and early.summary["split"] is None
+
+
+def ctrl_c(learner: PpoLearner) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("slow", ["demonstrations", "imitation"])
+def test_the_budget_holds_for_demonstrations_and_imitation(
+    slow: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A clock that only demonstrations, or only imitation, let pass."""
+    now = [0.0]
+    monkeypatch.setattr(Logbook, "seconds", property(lambda log: now[0]))
+    owner, name = {
+        "demonstrations": (ReplayBuffer, "add"),
+        "imitation": (PpoLearner, "_imitation_loss"),
+    }[slow]
+    work = getattr(owner, name)
+
+    def passes(self: object, *given: object) -> object:
+        now[0] += 10.0
+        return work(self, *given)
+
+    monkeypatch.setattr(owner, name, passes)
+    config = dataclasses.replace(TINY_IMITATING, samples=64)
+    assert config.ppo is not None
+    config = dataclasses.replace(
+        config, ppo=dataclasses.replace(config.ppo, imitation_updates=1000)
+    )
+    told = dataclasses.replace(request(config), budget_seconds=45.0)
+    summary = train_reinforcement(told, tmp_path / "run").summary
+    assert now[0] == 50.0 and summary["samples"] == 0
+    assert summary["trained"] is (slow == "imitation")
 
 
 def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:

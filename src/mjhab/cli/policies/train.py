@@ -66,7 +66,7 @@ HELD_OUT = "val"
 
 
 def run_train(options: RunOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (the last checkpoint is kept)."""
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (a checkpoint is kept, if training had begun)."""
     require_learn()
     with sigterm_interrupts():
         result = _train(options)
@@ -252,9 +252,13 @@ def _changed(config: Any, **values: Any) -> Any:
 def _tell(options: RunOptions, result: TrainingResult) -> None:
     summary = result.summary
     if result.interrupted:
+        kept = (
+            f"the last checkpoint is kept in {options.out}"
+            if summary["checkpoint"]
+            else "there is no checkpoint yet"
+        )
         print(
-            f"mjhab: interrupted; the last checkpoint is kept in {options.out}. The same command with --resume "
-            "continues.",
+            f"mjhab: interrupted; {kept}. The same command with --resume continues.",
             file=sys.stderr,
         )
     if options.json:
@@ -266,7 +270,13 @@ def _tell(options: RunOptions, result: TrainingResult) -> None:
         interval = f"95 % interval {100 * low:.0f} to {100 * high:.0f} %"
         minutes = summary["seconds"] / SECONDS_PER_MINUTE
         print(
-            f"success once {100 * success:.1f} % of {summary['episodes']} episodes ({interval}), {minutes:.1f} minutes"
+            f"success once {100 * success:.1f} % of {summary['episodes']} episodes in homes of split "
+            f"{summary['split']} ({interval}), {minutes:.1f} minutes"
         )
-    print(f"student: {summary['checkpoint']}")
+    if not summary["trained"]:
+        print(
+            "mjhab: the network was not trained: the run ended before its first update.",
+            file=sys.stderr,
+        )
+    print(f"student: {summary['checkpoint'] or 'no checkpoint yet'}")
     print(f"report: {result.report}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -268,8 +269,11 @@ class PpoLearner:
 
     # -- learning -----------------------------------------------------------------------------------------------------
 
-    def imitate(self) -> float:
-        """Let the actor imitate the demonstrations, for ``imitation_updates``; returns the loss of the last one."""
+    def imitate(self, tell: Callable[[], object] = bool) -> float:
+        """Let the actor imitate the demonstrations, for ``imitation_updates``; returns the loss of the last one.
+
+        ``tell`` is called after every update; what it raises ends the imitation.
+        """
         assert self.shown is not None
         agent = self.agent
         random = self._random("imitate")
@@ -290,6 +294,7 @@ class PpoLearner:
             distributed.average_gradients(parameters)
             optimizer.step()
             schedule.step()
+            tell()
         return float(loss.detach())
 
     def _imitation_loss(self, random: torch.Generator) -> Tensor:
@@ -380,7 +385,7 @@ class PpoLearner:
             loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
         if not math.isfinite(float(loss.detach())):
             raise BrokenLossError(
-                f"the loss became {float(loss.detach())} in update {self.updates + 1}. The last good checkpoint is "
+                f"the loss became {float(loss.detach())} in update {self.updates + 1}. The weights from before it are "
                 "kept; a smaller learning rate may help."
             )
         self.optimizer.zero_grad(set_to_none=True)

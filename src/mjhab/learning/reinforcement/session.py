@@ -34,11 +34,10 @@ from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.evaluation import Evaluations
+from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
 from mjhab.learning.students.student import Student
-from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
 from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
@@ -91,6 +90,8 @@ class Standing:
 
     checkpoints: number of checkpoints written. seconds: wall time. evaluated: number of samples at each evaluation.
     best_success, best_samples: success-once rate of the best evaluation during training, and its number of samples.
+    student_samples: number of samples of the actor in the student checkpoint. trained: whether the actor was ever
+    updated, or began from a checkpoint.
     """
 
     samples: int = 0
@@ -100,6 +101,8 @@ class Standing:
     evaluated: list[int] = field(default_factory=list)
     best_success: float = -1.0
     best_samples: int = 0
+    student_samples: int = 0
+    trained: bool = False
 
 
 def image_options(inputs: InputConfig) -> dict[str, Any]:
@@ -182,13 +185,16 @@ class ReinforcementSession:
             about = self.saved.about
             known = {name: about[name] for name in Standing.__dataclass_fields__ if name in about}
             self.standing = Standing(**known)
+        if self.start is not None:
+            self.standing.trained = True
         seed = self.seed + self.standing.checkpoints
         self.worlds = Worlds(self.env, sight, seed, self._rules())
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
-        self.records: list[EpisodeRecord] = []
+        self.judged = Judgement()
+        """The latest evaluation; none after `keep_best` has chosen an actor that was evaluated earlier."""
         self.demonstrations = 0
         """Number of episodes in the demonstration buffer."""
-        self._eval_seconds = 0.0
+        self._clock = EvaluationClock(request.budget_seconds)
         self._began = time.perf_counter()
         self.learner_seconds = 0.0
         self.evaluation_seconds = 0.0
@@ -258,10 +264,14 @@ class ReinforcementSession:
         budget = self.request.budget_seconds
         # At the end the last actor may have to be compared with the best one.
         episodes = self.request.eval_episodes + self.request.round_episodes
-        reserve = self._eval_seconds * episodes
+        reserve = self._clock.reserve(episodes)
         # The first process decides for all: if one process stopped alone, the others would wait for its gradients.
         if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
             raise OutOfTime
+
+    def estimate_evaluation(self, seconds: float) -> None:
+        """Take the time that an episode of the expert needs [s] for that of an evaluation, until one is measured."""
+        self._clock.guess(seconds)
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
@@ -277,6 +287,7 @@ class ReinforcementSession:
 
     def _write(self, actor: Student, tensors: dict[str, Tensor]) -> None:
         self.standing.seconds = self.log.seconds
+        self.standing.student_samples = self.standing.samples
         about = {
             **vars(self.standing),
             "checkpoints": self.standing.checkpoints + 1,
@@ -285,6 +296,14 @@ class ReinforcementSession:
         }
         save_tensors(self.folder.training, actor, tensors, about)
         self.save_actor(actor)
+
+    def keep_last(self, actor: Student) -> None:
+        """Make the actor of this moment the run's student, after Ctrl-C or a broken loss, if it was ever updated.
+
+        The training checkpoint stays that of the last regular one, so a resumed run is exactly repeated from there.
+        """
+        if self.standing.trained and not distributed.rank():
+            self.save_actor(actor)
 
     def time_shares(self) -> dict[str, float]:
         """Fractions of the wall time since this process started: env, learner, evaluation, other (acting, files)."""
@@ -308,6 +327,8 @@ class ReinforcementSession:
             "seed": self.request.seed,
         }
         save_student(path or self.folder.student, actor, about)
+        if path is None:
+            self.standing.student_samples = self.standing.samples
 
     def keep_best(self, actor: Student) -> None:
         """Make the checkpoint with the best evaluation the run's student; of equal ones the latest.
@@ -323,8 +344,9 @@ class ReinforcementSession:
         if self.folder.best.is_file() and standing.best_samples != standing.samples:
             best = self.folder.best
             write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
-            # They are those of the last actor, and the summary tells of the student.
-            self.records = []
+            standing.student_samples = standing.best_samples
+            # It was of the last actor, and the summary tells of the student.
+            self.judged = Judgement()
 
     def evaluate(self, actor: Student, episodes: int) -> None:
         """Evaluate the actor during training, and keep it if no earlier one was better."""
@@ -361,11 +383,13 @@ class ReinforcementSession:
         evaluations = Evaluations(judged, means, self.request.seed, tell)
         out = self.folder.evaluation(FIRST if first and not last else LATEST)
         run = evaluations.run(self.folder.student, episodes, films, out)
-        self.records = list(run.records)
+        self.judged = Judgement(
+            split, self.standing.student_samples, {self.scene.name: run.records}
+        )
         spent = time.perf_counter() - began
-        self._eval_seconds = spent / episodes
+        self._clock.measured(spent / episodes)
         self.evaluation_seconds += spent
-        success = sum(record.success_once for record in self.records) / episodes
+        success = sum(record.success_once for record in run.records) / episodes
         self.log.report(
             self.standing.updates,
             self.standing.samples,

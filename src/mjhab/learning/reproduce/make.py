@@ -15,7 +15,7 @@ from mjhab.core.machine import cores
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.by_subtask import Entry, entries_text
 from mjhab.learning.configs import preset_of
-from mjhab.learning.reproduce.results import measured, write_results
+from mjhab.learning.reproduce.results import measured, untrained, write_results
 from mjhab.learning.reproduce.rows import (
     FOR_ALL,
     STUDENTS,
@@ -81,6 +81,8 @@ def reproduce(
 def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
     """Train and evaluate the policies of a row, unless that is done already.
 
+    A row with a policy that was never updated, because the budget ended before, is not evaluated.
+
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed; finished parts are kept.
     """
@@ -99,6 +101,9 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
         if variant.imitation is not None:
             trained = [(row, row.target, study_run(spec, row, variant))]
         runs = [run for _, _, run in trained]
+        if untrained(runs):
+            found[variant.name] = measured(runs, [])
+            continue
         if row.subtask:
             judged = _judge_policies(spec, row, trained, variant, sinks)
         else:

@@ -77,6 +77,11 @@ class TrainingFolder:
         """Path of the student checkpoint with the best evaluation during training."""
         return self.path / BEST
 
+    @property
+    def kept_student(self) -> str | None:
+        """Path of the student checkpoint as text; None while there is none."""
+        return str(self.student) if self.student.is_file() else None
+
     def data(self, number: int) -> Path:
         """Folder of the demonstrations of a round."""
         return self.path / DATA / f"round_{number:03d}"

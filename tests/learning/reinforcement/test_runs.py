@@ -123,16 +123,25 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     assert json.loads(judged.read_text(encoding="utf-8"))["profile"] == "ms_hab"
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert 'id="loss-plot"' in page
-    # What PPO has left another run may begin from; another algorithm may not.
+    # What PPO has left another run may begin from.
     start = str(tmp_path / "run" / "student.safetensors")
     polished = train_reinforcement(
         dataclasses.replace(request(dataclasses.replace(TINY, samples=16)), start=start),
         tmp_path / "polished",
     )
     assert polished.summary["samples"] == 16
-    with pytest.raises(UsageError, match="gaussian"):
+    # An actor of SAC takes over its trunk and its actions.
+    other = train_reinforcement(
+        dataclasses.replace(
+            request(dataclasses.replace(TINY_RLPD, samples=16)), start=start, eval_episodes=1
+        ),
+        tmp_path / "other",
+    )
+    kept = load_student(Path(other.summary["checkpoint"]))
+    assert kept.config.algorithm == "gaussian_actions" and other.summary["episodes"] == 1
+    with pytest.raises(UsageError, match="of algorithm bc with"):
         train_reinforcement(
-            dataclasses.replace(request(TINY_RLPD), start=start), tmp_path / "other"
+            dataclasses.replace(request(TINY), start=other.summary["checkpoint"]), tmp_path / "ppo"
         )
 
 

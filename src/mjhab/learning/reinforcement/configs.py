@@ -36,7 +36,7 @@ class PpoConfig:
     gamma: discount per control step. gae_lambda, clip, value_coefficient, entropy_coefficient: as in the PPO paper.
     finite_horizon: use the advantage estimate of MS-HAB (`returns.finite_horizon_advantages`) instead of GAE.
     target_kl: an update stops early once an epoch exceeds this KL divergence; 0 disables the limit.
-    clip_norm: largest gradient norm, applied to actor and critic separately.
+    clip_norm: largest gradient norm, applied to actor and critic separately, or with clip_jointly to both together.
     learning_rate_end: factor on the learning rate at the end of training; it decreases linearly from 1.
     initial_std: standard deviation of the actions before training, as a fraction of the action range [-1, 1].
     desired_kl: the learning rate is adapted so that the KL divergence of an epoch stays near this value; 0 disables
@@ -60,6 +60,7 @@ class PpoConfig:
     entropy_coefficient: float = 0.0
     target_kl: float = 0.05
     clip_norm: float = 0.5
+    clip_jointly: bool = False
     learning_rate: float = 3e-4
     critic_learning_rate: float = 0.0
     learning_rate_end: float = 1.0
@@ -203,9 +204,15 @@ DEPTH_INPUTS = InputConfig(
 )
 """STATE_INPUTS with two depth images of 32 x 32 px."""
 PAPER_INPUTS = InputConfig(
-    image_size=128, previous_action=False, condition=False, normalize=False, shift=0, history=3
+    image_size=128,
+    previous_action=False,
+    condition=False,
+    normalize=False,
+    shift=0,
+    history=3,
+    stack_state=False,
 )
-"""Inputs of the MS-HAB agents: two depth images of 128 x 128 px and the unnormalized 42-D state, of three steps."""
+"""Inputs of the MS-HAB agents: two depth images of 128 x 128 px of three steps, and one unnormalized 42-D state."""
 
 STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
 
@@ -272,6 +279,7 @@ PAPER_PPO = ReinforcementConfig(
         gae_lambda=0.9,
         finite_horizon=True,
         target_kl=0.2,
+        clip_jointly=True,
         initial_std=0.6065,  # exp(-0.5)
     ),
     samples=15_000_000,

@@ -27,7 +27,7 @@ from mjhab.learning.checkpoint import (
     save_student,
     save_tensors,
 )
-from mjhab.learning.configs import InputConfig
+from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
 from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
@@ -37,6 +37,8 @@ from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
+from mjhab.learning.students.bc import BehaviourCloning
+from mjhab.learning.students.gaussian import gaussian_of
 from mjhab.learning.students.student import Student
 from mjhab.rollout.store import check_folder
 from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
@@ -407,12 +409,16 @@ def _start_of(request: ReinforcementRequest) -> Student | None:
     if not request.start:
         return None
     student = load_student(Path(request.start))
-    wanted = request.config.student.algorithm
-    if student.config.algorithm != wanted or student.config.inputs.history != 1:
+    # Only the first action of a chunk is used; SAC squashes it, so a student of behaviour cloning is converted.
+    known = (BC,) if request.config.ppo is not None else (BC, GAUSSIAN, GAUSSIAN_ACTIONS)
+    if student.config.algorithm not in known or student.config.inputs.history != 1:
         raise UsageError(
-            f"{request.config.algorithm} begins from a checkpoint of algorithm {wanted} with a history of 1; "
-            f"{request.start} has algorithm {student.config.algorithm} and history {student.config.inputs.history}."
+            f"{request.config.algorithm} begins from a checkpoint of algorithm {' or '.join(known)} with a history of "
+            f"1; {request.start} has algorithm {student.config.algorithm} and history "
+            f"{student.config.inputs.history}."
         )
+    if request.config.sac is not None and isinstance(student, BehaviourCloning):
+        student = gaussian_of(student)
     student.config = dataclasses.replace(student.config, execute=1)
     return student.requires_grad_(True)
 

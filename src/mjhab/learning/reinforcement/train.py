@@ -427,7 +427,11 @@ class _SacRun(_Run):
         encoders = [agent.judge.encoder.normalizer, agent.target.encoder.normalizer]
         if self.session.start is None:
             encoders.append(agent.actor.normalizer)
-        statistics.fit(encoders, layout.measured_width)
+        elif self.sac.share_encoder:
+            # The trained actor's inputs keep their meaning, and the critics read the same encoder.
+            encoders = []
+        if encoders:
+            statistics.fit(encoders, layout.measured_width)
         privileged = torch.cat([seen.privileged for seen in rows])
         critics = [agent.judge.critics.privileged, agent.target.critics.privileged]
         if privileged.shape[1]:

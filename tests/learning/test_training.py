@@ -429,9 +429,12 @@ def test_ctrl_c_during_an_update_keeps_whole_updates(
         return make_updates(trainer, one, rate)
 
     whole = train(request(source), tmp_path / "whole")
+    # A shell starts processes in the background with Ctrl-C ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "update", interrupted)
         stopped = train(request(source), tmp_path / "part")
+    signal.signal(signal.SIGINT, before)
     assert stopped.interrupted and stopped.summary["steps"] == 2 and stopped.summary["trained"]
     assert Path(stopped.summary["checkpoint"]).is_file()
     assert load_checkpoint(tmp_path / "part" / "training.safetensors").about["step"] == 2

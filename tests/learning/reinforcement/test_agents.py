@@ -325,8 +325,18 @@ def test_an_environment_that_resets_itself_is_refused() -> None:
 
 
 def test_worlds_that_do_not_divide_into_minibatches_are_refused() -> None:
-    with pytest.raises(UsageError, match="minibatches do not divide"):
-        changed(reinforcement_preset("ppo", "paper"), {"worlds": 7})
+    paper = reinforcement_preset("ppo", "paper")
+    told = r"--worlds 4 or 8, or --set ppo.minibatches=14 or 20\."
+    with pytest.raises(UsageError, match=told):
+        changed(paper, {"worlds": 7})
+    for numbers in ({"worlds": 4}, {"worlds": 8}, {"worlds": 7, "minibatches": 14}):
+        assert changed(paper, {"minibatches": 16} | numbers if len(numbers) == 1 else numbers)
+
+
+@pytest.mark.parametrize(("name", "value"), [("gamma", 7.0), ("gamma", 0.0), ("gae_lambda", 1.5)])
+def test_discounts_lie_between_0_and_1(name: str, value: float) -> None:
+    with pytest.raises(UsageError, match=f"{name} must"):
+        changed(PPO_TOY, {name: value})
 
 
 def test_unknown_presets_are_told() -> None:

@@ -7,6 +7,7 @@ mshab/train_sac.py). "squint" is arXiv 2602.21203, "rlpd" is arXiv 2302.02948, "
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -80,6 +81,10 @@ class PpoConfig:
         for name in ("rollout_steps", "minibatches", "epochs"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if not 0.0 < self.gamma <= 1.0:
+            raise UsageError(f"gamma must be above 0 and at most 1, got {self.gamma}.")
+        if not 0.0 <= self.gae_lambda <= 1.0:
+            raise UsageError(f"gae_lambda must lie between 0 and 1, got {self.gae_lambda}.")
 
 
 @dataclass(frozen=True)
@@ -177,8 +182,24 @@ class ReinforcementConfig:
             if rows % self.ppo.minibatches:
                 raise UsageError(
                     f"{self.worlds} worlds x {self.ppo.rollout_steps} steps give {rows} samples, which "
-                    f"{self.ppo.minibatches} minibatches do not divide evenly; change --worlds."
+                    f"{self.ppo.minibatches} minibatches do not divide evenly. The nearest that fit are "
+                    f"{self._fitting()}."
                 )
+
+    def _fitting(self) -> str:
+        """The numbers of worlds, and of minibatches, nearest to those of the config that give equal minibatches."""
+        assert self.ppo is not None
+        parts, steps = self.ppo.minibatches, self.ppo.rollout_steps
+        rows = self.worlds * steps
+        unit = parts // math.gcd(parts, steps)
+        below = self.worlds // unit * unit
+        worlds = [str(number) for number in (below, below + unit) if number]
+        fewer = next(number for number in range(parts, 0, -1) if rows % number == 0)
+        more = next((number for number in range(parts, rows + 1) if rows % number == 0), fewer)
+        minibatches = [str(number) for number in sorted({fewer, more})]
+        return (
+            f"--worlds {' or '.join(worlds)}, or --set ppo.minibatches={' or '.join(minibatches)}"
+        )
 
     @property
     def student(self) -> StudentConfig:

@@ -423,6 +423,20 @@ def _start_of(request: ReinforcementRequest) -> Student | None:
     return student.requires_grad_(True)
 
 
+def _check_start(request: ReinforcementRequest) -> None:
+    """Refuse a preset that keeps the actor at first, if that actor would be a new one.
+
+    Raises:
+        UsageError: names the options that give a trained actor.
+    """
+    ppo = request.config.ppo
+    if ppo is not None and ppo.critic_updates and not ppo.demonstrations and not request.start:
+        raise UsageError(
+            f"preset {request.config.preset} begins from a trained student: give --start CHECKPOINT, or train from "
+            "random weights with --preset scratch."
+        )
+
+
 def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
     """Everything that determines the result of a run, as JSON data."""
     return {
@@ -457,7 +471,8 @@ def open_reinforcement(
     if not first:
         # The first process refuses a folder that is not empty, so it goes first.
         distributed.wait()
-    check_folder(mine, config, resume=resume)
+    check_folder(mine, config, resume=resume, replaceable=False)
+    _check_start(request)
     folder = TrainingFolder.open(mine, config, resume=resume)
     if first:
         distributed.wait()

@@ -32,6 +32,7 @@ from mjhab.learning.reinforcement.session import (
     open_reinforcement,
 )
 from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.train import TrainingResult
 from mjhab.learning.runs.training import BrokenLossError
@@ -55,7 +56,7 @@ def train_reinforcement(
         BrokenLossError: the loss became NaN; the weights from before it are kept as the run's student.
     """
     interrupted = False
-    with open_reinforcement(request, out, resume) as session:
+    with refused_leaves_nothing(out), open_reinforcement(request, out, resume) as session:
         run: _PpoRun | _SacRun = (
             _PpoRun(session) if session.config.ppo is not None else _SacRun(session)
         )

@@ -26,6 +26,7 @@ from mjhab.learning.reproduce.rows import (
 from mjhab.learning.reproduce.spec import TableSpec, chosen_rows, policy_rows, table_config
 from mjhab.learning.reproduce.variants import STUDIES, VARIANTS, Variant
 from mjhab.learning.require import require_learn
+from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import check_folder, write_text
 
@@ -64,17 +65,18 @@ def reproduce(
     require_learn()
     rows = chosen_rows(spec)
     config = table_config(spec)
-    check_folder(spec.out, config, resume=spec.resume)
-    spec.out.mkdir(parents=True, exist_ok=True)
-    write_text(spec.out / CONFIG, json.dumps(config, indent=2) + "\n")
+    check_folder(spec.out, config, resume=spec.resume, replaceable=False)
     interrupted = False
-    try:
-        for row in rows:
-            tell(row)
-            make_row(spec, row, sinks)
-            write_results(spec.out, rows)
-    except KeyboardInterrupt:
-        interrupted = True
+    with refused_leaves_nothing(spec.out):
+        spec.out.mkdir(parents=True, exist_ok=True)
+        write_text(spec.out / CONFIG, json.dumps(config, indent=2) + "\n")
+        try:
+            for row in rows:
+                tell(row)
+                make_row(spec, row, sinks)
+                write_results(spec.out, rows)
+        except KeyboardInterrupt:
+            interrupted = True
     return write_results(spec.out, rows), interrupted
 
 

@@ -431,7 +431,7 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
         UsageError: data, folder or scene do not fit; then nothing was written.
     """
     config = resolved_config(request)
-    check_folder(out, config, resume=resume)
+    check_folder(out, config, resume=resume, replaceable=False)
     layout = layout_for(request)
     session = Session(request, layout, TrainingFolder.open(out, config, resume=resume), resume)
     with session.log:

@@ -9,6 +9,7 @@ from typing import Any
 from mjhab.data.record.provenance import source_commit
 from mjhab.learning.runs.dagger import train_dagger
 from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime, Request, Session, open_session
 from mjhab.learning.runs.supervised import train_supervised
 from mjhab.learning.runs.training import BrokenLossError
@@ -39,7 +40,7 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
         BrokenLossError: the loss became NaN; the weights from before it are kept.
     """
     interrupted = False
-    with open_session(request, out, resume) as session:
+    with refused_leaves_nothing(out), open_session(request, out, resume) as session:
         try:
             _learn(session)
             session.save()

@@ -122,6 +122,20 @@ def test_a_refused_run_leaves_no_folder(
     assert not list(out.iterdir())
 
 
+def test_an_interrupted_run_says_what_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mjhab.learning.runs.collection.Collector.collect", interrupted)
+    words = ["train", "bc", *CLOSE, "--out", str(tmp_path / "run"), "--json"]
+    assert main(words) == 130
+    told = capsys.readouterr()
+    assert json.loads(told.out.splitlines()[-1])["checkpoint"] is None
+    assert "there is no checkpoint yet" in told.err and "is kept" not in told.err
+
+
 def test_policies_are_judged_in_homes_that_they_have_not_seen(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

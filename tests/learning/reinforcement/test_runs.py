@@ -207,10 +207,15 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
     config = dataclasses.replace(
         config, ppo=dataclasses.replace(config.ppo, imitation_updates=1000)
     )
-    told = dataclasses.replace(request(config), budget_seconds=45.0)
+    told = dataclasses.replace(
+        request(config), budget_seconds=90.0, eval_episodes=1, round_episodes=100
+    )
     summary = train_reinforcement(told, tmp_path / "run").summary
+    # Half of the budget is reserved for evaluations that nobody has measured.
     assert now[0] == 50.0 and summary["samples"] == 0
     assert summary["trained"] is (slow == "imitation")
+    # Random weights are not judged.
+    assert summary["episodes"] == summary["trained"]
 
 
 def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.cli.interrupts import sigterm_interrupts
@@ -27,6 +29,7 @@ from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores
 from mjhab.learning.require import require_learn
+from mjhab.learning.runs.run import TRAINING
 from mjhab.robots.registry import robot_named
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
@@ -252,15 +255,7 @@ def _changed(config: Any, **values: Any) -> Any:
 def _tell(options: RunOptions, result: TrainingResult) -> None:
     summary = result.summary
     if result.interrupted:
-        kept = (
-            f"the last checkpoint is kept in {options.out}"
-            if summary["checkpoint"]
-            else "there is no checkpoint yet"
-        )
-        print(
-            f"mjhab: interrupted; {kept}. The same command with --resume continues.",
-            file=sys.stderr,
-        )
+        print(f"mjhab: interrupted; {_kept(options.out, summary)}", file=sys.stderr)
     if options.json:
         print_json(summary)
         return
@@ -280,3 +275,11 @@ def _tell(options: RunOptions, result: TrainingResult) -> None:
         )
     print(f"student: {summary['checkpoint'] or 'no checkpoint yet'}")
     print(f"report: {result.report}")
+
+
+def _kept(out: Path, summary: Mapping[str, Any]) -> str:
+    """What an interrupted run has left, and what --resume makes of it."""
+    if (out / TRAINING).is_file():
+        return f"the last checkpoint is kept in {out}. The same command with --resume continues."
+    kept = f"the policy is kept in {out}" if summary["checkpoint"] else "there is no checkpoint yet"
+    return f"{kept}. The same command with --resume trains from the beginning."

@@ -71,7 +71,8 @@ def train_reinforcement(
                 session.log.show({"phase": "the budget is spent"})
             session.save(run.actor, run.tensors())
             session.keep_best(run.actor)
-            if request.eval_episodes:
+            # Random weights are not judged.
+            if request.eval_episodes and session.standing.trained:
                 session.evaluate_student(request.eval_episodes)
         except (KeyboardInterrupt, BrokenLossError) as error:
             session.keep_last(run.actor)

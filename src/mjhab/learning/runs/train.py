@@ -44,7 +44,8 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
         try:
             _learn(session)
             session.save()
-            if request.eval_episodes:
+            # Random weights are not judged.
+            if request.eval_episodes and session.trainer.step:
                 session.evaluate(request.eval_episodes, last=True)
                 session.save()
         except (KeyboardInterrupt, BrokenLossError) as error:

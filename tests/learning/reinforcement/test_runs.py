@@ -162,6 +162,18 @@ def test_the_student_is_the_best_evaluated_actor(
     assert result.summary["samples"] == 48 and next(rates, None) is None
 
 
+def test_the_split_told_is_that_of_the_episodes_behind_the_rate(tmp_path: Path) -> None:
+    told = dataclasses.replace(
+        request(dataclasses.replace(TINY, samples=16)), round_episodes=1, eval_split="val"
+    )
+    summary = train_reinforcement(told, tmp_path / "run").summary
+    judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
+    assert summary["split"] == json.loads(judged.read_text(encoding="utf-8"))["split"] == "train"
+    assert summary["episodes"] == 1 and summary["evaluated_samples"] == 16
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "1 episodes in homes of split train" in page
+
+
 def test_ctrl_c_before_the_first_checkpoint_keeps_the_actor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -199,6 +199,9 @@ class _Run(ABC):
 
         def tell(done: int, total: int) -> None:
             session.log.show({"phase": f"demonstrations: {done}/{total}"})
+            # Several processes have different numbers of batches, and could not decide together.
+            if distributed.processes() == 1:
+                session.check_time()
 
         return replay_recorded(session, make, tell)
 

@@ -14,6 +14,7 @@ from mjhab.learning.configs import (
     DIFFUSION,
     FLOW,
     GAUSSIAN,
+    GAUSSIAN_ACTIONS,
     InputConfig,
     NetworkConfig,
     OptimizerConfig,
@@ -44,6 +45,8 @@ def config(algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any) ->
         GAUSSIAN: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
         DIFFUSION: NetworkConfig("paper_dp", channels=(4, 8), image_features=8, unet=(8, 16)),
     }
+    networks[GAUSSIAN_ACTIONS] = networks[GAUSSIAN]
+    single = algorithm in (GAUSSIAN, GAUSSIAN_ACTIONS)
     steps = {FLOW: 3, DIFFUSION: 4}.get(algorithm, 0)
     student = StudentConfig(
         algorithm=algorithm,
@@ -51,8 +54,8 @@ def config(algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any) ->
         inputs=inputs,
         network=networks[algorithm],
         optimizer=OptimizerConfig(batch=8, learning_rate=1e-2, warmup=2),
-        chunk=1 if algorithm == GAUSSIAN else 4,
-        execute=1 if algorithm == GAUSSIAN else 2,
+        chunk=1 if single else 4,
+        execute=1 if single else 2,
         hold_steps=3,
         huber=0.0 if steps else 0.5,
         sampling_steps=steps,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ from mjhab.learning.configs import (
 )
 from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
+from mjhab.learning.runs.evaluation import EvaluationClock
+from mjhab.learning.runs.run import Logbook
 from mjhab.learning.runs.session import Request, Session, open_session
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import BrokenLossError, Trainer
@@ -40,6 +43,7 @@ from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Batch
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
+from tests.data.select.test_query import GOOD
 from tests.learning.small import INPUTS, config, demonstrations, layout, train_config
 
 
@@ -80,7 +84,7 @@ def test_every_student_learns_and_gives_chunks(algorithm: str) -> None:
     noise = np.zeros((3, student.draws, 4, 13), np.float32)
     chunk = student.act(every.vector[:3].numpy(), every.images[:3].numpy(), noise)
     assert chunk.shape == (3, student.config.chunk, 13) and np.abs(chunk).max() <= 1.0
-    assert (student.draws == 0) == (algorithm in ("bc", "act", "gaussian"))
+    assert (student.draws == 0) == (algorithm in ("bc", "act", "gaussian", "gaussian_actions"))
 
 
 def test_what_lies_behind_the_end_is_not_learned() -> None:
@@ -372,3 +376,125 @@ def test_the_learning_rate_falls_to_zero_in_the_end(
         0,
         4,
     )
+
+
+# -- what a run says of itself ---------------------------------------------------------------------------------------
+
+
+def judge_without_simulation(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Every evaluation succeeds in half of its episodes; returns a list that gets the split of each."""
+    asked: list[str] = []
+
+    def pretended(
+        session: Session, scene: Scene, split: str, episodes: int, films: int, out: Path
+    ) -> list[Any]:
+        asked.append(split)
+        return [
+            dataclasses.replace(GOOD, success_once=number % 2 == 0) for number in range(episodes)
+        ]
+
+    monkeypatch.setattr(Session, "_evaluate_in", pretended)
+    monkeypatch.setattr("mjhab.learning.runs.session._check_judged", bool)
+    return asked
+
+
+@pytest.mark.parametrize(("last", "split"), [(0, "train"), (6, "val")])
+def test_the_split_told_is_that_of_the_episodes_behind_the_rate(
+    last: int, split: str, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = judge_without_simulation(monkeypatch)
+    told = request(source, eval_episodes=last, round_episodes=2, eval_split="val")
+    summary = train(told, tmp_path / "run").summary
+    assert asked == ["train"] * 3 + ["val"] * bool(last)
+    assert (summary["split"], summary["episodes"]) == (split, last or 2)
+    assert summary["success_once"] == 0.5
+    assert summary["evaluated_samples"] == (32 if last else 24)
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert f"{last or 2} episodes in homes of split {split}" in page
+
+
+def test_without_an_evaluation_no_split_is_told(source: Path, tmp_path: Path) -> None:
+    summary = train(request(source, eval_split="val"), tmp_path / "run").summary
+    assert (summary["split"], summary["success_once"], summary["episodes"]) == (None, None, 0)
+
+
+def test_ctrl_c_during_an_update_keeps_whole_updates(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_updates = Trainer.update
+
+    def interrupted(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
+        if trainer.step == 1:
+            signal.raise_signal(signal.SIGINT)
+        return make_updates(trainer, one, rate)
+
+    whole = train(request(source), tmp_path / "whole")
+    # A shell starts processes in the background with Ctrl-C ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "update", interrupted)
+        stopped = train(request(source), tmp_path / "part")
+    signal.signal(signal.SIGINT, before)
+    assert stopped.interrupted and stopped.summary["steps"] == 2 and stopped.summary["trained"]
+    assert Path(stopped.summary["checkpoint"]).is_file()
+    assert load_checkpoint(tmp_path / "part" / "training.safetensors").about["step"] == 2
+    train(request(source), tmp_path / "part", resume=True)
+    one, other = (weights(Path(run) / "training.safetensors") for run in (
+        tmp_path / "whole", tmp_path / "part"))  # fmt: skip
+    assert whole.summary["steps"] == 4 and all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_before_the_data_are_read_there_is_no_checkpoint(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(session: Session, *_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Session, "load", interrupted)
+    stopped = train(request(source), tmp_path / "run")
+    assert stopped.interrupted and stopped.summary["checkpoint"] is None
+    assert stopped.summary["trained"] is False
+    assert not list((tmp_path / "run").glob("*.safetensors"))
+
+
+def test_nan_in_the_second_batch_leaves_the_first_update(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_updates = Trainer.update
+
+    def broken(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
+        if trainer.step == 1:
+            one = dataclasses.replace(one, actions=one.actions * torch.nan)
+        return make_updates(trainer, one, rate)
+
+    monkeypatch.setattr(Trainer, "update", broken)
+    with pytest.raises(BrokenLossError, match="batch 2"):
+        train(request(source), tmp_path / "run")
+    assert load_student(tmp_path / "run" / "student.safetensors")
+    assert load_checkpoint(tmp_path / "run" / "training.safetensors").about["step"] == 1
+
+
+def test_time_is_reserved_before_an_evaluation_is_measured(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a budget of 10 s half is reserved for 100 episodes, and every update takes 2 s."""
+    judge_without_simulation(monkeypatch)
+    now = [0.0]
+    make_updates = Trainer.update
+
+    def slow(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
+        now[0] += 2.0
+        return make_updates(trainer, one, rate)
+
+    monkeypatch.setattr(Logbook, "seconds", property(lambda log: now[0]))
+    monkeypatch.setattr(Trainer, "update", slow)
+    told = request(source, budget_seconds=10.0, eval_episodes=100)
+    summary = train(told, tmp_path / "run").summary
+    assert summary["steps"] == 3 and summary["episodes"] == 100
+    clock = EvaluationClock(10.0)
+    assert clock.reserve(2) == 1.0 and clock.reserve(1000) == 5.0
+    clock.guess(0.1)
+    assert clock.reserve(10) == pytest.approx(1.0)
+    clock.measured(2.0)
+    clock.guess(0.1)
+    assert clock.reserve(10) == 20.0

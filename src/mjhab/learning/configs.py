@@ -19,7 +19,8 @@ ACT = "act"
 DIFFUSION = "diffusion"
 DAGGER = "dagger"
 GAUSSIAN = "gaussian"
-HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN)
+GAUSSIAN_ACTIONS = "gaussian_actions"
+HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN, GAUSSIAN_ACTIONS)
 """Algorithms that map an observation to a chunk of actions."""
 
 
@@ -201,7 +202,7 @@ PAPER_BC = StudentConfig(
     preset="paper",
     inputs=PAPER_INPUTS,
     network=NetworkConfig("paper", (24, 36, 48, 64, 64), 1024, 1024, 3),
-    # 100 epochs of 1,000 demonstrations (about 130,000 control steps) in batches of 512.
+    # 100 epochs of 1,000 whole demonstrations (200 control steps each) in batches of 512.
     optimizer=OptimizerConfig(
         batch=512, learning_rate=3e-4, weight_decay=0.0, warmup=0, clip_norm=0.0, ema=0.0
     ),
@@ -209,7 +210,7 @@ PAPER_BC = StudentConfig(
     execute=1,
     hold_steps=-1,
     huber=0.0,
-    updates=25_000,
+    updates=39_000,
     demos=1000,
 )
 

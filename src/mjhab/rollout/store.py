@@ -31,6 +31,7 @@ SUMMARY = "summary.json"
 REPORT = "report.html"
 FILMS = "films"
 OWN = frozenset({CONFIG, EPISODES, SUMMARY, REPORT, FILMS})
+_MOST_SHOWN_CHANGES = 5
 FREE_KEYS = frozenset({"episodes", "films", "worlds", "threads"})
 """Config keys that a resumed run may change: they do not alter what happens in an episode."""
 
@@ -144,9 +145,16 @@ class StoreSink(Sink[RolloutEnv]):
 
 
 def check_folder(
-    path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+    path: Path,
+    config: Mapping[str, Any],
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    replaceable: bool = True,
 ) -> None:
     """Refuse what ``RunFolder.open`` cannot do, and change nothing: for checks before long preparations.
+
+    ``replaceable``: whether the caller's command has an option --overwrite that a message may advise.
 
     Raises:
         UsageError: both switches; the folder holds something and neither switch is given; the folder to resume
@@ -158,10 +166,17 @@ def check_folder(
     if path.exists() and not path.is_dir():
         raise UsageError(f"the output path {path} is a file; give a folder.")
     refuse_if_written(path / CONFIG, path)
-    _check_content(path, config, resume=resume, overwrite=overwrite)
+    _check_content(path, config, resume=resume, overwrite=overwrite, replaceable=replaceable)
 
 
-def _check_content(path: Path, config: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
+def _check_content(
+    path: Path,
+    config: Mapping[str, Any],
+    *,
+    resume: bool,
+    overwrite: bool,
+    replaceable: bool = True,
+) -> None:
     own_lock = lock_path(path / CONFIG).name
     found = (
         sorted(entry.name for entry in path.iterdir() if entry.name != own_lock)
@@ -169,12 +184,13 @@ def _check_content(path: Path, config: Mapping[str, Any], *, resume: bool, overw
         else []
     )
     if found and not (resume or overwrite):
+        again = "--overwrite to start it again, " if replaceable else ""
         raise UsageError(
             f"the output folder {path} is not empty (it holds {_some(found)}). Give --resume to continue that run, "
-            "--overwrite to start it again, or another --out."
+            f"{again}or another --out."
         )
     if found and resume:
-        _check_same(path, json.loads(json.dumps(config)))
+        _check_same(path, json.loads(json.dumps(config)), replaceable)
 
 
 def read_records(folder: Path) -> list[EpisodeRecord]:
@@ -221,7 +237,7 @@ def _delete_own(path: Path) -> None:
             entry.unlink(missing_ok=True)
 
 
-def _check_same(path: Path, config: Mapping[str, Any]) -> None:
+def _check_same(path: Path, config: Mapping[str, Any], replaceable: bool) -> None:
     if not (path / CONFIG).is_file():
         raise UsageError(
             f"nothing to resume in {path}: it has no {CONFIG}. Give an empty or new folder as --out."
@@ -229,13 +245,35 @@ def _check_same(path: Path, config: Mapping[str, Any]) -> None:
     try:
         old = read_json_object(path / CONFIG)
     except UsageError as error:
-        raise UsageError(f"cannot resume: {error} Use --overwrite.") from error
-    for key in sorted({*old, *config} - FREE_KEYS):
-        if old.get(key) != config.get(key):
-            raise UsageError(
-                f"cannot resume {path}: it was started with {key} = {old.get(key)!r}, now it is {config.get(key)!r}. "
-                "Use the same options, or --overwrite, or another --out."
-            )
+        way = "Use --overwrite." if replaceable else "Give another --out."
+        raise UsageError(f"cannot resume: {error} {way}") from error
+    changes = [
+        change
+        for key in sorted({*old, *config} - FREE_KEYS)
+        for change in _changes(key, old.get(key), config.get(key))
+    ]
+    if changes:
+        told = "; ".join(
+            f"{name} = {before!r}, now it is {now!r}"
+            for name, before, now in changes[:_MOST_SHOWN_CHANGES]
+        )
+        more = len(changes) - _MOST_SHOWN_CHANGES
+        told += f"; and {more} more" if more > 0 else ""
+        ways = "or --overwrite, or another --out" if replaceable else "or another --out"
+        raise UsageError(
+            f"cannot resume {path}: it was started with {told}. Use the same options, {ways}."
+        )
+
+
+def _changes(name: str, old: Any, new: Any) -> list[tuple[str, Any, Any]]:
+    """Name, old and new value of everything that differs; objects are compared entry by entry, as NAME.ENTRY."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        return [
+            change
+            for key in sorted({*old, *new})
+            for change in _changes(f"{name}.{key}", old.get(key), new.get(key))
+        ]
+    return [(name, old, new)] if old != new else []
 
 
 def _stored_hash(path: Path) -> str:

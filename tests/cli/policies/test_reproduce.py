@@ -101,6 +101,21 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     ).stat().st_mtime_ns == trained
 
 
+def test_a_policy_without_an_update_has_no_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    student = config(inputs=InputConfig(image_size=16), demos=1, updates=2, hold_steps=5)
+    dagger = DaggerConfig(rounds=0)
+    monkeypatch.setitem(configs.PRESETS["dagger"], "tiny", TrainConfig(student, dagger))
+    words = [*COMMAND, "--out", str(tmp_path), "--threads", "1", "--budget-minutes", "1e-6"]
+    assert main(words) == 0
+    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert (row["success_once"], row["untrained"], row["episodes"]) == (None, 1, 0)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "no result: 1 of 1 policies untrained" in page
+    assert not (tmp_path / "set_table.close.drawer" / "evaluation").exists()
+
+
 def test_a_study_trains_one_policy_for_each_of_its_variants(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -107,6 +107,54 @@ def test_bad_input(
     assert said in capsys.readouterr().err
 
 
+CLOSE = ("--subtask", "close", "--target", "kitchen_counter/drawer3", "--home", "builtin_m0_00")
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "words", "said"),
+    [
+        ("bc", ("--device", "foo"), "no device 'foo'"),
+        ("ppo", ("--start", "nix"), "nix does not exist"),
+        ("ppo", ("--backend", "foo"), "backend"),
+        ("ppo", ("--profile", "ms_hab", "--stillness", "absolute"), "stillness"),
+        ("ppo", ("--preset", "polish"), "give --start CHECKPOINT"),
+        ("ppo", ("--set", "ppo.gamma=7"), "gamma must be above 0 and at most 1, got 7.0"),
+        ("sac", ("--preset", "state", "--capacity", "900000000000"), "--capacity"),
+        ("rlpd", ("--preset", "state", "--data", "nix"), "nix"),
+    ],
+)
+def test_a_refused_run_leaves_no_folder(
+    algorithm: str,
+    words: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "run"
+    more = () if algorithm == "bc" else ("--worlds", "2" if algorithm != "ppo" else "64")
+    assert main(["train", algorithm, "--out", str(out), *CLOSE, *more, *words]) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+    # A folder of the user's stays, and stays empty.
+    out.mkdir()
+    assert main(["train", algorithm, "--out", str(out), *CLOSE, *more, *words]) == 2
+    assert not list(out.iterdir())
+
+
+def test_an_interrupted_run_says_what_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mjhab.learning.runs.collection.Collector.collect", interrupted)
+    words = ["train", "bc", *CLOSE, "--out", str(tmp_path / "run"), "--json"]
+    assert main(words) == 130
+    told = capsys.readouterr()
+    assert json.loads(told.out.splitlines()[-1])["checkpoint"] is None
+    assert "there is no checkpoint yet" in told.err and "is kept" not in told.err
+
+
 def test_policies_are_judged_in_homes_that_they_have_not_seen(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -159,5 +207,9 @@ def test_from_data_to_a_checkpoint(
         train_config().student
     )
     assert main(words) == 2
-    assert "is not empty" in capsys.readouterr().err
+    refused = capsys.readouterr().err
+    assert "is not empty" in refused and "--overwrite" not in refused
+    assert main([*words, "--resume", "--updates", "3"]) == 2
+    refused = capsys.readouterr().err
+    assert "it was started with config.student.updates = 4, now it is 3. Use" in refused
     assert main([*words, "--resume"]) == 0

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
 
 from mjhab.core.errors import UsageError
-from mjhab.learning.reinforcement.configs import SacConfig, changed, reinforcement_preset
+from mjhab.learning.configs import preset_of
+from mjhab.learning.layout import Layout
+from mjhab.learning.reinforcement.configs import (
+    PAPER_INPUTS,
+    SacConfig,
+    changed,
+    reinforcement_preset,
+)
 from mjhab.learning.reinforcement.networks import Critics
 from mjhab.learning.reinforcement.ppo import LEAST_STD, MOST_STD, Ppo, PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac import Sac, SacLearner
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Worlds
+from mjhab.learning.students.bc import BehaviourCloning
+from mjhab.learning.students.gaussian import START_STD, gaussian_of
+from mjhab.learning.students.heads import make_student
+from tests.learning.ms_hab_checkpoints import (
+    HAND,
+    HEAD,
+    bc_action,
+    bc_shapes,
+    ppo_shapes,
+    sac_shapes,
+)
 from tests.learning.reinforcement.toy import HORIZON, LAYOUT, PPO_TOY, SAC_TOY, Toy
+from tests.learning.small import config, demonstrations, layout
 
 WORLDS = 16
 torch.set_num_threads(1)
@@ -206,6 +227,96 @@ def test_actions_are_as_likely_as_the_actor_says() -> None:
     assert float(density[near].exp().mean()) == pytest.approx(share, rel=0.05)
 
 
+def test_an_actor_of_sac_begins_with_the_first_action_of_a_student() -> None:
+    student = make_student(config("bc", chunk=4), layout(), seed=3)
+    assert isinstance(student, BehaviourCloning)
+    data = demonstrations(lengths=(60,))
+    student.fit_normalizers(data)
+    torch.nn.init.normal_(student.head.bias, std=0.5, generator=torch.Generator().manual_seed(0))
+    actor = gaussian_of(student)
+    vector, images = torch.from_numpy(data.vector), torch.from_numpy(data.images)
+    nothing = torch.zeros(len(vector), 0)
+    with torch.no_grad():
+        wanted = student.chunk(vector, images, nothing)[:, :1].clamp(-0.98, 0.98)
+        acts = actor.chunk(vector, images, nothing)
+        _, log_std = actor.distribution(actor.features(vector, images))
+    assert float(wanted.std()) > 0.1
+    assert torch.allclose(acts, wanted, atol=1e-5)
+    assert torch.allclose(log_std.exp(), torch.full_like(log_std, START_STD), atol=1e-4)
+    # The gradient passes the limit of the actions.
+    actor.chunk(vector, images, nothing).sum().backward()
+    assert actor.mean.bias.grad is not None and bool(torch.all(actor.mean.bias.grad > 0.0))
+    paper = preset_of("bc", "paper").student
+    with pytest.raises(UsageError, match="preset paper"):
+        gaussian_of(BehaviourCloning(paper, layout(paper.inputs)))
+
+
+def linear_shapes(*parts: torch.nn.Module) -> list[tuple[int, ...]]:
+    """Shapes of the weights of all linear and convolutional layers, sorted."""
+    kinds = (torch.nn.Linear, torch.nn.Conv2d)
+    layers = [layer for part in parts for layer in part.modules() if isinstance(layer, kinds)]
+    return sorted(tuple(layer.weight.shape) for layer in layers)
+
+
+def published(shapes: dict[str, tuple[int, ...]], *prefixes: str) -> list[tuple[int, ...]]:
+    """Shapes of the same kind in a checkpoint of MS-HAB, of the parts with the prefixes."""
+    return sorted(
+        shape
+        for name, shape in shapes.items()
+        if name.startswith(prefixes) and name.endswith("weight") and len(shape) > 1
+    )
+
+
+STATE_42 = Layout(
+    PAPER_INPUTS,
+    (("state", 42),),
+    tuple(f"a{i}" for i in range(13)),
+    (),
+    ("pd_joint_delta_pos", "forward"),
+)
+
+
+def test_the_published_presets_have_the_published_layers() -> None:
+    ppo = Ppo(reinforcement_preset("ppo", "paper"), STATE_42, 0, seed=0)
+    shapes = ppo_shapes()
+    assert linear_shapes(ppo.actor) == published(shapes, "feature_net.", "actor_mean.")
+    assert linear_shapes(ppo.value) == published(shapes, "feature_net.", "critic.")
+    hidden = ppo.actor.trunk.layers[0].weight.detach()  # type: ignore[union-attr]
+    assert torch.allclose(hidden @ hidden.T, 2.0 * torch.eye(512), atol=1e-4)
+    assert float(ppo.spread.bias[0].detach()) == pytest.approx(-0.5, abs=1e-4)
+    sac = Sac(reinforcement_preset("sac", "paper"), STATE_42, 0, seed=0)
+    shapes = sac_shapes()
+    # The original has mean and spread in one layer.
+    found = linear_shapes(sac.actor)
+    assert found.count((13, 256)) == 2
+    joined = sorted([shape for shape in found if shape != (13, 256)] + [(26, 256)])
+    assert joined == published(shapes, "actor.")
+    assert linear_shapes(sac.judge) == published(shapes, "critic.")
+    assert sac.actor.log_std_limits == (-20.0, 2.0)
+    paper = preset_of("bc", "paper").student
+    bc = make_student(paper, dataclasses.replace(STATE_42, inputs=paper.inputs))
+    assert linear_shapes(bc) == published(bc_shapes(), "")
+
+
+def test_the_published_students_act_like_the_original() -> None:
+    """The weights of our network of preset paper, under the original's names, in plain functions."""
+    paper = preset_of("bc", "paper").student
+    student = make_student(paper, dataclasses.replace(STATE_42, inputs=paper.inputs), seed=1)
+    ours = [value for name, value in student.state_dict().items() if "normalizer" not in name]
+    by_shape: dict[tuple[int, ...], list[torch.Tensor]] = {}
+    for value in ours:
+        by_shape.setdefault(tuple(value.shape), []).append(value)
+    state = torch.randn(1, 42, generator=torch.Generator().manual_seed(0))
+    images = torch.zeros(1, 2, 128, 128, dtype=torch.uint8)
+    with torch.no_grad():
+        acts = student.chunk(state, images, torch.zeros(1, 0))[0, 0]
+        # Same order of equal shapes in both: biases of 64 and 1024 come encoder by encoder.
+        weights = {name: by_shape[shape].pop(0) for name, shape in bc_shapes().items()}
+        far = {name: torch.full((1, 128, 128), 1e6) for name in (HEAD, HAND)}
+        wanted = bc_action(weights, far, state)
+    assert torch.allclose(acts, wanted, atol=1e-5)
+
+
 def test_an_environment_that_resets_itself_is_refused() -> None:
     env = Toy(2)
     env.config.autoreset = "same_step"
@@ -214,8 +325,18 @@ def test_an_environment_that_resets_itself_is_refused() -> None:
 
 
 def test_worlds_that_do_not_divide_into_minibatches_are_refused() -> None:
-    with pytest.raises(UsageError, match="minibatches do not divide"):
-        changed(reinforcement_preset("ppo", "paper"), {"worlds": 7})
+    paper = reinforcement_preset("ppo", "paper")
+    told = r"--worlds 4 or 8, or --set ppo.minibatches=14 or 20\."
+    with pytest.raises(UsageError, match=told):
+        changed(paper, {"worlds": 7})
+    for numbers in ({"worlds": 4}, {"worlds": 8}, {"worlds": 7, "minibatches": 14}):
+        assert changed(paper, {"minibatches": 16} | numbers if len(numbers) == 1 else numbers)
+
+
+@pytest.mark.parametrize(("name", "value"), [("gamma", 7.0), ("gamma", 0.0), ("gae_lambda", 1.5)])
+def test_discounts_lie_between_0_and_1(name: str, value: float) -> None:
+    with pytest.raises(UsageError, match=f"{name} must"):
+        changed(PPO_TOY, {name: value})
 
 
 def test_unknown_presets_are_told() -> None:

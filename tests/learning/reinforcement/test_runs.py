@@ -23,9 +23,12 @@ from mjhab.learning.reinforcement.configs import (
     ReinforcementConfig,
     SacConfig,
 )
+from mjhab.learning.reinforcement.ppo import PpoLearner
+from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Scene
+from mjhab.learning.runs.run import Logbook
 
 SCENE = Scene(
     "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
@@ -120,16 +123,25 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     assert json.loads(judged.read_text(encoding="utf-8"))["profile"] == "ms_hab"
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert 'id="loss-plot"' in page
-    # What PPO has left another run may begin from; another algorithm may not.
+    # What PPO has left another run may begin from.
     start = str(tmp_path / "run" / "student.safetensors")
     polished = train_reinforcement(
         dataclasses.replace(request(dataclasses.replace(TINY, samples=16)), start=start),
         tmp_path / "polished",
     )
     assert polished.summary["samples"] == 16
-    with pytest.raises(UsageError, match="gaussian"):
+    # An actor of SAC takes over its trunk and its actions.
+    other = train_reinforcement(
+        dataclasses.replace(
+            request(dataclasses.replace(TINY_RLPD, samples=16)), start=start, eval_episodes=1
+        ),
+        tmp_path / "other",
+    )
+    kept = load_student(Path(other.summary["checkpoint"]))
+    assert kept.config.algorithm == "gaussian_actions" and other.summary["episodes"] == 1
+    with pytest.raises(UsageError, match="of algorithm bc with"):
         train_reinforcement(
-            dataclasses.replace(request(TINY_RLPD), start=start), tmp_path / "other"
+            dataclasses.replace(request(TINY), start=other.summary["checkpoint"]), tmp_path / "ppo"
         )
 
 
@@ -148,6 +160,74 @@ def test_the_student_is_the_best_evaluated_actor(
     student = load_checkpoint(tmp_path / "run" / "student.safetensors")
     assert result.summary["student_samples"] == student.about["samples"] == 16
     assert result.summary["samples"] == 48 and next(rates, None) is None
+
+
+def test_the_split_told_is_that_of_the_episodes_behind_the_rate(tmp_path: Path) -> None:
+    told = dataclasses.replace(
+        request(dataclasses.replace(TINY, samples=16)), round_episodes=1, eval_split="val"
+    )
+    summary = train_reinforcement(told, tmp_path / "run").summary
+    judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
+    assert summary["split"] == json.loads(judged.read_text(encoding="utf-8"))["split"] == "train"
+    assert summary["episodes"] == 1 and summary["evaluated_samples"] == 16
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "1 episodes in homes of split train" in page
+
+
+def test_ctrl_c_before_the_first_checkpoint_keeps_the_actor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 16:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(sessions.ReinforcementSession, "check_time", interrupted)
+    result = train_reinforcement(request(TINY), tmp_path / "run")
+    assert result.interrupted and result.summary["trained"]
+    kept = load_checkpoint(Path(result.summary["checkpoint"]))
+    assert kept.about["samples"] == result.summary["student_samples"] == 16
+    monkeypatch.setattr(PpoLearner, "collect", ctrl_c)
+    early = train_reinforcement(request(TINY), tmp_path / "early")
+    assert early.interrupted and early.summary["checkpoint"] is None
+    assert not early.summary["trained"] and early.summary["split"] is None
+
+
+def ctrl_c(learner: PpoLearner) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("slow", ["demonstrations", "imitation"])
+def test_the_budget_holds_for_demonstrations_and_imitation(
+    slow: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A clock that only demonstrations, or only imitation, let pass."""
+    now = [0.0]
+    monkeypatch.setattr(Logbook, "seconds", property(lambda log: now[0]))
+    owner, name = {
+        "demonstrations": (ReplayBuffer, "add"),
+        "imitation": (PpoLearner, "_imitation_loss"),
+    }[slow]
+    work = getattr(owner, name)
+
+    def passes(self: object, *given: object) -> object:
+        now[0] += 10.0
+        return work(self, *given)
+
+    monkeypatch.setattr(owner, name, passes)
+    config = dataclasses.replace(TINY_IMITATING, samples=64)
+    assert config.ppo is not None
+    config = dataclasses.replace(
+        config, ppo=dataclasses.replace(config.ppo, imitation_updates=1000)
+    )
+    told = dataclasses.replace(
+        request(config), budget_seconds=90.0, eval_episodes=1, round_episodes=100
+    )
+    summary = train_reinforcement(told, tmp_path / "run").summary
+    # Half of the budget is reserved for evaluations that nobody has measured.
+    assert now[0] == 50.0 and summary["samples"] == 0
+    assert summary["trained"] is (slow == "imitation")
+    # Random weights are not judged.
+    assert summary["episodes"] == summary["trained"]
 
 
 def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.cli.interrupts import sigterm_interrupts
@@ -27,6 +29,7 @@ from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores
 from mjhab.learning.require import require_learn
+from mjhab.learning.runs.run import TRAINING
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -65,7 +68,7 @@ HELD_OUT = "val"
 
 
 def run_train(options: RunOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (the last checkpoint is kept)."""
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (a checkpoint is kept, if training had begun)."""
     require_learn()
     with sigterm_interrupts():
         result = _train(options)
@@ -246,11 +249,7 @@ def _changed(config: Any, **values: Any) -> Any:
 def _tell(options: RunOptions, result: TrainingResult) -> None:
     summary = result.summary
     if result.interrupted:
-        print(
-            f"mjhab: interrupted; the last checkpoint is kept in {options.out}. The same command with --resume "
-            "continues.",
-            file=sys.stderr,
-        )
+        print(f"mjhab: interrupted; {_kept(options.out, summary)}", file=sys.stderr)
     if options.json:
         print_json(summary)
         return
@@ -260,7 +259,21 @@ def _tell(options: RunOptions, result: TrainingResult) -> None:
         interval = f"95 % interval {100 * low:.0f} to {100 * high:.0f} %"
         minutes = summary["seconds"] / SECONDS_PER_MINUTE
         print(
-            f"success once {100 * success:.1f} % of {summary['episodes']} episodes ({interval}), {minutes:.1f} minutes"
+            f"success once {100 * success:.1f} % of {summary['episodes']} episodes in homes of split "
+            f"{summary['split']} ({interval}), {minutes:.1f} minutes"
         )
-    print(f"student: {summary['checkpoint']}")
+    if not summary["trained"]:
+        print(
+            "mjhab: the network was not trained: the run ended before its first update.",
+            file=sys.stderr,
+        )
+    print(f"student: {summary['checkpoint'] or 'no checkpoint yet'}")
     print(f"report: {result.report}")
+
+
+def _kept(out: Path, summary: Mapping[str, Any]) -> str:
+    """What an interrupted run has left, and what --resume makes of it."""
+    if (out / TRAINING).is_file():
+        return f"the last checkpoint is kept in {out}. The same command with --resume continues."
+    kept = f"the policy is kept in {out}" if summary["checkpoint"] else "there is no checkpoint yet"
+    return f"{kept}. The same command with --resume trains from the beginning."

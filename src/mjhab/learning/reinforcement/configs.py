@@ -7,6 +7,7 @@ mshab/train_sac.py). "squint" is arXiv 2602.21203, "rlpd" is arXiv 2302.02948, "
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,7 +37,7 @@ class PpoConfig:
     gamma: discount per control step. gae_lambda, clip, value_coefficient, entropy_coefficient: as in the PPO paper.
     finite_horizon: use the advantage estimate of MS-HAB (`returns.finite_horizon_advantages`) instead of GAE.
     target_kl: an update stops early once an epoch exceeds this KL divergence; 0 disables the limit.
-    clip_norm: largest gradient norm, applied to actor and critic separately.
+    clip_norm: largest gradient norm, applied to actor and critic separately, or with clip_jointly to both together.
     learning_rate_end: factor on the learning rate at the end of training; it decreases linearly from 1.
     initial_std: standard deviation of the actions before training, as a fraction of the action range [-1, 1].
     desired_kl: the learning rate is adapted so that the KL divergence of an epoch stays near this value; 0 disables
@@ -60,6 +61,7 @@ class PpoConfig:
     entropy_coefficient: float = 0.0
     target_kl: float = 0.05
     clip_norm: float = 0.5
+    clip_jointly: bool = False
     learning_rate: float = 3e-4
     critic_learning_rate: float = 0.0
     learning_rate_end: float = 1.0
@@ -79,6 +81,10 @@ class PpoConfig:
         for name in ("rollout_steps", "minibatches", "epochs"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} must be at least 1, got {getattr(self, name)}.")
+        if not 0.0 < self.gamma <= 1.0:
+            raise UsageError(f"gamma must be above 0 and at most 1, got {self.gamma}.")
+        if not 0.0 <= self.gae_lambda <= 1.0:
+            raise UsageError(f"gae_lambda must lie between 0 and 1, got {self.gae_lambda}.")
 
 
 @dataclass(frozen=True)
@@ -176,8 +182,24 @@ class ReinforcementConfig:
             if rows % self.ppo.minibatches:
                 raise UsageError(
                     f"{self.worlds} worlds x {self.ppo.rollout_steps} steps give {rows} samples, which "
-                    f"{self.ppo.minibatches} minibatches do not divide evenly; change --worlds."
+                    f"{self.ppo.minibatches} minibatches do not divide evenly. The nearest that fit are "
+                    f"{self._fitting()}."
                 )
+
+    def _fitting(self) -> str:
+        """The numbers of worlds, and of minibatches, nearest to those of the config that give equal minibatches."""
+        assert self.ppo is not None
+        parts, steps = self.ppo.minibatches, self.ppo.rollout_steps
+        rows = self.worlds * steps
+        unit = parts // math.gcd(parts, steps)
+        below = self.worlds // unit * unit
+        worlds = [str(number) for number in (below, below + unit) if number]
+        fewer = next(number for number in range(parts, 0, -1) if rows % number == 0)
+        more = next((number for number in range(parts, rows + 1) if rows % number == 0), fewer)
+        minibatches = [str(number) for number in sorted({fewer, more})]
+        return (
+            f"--worlds {' or '.join(worlds)}, or --set ppo.minibatches={' or '.join(minibatches)}"
+        )
 
     @property
     def student(self) -> StudentConfig:
@@ -203,9 +225,15 @@ DEPTH_INPUTS = InputConfig(
 )
 """STATE_INPUTS with two depth images of 32 x 32 px."""
 PAPER_INPUTS = InputConfig(
-    image_size=128, previous_action=False, condition=False, normalize=False, shift=0, history=3
+    image_size=128,
+    previous_action=False,
+    condition=False,
+    normalize=False,
+    shift=0,
+    history=3,
+    stack_state=False,
 )
-"""Inputs of the MS-HAB agents: two depth images of 128 x 128 px and the unnormalized 42-D state, of three steps."""
+"""Inputs of the MS-HAB agents: two depth images of 128 x 128 px of three steps, and one unnormalized 42-D state."""
 
 STATE_NETWORK = NetworkConfig(hidden=256, layers=3)
 
@@ -272,6 +300,7 @@ PAPER_PPO = ReinforcementConfig(
         gae_lambda=0.9,
         finite_horizon=True,
         target_kl=0.2,
+        clip_jointly=True,
         initial_std=0.6065,  # exp(-0.5)
     ),
     samples=15_000_000,

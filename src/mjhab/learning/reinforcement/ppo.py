@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 from mjhab.core.seeding import stream
 from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
-from mjhab.learning.networks import Normalizer
+from mjhab.learning.networks import Normalizer, Trunk
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import PpoConfig, ReinforcementConfig
 from mjhab.learning.reinforcement.networks import Value
@@ -94,6 +95,8 @@ class Ppo(nn.Module):
             self.value = Value(config.student, layout, privileged)
             width = self.actor.trunk.width if self.config.state_std else 0
             self.spread = Spread(width, len(layout.actions), self.config.initial_std)
+            if config.network.encoder == "nature" and start is None:
+                _begin_as_published(self.actor, self.value)
 
     def acting_parameters(self) -> list[nn.Parameter]:
         """Parameters of the policy: its mean and its standard deviation."""
@@ -160,6 +163,19 @@ def _act_little(actor: BehaviourCloning) -> None:
     """Initialize the last layer of a new actor so that its actions are close to zero."""
     nn.init.orthogonal_(actor.head.weight, 0.01)
     nn.init.zeros_(actor.head.bias)
+
+
+def _begin_as_published(actor: BehaviourCloning, value: Value) -> None:
+    """Initialize the layers behind the encoders as MS-HAB does (mshab/agents/ppo): orthogonal, gain sqrt(2), no bias.
+
+    The actor's last layer has a hundredth of that gain.
+    """
+    assert isinstance(actor.trunk, Trunk)
+    for layer in (*actor.trunk.layers, *value.layers, actor.head):
+        if isinstance(layer, nn.Linear):
+            gain = 0.01 * math.sqrt(2.0) if layer is actor.head else math.sqrt(2.0)
+            nn.init.orthogonal_(layer.weight, gain)
+            nn.init.zeros_(layer.bias)
 
 
 class PpoLearner:
@@ -268,8 +284,11 @@ class PpoLearner:
 
     # -- learning -----------------------------------------------------------------------------------------------------
 
-    def imitate(self) -> float:
-        """Let the actor imitate the demonstrations, for ``imitation_updates``; returns the loss of the last one."""
+    def imitate(self, tell: Callable[[], object] = bool) -> float:
+        """Let the actor imitate the demonstrations, for ``imitation_updates``; returns the loss of the last one.
+
+        ``tell`` is called after every update; what it raises ends the imitation.
+        """
         assert self.shown is not None
         agent = self.agent
         random = self._random("imitate")
@@ -290,6 +309,7 @@ class PpoLearner:
             distributed.average_gradients(parameters)
             optimizer.step()
             schedule.step()
+            tell()
         return float(loss.detach())
 
     def _imitation_loss(self, random: torch.Generator) -> Tensor:
@@ -380,17 +400,19 @@ class PpoLearner:
             loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
         if not math.isfinite(float(loss.detach())):
             raise BrokenLossError(
-                f"the loss became {float(loss.detach())} in update {self.updates + 1}. The last good checkpoint is "
+                f"the loss became {float(loss.detach())} in update {self.updates + 1}. The weights from before it are "
                 "kept; a smaller learning rate may help."
             )
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         parameters = list(agent.parameters())
         distributed.average_gradients(parameters)
-        # Actor and critic are clipped separately: the critic's gradients are larger, and under one joint limit they
-        # would scale the actor's gradients down.
-        nn.utils.clip_grad_norm_(agent.acting_parameters(), config.clip_norm)
-        nn.utils.clip_grad_norm_(agent.value.parameters(), config.clip_norm)
+        if config.clip_jointly:
+            nn.utils.clip_grad_norm_(parameters, config.clip_norm)
+        else:
+            # The critic's gradients are larger, and under one joint limit they would scale the actor's down.
+            nn.utils.clip_grad_norm_(agent.acting_parameters(), config.clip_norm)
+            nn.utils.clip_grad_norm_(agent.value.parameters(), config.clip_norm)
         self.optimizer.step()
         with torch.no_grad():
             divergence = ((ratio - 1.0) - logarithm).mean()

@@ -206,8 +206,8 @@ class SacLearner:
     def _step(self, name: str, loss: Tensor, parameters: list[nn.Parameter]) -> None:
         if not math.isfinite(float(loss.detach())):
             raise BrokenLossError(
-                f"the loss of the {name} became {float(loss.detach())} in update {self.updates + 1}. The last good "
-                "checkpoint is kept; a smaller learning rate may help."
+                f"the loss of the {name} became {float(loss.detach())} in update {self.updates + 1}. The weights "
+                "from before it are kept; a smaller learning rate may help."
             )
         if not loss.requires_grad:
             return

@@ -27,18 +27,19 @@ from mjhab.learning.checkpoint import (
     save_student,
     save_tensors,
 )
-from mjhab.learning.configs import InputConfig
+from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
 from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.evaluation import Evaluations
+from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
+from mjhab.learning.students.bc import BehaviourCloning
+from mjhab.learning.students.gaussian import gaussian_of
 from mjhab.learning.students.student import Student
-from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
 from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
@@ -100,6 +101,8 @@ class Standing:
 
     checkpoints: number of checkpoints written. seconds: wall time. evaluated: number of samples at each evaluation.
     best_success, best_samples: success-once rate of the best evaluation during training, and its number of samples.
+    student_samples: number of samples of the actor in the student checkpoint. trained: whether the actor was ever
+    updated, or began from a checkpoint.
     """
 
     samples: int = 0
@@ -109,6 +112,8 @@ class Standing:
     evaluated: list[int] = field(default_factory=list)
     best_success: float = -1.0
     best_samples: int = 0
+    student_samples: int = 0
+    trained: bool = False
 
 
 def image_options(inputs: InputConfig) -> dict[str, Any]:
@@ -191,13 +196,16 @@ class ReinforcementSession:
             about = self.saved.about
             known = {name: about[name] for name in Standing.__dataclass_fields__ if name in about}
             self.standing = Standing(**known)
+        if self.start is not None:
+            self.standing.trained = True
         seed = self.seed + self.standing.checkpoints
         self.worlds = Worlds(self.env, sight, seed, self._rules())
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
-        self.records: list[EpisodeRecord] = []
+        self.judged = Judgement()
+        """The latest evaluation; none after `keep_best` has chosen an actor that was evaluated earlier."""
         self.demonstrations = 0
         """Number of episodes in the demonstration buffer."""
-        self._eval_seconds = 0.0
+        self._clock = EvaluationClock(request.budget_seconds)
         self._began = time.perf_counter()
         self.learner_seconds = 0.0
         self.evaluation_seconds = 0.0
@@ -267,10 +275,14 @@ class ReinforcementSession:
         budget = self.request.budget_seconds
         # At the end the last actor may have to be compared with the best one.
         episodes = self.request.eval_episodes + self.request.round_episodes
-        reserve = self._eval_seconds * episodes
+        reserve = self._clock.reserve(episodes)
         # The first process decides for all: if one process stopped alone, the others would wait for its gradients.
         if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
             raise OutOfTime
+
+    def estimate_evaluation(self, seconds: float) -> None:
+        """Take the time that an episode of the expert needs [s] for that of an evaluation, until one is measured."""
+        self._clock.guess(seconds)
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
@@ -286,6 +298,7 @@ class ReinforcementSession:
 
     def _write(self, actor: Student, tensors: dict[str, Tensor]) -> None:
         self.standing.seconds = self.log.seconds
+        self.standing.student_samples = self.standing.samples
         about = {
             **vars(self.standing),
             "checkpoints": self.standing.checkpoints + 1,
@@ -294,6 +307,14 @@ class ReinforcementSession:
         }
         save_tensors(self.folder.training, actor, tensors, about)
         self.save_actor(actor)
+
+    def keep_last(self, actor: Student) -> None:
+        """Make the actor of this moment the run's student, after Ctrl-C or a broken loss, if it was ever updated.
+
+        The training checkpoint stays that of the last regular one, so a resumed run is exactly repeated from there.
+        """
+        if self.standing.trained and not distributed.rank():
+            self.save_actor(actor)
 
     def time_shares(self) -> dict[str, float]:
         """Fractions of the wall time since this process started: env, learner, evaluation, other (acting, files)."""
@@ -317,6 +338,8 @@ class ReinforcementSession:
             "seed": self.request.seed,
         }
         save_student(path or self.folder.student, actor, about)
+        if path is None:
+            self.standing.student_samples = self.standing.samples
 
     def keep_best(self, actor: Student) -> None:
         """Make the checkpoint with the best evaluation the run's student; of equal ones the latest.
@@ -332,8 +355,9 @@ class ReinforcementSession:
         if self.folder.best.is_file() and standing.best_samples != standing.samples:
             best = self.folder.best
             write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
-            # They are those of the last actor, and the summary tells of the student.
-            self.records = []
+            standing.student_samples = standing.best_samples
+            # It was of the last actor, and the summary tells of the student.
+            self.judged = Judgement()
 
     def evaluate(self, actor: Student, episodes: int) -> None:
         """Evaluate the actor during training, and keep it if no earlier one was better."""
@@ -370,11 +394,13 @@ class ReinforcementSession:
         evaluations = Evaluations(judged, means, self.request.seed, tell)
         out = self.folder.evaluation(FIRST if first and not last else LATEST)
         run = evaluations.run(self.folder.student, episodes, films, out)
-        self.records = list(run.records)
+        self.judged = Judgement(
+            split, self.standing.student_samples, {self.scene.name: run.records}
+        )
         spent = time.perf_counter() - began
-        self._eval_seconds = spent / episodes
+        self._clock.measured(spent / episodes)
         self.evaluation_seconds += spent
-        success = sum(record.success_once for record in self.records) / episodes
+        success = sum(record.success_once for record in run.records) / episodes
         self.log.report(
             self.standing.updates,
             self.standing.samples,
@@ -392,14 +418,32 @@ def _start_of(request: ReinforcementRequest) -> Student | None:
     if not request.start:
         return None
     student = load_student(Path(request.start))
-    wanted = request.config.student.algorithm
-    if student.config.algorithm != wanted or student.config.inputs.history != 1:
+    # Only the first action of a chunk is used; SAC squashes it, so a student of behaviour cloning is converted.
+    known = (BC,) if request.config.ppo is not None else (BC, GAUSSIAN, GAUSSIAN_ACTIONS)
+    if student.config.algorithm not in known or student.config.inputs.history != 1:
         raise UsageError(
-            f"{request.config.algorithm} begins from a checkpoint of algorithm {wanted} with a history of 1; "
-            f"{request.start} has algorithm {student.config.algorithm} and history {student.config.inputs.history}."
+            f"{request.config.algorithm} begins from a checkpoint of algorithm {' or '.join(known)} with a history of "
+            f"1; {request.start} has algorithm {student.config.algorithm} and history "
+            f"{student.config.inputs.history}."
         )
+    if request.config.sac is not None and isinstance(student, BehaviourCloning):
+        student = gaussian_of(student)
     student.config = dataclasses.replace(student.config, execute=1)
     return student.requires_grad_(True)
+
+
+def _check_start(request: ReinforcementRequest) -> None:
+    """Refuse a preset that keeps the actor at first, if that actor would be a new one.
+
+    Raises:
+        UsageError: names the options that give a trained actor.
+    """
+    ppo = request.config.ppo
+    if ppo is not None and ppo.critic_updates and not ppo.demonstrations and not request.start:
+        raise UsageError(
+            f"preset {request.config.preset} begins from a trained student: give --start CHECKPOINT, or train from "
+            "random weights with --preset scratch."
+        )
 
 
 def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
@@ -436,7 +480,8 @@ def open_reinforcement(
     if not first:
         # The first process refuses a folder that is not empty, so it goes first.
         distributed.wait()
-    check_folder(mine, config, resume=resume)
+    check_folder(mine, config, resume=resume, replaceable=False)
+    _check_start(request)
     folder = TrainingFolder.open(mine, config, resume=resume)
     if first:
         distributed.wait()

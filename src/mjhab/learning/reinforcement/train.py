@@ -32,11 +32,12 @@ from mjhab.learning.reinforcement.session import (
     open_reinforcement,
 )
 from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.train import TrainingResult
+from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.gaussian import SquashedGaussian
 from mjhab.learning.students.student import Student
-from mjhab.reports.metrics import mean, wilson
 from mjhab.tasks.subtasks.registry import SUBTASKS, horizons
 
 REPORT_SECONDS = 2.0
@@ -46,19 +47,23 @@ REPORT_SECONDS = 2.0
 def train_reinforcement(
     request: ReinforcementRequest, out: Path, resume: bool = False
 ) -> TrainingResult:
-    """Train an agent, evaluate it, and write everything into the folder ``out``. Ctrl-C keeps the last checkpoint.
+    """Train an agent, evaluate it, and write everything into the folder ``out``.
+
+    After Ctrl-C the student is the actor of that moment; ``resume`` continues from the last training checkpoint.
 
     Raises:
         UsageError: folder, scene or checkpoint do not fit.
-        BrokenLossError: the loss became NaN; the last good checkpoint is kept.
+        BrokenLossError: the loss became NaN; the weights from before it are kept as the run's student.
     """
     interrupted = False
-    with open_reinforcement(request, out, resume) as session:
+    with refused_leaves_nothing(out), open_reinforcement(request, out, resume) as session:
         run: _PpoRun | _SacRun = (
             _PpoRun(session) if session.config.ppo is not None else _SacRun(session)
         )
         try:
             try:
+                run.prepare()
+                session.check_time()
                 if request.round_episodes and not session.standing.evaluated:
                     session.evaluate(run.actor, request.round_episodes)
                 run.learn()
@@ -66,25 +71,31 @@ def train_reinforcement(
                 session.log.show({"phase": "the budget is spent"})
             session.save(run.actor, run.tensors())
             session.keep_best(run.actor)
-            if request.eval_episodes:
+            # Random weights are not judged.
+            if request.eval_episodes and session.standing.trained:
                 session.evaluate_student(request.eval_episodes)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, BrokenLossError) as error:
+            session.keep_last(run.actor)
+            if isinstance(error, BrokenLossError):
+                raise
             interrupted = True
         finally:
             summary = summarize(session)
             session.folder.write_summary(summary)
             page = render_training_report(
-                session.folder, session.log.rows, session.records, summary
+                session.folder, session.log.rows, session.judged.records, summary
             )
             report = session.folder.write_report(page)
     return TrainingResult(summary, report, interrupted)
 
 
 def summarize(session: ReinforcementSession) -> dict[str, Any]:
-    """Results of a run as JSON data; ``episodes`` is the number of episodes behind ``success_once``."""
-    records = session.records
+    """Results of a run as JSON data.
+
+    ``split``, ``success_once``, ``interval`` and ``episodes`` come from one evaluation, that of the actor after
+    ``evaluated_samples``. ``checkpoint`` is None while there is none; it holds the actor after ``student_samples``.
+    """
     standing = session.standing
-    low, high = wilson(sum(record.success_once for record in records), len(records))
     return {
         "algorithm": session.config.algorithm,
         "preset": session.config.preset,
@@ -92,12 +103,10 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
         "samples": standing.samples,
         "seconds": round(session.log.seconds, 1),
         "cpu_seconds": round(session.log.cpu_seconds, 1),
-        "checkpoint": str(session.folder.student),
-        "student_samples": standing.best_samples if standing.evaluated else standing.samples,
-        "split": session.request.judged_split,
-        "success_once": mean(record.success_once for record in records) if records else None,
-        "interval": [low, high],
-        "episodes": len(records),
+        "checkpoint": session.folder.kept_student,
+        "student_samples": standing.student_samples,
+        "trained": standing.trained,
+        **session.judged.summary(),
         "rounds": 0,
         "demonstrations": session.demonstrations,
         "time_shares": session.time_shares(),
@@ -112,6 +121,15 @@ class _Run(ABC):
         self.config = session.config
 
     actor: Student
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Make or read the demonstrations and imitate them, if the config asks for it.
+
+        Raises:
+            OutOfTime: the budget is spent.
+            UsageError: recorded demonstrations do not fit.
+        """
 
     @abstractmethod
     def tensors(self) -> dict[str, Tensor]:
@@ -181,6 +199,9 @@ class _Run(ABC):
 
         def tell(done: int, total: int) -> None:
             session.log.show({"phase": f"demonstrations: {done}/{total}"})
+            # Several processes have different numbers of batches, and could not decide together.
+            if distributed.processes() == 1:
+                session.check_time()
 
         return replay_recorded(session, make, tell)
 
@@ -214,16 +235,24 @@ class _PpoRun(_Run):
         ).to(worlds.device)
         self.actor = agent.actor
         self.agent = agent
-        shown: ReplayBuffer | None = None
-        if agent.config.demonstrations:
-            ppo = agent.config
-            shown = self._demonstrations(ppo.demonstrations, ppo.demonstration_style)
-        self.learner = PpoLearner(agent, worlds, self.config, session.seed, shown)
+        self.learner = PpoLearner(agent, worlds, self.config, session.seed)
         if session.saved is not None:
             self._restore(session.saved.tensors)
-        elif shown is not None and session.start is None:
+
+    def prepare(self) -> None:
+        session = self.session
+        ppo = self.agent.config
+        if not ppo.demonstrations:
+            return
+        self.learner.shown = self._demonstrations(ppo.demonstrations, ppo.demonstration_style)
+        if session.saved is None and session.start is None:
             session.log.show({"phase": "imitation"})
-            self.learner.imitate()
+            self.learner.imitate(self._imitated)
+
+    def _imitated(self) -> None:
+        """Note one update of the imitation, and end it in time for the evaluations."""
+        self.session.standing.trained = True
+        self.session.check_time()
 
     def _restore(self, tensors: Any) -> None:
         learner = self.learner
@@ -258,6 +287,7 @@ class _PpoRun(_Run):
             numbers = learner.update(rollout, standing.samples / self.config.samples)
             learner.normalize(rollout.seen)
             standing.updates = learner.updates
+            standing.trained = True
             ended = time.perf_counter()
             session.learner_seconds += ended - acted
             numbers["loss"] = numbers["value_loss"]
@@ -289,6 +319,8 @@ class _SacRun(_Run):
         self.shown: ReplayBuffer | None = None
         if session.saved is not None:
             self._restore(session.saved.tensors, session.saved.about)
+
+    def prepare(self) -> None:
         if self.sac.demonstrations:
             self.shown = self._demonstrations(self.sac.demonstrations)
 
@@ -379,6 +411,7 @@ class _SacRun(_Run):
         frozen = since < sac.frozen_actor_samples
         told = self.learner.update(batch, demonstrated, sac.imitation_coefficient * share, frozen)
         standing.updates = self.learner.updates
+        standing.trained = True
         return told
 
     def _fit_normalizers(self) -> None:
@@ -399,7 +432,11 @@ class _SacRun(_Run):
         encoders = [agent.judge.encoder.normalizer, agent.target.encoder.normalizer]
         if self.session.start is None:
             encoders.append(agent.actor.normalizer)
-        statistics.fit(encoders, layout.measured_width)
+        elif self.sac.share_encoder:
+            # The trained actor's inputs keep their meaning, and the critics read the same encoder.
+            encoders = []
+        if encoders:
+            statistics.fit(encoders, layout.measured_width)
         privileged = torch.cat([seen.privileged for seen in rows])
         critics = [agent.judge.critics.privileged, agent.target.critics.privileged]
         if privileged.shape[1]:

@@ -15,7 +15,7 @@ from mjhab.core.machine import cores
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.by_subtask import Entry, entries_text
 from mjhab.learning.configs import preset_of
-from mjhab.learning.reproduce.results import measured, write_results
+from mjhab.learning.reproduce.results import measured, untrained, write_results
 from mjhab.learning.reproduce.rows import (
     FOR_ALL,
     STUDENTS,
@@ -26,6 +26,7 @@ from mjhab.learning.reproduce.rows import (
 from mjhab.learning.reproduce.spec import TableSpec, chosen_rows, policy_rows, table_config
 from mjhab.learning.reproduce.variants import STUDIES, VARIANTS, Variant
 from mjhab.learning.require import require_learn
+from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import check_folder, write_text
 
@@ -64,22 +65,25 @@ def reproduce(
     require_learn()
     rows = chosen_rows(spec)
     config = table_config(spec)
-    check_folder(spec.out, config, resume=spec.resume)
-    spec.out.mkdir(parents=True, exist_ok=True)
-    write_text(spec.out / CONFIG, json.dumps(config, indent=2) + "\n")
+    check_folder(spec.out, config, resume=spec.resume, replaceable=False)
     interrupted = False
-    try:
-        for row in rows:
-            tell(row)
-            make_row(spec, row, sinks)
-            write_results(spec.out, rows)
-    except KeyboardInterrupt:
-        interrupted = True
+    with refused_leaves_nothing(spec.out):
+        spec.out.mkdir(parents=True, exist_ok=True)
+        write_text(spec.out / CONFIG, json.dumps(config, indent=2) + "\n")
+        try:
+            for row in rows:
+                tell(row)
+                make_row(spec, row, sinks)
+                write_results(spec.out, rows)
+        except KeyboardInterrupt:
+            interrupted = True
     return write_results(spec.out, rows), interrupted
 
 
 def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
     """Train and evaluate the policies of a row, unless that is done already.
+
+    A row with a policy that was never updated, because the budget ended before, is not evaluated.
 
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed; finished parts are kept.
@@ -99,6 +103,9 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
         if variant.imitation is not None:
             trained = [(row, row.target, study_run(spec, row, variant))]
         runs = [run for _, _, run in trained]
+        if untrained(runs):
+            found[variant.name] = measured(runs, [])
+            continue
         if row.subtask:
             judged = _judge_policies(spec, row, trained, variant, sinks)
         else:

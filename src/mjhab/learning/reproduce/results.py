@@ -58,8 +58,10 @@ COLUMN_TITLES = (
 def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
     """Success rates and training cost of the policies of a row, taken together.
 
+    "untrained" is the number of policies without a single update. The rates are None without evaluations.
+
     Args:
-        runs: folders of their training runs. judged: run folders of their evaluations.
+        runs: folders of their training runs. judged: run folders of their evaluations, none for an untrained row.
     """
     summaries = [read_json_object(run / "summary.json") for run in runs]
     records = [record for folder in judged for record in read_records(folder)]
@@ -67,18 +69,27 @@ def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
     low, high = wilson(successes, len(records))
     seconds = sum(summary["cpu_seconds"] for summary in summaries)
     return {
-        "success_once": mean(record.success_once for record in records),
+        "success_once": mean(record.success_once for record in records) if records else None,
         "low": low,
         "high": high,
-        "success_at_end": mean(record.success_at_end for record in records),
-        "subtasks_completed": mean(record.completed / len(record.plan) for record in records),
+        "success_at_end": mean(record.success_at_end for record in records) if records else None,
+        "subtasks_completed": mean(record.completed / len(record.plan) for record in records)
+        if records
+        else None,
         "episodes": len(records),
         "policies": len(runs),
+        "untrained": untrained(runs),
         "demonstrations": sum(summary["demonstrations"] for summary in summaries),
         "samples": sum(summary["samples"] for summary in summaries),
         "cpu_minutes": round(seconds / SECONDS_PER_MINUTE, 1),
         "labels": label_counts(last_label(record) for record in records),
     }
+
+
+def untrained(runs: Sequence[Path]) -> int:
+    """Number of training runs whose network was never updated; those of earlier versions count as trained."""
+    summaries = [read_json_object(run / "summary.json") for run in runs]
+    return sum(not summary.get("trained", True) for summary in summaries)
 
 
 def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
@@ -117,12 +128,23 @@ def result_of(
 
 def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
     """Cells of a row of the table, in the order of ``titles``."""
+    if result["success_once"] is None:
+        shown: tuple[Any, ...] = (
+            f"no result: {result['untrained']} of {result['policies']} policies untrained, the budget was spent before "
+            "their first update",
+            "",
+            "",
+        )
+    else:
+        shown = (
+            round(100 * result["success_once"], 1),
+            f"{100 * result['low']:.0f} to {100 * result['high']:.0f}",
+            round(100 * result["success_at_end"], 1),
+        )
     return (
         result["row"],
         result["rules"],
-        round(100 * result["success_once"], 1),
-        f"{100 * result['low']:.0f} to {100 * result['high']:.0f}",
-        round(100 * result["success_at_end"], 1),
+        *shown,
         result["episodes"],
         result["demonstrations"],
         result["samples"],

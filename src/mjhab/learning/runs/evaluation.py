@@ -2,18 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
 from mjhab.learning.runs.collection import Means, Scene
+from mjhab.reports.metrics import mean, wilson
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
 EVALUATION_SEED = 7_000_000
 """Offset of the evaluations' seeds, so that they share no episode with the training data."""
+
+
+GUESSED_EPISODE_SECONDS = 0.5
+"""Wall time of an evaluation's episode before anything is measured [s]: 200 control steps at 400 steps/s."""
+MOST_GUESSED_SHARE = 0.5
+"""Largest fraction of the time budget that is reserved for evaluations on a guess."""
+
+
+class EvaluationClock:
+    """How much of the time budget the coming evaluations need.
+
+    Args:
+        budget: wall time of the run [s], 0 for no limit.
+    """
+
+    def __init__(self, budget: float) -> None:
+        self._budget = budget
+        self._episode = GUESSED_EPISODE_SECONDS
+        self._is_measured = False
+
+    def guess(self, seconds: float) -> None:
+        """Set the estimated time of one episode [s]; ignored once an evaluation was measured."""
+        if not self._is_measured:
+            self._episode = seconds
+
+    def measured(self, seconds: float) -> None:
+        """Set the measured time of one episode [s]."""
+        self._episode = seconds
+        self._is_measured = True
+
+    def reserve(self, episodes: int) -> float:
+        """Time to reserve for ``episodes`` [s]; on a guess never more than MOST_GUESSED_SHARE of the budget."""
+        needed = self._episode * episodes
+        return needed if self._is_measured else min(needed, MOST_GUESSED_SHARE * self._budget)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Outcome of one evaluation during a run, or of none.
+
+    split: of the homes, "" without an evaluation. samples: of the run when it began. rows: episodes by the name of
+    the scene.
+    """
+
+    split: str = ""
+    samples: int = 0
+    rows: Mapping[str, Sequence[EpisodeRecord]] = field(default_factory=dict)
+
+    @property
+    def records(self) -> list[EpisodeRecord]:
+        """Episodes of all scenes."""
+        return [record for records in self.rows.values() for record in records]
+
+    def success_by_row(self) -> dict[str, float]:
+        """Success once by the name of the scene."""
+        return {
+            row: mean(record.success_once for record in records)
+            for row, records in self.rows.items()
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The part of a run's summary that this evaluation gives; "split" and "success_once" are None without one."""
+        records = self.records
+        low, high = wilson(sum(record.success_once for record in records), len(records))
+        return {
+            "split": self.split or None,
+            "success_once": mean(record.success_once for record in records) if records else None,
+            "interval": [low, high],
+            "episodes": len(records),
+            "evaluated_samples": self.samples if records else None,
+        }
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:
         ("preset", summary["preset"]),
         ("seed", folder.config["seed"]),
         ("homes of the training", folder.config["scene"]["split"]),
-        ("homes of the final evaluation", folder.config["eval_split"]),
+        ("homes of the last evaluation", summary["split"] or "none evaluated"),
     ]
     chips = "".join(
         f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown
@@ -144,7 +144,7 @@ def _cards(summary: Mapping[str, Any]) -> str:
         (
             "success once",
             success,
-            f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {summary['episodes']} episodes",
+            f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {_episodes(summary)}",
         ),
         ("time", f"{summary['seconds'] / 60:.1f} min", "collection and evaluation included"),
         ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
@@ -161,6 +161,13 @@ def _cards(summary: Mapping[str, Any]) -> str:
         for name, value, more in values
     )
     return f'<div class="cards">{tiles}</div>'
+
+
+def _episodes(summary: Mapping[str, Any]) -> str:
+    """Number and homes of the episodes behind the success rate."""
+    if not summary["episodes"]:
+        return "no episode evaluated"
+    return f"{summary['episodes']} episodes in homes of split {summary['split']}"
 
 
 def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:

@@ -15,8 +15,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -25,6 +27,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import parse_json
 from mjhab.rollout.store import check_folder, write_text
 
@@ -32,6 +35,7 @@ CONFIG = "config.json"
 METRICS = "metrics.jsonl"
 TENSORBOARD = "tensorboard"
 DATA = "data"
+SUFFIX = ".safetensors"
 TRAINING = "training.safetensors"
 STUDENT = "student.safetensors"
 BEST = "best.safetensors"
@@ -41,6 +45,37 @@ SUMMARY = "summary.json"
 REPORT = "report.html"
 REFRESH_SECONDS = 0.5
 """Shortest time between two updates of the table in the terminal [s]."""
+
+
+WORK = (f"*{SUFFIX}", "*.h5", "*.jsonl", "complete.json", "row.json")
+"""Files of a run that cost time to make, below its folder; metrics.jsonl counts if it has a line."""
+
+
+@contextmanager
+def refused_leaves_nothing(path: Path) -> Iterator[None]:
+    """After a UsageError within this context, delete what it has put into ``path``, so that a corrected command may
+    use the folder.
+
+    A folder that held something before stays as it is, and so does one with work in it, see WORK.
+    """
+    is_new = not path.exists()
+    was_empty = is_new or (path.is_dir() and not any(path.iterdir()))
+    try:
+        yield
+    except UsageError:
+        if was_empty and path.is_dir() and not _has_work(path):
+            for entry in list(path.iterdir()):
+                if entry.is_dir():
+                    shutil.rmtree(entry, ignore_errors=True)
+                else:
+                    entry.unlink(missing_ok=True)
+            if is_new:
+                path.rmdir()
+        raise
+
+
+def _has_work(path: Path) -> bool:
+    return any(file.stat().st_size > 0 for pattern in WORK for file in path.rglob(pattern))
 
 
 class TrainingFolder:
@@ -57,7 +92,7 @@ class TrainingFolder:
         Raises:
             UsageError: the folder is not empty and ``resume`` is not set, or it holds a run of another config.
         """
-        check_folder(path, config, resume=resume)
+        check_folder(path, config, resume=resume, replaceable=False)
         path.mkdir(parents=True, exist_ok=True)
         write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
         return cls(path, config)
@@ -76,6 +111,11 @@ class TrainingFolder:
     def best(self) -> Path:
         """Path of the student checkpoint with the best evaluation during training."""
         return self.path / BEST
+
+    @property
+    def kept_student(self) -> str | None:
+        """Path of the student checkpoint as text; None while there is none."""
+        return str(self.student) if self.student.is_file() else None
 
     def data(self, number: int) -> Path:
         """Folder of the demonstrations of a round."""

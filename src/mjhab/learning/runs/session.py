@@ -33,12 +33,12 @@ from mjhab.learning.layout import (
     layout_of,
 )
 from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
-from mjhab.learning.runs.evaluation import Evaluations
+from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
+from mjhab.learning.runs.interrupts import held_interrupts
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Batch
-from mjhab.reports.metrics import mean
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
 
@@ -216,8 +216,8 @@ class Session:
         self.config = request.config.student
         self.sources: list[Demonstrations] = []
         self.progress = Progress()
-        self.results: dict[str, list[EpisodeRecord]] = {}
-        """Episodes of the latest complete evaluation, by the name of the scene."""
+        self.judged = Judgement()
+        """The latest complete evaluation."""
         saved = load_checkpoint(folder.training) if resume and folder.training.is_file() else None
         if saved is not None:
             known = {name: saved.about[name] for name in Progress.__dataclass_fields__}
@@ -227,14 +227,14 @@ class Session:
         self.trainer = Trainer(student, request.seed, self.config.updates)
         if saved is not None:
             self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
-        self.fitted = saved is not None
+        self.fitted = saved is not None and bool(saved.about.get("fitted", True))
         self.collectors = [
             Collector(scene, layout.env_options(), request.means, request.seed, request.ray)
             for scene in self.scenes
         ]
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
-        self._eval_seconds = 0.0
+        self._clock = EvaluationClock(request.budget_seconds)
 
     # -- data --------------------------------------------------------------------------------------------------------
 
@@ -284,6 +284,9 @@ class Session:
                 raise OutOfTime
             tried += standing.tried
             kept += standing.kept
+        if tried:
+            # The episodes of every scene are evaluated, so the scenes' times add up.
+            self._clock.guess(len(self.scenes) * (time.perf_counter() - began) / tried)
         self.load_round(wanted.number)
         numbers = {
             "round": wanted.number,
@@ -326,9 +329,10 @@ class Session:
             batch = self._batch(sampler)
             loading += time.perf_counter() - before
             rate = 1.0 - self.progress.round_step / updates if cool_down else 1.0
-            losses.append(self.trainer.update(batch, rate).loss)
-            self.progress.round_step += 1
-            self.progress.samples += len(batch.actions)
+            with held_interrupts():
+                losses.append(self.trainer.update(batch, rate).loss)
+                self.progress.round_step += 1
+                self.progress.samples += len(batch.actions)
             if self.trainer.step % REPORT_EVERY == 0 or self.progress.round_step == updates:
                 seconds = time.perf_counter() - began
                 numbers = {
@@ -355,7 +359,10 @@ class Session:
     def _out_of_time(self) -> bool:
         """Whether the rest of the time budget is needed for the final evaluation."""
         budget = self.request.budget_seconds
-        reserve = self._eval_seconds * self.request.eval_episodes
+        episodes = self.request.eval_episodes
+        if not self.progress.evaluated:
+            episodes += self.request.round_episodes
+        reserve = self._clock.reserve(episodes)
         return bool(budget) and self.log.seconds + reserve > budget
 
     def next_round(self) -> None:
@@ -371,6 +378,7 @@ class Session:
             **vars(self.progress),
             "algorithm": self.request.config.algorithm,
             "preset": self.config.preset,
+            "fitted": self.fitted,
         }
         save_training(self.folder.training, self.trainer, about)
         self.save_student(self.folder.student)
@@ -405,31 +413,20 @@ class Session:
             scene.name: self._evaluate_in(scene, split, episodes, films, self.place(folder, scene))
             for scene in self.scenes
         }
-        self.results = found
-        self._eval_seconds = (time.perf_counter() - began) / episodes
-        success = mean(record.success_once for record in self.records)
+        self.judged = Judgement(split, self.progress.samples, found)
+        self._clock.measured((time.perf_counter() - began) / episodes)
+        by_row = self.judged.success_by_row()
+        success = float(self.judged.summary()["success_once"])
         self.progress.evaluated.append(self.trainer.step)
         numbers: dict[str, float] = {
             "success_once": success,
-            "evaluated_episodes": len(self.records),
+            "evaluated_episodes": len(self.judged.records),
             "round": self.progress.round,
         }
         if len(found) > 1:
-            numbers |= {f"success_once/{row}": rate for row, rate in self.success_by_row().items()}
+            numbers |= {f"success_once/{row}": rate for row, rate in by_row.items()}
         self.log.report(self.trainer.step, self.progress.samples, numbers)
         return success
-
-    @property
-    def records(self) -> list[EpisodeRecord]:
-        """Episodes of the latest complete evaluation, of all scenes."""
-        return [record for records in self.results.values() for record in records]
-
-    def success_by_row(self) -> dict[str, float]:
-        """Success once by scene in the latest complete evaluation."""
-        return {
-            row: mean(record.success_once for record in records)
-            for row, records in self.results.items()
-        }
 
     def _evaluate_in(
         self, scene: Scene, split: str, episodes: int, films: int, out: Path
@@ -451,7 +448,7 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
         UsageError: data, folder or scene do not fit; then nothing was written.
     """
     config = resolved_config(request)
-    check_folder(out, config, resume=resume)
+    check_folder(out, config, resume=resume, replaceable=False)
     layout = layout_for(request)
     session = Session(request, layout, TrainingFolder.open(out, config, resume=resume), resume)
     with session.log:

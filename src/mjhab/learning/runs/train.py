@@ -9,9 +9,10 @@ from typing import Any
 from mjhab.data.record.provenance import source_commit
 from mjhab.learning.runs.dagger import train_dagger
 from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime, Request, Session, open_session
 from mjhab.learning.runs.supervised import train_supervised
-from mjhab.reports.metrics import mean, wilson
+from mjhab.learning.runs.training import BrokenLossError
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class TrainingResult:
 
 
 def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
-    """Train a student, evaluate it, and write everything into a folder. Ctrl-C keeps the last checkpoint.
+    """Train a student, evaluate it, and write everything into a folder. Ctrl-C writes a checkpoint.
 
     Args:
         request: what to train.
@@ -36,33 +37,42 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
 
     Raises:
         UsageError: data, folder or scene do not fit.
-        BrokenLossError: the loss became NaN; the last good checkpoint is kept.
+        BrokenLossError: the loss became NaN; the weights from before it are kept.
     """
     interrupted = False
-    with open_session(request, out, resume) as session:
+    with refused_leaves_nothing(out), open_session(request, out, resume) as session:
         try:
             _learn(session)
             session.save()
-            if request.eval_episodes:
+            # Random weights are not judged.
+            if request.eval_episodes and session.trainer.step:
                 session.evaluate(request.eval_episodes, last=True)
                 session.save()
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, BrokenLossError) as error:
+            # Neither an interrupt nor a broken loss changes weights; before the data are read there is nothing to keep.
+            if session.fitted:
+                session.save()
+            if isinstance(error, BrokenLossError):
+                raise
             interrupted = True
         finally:
             summary = summarize(session)
             folder = session.folder
             folder.write_summary(summary)
             report = folder.write_report(
-                render_training_report(folder, session.log.rows, session.records, summary)
+                render_training_report(folder, session.log.rows, session.judged.records, summary)
             )
     return TrainingResult(summary, report, interrupted)
 
 
 def summarize(session: Session) -> dict[str, Any]:
-    """Results of a run as JSON data; ``episodes`` is the number of episodes behind ``success_once``."""
-    records = session.records
+    """Results of a run as JSON data.
+
+    ``split``, ``success_once``, ``interval``, ``episodes`` and ``rows`` come from one evaluation, the latest complete
+    one. ``checkpoint`` is None while there is none; ``trained`` tells whether the network was ever updated.
+    """
     dagger = session.request.config.dagger
-    low, high = wilson(sum(record.success_once for record in records), len(records))
+    judged = session.judged
     return {
         "algorithm": session.request.config.algorithm,
         "preset": session.config.preset,
@@ -70,14 +80,12 @@ def summarize(session: Session) -> dict[str, Any]:
         "samples": session.progress.samples,
         "seconds": round(session.log.seconds, 1),
         "cpu_seconds": round(session.log.cpu_seconds, 1),
-        "checkpoint": str(session.folder.student),
-        "split": session.request.judged_split,
-        "success_once": mean(record.success_once for record in records) if records else None,
-        "interval": [low, high],
-        "episodes": len(records),
+        "checkpoint": session.folder.kept_student,
+        "trained": session.trainer.step > 0,
+        **judged.summary(),
         "rows": [
-            {"row": row, "success_once": rate, "episodes": len(session.results[row])}
-            for row, rate in session.success_by_row().items()
+            {"row": row, "success_once": rate, "episodes": len(judged.rows[row])}
+            for row, rate in judged.success_by_row().items()
         ],
         "rounds": min(session.progress.round, dagger.rounds) if dagger else 0,
         "demonstrations": sum(source.episodes for source in session.sources),

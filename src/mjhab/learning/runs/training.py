@@ -22,7 +22,7 @@ SECOND_MOMENT = "second_moment"
 
 
 class BrokenLossError(MjhabError):
-    """The loss or gradient became NaN or infinite; the last checkpoint holds the weights from before."""
+    """The loss or gradient became NaN or infinite; the weights did not change."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Trainer:
 
     def _broken(self, what: str) -> BrokenLossError:
         return BrokenLossError(
-            f"{what} in batch {self.step + 1}. The last good checkpoint is kept; a smaller learning rate may help."
+            f"{what} in batch {self.step + 1}. The weights from before it are kept; a smaller learning rate may help."
         )
 
     def restart_average(self) -> None:

@@ -15,13 +15,16 @@ PAPER_HIDDEN = (2048, 1024, 512)
 
 
 class PaperTrunk(nn.Module):
-    """Layers of the MS-HAB network: 1,024 features each for images and state, then PAPER_HIDDEN."""
+    """Layers of the MS-HAB network: 1,024 features each for images and state, then PAPER_HIDDEN.
+
+    The features of the state are linear, those of the images pass a ReLU.
+    """
 
     def __init__(self, config: StudentConfig, layout: Layout) -> None:
         super().__init__()
         self.encoder = Encoder(config, layout)
         width = config.network.image_features
-        self.state = nn.Sequential(nn.Linear(self.encoder.vector_width, width), nn.ReLU())
+        self.state = nn.Linear(self.encoder.vector_width, width)
         self.layers = mlp([(self.encoder.cameras + 1) * width, *PAPER_HIDDEN], norm=False)
         self.width = PAPER_HIDDEN[-1]
 

@@ -1,22 +1,29 @@
-"""The actor of soft actor-critic: a Gaussian over one action, squashed into [-1, 1] by tanh."""
+"""Actors of soft actor-critic: a Gaussian over one action, squashed into [-1, 1] by tanh."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import torch
 from torch import Tensor, nn
 
-from mjhab.learning.configs import StudentConfig
+from mjhab.core.errors import UsageError
+from mjhab.learning.configs import GAUSSIAN_ACTIONS, StudentConfig
 from mjhab.learning.demos import Demonstrations
 from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, Trunk
+from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.student import Batch, Student
 
 LEAST_LOG_STD = -5.0
 MOST_LOG_STD = 1.0
 """Limits of the logarithm of the standard deviation before squashing."""
+PAPER_LOG_STDS = (-20.0, 2.0)
+"""These limits in MS-HAB (mshab/agents/sac), for networks with its image encoder "strided"."""
+START_STD = 0.1
+"""Standard deviation before squashing of an actor that begins from a student, whose exploration is local."""
 LARGEST_ACTION = 0.98
 """Imitated actions are clipped to this absolute value, because tanh reaches 1 only at infinity."""
 
@@ -32,6 +39,8 @@ class SquashedGaussian(Student):
         self.trunk = Trunk(config, layout)
         self.mean = nn.Linear(self.trunk.width, len(layout.actions))
         self.log_std = nn.Linear(self.trunk.width, len(layout.actions))
+        is_paper = config.network.encoder == "strided"
+        self.log_std_limits = PAPER_LOG_STDS if is_paper else (LEAST_LOG_STD, MOST_LOG_STD)
 
     @property
     def normalizer(self) -> Normalizer:
@@ -44,9 +53,13 @@ class SquashedGaussian(Student):
     def distribution(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log standard deviation before squashing, (B, A) each, for ``features`` (B, F)."""
         hidden = self.trunk.layers(features)
+        least, most = self.log_std_limits
         spread = torch.tanh(self.log_std(hidden))
-        log_std = LEAST_LOG_STD + 0.5 * (MOST_LOG_STD - LEAST_LOG_STD) * (spread + 1.0)
-        return self.mean(hidden), log_std
+        return self._raw_mean(hidden), least + 0.5 * (most - least) * (spread + 1.0)
+
+    def _raw_mean(self, hidden: Tensor) -> Tensor:
+        """Mean (B, A) before squashing, of the trunk's features (B, H)."""
+        return self.mean(hidden)
 
     def sample(self, features: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
         """Draw actions (B, A); also returns their log density (B,)."""
@@ -72,6 +85,46 @@ class SquashedGaussian(Student):
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         mean, _ = self.distribution(self.features(vector, images))
         return torch.tanh(mean)[:, None]
+
+
+class ActionGaussian(SquashedGaussian):
+    """A SquashedGaussian whose layer ``mean`` outputs actions instead of their inverse tanh.
+
+    So it can hold the last layer of a behaviour cloning student as it is, see `gaussian_of`. Actions are clipped to
+    LARGEST_ACTION; gradients pass the clipping unchanged, since an actor must find the way back from the limit.
+    """
+
+    def _raw_mean(self, hidden: Tensor) -> Tensor:
+        actions = self.mean(hidden)
+        clipped = actions.clamp(-LARGEST_ACTION, LARGEST_ACTION)
+        return torch.atanh(actions + (clipped - actions).detach())
+
+
+def gaussian_of(student: BehaviourCloning) -> ActionGaussian:
+    """The actor whose mean is the first action of a behaviour cloning student, and whose spread is START_STD.
+
+    Raises:
+        UsageError: the student has the network of MS-HAB's behaviour cloning, which this actor has not.
+    """
+    if not isinstance(student.trunk, Trunk):
+        raise UsageError(
+            "an actor of sac and rlpd cannot begin from a student of preset paper: its network has other layers. Train "
+            "one of preset small, quick or state, or use mjhab train ppo --start."
+        )
+    config = dataclasses.replace(student.config, algorithm=GAUSSIAN_ACTIONS, chunk=1, execute=1)
+    made = ActionGaussian(config, student.layout)
+    made.trunk.load_state_dict(student.trunk.state_dict())
+    count = len(student.layout.actions)
+    normalizer = student.action_normalizer
+    least, most = made.log_std_limits
+    share = 2.0 * (math.log(START_STD) - least) / (most - least) - 1.0
+    with torch.no_grad():
+        # The first rows of the head are the first action of the chunk, normalized.
+        made.mean.weight.copy_(student.head.weight[:count] * normalizer.scale[:, None])
+        made.mean.bias.copy_(normalizer.restore(student.head.bias[:count]))
+        made.log_std.weight.zero_()
+        made.log_std.bias.fill_(math.atanh(share))
+    return made
 
 
 def _first(batch: Batch) -> Batch:

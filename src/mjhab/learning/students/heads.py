@@ -5,13 +5,21 @@ from __future__ import annotations
 import torch
 
 from mjhab.core.errors import UsageError
-from mjhab.learning.configs import ACT, BC, DIFFUSION, FLOW, GAUSSIAN, StudentConfig
+from mjhab.learning.configs import (
+    ACT,
+    BC,
+    DIFFUSION,
+    FLOW,
+    GAUSSIAN,
+    GAUSSIAN_ACTIONS,
+    StudentConfig,
+)
 from mjhab.learning.layout import Layout
 from mjhab.learning.students.act import ActionTransformer
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.diffusion import DiffusionPolicy
 from mjhab.learning.students.flow import FlowMatching
-from mjhab.learning.students.gaussian import SquashedGaussian
+from mjhab.learning.students.gaussian import ActionGaussian, SquashedGaussian
 from mjhab.learning.students.student import Student
 
 HEADS_BY_ALGORITHM: dict[str, type[Student]] = {
@@ -20,6 +28,7 @@ HEADS_BY_ALGORITHM: dict[str, type[Student]] = {
     ACT: ActionTransformer,
     DIFFUSION: DiffusionPolicy,
     GAUSSIAN: SquashedGaussian,
+    GAUSSIAN_ACTIONS: ActionGaussian,
 }
 
 

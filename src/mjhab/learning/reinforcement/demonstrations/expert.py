@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import torch
 
+from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession, demonstration_env
 from mjhab.learning.reinforcement.sight import Sight
@@ -34,9 +36,13 @@ def collect_demonstrations(
     Args:
         session: of the run. make: makes a buffer for a number of worlds.
         tell: called with the number of finished episodes. style: of the expert, see `Styles.parse`.
+
+    Raises:
+        OutOfTime: the rest of the time budget is needed for the evaluations.
     """
     from mjhab.experts import make_expert
 
+    began = time.perf_counter()
     worlds_count = min(DEMONSTRATION_WORLDS, episodes)
     buffer = make(worlds_count)
     env = demonstration_env(
@@ -73,8 +79,13 @@ def collect_demonstrations(
             )
             seen = following
             ended = ended | over
+            if distributed.processes() == 1:
+                session.check_time()
         buffer.close(torch.arange(worlds_count, device=device), seen.to(device))
         finished += worlds_count
+        session.estimate_evaluation((time.perf_counter() - began) / finished)
+        # Several processes decide together, and only their numbers of rounds are the same.
+        session.check_time()
         tell(min(finished, episodes))
         if number + 1 < rounds:
             obs, info = env.reset()

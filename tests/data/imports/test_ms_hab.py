@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ import h5py
 import numpy as np
 import pytest
 
+import mjhab
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
+from mjhab.data.imports.ms_hab_layout import ACTIONS
 from mjhab.data.record.replay import verify
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.query import Filter
@@ -31,9 +34,18 @@ SIDE = 8
 
 
 def original(
-    folder: Path, count: int = 3, subtask: str = "pick", name: str = "024_bowl", **changes: Any
+    folder: Path,
+    count: int = 3,
+    subtask: str = "pick",
+    name: str = "024_bowl",
+    *,
+    side: int = SIDE,
+    **changes: Any,
 ) -> Path:
-    """A file as mshab/envs/wrappers/record.py writes it, with other values in the JSON of episodes for ``changes``."""
+    """A file as mshab/envs/wrappers/record.py writes it, with other values in the JSON of episodes for ``changes``.
+
+    side: of its images [px].
+    """
     path = folder / "set_table" / subtask / f"{name}.h5"
     path.parent.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
@@ -56,7 +68,7 @@ def original(
                 obs[f"sensor_param/{camera}/intrinsic_cv"] = np.tile(
                     np.eye(3, dtype=np.float32), (STEPS + 1, 1, 1)
                 )
-                depth = rng.integers(0, 9000, (STEPS + 1, SIDE, SIDE, 1)).astype(np.int16)
+                depth = rng.integers(0, 9000, (STEPS + 1, side, side, 1)).astype(np.int16)
                 obs.create_dataset(
                     f"sensor_data/{camera}/depth",
                     data=depth,
@@ -64,7 +76,7 @@ def original(
                     compression_opts=5,
                 )
                 obs[f"sensor_data/{camera}/rgb"] = rng.integers(
-                    0, 256, (STEPS + 1, SIDE, SIDE, 3)
+                    0, 256, (STEPS + 1, side, side, 3)
                 ).astype(np.uint8)
             trajectory["actions"] = rng.uniform(-1, 1, (STEPS, 13)).astype(np.float32)
             trajectory["terminated"] = np.zeros(STEPS, bool)
@@ -263,6 +275,26 @@ def test_what_needs_states_or_signals_says_so(
             UsageError, match=r"It was imported from data without states to draw them from"
         ):
             episode.frame("fetch_head", "seg", 0)
+
+
+def test_the_run_of_an_import_is_that_of_the_source(tmp_path: Path) -> None:
+    path = original(tmp_path, 1)
+    env = mjhab.make(
+        task="set_table", subtask="pick", target="024_bowl", profile="ms_hab", obs_mode="state"
+    )
+    assert tuple(entry.name for entry in env.action_table) == ACTIONS
+    told = dataclasses.asdict(env.config)
+    env.close()
+    import_ms_hab(path, tmp_path / "shards")
+    run = next(episodes(tmp_path / "shards")).run
+    for name, value in run.config["env"].items():
+        assert value == (list(told[name]) if isinstance(told[name], tuple) else told[name]), name
+    assert set(run.config["env"]) > {"robot", "base", "stationary", "profile"}
+    with h5py.File(path, "r+") as file:
+        del file["traj_0/actions"]
+        file["traj_0/actions"] = np.zeros((STEPS, 11), np.float32)
+    with pytest.raises(UsageError, match=r"actions of 11 numbers; pd_joint_delta_pos has 13"):
+        import_ms_hab(path, tmp_path / "other")
 
 
 def test_an_import_goes_on_where_it_stopped(tmp_path: Path) -> None:

@@ -20,7 +20,14 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json
 from mjhab.core.rotations import quat_canonical
-from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, from_verbose
+from mjhab.data.imports.ms_hab_layout import (
+    ACTIONS,
+    CONTROL_MODE,
+    ENV,
+    SOURCE_TYPE,
+    TRAJECTORY,
+    from_verbose,
+)
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, dataset_paths, group
 from mjhab.data.store.images import ImageFormat, encode
@@ -179,16 +186,13 @@ class _Source:
 
     def run(self) -> RunInfo:
         """Description of the run that made the episodes, as far as the file has it."""
-        control = str(
-            next((each["control_mode"] for each in self.told if "control_mode" in each), "")
-        )
         made = next(iter(self.said.get("runs", {}).values()), {})
         name = made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
         policy = name or f"ms_hab {self.said.get('source_type', '')}".strip().lower()
         place = f"{self.task}/{self.subtask}/{self.path.stem}"
         return RunInfo(
             config={
-                "env": {"task": self.task, "subtask": self.subtask, "control_mode": control},
+                "env": self._env(),
                 "policy": {"name": policy},
                 "imported": {"from": "ms_hab", "file": place, "json": self.digest},
             },
@@ -197,13 +201,42 @@ class _Source:
                 "source_desc": self.said.get("source_desc"),
             },
             versions=dict(made.get("versions", {})),
-            layout={
-                key: made["layout"][key] for key in ("actions",) if key in made.get("layout", {})
-            },
+            layout=self._layout(),
             assets=str(made.get("assets", "replica_cad")),
             licence=str(made.get("licence", "unknown: see the source of the data")),
             absent=ABSENT,
         )
+
+    def _runs(self) -> list[Mapping[str, Any]]:
+        """The runs of a file that mjhab exported; empty for a file of MS-HAB."""
+        return list(self.said.get("runs", {}).values()) if self.is_ours else []
+
+    def _control_mode(self) -> str:
+        told = (each["control_mode"] for each in self.told if each.get("control_mode"))
+        return str(next(told, CONTROL_MODE))
+
+    def _env(self) -> dict[str, Any]:
+        """Options of the environment of the episodes: those that all runs of an export share, or MS-HAB's own."""
+        envs = [run.get("config", {}).get("env", {}) for run in self._runs()]
+        if envs:
+            first, *others = envs
+            known = {
+                name: value
+                for name, value in first.items()
+                if all(name in env and env[name] == value for env in others)
+            }
+        else:
+            known = ENV
+        own = {"task": self.task, "subtask": self.subtask, "control_mode": self._control_mode()}
+        return {**known, **own}
+
+    def _layout(self) -> dict[str, Any]:
+        """Names of the actions, where the file has them or its control mode is MS-HAB's."""
+        runs = self._runs()
+        if runs:
+            layout = runs[0].get("layout", {})
+            return {"actions": layout["actions"]} if "actions" in layout else {}
+        return {"actions": list(ACTIONS)} if self._control_mode() == CONTROL_MODE else {}
 
     def indices(self) -> list[int]:
         """Indices of the episodes: the recorded ones if the file has them and they are unique, else their numbers."""
@@ -235,6 +268,12 @@ class _Source:
         if steps != int(told["elapsed_steps"]) or steps < 1:
             raise UsageError(
                 f"{self.path}: {name} has {steps} actions, and the JSON says {told['elapsed_steps']} steps."
+            )
+        names = run.layout.get("actions")
+        if names is not None and arrays["actions"].shape[1] != len(names):
+            raise UsageError(
+                f"{self.path}: {name} has actions of {arrays['actions'].shape[1]} numbers; {self._control_mode()} has "
+                f"{len(names)} ({', '.join(names)}). Give data of the robot Fetch."
             )
         record = self._record(told, index, arrays)
         ending = str(told.get("ending") or _ending(trajectory))

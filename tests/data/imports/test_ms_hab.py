@@ -10,21 +10,24 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mjhab
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
-from mjhab.data.imports.ms_hab_layout import ACTIONS
+from mjhab.data.imports.ms_hab_layout import ACTIONS, SCANNED_YAWS
 from mjhab.data.record.replay import verify
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select, stats
 from mjhab.data.store.checking import check
 from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.object_axes import shown_objects
 from mjhab.data.store.reading import episodes
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
+from mjhab.rollout.records import PlanEntry
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
@@ -178,6 +181,51 @@ def test_an_export_comes_back(tmp_path: Path) -> None:
         assert new.run.config["policy"] == {"name": "random"} and tuple(new.run.absent) == ABSENT
 
 
+def test_which_object_a_subtask_observes() -> None:
+    box = "008_pudding_box_:0000"
+    plan = (("navigate", box), ("open", "fridge/top_door"), ("pick", box))
+    plan += (("navigate", f"goal of {box}"), ("place", box), ("close", "fridge/top_door"))
+    kind = "008_pudding_box"
+    shown = shown_objects([PlanEntry(*entry) for entry in plan])
+    assert shown == ("", kind, kind, kind, kind, "")
+
+
+def test_poses_of_boxes_are_turned_into_our_axes_and_back(tmp_path: Path) -> None:
+    key = "extra/obj_pose_wrt_base"
+    path = original(tmp_path, 1, name="008_pudding_box")
+    import_ms_hab(path, tmp_path / "shards")
+    (episode,) = episodes(tmp_path / "shards")
+    with h5py.File(path) as file:
+        seen = np.array(file[f"traj_0/obs/{key}"])
+    ours = episode.observation(key)
+    turn = Rotation.from_rotvec([0.0, 0.0, -SCANNED_YAWS["008_pudding_box"]])
+    for mine, theirs in zip(ours, seen, strict=True):
+        wanted = Rotation.from_quat(theirs[[4, 5, 6, 3]]) * turn
+        got = Rotation.from_quat(mine[[4, 5, 6, 3]])
+        assert (wanted.inv() * got).magnitude() < 1e-5 and mine[3] >= 0
+    np.testing.assert_array_equal(ours[:, :3], seen[:, :3])
+    (exported,) = to_maniskill(tmp_path / "shards", tmp_path / "exported").files
+    told = json.loads(exported.with_suffix(".json").read_text())["episodes"]
+    assert [each["object_axes"] for each in told] == ["scan"]
+    seen[seen[:, 3] < 0, 3:] *= -1
+    with h5py.File(exported) as file:
+        np.testing.assert_allclose(np.array(file[f"traj_0/obs/{key}"]), seen, atol=1e-6)
+    import_ms_hab(exported, tmp_path / "back")
+    (back,) = episodes(tmp_path / "back")
+    np.testing.assert_allclose(back.observation(key), ours, atol=1e-6)
+
+
+def test_poses_without_known_headings_stay(tmp_path: Path) -> None:
+    path = original(tmp_path, 1, name="008_pudding_box")
+    rewrite(path, source_type="mjhab", runs={})
+    import_ms_hab(path, tmp_path / "shards")
+    (episode,) = episodes(tmp_path / "shards")
+    with h5py.File(path) as file:
+        seen = np.array(file["traj_0/obs/extra/obj_pose_wrt_base"])
+    seen[seen[:, 3] < 0, 3:] *= -1
+    np.testing.assert_array_equal(episode.observation("extra/obj_pose_wrt_base"), seen)
+
+
 def test_a_file_of_the_original(tmp_path: Path) -> None:
     path = original(tmp_path)
     done = import_ms_hab(path, tmp_path / "shards")
@@ -243,6 +291,8 @@ def test_filters_statistics_reports_and_windows_work_on_it(tmp_path: Path) -> No
         "mjhab, published rules, straightforward_success: 3 of 3" in page
         and "data:video/mp4" in page
     )
+    rules = "profile ms_hab, stillness published"
+    assert f"{rules}; those of this data set are of {rules}." in page
     windows = WindowDataset(
         shards, history=2, chunk=4, images=["fetch_head/depth"], normalize="spread"
     )

@@ -20,10 +20,13 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json
 from mjhab.core.rotations import quat_canonical
+from mjhab.core.scan_axes import OBJECT_POSE, from_scan_axes
 from mjhab.data.imports.ms_hab_layout import (
     ACTIONS,
     CONTROL_MODE,
     ENV,
+    SCAN_AXES,
+    SCANNED_YAWS,
     SOURCE_TYPE,
     TRAJECTORY,
     from_verbose,
@@ -31,6 +34,7 @@ from mjhab.data.imports.ms_hab_layout import (
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, dataset_paths, group
 from mjhab.data.store.images import ImageFormat, encode
+from mjhab.data.store.object_axes import SCAN_YAWS, shown_objects
 from mjhab.data.store.schema import FORMAT
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
@@ -231,12 +235,14 @@ class _Source:
         return {**known, **own}
 
     def _layout(self) -> dict[str, Any]:
-        """Names of the actions, where the file has them or its control mode is MS-HAB's."""
+        """Headings of scans, and names of the actions if the file has them or its control mode is MS-HAB's."""
         runs = self._runs()
         if runs:
             layout = runs[0].get("layout", {})
-            return {"actions": layout["actions"]} if "actions" in layout else {}
-        return {"actions": list(ACTIONS)} if self._control_mode() == CONTROL_MODE else {}
+            return {key: layout[key] for key in ("actions", SCAN_YAWS) if key in layout}
+        yaws = {SCAN_YAWS: SCANNED_YAWS}
+        has_names = self._control_mode() == CONTROL_MODE
+        return {"actions": list(ACTIONS), **yaws} if has_names else yaws
 
     def indices(self) -> list[int]:
         """Indices of the episodes: the recorded ones if the file has them and they are unique, else their numbers."""
@@ -263,7 +269,7 @@ class _Source:
             raise UsageError(
                 f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}."
             )
-        arrays, columns = _arrays(trajectory)
+        arrays, columns = _arrays(trajectory, self._scan_yaw(told, run))
         steps = len(arrays["actions"])
         if steps != int(told["elapsed_steps"]) or steps < 1:
             raise UsageError(
@@ -279,6 +285,13 @@ class _Source:
         ending = str(told.get("ending") or _ending(trajectory))
         actors = tuple(str(actor) for actor in told.get("actors", ()))
         return EpisodeData(record, run, "", ending, arrays, columns, actors)
+
+    def _scan_yaw(self, told: Mapping[str, Any], run: RunInfo) -> float:
+        """Heading [rad] of the scan of the observed object, 0 if its pose is in the axes of the object."""
+        if self.is_ours and told.get("object_axes") != SCAN_AXES:
+            return 0.0
+        (shown,) = shown_objects((PlanEntry(self.subtask, self._target(told)),))
+        return float(run.layout.get(SCAN_YAWS, {}).get(shown, 0.0))
 
     def _record(
         self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]
@@ -384,11 +397,18 @@ def _seed(told: Mapping[str, Any]) -> int:
     return int(np.ravel(seed)[0]) if np.size(seed) else 0
 
 
-def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
-    """Datasets of an episode by their paths in the shard schema, and the names of their columns."""
+def _arrays(
+    trajectory: h5py.Group, scan_yaw: float
+) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
+    """Datasets of an episode by their paths in the shard schema, and the names of their columns.
+
+    scan_yaw: heading [rad] of the scan in whose axes the pose of the object is.
+    """
     actions = dataset(trajectory, "actions")[()].astype(np.float32)
     steps = len(actions)
     parts = _state_parts(trajectory)
+    if OBJECT_POSE in parts:
+        parts[OBJECT_POSE] = from_scan_axes(parts[OBJECT_POSE], scan_yaw)
     arrays = {
         "actions": actions,
         "subtasks/active": np.zeros(steps + 1, np.int16),

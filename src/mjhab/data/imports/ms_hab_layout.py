@@ -35,11 +35,24 @@ ACTIONS = (
 )
 """Names of the 13 actions of MS-HAB's Fetch in `CONTROL_MODE`, as in mjhab's action table (mani_skill
 agents/robots/fetch/fetch.py)."""
+SCAN_AXES = "scan"
+OBJECT_AXES = "object"
+"""Values of "object_axes" of an exported episode: the axes of ``obj_pose_wrt_base``, see `core.scan_axes`."""
+SCANNED_YAWS = {
+    "003_cracker_box": 0.00349,
+    "004_sugar_box": 0.03142,
+    "008_pudding_box": -0.48171,
+    "009_gelatin_box": -0.22864,
+    "010_potted_meat_can": -0.04712,
+}
+"""Headings [rad] of the scans of YCB boxes, as `scenes.replica_cad.ycb` measures them; a test compares them."""
 ENV = {
     "robot": "fetch",
     "base": "forward",
     "stationary": ["head"],
     "profile": "ms_hab",
+    "stillness": "published",
+    "spawn_rule": "published",
 }
 """Options of mjhab's environment that stand for the one in which MS-HAB's data were made (mshab/envs/make.py)."""
 _THEIRS = {

@@ -20,7 +20,6 @@ import h5py
 import numpy as np
 
 from mjhab.core.names import below
-from mjhab.core.scan_axes import OBJECT_POSE, to_scan_axes
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.imports.ms_hab_layout import (
@@ -39,7 +38,7 @@ from mjhab.data.select.until import Until
 from mjhab.data.store.hdf5 import change_file, make_file
 from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.journal import recover
-from mjhab.data.store.object_axes import scan_yaws
+from mjhab.data.store.object_axes import OBJECT_POSE, scan_yaws, to_scan_axes
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.shard import last_label
 from mjhab.rollout.records import EpisodeRecord

@@ -20,7 +20,6 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json
 from mjhab.core.rotations import quat_canonical
-from mjhab.core.scan_axes import OBJECT_POSE, from_scan_axes
 from mjhab.data.imports.ms_hab_layout import (
     ACTIONS,
     CONTROL_MODE,
@@ -34,7 +33,7 @@ from mjhab.data.imports.ms_hab_layout import (
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, dataset_paths, group
 from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.object_axes import SCAN_YAWS, shown_objects
+from mjhab.data.store.object_axes import OBJECT_POSE, SCAN_YAWS, from_scan_axes, shown_objects
 from mjhab.data.store.schema import FORMAT
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord

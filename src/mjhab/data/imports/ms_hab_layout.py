@@ -37,7 +37,7 @@ ACTIONS = (
 agents/robots/fetch/fetch.py)."""
 SCAN_AXES = "scan"
 OBJECT_AXES = "object"
-"""Values of "object_axes" of an exported episode: the axes of ``obj_pose_wrt_base``, see `core.scan_axes`."""
+"""Values of "object_axes" of an exported episode: the axes of ``obj_pose_wrt_base``, see `data.store.object_axes`."""
 SCANNED_YAWS = {
     "003_cracker_box": 0.00349,
     "004_sugar_box": 0.03142,

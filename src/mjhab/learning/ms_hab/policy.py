@@ -14,8 +14,8 @@ from torch import Tensor
 
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
-from mjhab.core.scan_axes import to_scan_axes
 from mjhab.core.seeding import stream
+from mjhab.data.store.object_axes import to_scan_axes
 from mjhab.learning.ms_hab.checkpoint import load_network
 from mjhab.learning.ms_hab.network import IMAGE_SIDE_PX, STATE_SIZE, Network
 

@@ -81,7 +81,10 @@ class FakeEnv:
         self.config = FakeConfig(subtask=subtask, num_envs=num_envs, runs_to_horizon=bool(subtask))
         self.plan = tuple(e for e in CHAIN if e[0] == subtask) if subtask else CHAIN
         self.layout = SimpleNamespace(
-            robot=ROBOT, object_names=["024_bowl_:0000"], link_ids=["kitchen_counter/drawer3"]
+            robot=ROBOT,
+            objects=[],
+            object_names=["024_bowl_:0000"],
+            link_ids=["kitchen_counter/drawer3"],
         )
         self.action_table = [SimpleNamespace(name=f"a{i}") for i in range(13)]
         self.worlds = [_World(self, 0, w) for w in range(num_envs)]

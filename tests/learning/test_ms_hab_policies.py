@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,10 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.envs import make
+from mjhab.evaluation.evaluate import EvalSpec, resolved_config
+from mjhab.evaluation.resolve import inspect_policy
 from mjhab.learning.ms_hab.checkpoint import LAYOUTS, load_network
 from mjhab.learning.ms_hab.policy import ENV_OPTIONS, MsHabPolicy, ms_hab_policy
 from mjhab.rollout.loop import rollout
@@ -23,7 +27,20 @@ from tests.learning import ms_hab_checkpoints as original
 
 WORLDS = 2
 SEED = 7
-ENV: Any = SimpleNamespace(config=SimpleNamespace(**ENV_OPTIONS))
+
+
+def environment(**options: Any) -> Any:
+    """What a policy reads of an environment; in every world the object is the first, whose scan is not turned."""
+    return SimpleNamespace(
+        config=SimpleNamespace(**(ENV_OPTIONS | options)),
+        focus=SimpleNamespace(obj=np.zeros(WORLDS, np.int64)),
+        layout=SimpleNamespace(
+            objects=[SimpleNamespace(scan_yaw=0.0), SimpleNamespace(scan_yaw=1.089)]
+        ),
+    )
+
+
+ENV = environment()
 
 
 @dataclass(frozen=True)
@@ -134,6 +151,29 @@ def test_actions_are_those_of_a_plain_computation(name: str, tmp_path: Path) -> 
     assert np.std(spread, axis=0)[:, :8].min() > 1e-3 and (np.abs(spread) < 0.99).mean() > 0.2
 
 
+def test_objects_are_seen_in_the_axes_of_their_scans(tmp_path: Path) -> None:
+    path = original.save(tmp_path / "a.pt", original.random_weights(CASES["ppo"].shapes))
+    env = environment()
+    env.focus.obj[:] = (1, -1)
+    policy = ms_hab_policy(path, env)
+    plain = ms_hab_policy(path, ENV)
+    obs = observation(np.random.default_rng(3))
+    pose = obs["state"][:, 31:38]
+    pose[1] = 0.0
+    turn = Rotation.from_rotvec([0.0, 0.0, 1.089])
+    x, y, z, w = (Rotation.from_quat(pose[0, [4, 5, 6, 3]]) * turn).as_quat(canonical=True)
+    pose[0, 3:] /= np.linalg.norm(pose[0, 3:])
+    turned = {key: values.copy() for key, values in obs.items()}
+    turned["state"][0, 34:38] = (w, x, y, z)
+    before = obs["state"].copy()
+    for each in (policy, plain):
+        each.reset(np.ones(WORLDS, bool))
+    np.testing.assert_allclose(
+        policy.act(obs, info(0, 1)), plain.act(turned, info(0, 1)), atol=1e-5
+    )
+    np.testing.assert_array_equal(obs["state"], before)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_an_episode_does_not_depend_on_the_worlds_beside_it(name: str, tmp_path: Path) -> None:
     _, network = load_network(
@@ -225,18 +265,24 @@ class Spy:
         return (Path.touch, (self.path,))
 
 
-def test_files_that_are_no_checkpoints(tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("error")
+def test_files_that_are_no_checkpoints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mark = tmp_path / "executed"
     path = tmp_path / "a.pt"
     torch.save({"agent": {"w": torch.zeros(2)}, "extra": Spy(mark)}, path)
     refuse(path, "needs more than tensors and was refused; nothing in it was executed", "pathlib")
     path.write_bytes(pickle.dumps({"agent": Spy(mark)}))
-    refuse(path, "cannot be read as a checkpoint of torch")
+    refuse(path, "cannot be read as a checkpoint of torch", "Nothing in it was executed. Save the")
+    with pytest.raises(UsageError) as caught:
+        load_network(path)
+    assert "weights_only" not in str(caught.value) + capsys.readouterr().err
     assert not mark.exists()
     path.write_bytes(b"not a checkpoint")
     refuse(path, "cannot be read as a checkpoint of torch")
     path.unlink()
     refuse(path, "does not exist")
+    with pytest.raises(UsageError, match=r"'ms_hab:' names no file; .* as in ms_hab:CHECKPOINT.pt"):
+        inspect_policy("ms_hab:")
 
 
 def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
@@ -248,12 +294,10 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
         "control_mode": "pd_joint_pos",
     }
     for option, value in changes.items():
-        env: Any = SimpleNamespace(config=SimpleNamespace(**{**ENV_OPTIONS, option: value}))
-        with pytest.raises(UsageError, match=rf"{option} (is|are) .*Make it with obs_mode='depth'"):
+        env = environment(**{option: value})
+        with pytest.raises(UsageError, match=rf"{option} (is|are) .*Make it with profile='ms_hab'"):
             ms_hab_policy(path, env)
-    wide: Any = SimpleNamespace(
-        config=SimpleNamespace(**{**ENV_OPTIONS, "obs_mode": "rgbd+seg", "camera_size": (128, 128)})
-    )
+    wide = environment(obs_mode="rgbd+seg", camera_size=(128, 128))
     policy = ms_hab_policy(path, wide)
     policy.reset(np.ones(WORLDS, bool))
     obs = observation(np.random.default_rng(0))
@@ -265,6 +309,16 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
         UsageError, match=r"fetch_head/depth has shape \(2, 64, 64, 1\); .* need \(2, 128, 128, 1\)"
     ):
         policy.act(small, info(0, 1))
+
+
+def test_a_policy_brings_its_profile_and_the_user_may_choose_another(tmp_path: Path) -> None:
+    path = original.save(tmp_path / "a.pt", original.random_weights(CASES["ppo"].shapes))
+    facts = inspect_policy(f"ms_hab:{path}")
+    assert facts.env_options["profile"] == "ms_hab"
+    spec = EvalSpec(task="set_table", subtask="pick", policy=f"ms_hab:{path}")
+    assert resolved_config(spec, facts)["profile"] == "ms_hab"
+    chosen = dataclasses.replace(spec, env={"profile": "mjhab"})
+    assert resolved_config(chosen, facts)["profile"] == "mjhab"
 
 
 def test_a_policy_acts_in_an_environment(tmp_path: Path) -> None:

@@ -212,7 +212,13 @@ def test_files_that_are_no_students_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="not a checkpoint of `mjhab train`"):
         load_student(path)
     save_training(path, trainer_of(), {})
-    with pytest.raises(UsageError, match="does not hold the weights of a student alone"):
+    with pytest.raises(
+        UsageError, match=r"a student alone\. A training file .* student.safetensors"
+    ):
+        load_student(path)
+    beside = tmp_path / "student.safetensors"
+    beside.touch()
+    with pytest.raises(UsageError, match=rf"a student alone\. Give {beside}\.$"):
         load_student(path)
 
 

@@ -22,6 +22,7 @@ from mjhab.core.version import __version__
 from mjhab.learning.compact import compacted, expanded
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
 from mjhab.learning.layout import Layout
+from mjhab.learning.runs.run import STUDENT
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
@@ -105,8 +106,18 @@ def load_student(path: Path) -> Student:
     try:
         student.load_state_dict(dict(saved.tensors))
     except RuntimeError as error:
-        raise UsageError(f"{path} does not hold the weights of a student alone: {error}") from error
+        raise UsageError(
+            f"{path} does not hold the weights of a student alone. {_remedy(path)}"
+        ) from error
     return student.eval().requires_grad_(False)
+
+
+def _remedy(path: Path) -> str:
+    """What to give instead of a file that is no student's: the student's beside it, if there is one."""
+    beside = path.with_name(STUDENT)
+    if beside != path and beside.is_file():
+        return f"Give {beside}."
+    return f"A training file serves to continue a run; give the {STUDENT} of a finished run of `mjhab train`."
 
 
 def save_tensors(

@@ -207,8 +207,20 @@ def _goals(records: Iterable[EpisodeRecord]) -> set[tuple[str, str]]:
 
 
 def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:
-    """State, actions and control of a recorded episode, as in `Layout`."""
+    """State, actions and control of a recorded episode, as in `Layout`.
+
+    Raises:
+        UsageError: the episode was imported without them.
+    """
     env = episode.run.config["env"]
+    missing = [name for name in ("control_mode", "base", "stationary") if name not in env]
+    if "actions" not in episode.run.layout:
+        missing.append("the names of the actions")
+    if missing:
+        raise UsageError(
+            f"episode {episode.name} of {episode.shard.path} does not say {', '.join(missing)}, so nothing can be "
+            "trained on it; import its source again, into another folder: mjhab data import ms_hab FILE.h5 --out DIR"
+        )
     control = (env["control_mode"], env["base"], *env["stationary"])
     actions = tuple(str(name) for name in episode.run.layout["actions"])
     return tuple(episode.columns("obs/state").items()), actions, control
@@ -368,11 +380,26 @@ def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarr
 
 
 def base_velocity_of(episode: Episode) -> np.ndarray:
-    """Forward speed [m/s] and turning rate [rad/s] of the base (N+1, 2) float32, from the recorded states."""
+    """Forward speed [m/s] and turning rate [rad/s] of the base (N+1, 2) float32, from the recorded states.
+
+    Raises:
+        UsageError: the episode was imported from data without states.
+    """
+    if lacks_states(episode):
+        raise UsageError(
+            f"episode {episode.name} of {episode.shard.path} was imported from data without states, which the velocity "
+            "of the base is computed from; take a student without it: --preset paper, or --set "
+            "inputs.base_velocity=false."
+        )
     columns = episode.run.layout["columns"]
     q = episode.array("states/qpos")[:, columns["robot_q"][BASE]]
     qd = episode.array("states/qvel")[:, columns["robot_v"][BASE]]
     return base_velocity(q, qd)
+
+
+def lacks_states(episode: Episode) -> bool:
+    """Whether the episode was imported from data without states, from which nothing can be computed anew."""
+    return "states/initial" in episode.run.absent
 
 
 def base_velocity(q: Array, qd: Array) -> Array:
@@ -395,24 +422,36 @@ def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:
     cameras = []
     for camera in layout.inputs.cameras:
         if (camera, "depth") not in episode.images:
-            raise _no_images(episode, layout, f"has no depth images of {camera}")
+            raise _no_images(episode, layout, f"has no depth images of {camera}", None)
         files = episode.array(f"images/{camera}/depth/bytes").tobytes()
         ends = episode.array(f"images/{camera}/depth/ends").tolist()
         starts = [0, *ends]
         frames = [decode(files[starts[t] : ends[t]], "depth")[..., 0] for t in range(steps)]
         if frames[0].shape != (size, size):
+            height, width = frames[0].shape
             raise _no_images(
-                episode, layout, f"has depth images of {frames[0].shape[1]}x{frames[0].shape[0]} px"
+                episode, layout, f"has depth images of {width}x{height} px", (height, width)
             )
         cameras.append(nearness(np.stack(frames)))
     return np.stack(cameras, axis=1)
 
 
-def _no_images(episode: Episode, layout: Layout, found: str) -> UsageError:
+def _no_images(
+    episode: Episode, layout: Layout, found: str, have: tuple[int, int] | None
+) -> UsageError:
+    """Make the error for images that are missing (``have`` None) or of another size (height, width) [px]."""
     size = layout.inputs.image_size
     cameras = " ".join(layout.inputs.cameras)
+    told = f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. "
+    if not lacks_states(episode):
+        return UsageError(
+            f"{told}Render them from the recorded states: mjhab replay {episode.shard.path} --render depth "
+            f"--camera-size {size} --cameras {cameras} --out FILE.h5"
+        )
+    told += "It was imported from data without states, so its images cannot be rendered again; "
+    if have and have[0] == have[1]:
+        return UsageError(f"{told}train with images of its size: --set inputs.image_size={have[0]}")
+    with_depth = sorted({camera for camera, output in episode.images if output == "depth"})
     return UsageError(
-        f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. Render them from "
-        f"the recorded states: mjhab replay {episode.shard.path} --render depth --camera-size {size} "
-        f"--cameras {cameras} --out FILE.h5"
+        f"{told}train with the cameras it has depth of ({', '.join(with_depth) or 'none'}): --set inputs.cameras=..."
     )

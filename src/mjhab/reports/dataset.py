@@ -13,6 +13,7 @@ from mjhab.core.names import kind_of
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import Place, nothing_passes, select
+from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.reading import open_shard, shard_paths
 from mjhab.reports import parts
 from mjhab.reports.dataset_forces import force_plots
@@ -28,7 +29,8 @@ _LABEL_HINT = (
     "Percent of the subtasks in this data set, from which a filter may have removed some labels. Published rules: the "
     "labels of MS-HAB's code, as in the columns of the paper (Tables 6 to 13, 1,008 episodes each: RL-Per has one "
     "policy per object, RL-All one for all objects, IL imitates RL-Per). Own rules: mjhab's labels, the field label of "
-    "filters. Homes, objects and physics differ from the paper's, so this compares data sets, not policies."
+    "filters. Homes, objects and physics differ from the paper's, so this compares data sets, not policies. The "
+    "paper's numbers are of profile ms_hab, stillness published; those of this data set are of "
 )
 _FILM_HINT = (
     "Episodes by the label of their last subtask, side by side, at four times real time, from the named camera. An "
@@ -69,10 +71,13 @@ def render_data_report(
     plots = force_plots(subtasks)
     size = sum(path.stat().st_size for path in paths)
     text = where.text if where else None
+    runs = _runs(found.matched)
+    policies = list(dict.fromkeys(run.policy for run in runs))
+    rules = "; ".join(dict.fromkeys(map(_rules, runs)))
     body = [
-        _header(records, _policies(found.matched), text),
+        _header(records, policies, rules, text),
         _cards(records, size / found.of),
-        parts.section("Labels", _LABEL_HINT, _labels(records)),
+        parts.section("Labels", f"{_LABEL_HINT}{rules}.", _labels(records)),
         parts.section("Films", _FILM_HINT, _films(found.matched, records, open_film, begin)),
         parts.section("Forces", _FORCE_HINT, _pairs(list(plots))),
         parts.section(
@@ -84,22 +89,32 @@ def render_data_report(
     return render_page("Recorded episodes", "\n".join(body), {"plots": plots})
 
 
-def _policies(members: Sequence[Place]) -> list[str]:
-    """Names of the policies."""
-    names: dict[str, None] = {}
-    for path in dict.fromkeys(path for path, _ in members):
+def _runs(members: Sequence[Place]) -> list[RunInfo]:
+    """The runs of the episodes."""
+    # Names of episodes start with the hash of their run's config.
+    configs: dict[Path, set[str]] = defaultdict(set)
+    for path, name in members:
+        configs[path].add(name.partition("-")[0])
+    runs: list[RunInfo] = []
+    for path, wanted in configs.items():
         with open_shard(path) as shard:
-            names |= {
-                str(run.config.get("policy", {}).get("name", "?")): None
-                for run in shard.runs.values()
-            }
-    return list(names)
+            runs += [run for run in shard.runs.values() if run.config_id in wanted]
+    return runs
 
 
-def _header(records: Sequence[EpisodeRecord], policies: Sequence[str], where: str | None) -> str:
+def _rules(run: RunInfo) -> str:
+    """The rules by which the episodes of a run were judged; runs without a word on them are of the first version."""
+    env = run.config.get("env", {})
+    return f"profile {env.get('profile', 'mjhab')}, stillness {env.get('stillness', 'absolute')}"
+
+
+def _header(
+    records: Sequence[EpisodeRecord], policies: Sequence[str], rules: str, where: str | None
+) -> str:
     tasks = sorted({record.task.replace("_", " ") for record in records})
     shown: list[tuple[str, Any]] = [("task", ", ".join(tasks)), ("policy", ", ".join(policies))]
     shown += [
+        ("rules", rules),
         ("split", ", ".join(sorted({r.split for r in records}))),
         ("homes", len({r.home for r in records})),
     ]

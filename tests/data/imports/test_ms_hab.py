@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -9,19 +10,24 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+import mjhab
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
+from mjhab.data.imports.ms_hab_layout import ACTIONS, SCANNED_YAWS
 from mjhab.data.record.replay import verify
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select, stats
 from mjhab.data.store.checking import check
 from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.object_axes import shown_objects
 from mjhab.data.store.reading import episodes
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
+from mjhab.rollout.records import PlanEntry
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
@@ -31,9 +37,18 @@ SIDE = 8
 
 
 def original(
-    folder: Path, count: int = 3, subtask: str = "pick", name: str = "024_bowl", **changes: Any
+    folder: Path,
+    count: int = 3,
+    subtask: str = "pick",
+    name: str = "024_bowl",
+    *,
+    side: int = SIDE,
+    **changes: Any,
 ) -> Path:
-    """A file as mshab/envs/wrappers/record.py writes it, with other values in the JSON of episodes for ``changes``."""
+    """A file as mshab/envs/wrappers/record.py writes it, with other values in the JSON of episodes for ``changes``.
+
+    side: of its images [px].
+    """
     path = folder / "set_table" / subtask / f"{name}.h5"
     path.parent.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
@@ -56,7 +71,7 @@ def original(
                 obs[f"sensor_param/{camera}/intrinsic_cv"] = np.tile(
                     np.eye(3, dtype=np.float32), (STEPS + 1, 1, 1)
                 )
-                depth = rng.integers(0, 9000, (STEPS + 1, SIDE, SIDE, 1)).astype(np.int16)
+                depth = rng.integers(0, 9000, (STEPS + 1, side, side, 1)).astype(np.int16)
                 obs.create_dataset(
                     f"sensor_data/{camera}/depth",
                     data=depth,
@@ -64,7 +79,7 @@ def original(
                     compression_opts=5,
                 )
                 obs[f"sensor_data/{camera}/rgb"] = rng.integers(
-                    0, 256, (STEPS + 1, SIDE, SIDE, 3)
+                    0, 256, (STEPS + 1, side, side, 3)
                 ).astype(np.uint8)
             trajectory["actions"] = rng.uniform(-1, 1, (STEPS, 13)).astype(np.float32)
             trajectory["terminated"] = np.zeros(STEPS, bool)
@@ -166,6 +181,51 @@ def test_an_export_comes_back(tmp_path: Path) -> None:
         assert new.run.config["policy"] == {"name": "random"} and tuple(new.run.absent) == ABSENT
 
 
+def test_which_object_a_subtask_observes() -> None:
+    box = "008_pudding_box_:0000"
+    plan = (("navigate", box), ("open", "fridge/top_door"), ("pick", box))
+    plan += (("navigate", f"goal of {box}"), ("place", box), ("close", "fridge/top_door"))
+    kind = "008_pudding_box"
+    shown = shown_objects([PlanEntry(*entry) for entry in plan])
+    assert shown == ("", kind, kind, kind, kind, "")
+
+
+def test_poses_of_boxes_are_turned_into_our_axes_and_back(tmp_path: Path) -> None:
+    key = "extra/obj_pose_wrt_base"
+    path = original(tmp_path, 1, name="008_pudding_box")
+    import_ms_hab(path, tmp_path / "shards")
+    (episode,) = episodes(tmp_path / "shards")
+    with h5py.File(path) as file:
+        seen = np.array(file[f"traj_0/obs/{key}"])
+    ours = episode.observation(key)
+    turn = Rotation.from_rotvec([0.0, 0.0, -SCANNED_YAWS["008_pudding_box"]])
+    for mine, theirs in zip(ours, seen, strict=True):
+        wanted = Rotation.from_quat(theirs[[4, 5, 6, 3]]) * turn
+        got = Rotation.from_quat(mine[[4, 5, 6, 3]])
+        assert (wanted.inv() * got).magnitude() < 1e-5 and mine[3] >= 0
+    np.testing.assert_array_equal(ours[:, :3], seen[:, :3])
+    (exported,) = to_maniskill(tmp_path / "shards", tmp_path / "exported").files
+    told = json.loads(exported.with_suffix(".json").read_text())["episodes"]
+    assert [each["object_axes"] for each in told] == ["scan"]
+    seen[seen[:, 3] < 0, 3:] *= -1
+    with h5py.File(exported) as file:
+        np.testing.assert_allclose(np.array(file[f"traj_0/obs/{key}"]), seen, atol=1e-6)
+    import_ms_hab(exported, tmp_path / "back")
+    (back,) = episodes(tmp_path / "back")
+    np.testing.assert_allclose(back.observation(key), ours, atol=1e-6)
+
+
+def test_poses_without_known_headings_stay(tmp_path: Path) -> None:
+    path = original(tmp_path, 1, name="008_pudding_box")
+    rewrite(path, source_type="mjhab", runs={})
+    import_ms_hab(path, tmp_path / "shards")
+    (episode,) = episodes(tmp_path / "shards")
+    with h5py.File(path) as file:
+        seen = np.array(file["traj_0/obs/extra/obj_pose_wrt_base"])
+    seen[seen[:, 3] < 0, 3:] *= -1
+    np.testing.assert_array_equal(episode.observation("extra/obj_pose_wrt_base"), seen)
+
+
 def test_a_file_of_the_original(tmp_path: Path) -> None:
     path = original(tmp_path)
     done = import_ms_hab(path, tmp_path / "shards")
@@ -231,6 +291,8 @@ def test_filters_statistics_reports_and_windows_work_on_it(tmp_path: Path) -> No
         "mjhab, published rules, straightforward_success: 3 of 3" in page
         and "data:video/mp4" in page
     )
+    rules = "profile ms_hab, stillness published"
+    assert f"{rules}; those of this data set are of {rules}." in page
     windows = WindowDataset(
         shards, history=2, chunk=4, images=["fetch_head/depth"], normalize="spread"
     )
@@ -263,6 +325,26 @@ def test_what_needs_states_or_signals_says_so(
             UsageError, match=r"It was imported from data without states to draw them from"
         ):
             episode.frame("fetch_head", "seg", 0)
+
+
+def test_the_run_of_an_import_is_that_of_the_source(tmp_path: Path) -> None:
+    path = original(tmp_path, 1)
+    env = mjhab.make(
+        task="set_table", subtask="pick", target="024_bowl", profile="ms_hab", obs_mode="state"
+    )
+    assert tuple(entry.name for entry in env.action_table) == ACTIONS
+    told = dataclasses.asdict(env.config)
+    env.close()
+    import_ms_hab(path, tmp_path / "shards")
+    run = next(episodes(tmp_path / "shards")).run
+    for name, value in run.config["env"].items():
+        assert value == (list(told[name]) if isinstance(told[name], tuple) else told[name]), name
+    assert set(run.config["env"]) > {"robot", "base", "stationary", "profile"}
+    with h5py.File(path, "r+") as file:
+        del file["traj_0/actions"]
+        file["traj_0/actions"] = np.zeros((STEPS, 11), np.float32)
+    with pytest.raises(UsageError, match=r"actions of 11 numbers; pd_joint_delta_pos has 13"):
+        import_ms_hab(path, tmp_path / "other")
 
 
 def test_an_import_goes_on_where_it_stopped(tmp_path: Path) -> None:

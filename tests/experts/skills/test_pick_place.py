@@ -91,6 +91,35 @@ def test_expert_succeeds_in_most_episodes(task: str, subtask: str, target: str):
     assert once.sum() >= 2, f"{once} of {[e['plan'] for e in info['episode_spec']]}"
 
 
+def test_bowl_carries_do_not_flicker() -> None:
+    # With friction in the contact forces 21 of 23 bowls flickered; measured now: 22 steps, 4 of 6 without any.
+    worlds = 6
+    env = envs.make(
+        task="set_table",
+        subtask="place",
+        target="024_bowl",
+        profile="ms_hab",
+        num_envs=worlds,
+        split="val",
+        autoreset="disabled",
+        threads=1,
+    )
+    expert = make_expert(env)
+    fresh = np.ones(worlds, bool)
+    obs, info = env.reset(seed=0, options={"episode": np.arange(worlds), "reset_mask": fresh})
+    expert.reset(fresh)
+    held = [info["is_grasped"].copy()]
+    while len(held) < env.config.horizon and (held[-1] | ~info["at_goal"]).any():
+        obs, _, _, _, info = env.step(expert.act(obs, info))
+        held.append(info["is_grasped"].copy())
+    # From the first grasp to the last, which is the release at the goal.
+    carries = [np.trim_zeros(column) for column in np.array(held).T]
+    steps = sum(len(carry) for carry in carries)
+    lost = [int((~carry).sum()) for carry in carries]
+    assert all(len(carry) > 20 for carry in carries)
+    assert sum(lost) <= 0.10 * steps and lost.count(0) >= worlds // 2, lost
+
+
 def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray, int]:
     """An ideal unicycle under a pilot: where it ends and after how many steps."""
     for step in range(steps):

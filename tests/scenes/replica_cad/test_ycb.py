@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
+from mjhab.data.imports.ms_hab_layout import SCANNED_YAWS
 from mjhab.scenes.builtin.objects import MASSES, SIZES, builtin_objects
 from mjhab.scenes.replica_cad.ycb import SCAN, Scan, hull_of, object_from_scan, read_scan, read_ycb
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE, Mesh
@@ -83,6 +84,8 @@ def test_boxes_look_along_the_axes_and_know_their_scan() -> None:
             round(float(np.degrees(k.scan_yaw)), 1) + 0.0 for k in (kind, builtin_objects()[name])
         )
         assert (f"| `{name}` | {own}° | {builtin}° |" in text) == (own != 0.0 or builtin != 0.0)
+    turned_types = {name: kind.scan_yaw for name, kind in types.items() if kind.scan_yaw}
+    assert turned_types == pytest.approx(SCANNED_YAWS, abs=1e-5)
     assert all(types[name].scan_yaw == 0.0 for name in (*CANS, APPLE, BOWL))
 
 

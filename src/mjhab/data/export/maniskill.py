@@ -3,7 +3,8 @@
 The files are ``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` each, as mshab/envs/wrappers/record.py writes
 them. MS-HAB's scripts concatenate the members of ``obs/agent`` and then ``obs/extra`` in the order of the HDF5 groups,
 so these keep the order of mjhab's ``obs/state``. They train on ``actions``, the executed actions. ``actions_intended``
-and ``actor`` (an index into "actors" of the ``.json``) are additional datasets.
+and ``actor`` (an index into "actors" of the ``.json``) are additional datasets. The pose of the object is in the axes
+of its scan ("object_axes" of the ``.json``: "scan"), except for runs of older versions, which lack them ("object").
 """
 
 from __future__ import annotations
@@ -21,7 +22,15 @@ import numpy as np
 from mjhab.core.names import below
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.request import ExportRequest
-from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, TRUTHS, to_events, to_verbose
+from mjhab.data.imports.ms_hab_layout import (
+    OBJECT_AXES,
+    SCAN_AXES,
+    SOURCE_TYPE,
+    TRAJECTORY,
+    TRUTHS,
+    to_events,
+    to_verbose,
+)
 from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.sets import nothing_passes, select
@@ -29,6 +38,7 @@ from mjhab.data.select.until import Until
 from mjhab.data.store.hdf5 import change_file, make_file
 from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.journal import recover
+from mjhab.data.store.object_axes import OBJECT_POSE, scan_yaws, to_scan_axes
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.shard import last_label
 from mjhab.rollout.records import EpisodeRecord
@@ -189,8 +199,11 @@ def _put(group: h5py.Group, episode: Episode, steps: int) -> None:
 
 def _observations(episode: Episode, rows: int) -> Iterator[tuple[str, np.ndarray]]:
     """Pairs of observation key and array (rows, ...): the parts of the state in order, then camera images."""
+    yaws = scan_yaws(episode)
     for key, whole in episode.table("obs/state").items():
         values = whole[:rows]
+        if key == OBJECT_POSE and yaws is not None:
+            values = to_scan_axes(values, yaws[:rows])
         yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in TRUTHS else values
     for path in episode.paths:
         if path.startswith("obs/sensor_param/"):
@@ -219,6 +232,7 @@ def _episode_info(number: int, episode: Episode, steps: int) -> dict[str, Any]:
         "navigation": "teleport" if navigates_by_teleport(episode) else "drive",
         "actors": list(episode.actors),
         "lacks": list(episode.lacks),
+        "object_axes": OBJECT_AXES if scan_yaws(episode) is None else SCAN_AXES,
         "label": last_label(record),
         "legacy_label": record.subtasks[-1].legacy_label if record.subtasks else None,
         "target": record.subtasks[-1].target if record.subtasks else record.plan[0].target,

@@ -20,10 +20,20 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json
 from mjhab.core.rotations import quat_canonical
-from mjhab.data.imports.ms_hab_layout import SOURCE_TYPE, TRAJECTORY, from_verbose
+from mjhab.data.imports.ms_hab_layout import (
+    ACTIONS,
+    CONTROL_MODE,
+    ENV,
+    SCAN_AXES,
+    SCANNED_YAWS,
+    SOURCE_TYPE,
+    TRAJECTORY,
+    from_verbose,
+)
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, dataset_paths, group
 from mjhab.data.store.images import ImageFormat, encode
+from mjhab.data.store.object_axes import OBJECT_POSE, SCAN_YAWS, from_scan_axes, shown_objects
 from mjhab.data.store.schema import FORMAT
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
@@ -179,16 +189,13 @@ class _Source:
 
     def run(self) -> RunInfo:
         """Description of the run that made the episodes, as far as the file has it."""
-        control = str(
-            next((each["control_mode"] for each in self.told if "control_mode" in each), "")
-        )
         made = next(iter(self.said.get("runs", {}).values()), {})
         name = made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
         policy = name or f"ms_hab {self.said.get('source_type', '')}".strip().lower()
         place = f"{self.task}/{self.subtask}/{self.path.stem}"
         return RunInfo(
             config={
-                "env": {"task": self.task, "subtask": self.subtask, "control_mode": control},
+                "env": self._env(),
                 "policy": {"name": policy},
                 "imported": {"from": "ms_hab", "file": place, "json": self.digest},
             },
@@ -197,13 +204,44 @@ class _Source:
                 "source_desc": self.said.get("source_desc"),
             },
             versions=dict(made.get("versions", {})),
-            layout={
-                key: made["layout"][key] for key in ("actions",) if key in made.get("layout", {})
-            },
+            layout=self._layout(),
             assets=str(made.get("assets", "replica_cad")),
             licence=str(made.get("licence", "unknown: see the source of the data")),
             absent=ABSENT,
         )
+
+    def _runs(self) -> list[Mapping[str, Any]]:
+        """The runs of a file that mjhab exported; empty for a file of MS-HAB."""
+        return list(self.said.get("runs", {}).values()) if self.is_ours else []
+
+    def _control_mode(self) -> str:
+        told = (each["control_mode"] for each in self.told if each.get("control_mode"))
+        return str(next(told, CONTROL_MODE))
+
+    def _env(self) -> dict[str, Any]:
+        """Options of the environment of the episodes: those that all runs of an export share, or MS-HAB's own."""
+        envs = [run.get("config", {}).get("env", {}) for run in self._runs()]
+        if envs:
+            first, *others = envs
+            known = {
+                name: value
+                for name, value in first.items()
+                if all(name in env and env[name] == value for env in others)
+            }
+        else:
+            known = ENV
+        own = {"task": self.task, "subtask": self.subtask, "control_mode": self._control_mode()}
+        return {**known, **own}
+
+    def _layout(self) -> dict[str, Any]:
+        """Headings of scans, and names of the actions if the file has them or its control mode is MS-HAB's."""
+        runs = self._runs()
+        if runs:
+            layout = runs[0].get("layout", {})
+            return {key: layout[key] for key in ("actions", SCAN_YAWS) if key in layout}
+        yaws = {SCAN_YAWS: SCANNED_YAWS}
+        has_names = self._control_mode() == CONTROL_MODE
+        return {"actions": list(ACTIONS), **yaws} if has_names else yaws
 
     def indices(self) -> list[int]:
         """Indices of the episodes: the recorded ones if the file has them and they are unique, else their numbers."""
@@ -230,16 +268,29 @@ class _Source:
             raise UsageError(
                 f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}."
             )
-        arrays, columns = _arrays(trajectory)
+        arrays, columns = _arrays(trajectory, self._scan_yaw(told, run))
         steps = len(arrays["actions"])
         if steps != int(told["elapsed_steps"]) or steps < 1:
             raise UsageError(
                 f"{self.path}: {name} has {steps} actions, and the JSON says {told['elapsed_steps']} steps."
             )
+        names = run.layout.get("actions")
+        if names is not None and arrays["actions"].shape[1] != len(names):
+            raise UsageError(
+                f"{self.path}: {name} has actions of {arrays['actions'].shape[1]} numbers; {self._control_mode()} has "
+                f"{len(names)} ({', '.join(names)}). Give data of the robot Fetch."
+            )
         record = self._record(told, index, arrays)
         ending = str(told.get("ending") or _ending(trajectory))
         actors = tuple(str(actor) for actor in told.get("actors", ()))
         return EpisodeData(record, run, "", ending, arrays, columns, actors)
+
+    def _scan_yaw(self, told: Mapping[str, Any], run: RunInfo) -> float:
+        """Heading [rad] of the scan of the observed object, 0 if its pose is in the axes of the object."""
+        if self.is_ours and told.get("object_axes") != SCAN_AXES:
+            return 0.0
+        (shown,) = shown_objects((PlanEntry(self.subtask, self._target(told)),))
+        return float(run.layout.get(SCAN_YAWS, {}).get(shown, 0.0))
 
     def _record(
         self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]
@@ -345,11 +396,18 @@ def _seed(told: Mapping[str, Any]) -> int:
     return int(np.ravel(seed)[0]) if np.size(seed) else 0
 
 
-def _arrays(trajectory: h5py.Group) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
-    """Datasets of an episode by their paths in the shard schema, and the names of their columns."""
+def _arrays(
+    trajectory: h5py.Group, scan_yaw: float
+) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
+    """Datasets of an episode by their paths in the shard schema, and the names of their columns.
+
+    scan_yaw: heading [rad] of the scan in whose axes the pose of the object is.
+    """
     actions = dataset(trajectory, "actions")[()].astype(np.float32)
     steps = len(actions)
     parts = _state_parts(trajectory)
+    if OBJECT_POSE in parts:
+        parts[OBJECT_POSE] = from_scan_axes(parts[OBJECT_POSE], scan_yaw)
     arrays = {
         "actions": actions,
         "subtasks/active": np.zeros(steps + 1, np.int16),

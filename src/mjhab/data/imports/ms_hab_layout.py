@@ -16,6 +16,45 @@ TRUTHS = frozenset({"is_grasped"})
 SOURCE_TYPE = "mjhab"
 """"source_type" in the files that mjhab exports."""
 COLLISION = "collision"
+CONTROL_MODE = "pd_joint_delta_pos"
+"""The control mode of all of MS-HAB's data; "control_mode" in the JSON file."""
+ACTIONS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "upperarm_roll_joint",
+    "elbow_flex_joint",
+    "forearm_roll_joint",
+    "wrist_flex_joint",
+    "wrist_roll_joint",
+    "gripper",
+    "head_pan_joint",
+    "head_tilt_joint",
+    "torso_lift_joint",
+    "base_forward",
+    "base_yaw",
+)
+"""Names of the 13 actions of MS-HAB's Fetch in `CONTROL_MODE`, as in mjhab's action table (mani_skill
+agents/robots/fetch/fetch.py)."""
+SCAN_AXES = "scan"
+OBJECT_AXES = "object"
+"""Values of "object_axes" of an exported episode: the axes of ``obj_pose_wrt_base``, see `data.store.object_axes`."""
+SCANNED_YAWS = {
+    "003_cracker_box": 0.00349,
+    "004_sugar_box": 0.03142,
+    "008_pudding_box": -0.48171,
+    "009_gelatin_box": -0.22864,
+    "010_potted_meat_can": -0.04712,
+}
+"""Headings [rad] of the scans of YCB boxes, as `scenes.replica_cad.ycb` measures them; a test compares them."""
+ENV = {
+    "robot": "fetch",
+    "base": "forward",
+    "stationary": ["head"],
+    "profile": "ms_hab",
+    "stillness": "published",
+    "spawn_rule": "published",
+}
+"""Options of mjhab's environment that stand for the one in which MS-HAB's data were made (mshab/envs/make.py)."""
 _THEIRS = {
     "at_goal": "obj_at_goal",
     "left_goal": "obj_left_goal",

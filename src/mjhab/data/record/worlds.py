@@ -89,6 +89,11 @@ class Names(Protocol):
         ...
 
     @property
+    def objects(self) -> Sequence[Any]:
+        """The `scenes.spec.ObjectType` of every object slot."""
+        ...
+
+    @property
     def robot(self) -> Any:
         """The `robots.robot.Robot` in the homes."""
         ...

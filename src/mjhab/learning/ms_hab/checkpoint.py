@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from mjhab.learning.ms_hab.sac import Sac
 AGENT = "agent"
 """Key of a checkpoint under which MS-HAB stores the parameters of the policy (mshab/train_*.py)."""
 _SHOWN_KEYS = 6
+_SAVE_ALONE = "Save the parameters alone: torch.save({'agent': agent.state_dict()}, path)."
 
 
 @dataclass(frozen=True)
@@ -87,16 +89,20 @@ def _read(path: Path) -> Any:
             f"{path} does not exist or is no file; give a checkpoint of MS-HAB, such as policy.pt."
         )
     try:
-        return torch.load(path, map_location="cpu", weights_only=True)
+        # Torch warns of files that it then refuses, and its errors advise to load them with weights_only=False.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         needed = _unsafe_names(path)
         if not needed:
             raise UsageError(
-                f"{path} cannot be read as a checkpoint of torch: {_first_line(error)}"
+                f"{path} cannot be read as a checkpoint of torch: it is none, or holds more than tensors. Nothing "
+                f"in it was executed. {_SAVE_ALONE}"
             ) from error
         raise UsageError(
             f"{path} needs more than tensors and was refused; nothing in it was executed. It asks for: "
-            f"{', '.join(needed)}. Save the parameters alone: torch.save({{'agent': agent.state_dict()}}, path)."
+            f"{', '.join(needed)}. {_SAVE_ALONE}"
         ) from error
     except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
         raise UsageError(

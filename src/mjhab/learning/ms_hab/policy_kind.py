@@ -17,6 +17,8 @@ PREFIX = "ms_hab:"
 def inspect_policy(spec: str) -> PolicyFacts:
     """Describe a checkpoint: its name, the hash of its bytes, and the options of the environment that it needs.
 
+    They include MS-HAB's profile; options of the user take precedence.
+
     Raises:
         UsageError: torch is not installed, or the file cannot be read as a policy of MS-HAB.
     """
@@ -46,4 +48,9 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
 
 
 def _path_of(spec: str) -> Path:
-    return Path(spec.removeprefix(PREFIX))
+    path = spec.removeprefix(PREFIX)
+    if not path:
+        raise UsageError(
+            f"policy {spec!r} names no file; give a checkpoint of MS-HAB, as in {PREFIX}CHECKPOINT.pt"
+        )
+    return Path(path)

@@ -14,12 +14,11 @@ import numpy as np
 import torch
 
 from mjhab.core.errors import UsageError
-from mjhab.data.record.replay import require_states
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.evaluation.recorded import recorded_env
-from mjhab.learning.demos import SUCCESSES, nothing_to_learn, recorded_profile
+from mjhab.learning.demos import SUCCESSES, lacks_states, nothing_to_learn, recorded_profile
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession, image_options
 from mjhab.learning.reinforcement.sight import Seen, Sight
@@ -71,7 +70,6 @@ def replay_recorded(
                 check_episode(session, episode)
                 groups[episode.run.config_id].append(episode)
             for members in groups.values():
-                require_states(members)
                 player = _Player(session, members[0], buffer.shape.worlds)
                 for start in range(0, len(members), buffer.shape.worlds):
                     batch = members[start : start + buffer.shape.worlds]
@@ -85,8 +83,15 @@ def check_episode(session: ReinforcementSession, episode: Episode) -> None:
     """Refuse an episode whose actions have another meaning than in the run, or whose rewards differ from the run's.
 
     Raises:
-        UsageError: names the difference and the remedy.
+        UsageError: it was imported without states; or names the difference and the remedy.
     """
+    if lacks_states(episode):
+        raise UsageError(
+            f"episode {episode.name} of {episode.shard.path} was imported from data without states, so its actions "
+            "cannot be simulated again, as reinforcement learning does with demonstrations. Imitate it instead "
+            "(mjhab train bc --data ...), exclude it with --where, or leave out --data: the expert then generates "
+            "demonstrations in the environment."
+        )
     config = session.env.config
     env = episode.run.config["env"]
     for name in ("task", "subtask", "robot", "control_mode", "base"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,39 @@ def test_a_check_plays_the_actions_again(result: tuple[Path, Result], tmp_path: 
     episodes = [runs.Scored(e.row, _won(e.record), e.start, e.actions) for e in scored.episodes]
     write_result(claimed, scored.facts, episodes)
     assert len(check(read_result(claimed)).wrong) == 3
+
+
+def test_a_check_sees_what_capabilities_and_starts_are_made_of(
+    result: tuple[Path, Result], tmp_path: Path
+) -> None:
+    _, scored = result
+    first, *rest = scored.episodes
+    (subtask,) = first.record.subtasks
+    forged = dataclasses.replace(
+        subtask,
+        events=((1, "contact"), (2, "grasped"), (3, "at_goal")),
+        label="straightforward_success",
+    )
+    other = dataclasses.replace(first.record, subtasks=(forged,))
+    for changed, kept in (
+        (dataclasses.replace(first, record=other), "wrong"),
+        (dataclasses.replace(first, start="0" * len(first.start)), "inexact"),
+    ):
+        path = tmp_path / f"{kept}.json"
+        write_result(path, scored.facts, [changed, *rest])
+        found = check(read_result(path), seed=3)
+        assert found.seed == 3 and len(getattr(found, kept)) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("policies", {}), ("policy", None), ("versions", 3), ("policies", {"x": 1})]
+)
+def test_facts_that_cannot_be_read_are_refused(
+    result: tuple[Path, Result], tmp_path: Path, name: str, value: Any
+) -> None:
+    _, scored = result
+    with pytest.raises(UsageError, match=f"edited: facts.{name}"):
+        write_result(tmp_path / "facts.json", {**scored.facts, name: value}, scored.episodes)
 
 
 def _won(record: Any) -> Any:

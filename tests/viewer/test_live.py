@@ -24,13 +24,18 @@ HORIZON = 8
 
 @contextmanager
 def session(
-    policy: str = "random", shard: Path | None = None, *, playing: bool = True, **env: Any
+    policy: str = "random",
+    shard: Path | None = None,
+    *,
+    playing: bool = True,
+    worlds: int = 1,
+    **env: Any,
 ) -> Iterator[LiveSession]:
     spec = EvalSpec(
         policy=policy,
         subtask="pick",
-        worlds=1,
-        episodes=1,
+        worlds=worlds,
+        episodes=worlds,
         threads=1,
         env={"horizon": HORIZON, "reward_mode": "dense", **env},
     )
@@ -87,6 +92,17 @@ def test_single_steps_restart_and_next_episode() -> None:
         made.pace.play(False)
         made.next_episode()
         until(lambda: made.track is not None and made.track.index >= 1)
+
+
+def test_restart_keeps_the_episode_of_the_watched_world() -> None:
+    with session(worlds=3, playing=False) as made:
+        until_step(made, 0)
+        made.watched = 2
+        for ask, index in ((made.restart, 2), (made.next_episode, 3), (made.restart, 3)):
+            before = made.track
+            ask()
+            until(lambda before=before: made.track is not before)
+            assert made.track is not None and made.track.index == index
 
 
 def test_a_person_takes_over_and_gives_back(tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import read_filter
 from mjhab.evaluation.evaluate import EvalSpec
-from mjhab.evaluation.resolve import inspect_policy
+from mjhab.evaluation.resolve import full_spec, inspect_policy
+from mjhab.serving.address import MAX_PORT
 from mjhab.viewer import require_viser
 from mjhab.viewer.sources.hand import HUMAN
 
@@ -24,6 +25,8 @@ def run_view(options: ViewOptions) -> int:
     """Run the command; returns 0. A page is served until Ctrl-C or SIGTERM."""
     at_least("worlds", options.worlds, 1)
     at_least("episode", options.episode, 0)
+    if not 0 <= options.port <= MAX_PORT:
+        raise UsageError(f"--port must be from 0 to {MAX_PORT}, got {options.port}.")
     _check_choice(options)
     if options.export is not None:
         return _export(options)
@@ -94,7 +97,7 @@ def _source(options: ViewOptions) -> Source:
 
     for spec in (options.policy, *options.policies):
         if spec != HUMAN:
-            inspect_policy(spec)
+            inspect_policy(full_spec(spec, options.task, options.subtask, options.target))
     env = profile_options(options)
     if options.reward:
         env["reward_mode"] = options.reward
@@ -113,6 +116,7 @@ def _source(options: ViewOptions) -> Source:
         threads=options.threads,
         env=env,
     )
-    return LiveSession(
-        spec, options.episode, Pace(), policies=options.policies, shard=options.record
-    )
+    pace = Pace()
+    # Nobody drives before a page is open, and time would run out: the page begins with a pause.
+    pace.play(options.policy != HUMAN)
+    return LiveSession(spec, options.episode, pace, policies=options.policies, shard=options.record)

@@ -51,9 +51,10 @@ class EnvConfig:
     episodes. threads: 0 takes all cores. extra_objects: types of further objects, one slot each behind those of the
     task's roster; a target that is another object of the pack gets a slot, too. obs_mode: "state", or images too, see
     `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size: pixels, one number or (height, width).
-    obs_keys: "flat" as in obs["extra/is_grasped"], or "nested" as in obs["extra"]["is_grasped"]; wrappers and recorders
-    take flat keys. frame_stack: frames that `wrappers.FrameStack` stacks; 1: what it is told. control_mode, base,
-    stationary: see `controllers.make_controller`. reward_mode: one of REWARD_MODES; "" is the pointer for a chain,
+    obs_keys: "flat" as in ``obs["extra/is_grasped"]``, or "nested" as in ``obs["extra"]["is_grasped"]``; wrappers and
+    recorders take flat keys. frame_stack: frames that `wrappers.FrameStack` stacks; 1 leaves the number to the
+    wrapper's argument. control_mode, base, stationary: see `controllers.make_controller`. reward_mode: one of
+    REWARD_MODES; "" is the pointer for a chain,
     sparse for one subtask. reward_scales: changes of the scales of single dense reward terms, as {"pick": {"reach":
     4.0}}. reward_formula, reward_normaliser: see `tasks.rewards.scoring.RewardOptions`. stillness: "absolute" or
     "published", see `TaskConfig.stillness`. horizon: control steps of every subtask, 0 for those of the profile.

@@ -43,6 +43,8 @@ class ScoreOptions(ServedOptions):
     """At most N episodes per row, for a quick estimate; the score is marked as incomplete."""
     check: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Check this result file instead."""
+    check_seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """With --check: seed of the choice of episodes, to repeat a check; another one every time if absent."""
     table: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE ...")] = ()
     """Make a table of these result files instead."""
     page: Annotated[Path | None, tyro.conf.arg(metavar="FILE.md")] = None

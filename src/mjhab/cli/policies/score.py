@@ -63,9 +63,10 @@ def _score(options: ScoreOptions) -> int:
                 file=sys.stderr,
             )
             return 130
-    _tell(result, spec.out)
     if options.json:
         print_json(_facts(result))
+    else:
+        _tell(result, spec.out)
     return 0
 
 
@@ -114,13 +115,15 @@ def _check(path: Path, options: ScoreOptions) -> int:
     result = read_result(path)
     total = min(CHECKED_EPISODES, len(result.episodes))
     with progress_bar("replaying", total) as advance:
-        found = check(result, advance)
+        found = check(result, advance, options.check_seed)
     for name, what in list(found.wrong.items())[:_MOST_SHOWN]:
         print(f"{name}: {what}", file=sys.stderr)
     exact = found.episodes - len(found.wrong) - len(found.inexact)
     print(
         f"{found.episodes} episodes replayed: {exact} exact, {len(found.inexact)} with the same outcome but other "
-        f"states (another machine or version?), {len(found.wrong)} with another outcome"
+        f"states (another machine or version?), {len(found.wrong)} with another outcome. Chosen with seed "
+        f"{found.seed}.",
+        file=sys.stderr if options.json else sys.stdout,
     )
     if options.json:
         counts = {
@@ -128,6 +131,7 @@ def _check(path: Path, options: ScoreOptions) -> int:
             "exact": exact,
             "inexact": len(found.inexact),
             "wrong": len(found.wrong),
+            "seed": found.seed,
         }
         print_json({**_facts(result), **counts})
     return 1 if found.wrong else 0

@@ -51,6 +51,23 @@ class ActionKeeper(Sink[RecordedEnv]):
         write_atomic(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
 
 
+class StartKeeper(Sink[RecordedEnv]):
+    """Remembers the start digest of every finished episode, by its index."""
+
+    def __init__(self) -> None:
+        self.starts: dict[int, str] = {}
+        self._now: dict[int, str] = {}
+
+    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        """Compute the digests of the worlds in ``mask`` (W,)."""
+        for w in np.flatnonzero(mask).tolist():
+            self._now[w] = start_digest(env, w)
+
+    def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
+        """Give the digest to the episode."""
+        self.starts[record.index] = self._now[world]
+
+
 def kept_path(folder: Path, index: int) -> Path:
     """File with the actions of the episode ``index``."""
     return folder / f"{index:06d}.actions"

@@ -57,6 +57,13 @@ CAPABILITIES: dict[str, Capability] = {
 }
 
 
+def capabilities_of(record: SubtaskRecord) -> list[str]:
+    """Names of the capabilities that a subtask demonstrates."""
+    return [
+        name for name, each in CAPABILITIES.items() if each.counted(record) and each.shown(record)
+    ]
+
+
 def profile(records: Iterable[SubtaskRecord]) -> dict[str, dict[str, object]]:
     """Fraction of the subtasks that show each capability, with its Wilson 95 % interval.
 

@@ -179,7 +179,11 @@ def read_result(path: Path) -> Result:
         made_for = result.facts["manifest"]
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(f"{path} is damaged: {error!r}.") from error
+    _check_facts(path, result.facts, asked)
     _check_names(path, asked, episodes)
+    lacking = sorted({episode.row for episode in episodes} - set(result.facts["policies"]))
+    if lacking:
+        raise UsageError(f"{path} was edited: facts.policies lacks {', '.join(lacking)}.")
     if made_for != asked.digest:
         raise UsageError(
             f"{path} was made with the manifest {made_for}, and this version of mjhab has {asked.digest}: such scores "
@@ -202,6 +206,28 @@ def _read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise UsageError(f"{path} is not a result file.")
     return content
+
+
+def _check_facts(path: Path, facts: Mapping[str, Any], asked: Manifest) -> None:
+    """Refuse facts that the check of a result or the leaderboard cannot read.
+
+    Raises:
+        UsageError: names the entry.
+    """
+    kinds = {"policy": str, "policies": dict, "versions": dict, "hardware": dict}
+    for name, kind in kinds.items():
+        if not isinstance(facts.get(name), kind):
+            raise UsageError(
+                f"{path} was edited: facts.{name} must be a {kind.__name__}, got "
+                f"{facts.get(name)!r}."
+            )
+    policies = facts["policies"]
+    for row in asked.rows:
+        about = policies.get(row.name)
+        if about is not None and not isinstance(
+            about.get("env_options") if isinstance(about, dict) else None, dict
+        ):
+            raise UsageError(f"{path} was edited: facts.policies[{row.name!r}] has no env_options.")
 
 
 def _check_names(path: Path, asked: Manifest, episodes: Sequence[Scored]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import platform
+import secrets
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,14 @@ from mjhab.core.seeding import stream
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.evaluation.evaluate import EvalSpec, Run, describe_policy, make_env, run_evaluation
 from mjhab.evaluation.resolve import STUDENT, PolicyFacts, full_spec
-from mjhab.evaluation.score.actions import ActionKeeper, Replayed, kept_path, unpacked_actions
+from mjhab.evaluation.score.actions import (
+    ActionKeeper,
+    Replayed,
+    StartKeeper,
+    kept_path,
+    unpacked_actions,
+)
+from mjhab.evaluation.score.capabilities import capabilities_of
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
 from mjhab.evaluation.score.result import Result, Scored, write_result
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
@@ -68,11 +76,12 @@ class ScoreSpec:
 class Checked:
     """Result of a check.
 
-    episodes: number of replayed episodes. wrong: difference by "row index" for episodes with another outcome.
-    inexact: "row index" of episodes with the same outcome but different numbers, for instance in the last bits of
-    forces.
+    seed: of the choice of episodes. episodes: number of replayed episodes. wrong: difference by "row index" for
+    episodes with another outcome. inexact: "row index" of episodes with the same outcome but another start state or
+    different numbers, for instance in the last bits of forces.
     """
 
+    seed: int = 0
     episodes: int = 0
     wrong: dict[str, str] = field(default_factory=dict)
     inexact: list[str] = field(default_factory=list)
@@ -218,18 +227,22 @@ def hardware() -> dict[str, Any]:
     return found
 
 
-def check(result: Result, tell: Callable[[], object] = bool) -> Checked:
+def check(result: Result, tell: Callable[[], object] = bool, seed: int | None = None) -> Checked:
     """Replay the actions of up to CHECKED_EPISODES random episodes and compare the outcomes with the result file.
 
-    The result's digest seeds the random choice. ``tell`` is called after every episode.
+    Args:
+        result: content of the file.
+        tell: called after every episode.
+        seed: of the choice of episodes; None for one that nobody can know when the file is written.
 
     Raises:
         UsageError: the actions cannot be read.
     """
-    random = stream(int(result.digest[:8], 16), "score", "check")
+    seed = secrets.randbits(32) if seed is None else seed
+    random = stream(seed, "score", "check")
     count = min(CHECKED_EPISODES, len(result.episodes))
     chosen = random.choice(len(result.episodes), count, replace=False)
-    found = Checked()
+    found = Checked(seed)
     asked = result.manifest
     for row in asked.rows:
         some = [
@@ -272,18 +285,20 @@ def _check_row(
             raise UsageError(f"the actions of {row.name} do not have the width {width}.")
         errors = {e.record.index: e.record.error for e in episodes}
         policy = Replayed(env.num_envs, width, actions, errors)
-        records = rollout(env, policy, sorted(actions), asked.seed)
+        begun = StartKeeper()
+        records = rollout(env, policy, sorted(actions), asked.seed, [begun])
     finally:
         env.close()
-    told = {e.record.index: e.record for e in episodes}
+    told = {e.record.index: e for e in episodes}
     for record in records:
-        _compare(f"{row.name} {record.index}", told[record.index], record, found)
+        start = begun.starts[record.index]
+        _compare(f"{row.name} {record.index}", told[record.index], record, start, found)
 
 
-def _compare(name: str, told: EpisodeRecord, seen: EpisodeRecord, found: Checked) -> None:
+def _compare(name: str, scored: Scored, seen: EpisodeRecord, start: str, found: Checked) -> None:
     found.episodes += 1
-    told = dataclasses.replace(told, style={})
-    if told == seen:
+    told = dataclasses.replace(scored.record, style={})
+    if told == seen and scored.start == start:
         return
     if _outcome(told) == _outcome(seen):
         found.inexact.append(name)
@@ -292,8 +307,11 @@ def _compare(name: str, told: EpisodeRecord, seen: EpisodeRecord, found: Checked
 
 
 def _outcome(record: EpisodeRecord) -> tuple[Any, ...]:
-    """The part of an episode's record that a score depends on."""
-    labels = tuple((s.index, s.kind, s.label, s.success_once) for s in record.subtasks)
+    """The part of an episode's record that a score and its capabilities depend on."""
+    labels = tuple(
+        (s.index, s.kind, s.label, s.success_once, tuple(capabilities_of(s)))
+        for s in record.subtasks
+    )
     return (record.success_once, record.completed, bool(record.error), bool(record.taint), labels)
 
 

@@ -5,10 +5,17 @@
   let socket = null;
   let state = { hand: false, keys: [] };
   const held = new Set();
-  const typing = (event) => /^(INPUT|TEXTAREA|SELECT)$/.test(event.target.tagName);
+  // A menu keeps the focus after a choice, and would take the keys of the hand as a search.
+  const menu = (element) => element.getAttribute("aria-haspopup") === "listbox";
+  const typing = (event) => /^(INPUT|TEXTAREA|SELECT)$/.test(event.target.tagName) && !menu(event.target);
   const open = () => {
     socket = new WebSocket(path);
-    socket.onmessage = (event) => { state = JSON.parse(event.data); if (!state.hand) held.clear(); };
+    socket.onmessage = (event) => {
+      const drove = state.hand;
+      state = JSON.parse(event.data);
+      if (!state.hand) held.clear();
+      if (state.hand && !drove && document.activeElement) document.activeElement.blur();
+    };
     socket.onclose = () => { state = { hand: false, keys: [] }; setTimeout(open, 1000); };
   };
   const send = (value) => { if (socket && socket.readyState === 1) socket.send(JSON.stringify(value)); };

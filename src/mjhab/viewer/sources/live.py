@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import queue
+import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -162,11 +163,11 @@ class LiveSession:
 
     def restart(self) -> None:
         """Begin the watched episode again."""
-        self.ask(first=self._index())
+        self.ask(first=self._first_for(self._index()))
 
     def next_episode(self) -> None:
         """Begin with the episode after the watched one."""
-        self.ask(first=self._index() + 1)
+        self.ask(first=self._first_for(self._index() + 1))
 
     def show_expert_plan(self, shown: bool) -> None:
         """Ask for `expert_plan`, or not any more."""
@@ -219,7 +220,7 @@ class LiveSession:
             self.switch.give_back()
         full, options = self._needs(spec)
         if self.switch is None or self._failed or options != self._options:
-            self.ask(policy=spec, first=self._index())
+            self.ask(policy=spec, first=self._first_for(self._index()))
             return
         self.switch.choose(full)
         self.problem = ""
@@ -288,7 +289,7 @@ class LiveSession:
         except _Interrupt:
             return
         except Exception as error:
-            self.problem = _told(error)
+            self.tell_problem(_told(error))
             self._failed = True
             self.pace.play(False)
 
@@ -326,6 +327,11 @@ class LiveSession:
             self.switch.hand = self.hand
             self.switch.hand_world = self.watched
 
+    def tell_problem(self, problem: str) -> None:
+        """Show what went wrong in the page, and print it to stderr."""
+        self.problem = problem
+        print(f"mjhab: {problem}", file=sys.stderr)
+
     def _record(self) -> list[Sink]:
         if self._shard is None:
             return []
@@ -349,6 +355,10 @@ class LiveSession:
         """Index of the watched episode."""
         track = self.track
         return self._wish.first if track is None else track.index
+
+    def _first_for(self, index: int) -> int:
+        """Index of the first world's episode with which the watched world has the episode ``index``."""
+        return max(index - self.watched, 0)
 
     def _between(self) -> None:
         """Between two steps: do what was asked for."""
@@ -415,6 +425,8 @@ class _Follower(Sink[SequentialTaskEnv]):
         track = session.tracks[world]
         if track is not None:
             track.over = "success" if record.success_once else "no success"
+        if world == session.watched and record.error:
+            session.tell_problem(record.error)
         if world == session.watched and session.hold_at_end:
             session.pace.play(False)
             self._wait()

@@ -43,7 +43,7 @@ JOINT_NUMBERS = re.compile(
 )
 """A number where a column of joint positions belongs."""
 OTHERS = (
-    *("data/imports/ms_hab.py", "data/store/older.py", "learning/ms_hab"),
+    *("data/imports/ms_hab", "data/store/older.py", "learning/ms_hab"),
     "serving/dialects/behavior.py",
 )
 """Files that speak of what others, or older versions, have recorded or ask for."""

@@ -108,5 +108,5 @@ def test_a_registered_pack_is_opened_by_its_name() -> None:
             open_pack("two_home")
     finally:
         PACK_SOURCES.remove("two_homes")
-    with pytest.raises(UsageError, match="unknown option of pack 'odd' 'stage'"):
+    with pytest.raises(UsageError, match="pack 'odd': unknown option 'stage'"):
         register_pack(PackSource("odd", lambda request: pack, options=frozenset({"stage"})))

@@ -8,12 +8,13 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from mjhab.core.boxes import Boxes, sphere_box_distance
+from mjhab.core.boxes import sphere_box_distance
 from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder, box_mesh
+from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.render_scene import RenderScene
 from mjhab.robots.parts import CameraMount
@@ -29,19 +30,6 @@ ROBOT_LEVEL_ERROR = 0.4
 """Error of coarser meshes [px] in pictures of the robot's cameras. In `mjhab/PickSubtaskTrain-v1` it puts 0.13 % of the
 pixels of 128 x 128 and 0.53 % of those of 32 x 32 off by more than 1 cm; the mean is 0.6 mm and 1.4 mm."""
 FLOOR_HALF_THICKNESS = 0.02
-FOLLOW_EYES = (
-    (-0.7, 1.6, 2.3),
-    (-0.7, -1.6, 2.3),
-    (-1.4, 0.9, 2.6),
-    (-1.4, -0.9, 2.6),
-    (-0.4, 0.5, 3.6),
-)
-"""Candidate positions of the follow camera in the frame of the robot: forward, left, height [m]. The first one with an
-unobstructed view of the robot is used."""
-FOLLOW_TARGET = (0.45, 0.85)
-"""Point that the follow camera looks at: distance ahead of the robot, and height [m]."""
-TALL = 1.3
-"""Furniture above this height can hide the robot [m]."""
 FOLLOW_FOVY = 0.85
 HOME_FOVY = 0.8
 INSIDE_HEIGHT = 2.0
@@ -154,7 +142,7 @@ class HomeRenderer:
         self.scene = build_render_scene(sim.layout, self._model)
         self.rasterizer = Rasterizer(self.scene, num_threads)
         self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
-        self._tall_boxes: dict[str, Boxes] = {}
+        self._follow = FollowCamera(sim.model)
 
     def robot_views(
         self,
@@ -237,7 +225,7 @@ class HomeRenderer:
         ``worlds`` has the indices (n,) of the worlds and ``homes`` the names (n,) of their homes.
         """
         looks = [
-            self._follow(home, state.robot_q[world, BASE])
+            self._follow.look(home, state.robot_q[world, BASE])
             for home, world in zip(homes, worlds, strict=True)
         ]
         images = self.rasterizer.render(
@@ -256,39 +244,6 @@ class HomeRenderer:
             ("rgb",),
         )
         return images["rgb"][:, 0]
-
-    def _follow(self, home: str, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) and target (3,) of the follow camera for a robot base at x, y [m], yaw [rad] (3,)."""
-        x, y, yaw = base
-        forward = np.array([np.cos(yaw), np.sin(yaw)])
-        left = np.array([-np.sin(yaw), np.cos(yaw)])
-        here = np.array([x, y])
-        target = np.append(here + FOLLOW_TARGET[0] * forward, FOLLOW_TARGET[1])
-        eyes = [np.append(here + f * forward + s * left, h) for f, s, h in FOLLOW_EYES]
-        return next((e for e in eyes if self._in_view(home, e, target)), eyes[-1]), target
-
-    def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
-        """Whether no tall furniture lies between the camera and the target."""
-        share = np.linspace(0.0, 0.75, 12)[:, None]
-        return bool(
-            (sphere_box_distance(eye + share * (target - eye), self._tall(home)) > 0.05).all()
-        )
-
-    def _tall(self, home: str) -> Boxes:
-        if home not in self._tall_boxes:
-            model = self._sim.model(home)
-            rot = mat_from_quat(model.geom_quat)
-            # geom_aabb holds centre and half-extents in the geom's frame, also for meshes.
-            center = model.geom_pos + np.einsum("kij,kj->ki", rot, model.geom_aabb[:, :3])
-            half = model.geom_aabb[:, 3:]
-            top = center[:, 2] + np.einsum("kj,kj->k", np.abs(rot[:, 2]), half)
-            keep = (
-                (model.geom_bodyid == 0)
-                & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
-                & (top > TALL)
-            )
-            self._tall_boxes[home] = Boxes.of(center[keep], half[keep], rot[keep])
-        return self._tall_boxes[home]
 
     def home_view(self, home: str, view: str, width: int, height: int) -> np.ndarray:
         """RGB (height, width, 3) of a furnished home without objects: from the top or from inside.
@@ -353,7 +308,7 @@ class HomeRenderer:
             spots = np.column_stack([floor[::7], np.full(len(floor[::7]), 0.5)])
             rays = (eye + share[:, None] * (spots - eye)).reshape(-1, 3)
             free = (
-                (sphere_box_distance(rays, self._tall(home.name)) > 0.02)
+                (sphere_box_distance(rays, self._follow.tall(home.name)) > 0.02)
                 .all(axis=1)
                 .reshape(len(share), -1)
             )

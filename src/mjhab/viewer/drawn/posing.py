@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mjhab.core.rotations import yaw_from_quat
 from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
@@ -28,6 +29,12 @@ class Pose:
     def parked(self) -> np.ndarray:
         """(B,) bool: bodies that the home does not have."""
         return self.pos[:, 2] < MIN_HEIGHT_M
+
+
+def base_of(pose: Pose, sim: CpuSimulator) -> np.ndarray:
+    """(3,) x, y [m] and yaw [rad] of the robot's base."""
+    body = sim.addresses.robot_body[sim.layout.robot.base_link]
+    return np.append(pose.pos[body, :2], yaw_from_quat(pose.quat[body]))
 
 
 class Poser:

@@ -204,8 +204,10 @@ class Scene {
 
 // -- the view: drag turns, shift or right drag moves, wheel and two fingers zoom --------------------------------
 class Orbit {
-  constructor(canvas, target, yaw) {
-    this.target = target; this.yaw = yaw; this.pitch = 0.55; this.far = 3.6; this.changed = true;
+  constructor(canvas, eye, target) {
+    const away = eye.map((x, i) => x - target[i]);
+    this.target = target; this.far = Math.hypot(...away); this.changed = true;
+    this.yaw = Math.atan2(away[1], away[0]); this.pitch = Math.asin(away[2] / this.far);
     const held = new Map();
     canvas.addEventListener("contextmenu", (e) => e.preventDefault());
     canvas.addEventListener("pointerdown", (e) => { canvas.setPointerCapture(e.pointerId); held.set(e.pointerId, [e.clientX, e.clientY]); });
@@ -281,9 +283,8 @@ async function main() {
   const points = array(head.pose.contacts), counts = array(head.pose.contact_counts), starts = [0];
   counts.forEach((count) => starts.push(starts[starts.length - 1] + count));
   const scene = new Scene($("scene"), head, array);
-  const [base, turn] = poses(0, head.pose.base);
-  const yaw = 2 * Math.atan2(turn[3], turn[0]);
-  const orbit = new Orbit($("scene"), [base[0] + 0.4 * Math.cos(yaw), base[1] + 0.4 * Math.sin(yaw), 0.7], yaw + 2.5);
+  const [base] = poses(0, head.pose.base);
+  const orbit = new Orbit($("scene"), head.pose.eye, head.pose.target);
   const pictures = head.pictures ? Object.entries(head.pictures.cameras).map(([name, place]) => {
     const bytes = array(place); let at = 0;
     const urls = place.sizes.map((size) => { at += size; return URL.createObjectURL(new Blob([bytes.slice(at - size, at)], { type: "image/jpeg" })); });

@@ -25,12 +25,13 @@ from mjhab.core.errors import MjhabError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.schema import CHECKS
+from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.parts import event_tone
 from mjhab.reports.plots import kind_color
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
-from mjhab.viewer.drawn.posing import Poser
+from mjhab.viewer.drawn.posing import Poser, base_of
 from mjhab.viewer.pages.timeline import TONE_COLORS, subtask_spans
 from mjhab.viewer.sources.replay import Replay
 from mjhab.viewer.sources.track import Track
@@ -225,6 +226,7 @@ def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> d
     change = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
     # Columns one after the other: the changes of one number follow each other.
     place = block.add(change.reshape(len(change), -1).T)
+    eye, target = FollowCamera(replay.sim.model).look(track.home, base_of(poses[0], replay.sim))
     base = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.base_link])
     hand = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.tcp])
     contacts = [pose.contacts for pose in poses]
@@ -236,6 +238,8 @@ def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> d
         "low": low.tolist(),
         "span": span,
         "base": base,
+        "eye": eye.tolist(),
+        "target": target.tolist(),
         "hand": hand,
         "contacts": block.add(points),
         "contact_counts": block.add(counts),

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 import viser
 
-from mjhab.core.rotations import mat_from_quat
 from mjhab.data.store.schema import CHECKS
+from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
 from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.glb import HomeFiles, home_files
 from mjhab.viewer.drawn.models import HomeModels, home_models
-from mjhab.viewer.drawn.posing import Pose, Poser, between
+from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
 from mjhab.viewer.drawn.stage import MIN_MOVE, Stage
 from mjhab.viewer.pages.gateway import Gateway
 from mjhab.viewer.pages.panels import Panels
@@ -33,9 +33,6 @@ from mjhab.viewer.sources.track import Track
 FRAME_SECONDS = 1.0 / 40.0
 PANEL_SECONDS = 0.12
 CAMERA_SECONDS = 0.12
-EYE = (-2.2, 1.6, 2.4)
-"""Where the page's camera stands when an episode is first shown: forward, left, height in the robot's frame [m]."""
-EYE_TARGET_HEIGHT_M = 0.7
 _GRASPED = CHECKS.index("is_grasped")
 
 
@@ -154,7 +151,7 @@ class Viewer:
         if track is not self._shown:
             if track.home != self._shown_home or self._shown is None:
                 self.stage.show(self._home(sim, track.home), pose)
-                self._aim(pose, sim)
+                self._aim(pose, sim, track.home)
                 self._shown_home = track.home
             self._shown = track
         self.stage.place(pose)
@@ -175,13 +172,9 @@ class Viewer:
 
         return home_files(sim.layout, home, make)
 
-    def _aim(self, pose: Pose, sim: CpuSimulator) -> None:
-        """Look at the robot over its shoulder."""
-        body = sim.addresses.robot_body[sim.layout.robot.base_link]
-        turn = mat_from_quat(pose.quat[body])
-        flat = pose.pos[body] * (1.0, 1.0, 0.0)
-        eye = flat + turn @ np.array([EYE[0], EYE[1], 0.0]) + np.array([0.0, 0.0, EYE[2]])
-        target = flat + np.array([0.0, 0.0, EYE_TARGET_HEIGHT_M])
+    def _aim(self, pose: Pose, sim: CpuSimulator, home: str) -> None:
+        """Look at the robot over its shoulder, from where nothing tall is in between."""
+        eye, target = FollowCamera(sim.model).look(home, base_of(pose, sim))
         self._server.initial_camera.position = eye
         self._server.initial_camera.look_at = target
         for client in self._server.get_clients().values():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -98,20 +99,22 @@ def one_world(task: str, subtask: str, target: str) -> Any:
     )
 
 
-def widest_opening(*words: str) -> float:
-    """Share of its range to which the expert opens the fridge, before it lets go."""
-    env = one_world("set_table", "open", "fridge/top_door")
+def opening_steps(target: str, words: tuple[str, ...], steps: int) -> Iterator[tuple[float, Any]]:
+    """The expert opens a link: after every step its opening as a share of its range, and x, y, yaw of the base."""
+    env = one_world("set_table", "open", target)
     expert = make_expert(env, Styles.parse(words))
     obs, info = env.reset(seed=0, options={"episode": [0]})
     expert.reset(np.ones(1, bool))
     view = env.view(0)
-    assert view.subtask is not None
-    link = view.home.links[view.subtask.link]
-    widest = 0.0
-    for _ in range(150):
+    link = view.home.links[target]
+    for _ in range(steps):
         obs, _, _, _, info = env.step(expert.act(obs, info))
-        widest = max(widest, view.link_q(link.id) / link.range[1])
-    return widest
+        yield view.link_q(link.id) / link.range[1], view.base
+
+
+def widest_opening(*words: str) -> float:
+    """Share of its range to which the expert opens the fridge, before it lets go."""
+    return max(share for share, _ in opening_steps("fridge/top_door", words, 150))
 
 
 def test_doors_are_opened_further_where_that_is_asked_for():
@@ -121,24 +124,10 @@ def test_doors_are_opened_further_where_that_is_asked_for():
 
 def room_behind(*words: str) -> float:
     """How far the base backs away from where it took the drawer's handle [m]; the drawer must open."""
-    env = one_world("set_table", "open", "kitchen_counter/drawer3")
-    expert = make_expert(env, Styles.parse(words))
-    obs, info = env.reset(seed=0, options={"episode": [0]})
-    expert.reset(np.ones(1, bool))
-    view = env.view(0)
-    assert view.subtask is not None
-    link = view.home.links[view.subtask.link]
-    way = 0.0
-    taken: np.ndarray | None = None
-    for _ in range(200):
-        obs, _, _, _, info = env.step(expert.act(obs, info))
-        opening = view.link_q(link.id) / link.range[1]
-        if taken is None and opening > 0.02:
-            taken = view.base[:2]
-        if taken is not None:
-            way = max(way, float(np.linalg.norm(view.base[:2] - taken)))
-    assert view.link_q(link.id) > 0.9 * link.range[1]
-    return way
+    steps = list(opening_steps("kitchen_counter/drawer3", words, 200))
+    assert steps[-1][0] > 0.9
+    pulled = [base[:2] for share, base in steps if share > 0.02]
+    return max(float(np.linalg.norm(at - pulled[0])) for at in pulled)
 
 
 def test_a_drawer_that_the_arm_pulls_needs_less_room_behind_the_robot():

@@ -86,9 +86,10 @@ def test_an_entry_names_any_policy(tmp_path: Path) -> None:
     listed = [{"subtask": name, "target": "", "checkpoint": spec} for name, spec, _ in rows]
     path.write_text(json.dumps({"policies": listed}), encoding="utf-8")
     assert [entry.checkpoint for entry in read_entries(path)] == [read for *_, read in rows]
-    path.write_text(json.dumps({"policies": [{**listed[0], "checkpoint": "other.json"}]}), "utf-8")
-    with pytest.raises(UsageError, match="not another policies file"):
-        read_entries(path)
+    for spec, told in (("other.json", "not another policies file"), ("student", "say which")):
+        path.write_text(json.dumps({"policies": [{**listed[0], "checkpoint": spec}]}), "utf-8")
+        with pytest.raises(UsageError, match=told):
+            read_entries(path)
 
 
 def test_the_expert_does_what_a_file_leaves_to_it(tmp_path: Path) -> None:

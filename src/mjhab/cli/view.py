@@ -116,7 +116,6 @@ def _source(options: ViewOptions) -> Source:
         threads=options.threads,
         env=env,
     )
-    pace = Pace()
     # Nobody drives before a page is open, and time would run out: the page begins with a pause.
-    pace.play(options.policy != HUMAN)
+    pace = Pace(playing=options.policy != HUMAN)
     return LiveSession(spec, options.episode, pace, policies=options.policies, shard=options.record)

@@ -81,8 +81,10 @@ def _beside(path: Path, spec: str) -> str:
     """The specification of an entry, with its files below the folder of the policies file.
 
     Raises:
-        UsageError: it is another policies file.
+        UsageError: it is another policies file, or a student of the package without what it does.
     """
+    if spec == STUDENT:
+        raise UsageError(f"{path}: say which student: {STUDENT}:TASK/SUBTASK/TARGET.")
     if spec.endswith(SUFFIX):
         raise UsageError(f"{path}: an entry names one policy, not another policies file ({spec}).")
     if spec in NAMED_POLICIES or spec.startswith(WITHOUT_FILE):
@@ -134,9 +136,8 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
             [facts.name, dict(facts.identity)], sort_keys=True
         )
         hashes.append([entry.subtask, entry.target, known])
-        profiles |= (
-            {facts.identity["policy_profile"]} if "policy_profile" in facts.identity else set()
-        )
+        if "policy_profile" in facts.identity:
+            profiles.add(facts.identity["policy_profile"])
         needed.append((entry.checkpoint, facts.env_options))
         robot = robot or facts.robot
     options = policy_kind.joined(name, needed)

@@ -39,7 +39,7 @@ LEAST = {
     "episode_pool": 0,
 }
 """Smallest allowed value of integer fields for which it is not 1."""
-NO_LEAST = ("sac.value_low", "sac.value_high")
+NO_LEAST = ("sac.value_low", "sac.value_high", "network.log_std")
 """Numbers that may be negative."""
 FIXED = ("algorithm", "preset")
 """Fields of a config that name it."""

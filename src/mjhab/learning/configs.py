@@ -69,7 +69,7 @@ class NetworkConfig:
     image_features: features per camera. hidden, layers: width and number of the fully connected layers.
     state_features: features that a linear layer computes from the state before it joins the images' features; 0 joins
     the state unchanged. norm: layer norm between the fully connected layers. unet: channels per level of the diffusion
-    policy's UNet.
+    policy's UNet. log_std: limits of the logarithm of the standard deviation of SAC's actor before squashing.
     """
 
     encoder: str = "small"
@@ -80,6 +80,7 @@ class NetworkConfig:
     state_features: int = 0
     norm: bool = True
     unet: tuple[int, ...] = (64, 128, 256)
+    log_std: tuple[float, float] = (-5.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -98,6 +98,18 @@ def test_merge_refuses_two_contents_of_one_episode(folder: Path, tmp_path: Path)
         merge([folder, other], tmp_path / "out.h5")
 
 
+def test_a_data_set_is_not_written_into_itself(folder: Path) -> None:
+    before = sorted(folder.rglob("*"))
+    for work in (
+        lambda: split([folder], folder, {"a": 0.5}),
+        lambda: split([folder], folder / "parts", {"a": 0.5}),
+        lambda: merge([folder], folder / "all.h5"),
+    ):
+        with pytest.raises(UsageError, match="would then be there twice"):
+            work()
+    assert sorted(folder.rglob("*")) == before
+
+
 def test_adopting_what_is_there_is_refused(folder: Path, tmp_path: Path) -> None:
     from mjhab.data.store.reading import open_shard
 

@@ -38,7 +38,8 @@ from mjhab.data.select.until import Until
 from mjhab.data.store.hdf5 import change_file, make_file
 from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.journal import recover
-from mjhab.data.store.object_axes import OBJECT_POSE, scan_yaws, to_scan_axes
+from mjhab.data.store.object_axes import scan_yaws, to_scan_axes
+from mjhab.data.store.older import OBJECT_POSE
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.data.store.shard import last_label
 from mjhab.rollout.records import EpisodeRecord

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.data.store.older import OLDER_JOINTS
+from mjhab.data.store.older import OBJECT_POSE, OLDER_JOINTS
 from mjhab.data.store.reading import Episode
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.instructions import (
@@ -22,7 +22,7 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PARTS: dict[str, tuple[str, ...]] = {
     "extra/tcp_pose_wrt_base": _POSE,
-    "extra/obj_pose_wrt_base": _POSE,
+    OBJECT_POSE: _POSE,
     "extra/goal_pos_wrt_base": ("x", "y", "z"),
     "agent/base_vel": ("forward", "left", "yaw"),
 }

@@ -151,11 +151,12 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
     """Copy the episodes that pass into one shard, which is made or extended. After an interruption it stays readable.
 
     Raises:
-        UsageError: ``out`` is among the sources; or an episode occurs twice with different contents.
+        UsageError: ``out`` is or lies in one of the sources; or an episode occurs twice with different contents.
     """
     paths = shard_paths(places)
     if any(path.resolve() == out.resolve() for path in paths):
         raise UsageError(f"--out {out} is one of the shards to merge; give a new file.")
+    _check_outside(places, out)
     found = select(paths, where)
     digests: dict[str, str] = {}
     if out.exists():
@@ -182,6 +183,19 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
     return Merged(len(found.matched) - repeated, found.of - len(found.matched), repeated)
 
 
+def _check_outside(places: Sequence[Path], out: Path) -> None:
+    """Refuse an output below a source: later commands would count its episodes twice.
+
+    Raises:
+        UsageError: names both.
+    """
+    for place in places:
+        if place.is_dir() and out.resolve().is_relative_to(place.resolve()):
+            raise UsageError(
+                f"--out {out} lies in {place}, whose episodes would then be there twice; give a place beside it."
+            )
+
+
 def split(
     places: Sequence[Path],
     out: Path,
@@ -195,8 +209,8 @@ def split(
     share. Groups are never divided, so the shares are approximate if there are few groups.
 
     Raises:
-        UsageError: shares are not positive or their sum exceeds 1; a part has an invalid name or exists; or an episode
-            occurs twice.
+        UsageError: shares are not positive or their sum exceeds 1; a part has an invalid name or exists; an episode
+            occurs twice; or ``out`` lies in a source.
     """
     if not parts or min(parts.values()) <= 0 or sum(parts.values()) > 1 + 1e-9:
         raise UsageError(f"shares must be positive and sum to at most 1; got {dict(parts)}.")
@@ -207,6 +221,7 @@ def split(
     for path in targets.values():
         if path.exists():
             raise UsageError(f"{path} exists already; give an empty folder as --out.")
+    _check_outside(places, out)
     groups: dict[str, list[Place]] = defaultdict(list)
     names: set[str] = set()
     for episode in episodes(places):

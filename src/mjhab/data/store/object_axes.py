@@ -17,14 +17,12 @@ from mjhab.rollout.records import PlanEntry
 from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
-OBJECT_POSE = "extra/obj_pose_wrt_base"
-"""The observation that these functions convert: position [m], quaternion with w >= 0; zeros without an object."""
 SCAN_YAWS = "scan_yaws"
 """Key of `RunInfo.layout`: `ObjectType.scan_yaw` [rad] by type of object, without those that are 0."""
 
 
 def to_scan_axes(poses: np.ndarray, scan_yaw: np.ndarray | float) -> np.ndarray:
-    """Poses in the axes of the scans, for poses in mjhab's frames of the objects.
+    """Poses (`OBJECT_POSE`) in the axes of the scans, for poses in mjhab's frames of the objects.
 
     Args:
         poses: (..., 7) position [m] and quaternion wxyz; a quaternion of zeros stays one.

@@ -10,7 +10,8 @@ from mjhab.core.rotations import quat_canonical
 
 STAND_INS: dict[str, str] = {"actions_intended": "actions", "actor": "actions"}
 """Datasets missing in schema 1, and the dataset that each is derived from."""
-POSES: tuple[str, ...] = ("extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base")
+OBJECT_POSE = "extra/obj_pose_wrt_base"
+POSES: tuple[str, ...] = ("extra/tcp_pose_wrt_base", OBJECT_POSE)
 """Observations with position and quaternion; in schema 1 the quaternion's sign is arbitrary."""
 _POSE_SIZE = 7
 OLDER_ROBOT = "fetch"

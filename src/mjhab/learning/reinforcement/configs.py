@@ -326,7 +326,16 @@ PAPER_SAC = ReinforcementConfig(
     SAC,
     "paper",
     PAPER_INPUTS,
-    NetworkConfig("strided", (32, 64, 128, 256), 50, 256, 3, state_features=50, norm=False),
+    NetworkConfig(
+        "strided",
+        (32, 64, 128, 256),
+        50,
+        256,
+        3,
+        state_features=50,
+        norm=False,
+        log_std=(-20.0, 2.0),  # mshab/agents/sac
+    ),
     sac=SacConfig(
         gamma=0.95,
         tau=0.005,

@@ -129,7 +129,7 @@ def layout_for(request: Request) -> Layout:
                 f"the demonstrations are of profile {layout.profile}, not {scene.profile}. Leave out --profile, or "
                 f"generate new data: mjhab generate --profile {scene.profile}"
             )
-        if request.round_episodes or request.eval_episodes:
+        if inputs.condition and (request.round_episodes or request.eval_episodes):
             _check_judged(request)
         return layout
     layouts: list[Layout] = []
@@ -169,7 +169,7 @@ def _check_judged(request: Request) -> None:
         env = make_env(scene, {}, Means(worlds=1, threads=1))
         wanted += [(scene.subtask, target) for target in _targets(scene, env)]
     missing = [goal for goal in wanted if goal not in shown]
-    if missing and request.config.student.inputs.condition:
+    if missing:
         raise UsageError(
             f"the student is to be evaluated in {_spoken(missing)}, but the demonstrations are of {_spoken(shown)}. "
             "Name what they are about with --task, --subtask and --target, or leave out evaluations with "

@@ -17,11 +17,6 @@ from mjhab.learning.networks import Normalizer, Trunk
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.student import Batch, Student
 
-LEAST_LOG_STD = -5.0
-MOST_LOG_STD = 1.0
-"""Limits of the logarithm of the standard deviation before squashing."""
-PAPER_LOG_STDS = (-20.0, 2.0)
-"""These limits in MS-HAB (mshab/agents/sac), for networks with its image encoder "strided"."""
 START_STD = 0.1
 """Standard deviation before squashing of an actor that begins from a student, whose exploration is local."""
 LARGEST_ACTION = 0.98
@@ -39,8 +34,7 @@ class SquashedGaussian(Student):
         self.trunk = Trunk(config, layout)
         self.mean = nn.Linear(self.trunk.width, len(layout.actions))
         self.log_std = nn.Linear(self.trunk.width, len(layout.actions))
-        is_paper = config.network.encoder == "strided"
-        self.log_std_limits = PAPER_LOG_STDS if is_paper else (LEAST_LOG_STD, MOST_LOG_STD)
+        self.log_std_limits = config.network.log_std
 
     @property
     def normalizer(self) -> Normalizer:

@@ -35,7 +35,12 @@ def student_table() -> str:
         judged = row["evaluation"]
         paper = row["paper_success_once"] or {}
         low, high = judged["success_once_interval"]
-        line = [row["task"], row["subtask"], row["target"] or "all", str(row["image_size"] or "states")]
+        line = [
+            row["task"],
+            row["subtask"],
+            row["target"] or "all",
+            str(row["image_size"] or "states"),
+        ]
         line += [f"**{percent(judged['success_once'])}**", f"{100 * low:.0f}-{100 * high:.0f}"]
         line += [str(judged["episodes"]), percent(judged["success_at_end"])]
         frames = training["frames"]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
+from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
@@ -35,6 +36,16 @@ REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options whose value the profile determines."""
+WHOLE_NUMBERS = (
+    "num_envs",
+    "seed",
+    "threads",
+    "horizon",
+    "episode_pool",
+    "starts",
+    "frame_stack",
+)
+"""Options that are whole numbers, see `config.ranges`."""
 _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 
 
@@ -210,18 +221,8 @@ class EnvConfig:
                 f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
                 f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
             )
-        least = {
-            "num_envs": 1,
-            "threads": 0,
-            "horizon": 0,
-            "episode_pool": 0,
-            "starts": 0,
-            "frame_stack": 1,
-        }
-        for name, low in least.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < low:
-                raise UsageError(f"{name} must be a whole number of at least {low}, got {value!r}")
+        for name in WHOLE_NUMBERS:
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         if not 0.0 <= self.open_start <= 1.0:
             raise UsageError(
                 f"open_start is a share of resets between 0 and 1, got {self.open_start}"

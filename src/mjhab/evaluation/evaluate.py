@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
+from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.version import __version__
 from mjhab.evaluation.own_policy import (
@@ -118,16 +119,9 @@ class EvalSpec:
         Styles.parse(self.style)
         if self.target and not self.subtask:
             raise UsageError("a target needs a subtask: a whole task has its targets in its plan.")
-        for name, least in (
-            ("episodes", 1),
-            ("worlds", 1),
-            ("seed", 0),
-            ("threads", 0),
-            ("films", 0),
-        ):
-            value = getattr(self, name)
-            if value < least:
-                raise UsageError(f"{name} must be at least {least}, got {value}.")
+        for name in ("worlds", "seed", "threads", "films"):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
+        object.__setattr__(self, "episodes", whole_number("episodes", self.episodes, least=1))
         check_env_options(self.env)
         if isinstance(self.policy, str):
             object.__setattr__(

@@ -21,6 +21,7 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.core.files.outputs import check_output
 from mjhab.core.files.reading import parse_json, read_json_object, reason
+from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
@@ -101,9 +102,9 @@ class RunFolder:
         """All finished episodes, of this start and of earlier ones, sorted by index."""
         return [self._records[index] for index in sorted(self._records)]
 
-    def missing(self, episodes: int) -> list[int]:
+    def missing(self, episodes: int) -> IndicesLeft:
         """Indices below ``episodes`` that have no record yet."""
-        return [index for index in range(episodes) if index not in self._records]
+        return IndicesLeft(episodes, self._records)
 
     def add(self, record: EpisodeRecord) -> None:
         """Append a record to episodes.jsonl, with the hash of the config, and flush it to the system."""

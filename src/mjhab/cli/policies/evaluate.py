@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -117,7 +117,7 @@ class ProgressSink(Sink[RolloutEnv]):
         self._done = 0
         self._won = 0
 
-    def on_begin(self, env: RolloutEnv, episodes: Sequence[int]) -> None:
+    def on_begin(self, env: RolloutEnv, episodes: Collection[int]) -> None:
         """Show the bar; it starts after the episodes that a resumed run already has."""
         self._started = time.perf_counter()
         self._bar.start()

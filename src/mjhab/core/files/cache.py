@@ -7,12 +7,12 @@ import contextlib
 import os
 import secrets
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from mjhab.core.errors import MjhabError
+from mjhab.core.progress import say
 
 CACHE_VARIABLE = "MJHAB_CACHE"
 """Environment variable with the folder of cached files."""
@@ -71,11 +71,9 @@ def _temporary_dir(wanted: Path, error: Exception) -> Path:
         for room in wanted.iterdir():
             if room.is_dir() and room.name != _MANY_FILES:
                 shutil.copytree(room, folder / room.name, copy_function=os.symlink)
-    print(
+    say(
         f"mjhab: the cache {wanted} cannot be written ({reason}); what is compiled now is lost when this process ends. "
-        f"${CACHE_VARIABLE} chooses another folder.",
-        file=sys.stderr,
-        flush=True,
+        f"${CACHE_VARIABLE} chooses another folder."
     )
     # Processes that this one starts share the folder.
     os.environ[CACHE_VARIABLE] = str(folder)

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import errno
-import io
-import json
 import os
 import random
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safetensors.numpy import save_file
 
 from mjhab.cli.main import main
 from mjhab.cli.options.limits import OUTPUTS, check_limits
@@ -26,21 +22,10 @@ from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files import cache
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.data.select.query import Filter
-from mjhab.data.store.reading import open_shard
-from mjhab.episodes.hab.format import read_hab
-from mjhab.episodes.spawn_sets import SpawnSet
-from mjhab.learning.checkpoint import load_checkpoint
-from mjhab.scenes.formats.gltf import read_glb
-from mjhab.scenes.formats.urdf import read_urdf
-from mjhab.scenes.home_files import home_pack
-from mjhab.scenes.replica_cad.reader import open_replica_cad
-from tests.hostile.cases import EYE, OBJECT_FILE, SCENE_FILE, Case, cases, episode, shard
+from tests.hostile.cases import Case, cases
 from tests.hostile.option_types import option_classes, values_of
 from tests.hostile.outcome import outcome
-from tests.scenes.formats.glb import BOX, BOX_FACES, URDF, tiny_data_set, write_glb
-
-MUTATIONS = 60
-"""Changed files per reader: a second or less of each."""
+from tests.hostile.readers import READERS
 
 
 def sampled() -> Iterator[Case]:
@@ -85,103 +70,23 @@ def test_defaults_are_in_range(options: type):
 # -- readers, fed with changed files -----------------------------------------------------------------------------------
 
 
-def changed(raw: bytes, rng: random.Random) -> bytes:
-    """A file with some bytes turned, cut out, doubled or cut off."""
-    data = bytearray(raw)
-    for _ in range(rng.randint(1, 4)):
-        at = rng.randrange(max(1, len(data)))
-        end = min(len(data), at + rng.choice((1, 2, 8, 64)))
-        match rng.randrange(5):
-            case 0:
-                data[at:end] = rng.randbytes(end - at)
-            case 1:
-                del data[at:end]
-            case 2:
-                data[at:at] = data[at:end]
-            case 3:
-                del data[at:]
-            case _:
-                data[at:end] = rng.choice((b"-1", b"1e999", b"null", b"[]", b'""', b"99999999999"))
-    return bytes(data)
-
-
-def glb_bytes(folder: Path) -> bytes:
-    uv = np.zeros((8, 2), np.float32)
-    picture = np.zeros((4, 4, 3), np.uint8)
-    return write_glb(folder / "a.glb", [(BOX, BOX_FACES)], uv=uv, image=picture).read_bytes()
-
-
-def home_bytes(folder: Path) -> bytes:
-    furniture = [{"kind": "table", "at": [3.0, 2.0]}]
-    walls = {"outer": "wall_white"}
-    floor = {"size": [6.0, 5.0]}
-    home = {"format": "mjhab-home-1", "name": "mine", "floor": floor, "walls": walls}
-    return json.dumps(home | {"furniture": furniture}).encode()
-
-
-def spawn_bytes(folder: Path) -> bytes:
-    stream = io.BytesIO()
-    header = json.dumps({"format": "mjhab-spawns-1", "digest": "0" * 16})
-    np.savez(stream, header=header, qpos=np.zeros((3, 4)), home=np.array(["a", "b", "c"]))
-    return stream.getvalue()
-
-
-def checkpoint_bytes(folder: Path) -> bytes:
-    head = {"mjhab": json.dumps({"format": "mjhab-student-1", "student": {}, "layout": {}})}
-    save_file({"weight": np.zeros((2, 3), np.float32)}, folder / "a.safetensors", head)
-    return (folder / "a.safetensors").read_bytes()
-
-
-def shard_bytes(folder: Path) -> bytes:
-    return shard(folder / "made" / "a.h5").read_bytes()
-
-
-def read_shard(path: Path) -> None:
-    with open_shard(path) as opened:
-        for one in opened:
-            for name in one.paths:
-                one.array(name)
-
-
-def scene(path: Path) -> Any:
-    return open_replica_cad(path.parent.parent.parent, (), None, ())
-
-
-def scene_bytes(name: str) -> Callable[[Path], bytes]:
-    return lambda folder: (tiny_data_set(folder) / name).read_bytes()
-
-
-READERS: dict[str, tuple[str, Callable[[Path], bytes], Callable[[Path], Any]]] = {
-    "episodes": (
-        "e.json",
-        lambda folder: episode([["024_bowl.object_config.json", EYE]]),
-        read_hab,
-    ),
-    "GLB": ("b.glb", glb_bytes, read_glb),
-    "URDF": ("a.urdf", lambda folder: URDF.encode(), read_urdf),
-    "home": ("home.json", home_bytes, home_pack),
-    "scene": (SCENE_FILE, scene_bytes(SCENE_FILE), scene),
-    "object": (OBJECT_FILE, scene_bytes(OBJECT_FILE), scene),
-    "spawn set": ("s.npz", spawn_bytes, SpawnSet.read),
-    "checkpoint": ("c.safetensors", checkpoint_bytes, load_checkpoint),
-    "shard": ("b.h5", shard_bytes, read_shard),
-}
-
-
 @pytest.mark.parametrize("name", READERS)
 def test_a_changed_file_is_read_or_refused(name: str, tmp_path: Path):
-    file, make_bytes, read = READERS[name]
-    raw = make_bytes(tmp_path)
-    path = tmp_path / file
-    rng = random.Random(name)
+    reader = READERS[name]
+    raw = reader.make(tmp_path)
+    path = tmp_path / reader.file
+    path.write_bytes(raw)
+    reader.read(path)
     refused = 0
-    for _ in range(MUTATIONS):
-        path.write_bytes(changed(raw, rng))
+    for seed in range(reader.draws):
+        path.write_bytes(reader.changed(raw, random.Random(f"{name}{seed}")))
         try:
-            read(path)
+            reader.read(path)
         except MjhabError as error:
             refused += 1
-            assert str(error)
+            assert str(error) and "\n" not in str(error)
+        except Exception as error:
+            raise AssertionError(f"copy {seed} of {name}") from error
     assert refused
 
 

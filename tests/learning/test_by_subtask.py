@@ -120,8 +120,9 @@ def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:
     path.write_text(entries_text(path, entries), encoding="utf-8")
     assert read_entries(path) == entries
     for wrong, said in (
-        ("[]", "must hold"),
-        ("{", "must hold"),
+        ("[]", "expected a JSON object"),
+        ("{", "not valid JSON"),
+        ('{"policies": {}}', "must hold"),
         (json.dumps({"policies": [{"subtask": "pick"}]}), "must hold"),
         (
             json.dumps({"policies": [{"subtask": "pik", "target": "", "checkpoint": "a"}]}),

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 from collections.abc import Iterable
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = 120
+_REPR.maxlong = 40
 
 
 class MjhabError(Exception):
@@ -14,15 +19,23 @@ class UsageError(MjhabError):
     """The caller gave something that cannot work; the message says what would."""
 
 
-def unknown_name(kind: str, given: str, valid: Iterable[str]) -> UsageError:
+def shown(value: object) -> str:
+    """A value for a message, on one line and no longer than fits there."""
+    return " ".join(_REPR.repr(value).split())
+
+
+def unknown_name(kind: str, given: object, valid: Iterable[str]) -> UsageError:
     """Build the error for a name that is not in a closed list.
 
     Args:
         kind: what the name names, e.g. ``"task"``.
-        given: the name that was asked for.
+        given: the name that was asked for; whatever is no text is told as such.
         valid: every accepted name.
     """
     names = sorted(valid)
+    if not isinstance(given, str):
+        told = f"{shown(given)} ({type(given).__name__})"
+        return UsageError(f"{kind} must be a name, got {told}. Valid names: {', '.join(names)}.")
     near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    return UsageError(f"unknown {kind} {given!r}.{hint} Valid names: {', '.join(names)}.")
+    return UsageError(f"unknown {kind} {shown(given)}.{hint} Valid names: {', '.join(names)}.")

@@ -12,10 +12,9 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, shown
 
 MAX_NAME_CHARACTERS = 128
-_MOST_SHOWN = 60
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_./:-]*")
 
 
@@ -64,11 +63,8 @@ def check_name(what: str, name: Any, *, empty: bool = False) -> str:
             and not any(part.startswith(".") or not part for part in parts)
         ):
             return name
-    shown = repr(name)
-    if len(shown) > _MOST_SHOWN:
-        shown = f"{shown[:_MOST_SHOWN]}..."
     raise ValueError(
-        f"{what}: {shown} is no name. Expected letters, digits and _ - . / : (at most {MAX_NAME_CHARACTERS}), "
+        f"{what}: {shown(name)} is no name. Expected letters, digits and _ - . / : (at most {MAX_NAME_CHARACTERS}), "
         "without '..' and not an absolute path."
     )
 

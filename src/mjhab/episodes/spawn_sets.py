@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
@@ -23,8 +22,10 @@ import numpy as np
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
+from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json
+from mjhab.core.files.records import read_record
 from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
 from mjhab.core.version import __version__
@@ -36,6 +37,17 @@ from mjhab.scenes.spec import Vec3
 from mjhab.tasks.plan import Target
 
 FORMAT = "mjhab-spawns-1"
+MAX_SET_MB = 2048
+"""Largest set [MB], unpacked: about half a million starts."""
+_HEADER = {
+    "recipe": dict[str, Any],
+    "pack": str,
+    "layout": str,
+    "grasps": dict[str, str],
+    "versions": dict[str, str],
+    "digest": str,
+}
+"""Fields of a header and their types."""
 SUFFIX = ".npz"
 _COLUMNS = (
     "home",
@@ -51,6 +63,8 @@ _COLUMNS = (
 
 _DIMENSIONS = {"qpos": 2, "object_pose": 3, "link_q": 2, "targets": 3, "points": 4}
 """Dimensions of the columns; the others have one."""
+_LAST_AXES = {"object_pose": (7,), "targets": (3,), "points": (3, 3)}
+"""Sizes of the last axes of the columns; the others have any."""
 _KINDS = {
     "home": "U",
     "qpos": "f",
@@ -140,7 +154,7 @@ def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) -> SpawnSet:
     """Write a set atomically and return it."""
-    header = {**header, "digest": _content(header, columns)}
+    header = {**header, "digest": content_digest(header, columns)}
     text = np.array(json.dumps(header))
     write_atomic(
         path,
@@ -151,7 +165,7 @@ def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) ->
     return SpawnSet(path, header, columns)
 
 
-def _content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
+def content_digest(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
     """Hash of the content of a set. It does not depend on the paths of the file and of the assets, whose hash is in the
     header."""
     recipe = {name: value for name, value in header["recipe"].items() if name != "assets"}
@@ -164,21 +178,51 @@ def _content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _check_content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> None:
-    """Refuse invalid names and columns of different lengths. The digest does not exclude them: anyone can compute it.
+def _read_header(text: str) -> dict[str, Any]:
+    """The header of a set.
 
     Raises:
-        ValueError, KeyError, TypeError: the message names the entry.
+        ValueError: a field is missing or does not fit; the message names it.
     """
+    header = parse_json(text)
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ValueError(f"its format is not {FORMAT}")
+    for name, kind in _HEADER.items():
+        read_record(kind, header.get(name), f"header.{name}")
     recipe = header["recipe"]
+    known = {field.name for field in fields(SpawnRecipe)}
+    read_record(
+        SpawnRecipe,
+        {name: recipe[name] for name in recipe if name in known - {"assets"}},
+        "header.recipe",
+    )
+    if not isinstance(recipe.get("assets", ""), str | dict):
+        raise ValueError("header.recipe.assets: expected a name or an object.")
+    if recipe["seed"] < 0:
+        raise ValueError(f"header.recipe.seed: expected a number from 0, got {recipe['seed']}.")
     for name in ("task", "split"):
         check_name(f"recipe, {name}", recipe[name])
     for name in ("subtask", "target"):
         check_name(f"recipe, {name}", recipe[name], empty=True)
-    count = len(columns["home"])
+    return header
+
+
+def _check_content(columns: dict[str, np.ndarray]) -> None:
+    """Refuse invalid names and columns that do not fit together. The digest does not exclude them: anyone can
+    compute it.
+
+    Raises:
+        ValueError: the message names the column.
+    """
+    count = columns["home"].size
     for name in _COLUMNS:
         column = columns[name]
-        if column.ndim != _DIMENSIONS.get(name, 1) or len(column) != count or not count:
+        last = _LAST_AXES.get(name, ())
+        fits = (
+            column.ndim == _DIMENSIONS.get(name, 1)
+            and column.shape[column.ndim - len(last) :] == last
+        )
+        if not fits or len(column) != count or not count:
             raise ValueError(
                 f"column {name!r} has shape {column.shape}, which does not fit {count} starts."
             )
@@ -190,10 +234,37 @@ def _check_content(header: dict[str, Any], columns: dict[str, np.ndarray]) -> No
         check_name("column 'home'", name)
     for name in set(columns["targets"].ravel().tolist()):
         check_name("column 'targets'", name, empty=True)
+    if columns["targets"].shape[1] != columns["points"].shape[1]:
+        raise ValueError("columns 'targets' and 'points' are of different numbers of targets.")
     for name in ("object_pose", "points"):
         check_range(
             f"column {name!r}", columns[name][..., :3], -MAX_POSITION_M, MAX_POSITION_M, "m"
         )
+
+
+def _misfit(columns: dict[str, np.ndarray], layout: Layout) -> str:
+    """What in columns a layout does not have although its digest is the same, which anyone can write; "" if nothing."""
+    objects = len(layout.roster)
+    links = len(layout.links)
+    numbers = {
+        "object_pose": objects,
+        "link_q": links,
+        "qpos": len(layout.robot.joints) + links + 7 * objects,
+    }
+    for name, wanted in numbers.items():
+        if columns[name].shape[1] != wanted:
+            return f"column {name!r} has {columns[name].shape[1]} entries instead of {wanted}"
+    targets = columns["targets"]
+    named = {
+        "home": (columns["home"], layout.pack.homes_by_name),
+        "object": (targets[..., 0], layout.object_names),
+        "link": (targets[..., 1:], ("", *layout.link_ids)),
+    }
+    for what, (column, known) in named.items():
+        unknown = set(column.ravel().tolist()).difference(known)
+        if unknown:
+            return f"there is no {what} {min(unknown)!r}"
+    return ""
 
 
 class SpawnSet:
@@ -215,26 +286,15 @@ class SpawnSet:
             raise UsageError(
                 f"there is no file {path}; `mjhab spawns make --out {path}` makes one."
             )
+        with open_arrays(path, "spawn set", MAX_SET_MB) as data:
+            header = _read_header(str(data.read("header")))
+            columns = {name: data.read(name) for name in _COLUMNS}
+            stated = header.pop("digest", "")
+            if content_digest(header, columns) != stated:
+                raise ValueError("its content is not what its header says")
         try:
-            with np.load(path, allow_pickle=False) as data:
-                header = parse_json(str(data["header"]))
-                if not isinstance(header, dict) or header.get("format") != FORMAT:
-                    raise KeyError(f"format {FORMAT}")
-                columns = {name: data[name] for name in _COLUMNS}
-            stated = header.pop("digest")
-            sound = _content(header, columns) == stated
-        # What is cut off or overwritten shows as any of these.
-        except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
-            raise UsageError(
-                f"{path} is no spawn set, or is damaged ({error}); make it again."
-            ) from error
-        if not sound:
-            raise UsageError(
-                f"{path} is damaged: its content is not what its header says; make it again."
-            )
-        try:
-            _check_content(header, columns)
-        except (ValueError, KeyError, TypeError) as error:
+            _check_content(columns)
+        except ValueError as error:
             raise UsageError(f"{path}: {error} Make it again.") from error
         return cls(path, {**header, "digest": stated}, columns)
 
@@ -248,13 +308,17 @@ class SpawnSet:
         found = cls.read(path)
         here = layout_digest(layout)
         if found.header["layout"] != here:
-            made = f"pack {found.header['pack']!r}, mjhab {found.header['versions']['mjhab']}"
+            versions = found.header["versions"]
+            made = f"pack {found.header['pack']!r}, mjhab {versions.get('mjhab', 'unknown')}"
             theirs = f"{found.header['layout']} ({made})"
             raise UsageError(
                 f"{path} was made for layout {theirs}; this is layout {here} (pack {layout.pack.name!r}, mjhab "
                 f"{__version__}): homes, objects or the code that compiles them differ. Make it again with `mjhab "
                 "spawns make`, or open the assets it was made for."
             )
+        wrong = _misfit(found.columns, layout)
+        if wrong:
+            raise UsageError(f"{path} does not fit its layout: {wrong}. Make it again.")
         return found
 
     def __len__(self) -> int:

@@ -18,6 +18,8 @@ from typing import Any, cast
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import beside, is_file, read_json_object
+from mjhab.core.files.records import read_record
 from mjhab.core.names import kind_of
 from mjhab.evaluation.resolve import (
     EXPERT,
@@ -59,22 +61,20 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
     Raises:
         UsageError: the file does not exist or has another format, or a subtask is unknown.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise UsageError(
             f"{path} does not exist; give a JSON file that names one checkpoint per subtask."
         )
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))["policies"]
-        entries = [
-            Entry(row["subtask"], row["target"], _beside(path, row["checkpoint"])) for row in rows
-        ]
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        rows = read_record(tuple[Entry, ...], read_json_object(path).get("policies"), "policies")
+        entries = tuple(replace(row, checkpoint=_beside(path, row.checkpoint)) for row in rows)
+    except ValueError as error:
         raise UsageError(
-            f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}; not so: {error!r}.'
+            f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}. {error}'
         ) from error
     for entry in entries:
         SUBTASKS.check(entry.subtask)
-    return tuple(entries)
+    return entries
 
 
 def _beside(path: Path, spec: str) -> str:
@@ -82,6 +82,7 @@ def _beside(path: Path, spec: str) -> str:
 
     Raises:
         UsageError: it is another policies file, or a student of the package without what it does.
+        ValueError: it names a file that cannot be.
     """
     if spec == STUDENT:
         raise UsageError(f"{path}: say which student: {STUDENT}:TASK/SUBTASK/TARGET.")
@@ -91,7 +92,7 @@ def _beside(path: Path, spec: str) -> str:
         return spec
     prefix = MS_HAB if spec.startswith(MS_HAB) else ""
     files = policy_kind.members(spec.removeprefix(prefix))
-    return prefix + policy_kind.AND.join(str(path.parent / file) for file in files)
+    return prefix + policy_kind.AND.join(str(beside(path, str(file))) for file in files)
 
 
 def entries_text(path: Path, entries: Sequence[Entry]) -> str:

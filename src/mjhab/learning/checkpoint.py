@@ -6,18 +6,21 @@ A student file holds the weights of the policy. A training file also holds the s
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
-from mjhab.core.files.reading import parse_json, reason
+from mjhab.core.files.reading import is_file, parse_json, reason
+from mjhab.core.files.records import read_record
 from mjhab.core.version import __version__
 from mjhab.learning.compact import compacted, expanded
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
@@ -74,7 +77,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     Raises:
         UsageError: the file does not exist or is not such a checkpoint.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise UsageError(f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`.")
     try:
         with safe_open(path, "pt") as file:
@@ -83,16 +86,19 @@ def load_checkpoint(path: Path) -> Checkpoint:
                 raise UsageError(f"{path} is not a checkpoint of `mjhab train` (format {FORMAT}).")
             stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             tensors = expanded(stored)
-    except (SafetensorError, ValueError, OSError) as error:
-        raise UsageError(f"{path} cannot be read as a checkpoint: {error}.") from error
+    except (SafetensorError, ValueError, OSError, RuntimeError) as error:
+        raise UsageError(f"{path} cannot be read as a checkpoint: {reason(error)}.") from error
     try:
-        config = student_from_plain(head["student"])
-        layout = Layout.from_plain(config.inputs, head["layout"])
-        return Checkpoint(config, layout, dict(head["about"]), tensors)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UsageError(
-            f"{path} is damaged: its header is no student's ({reason(error)})."
-        ) from error
+        described = {
+            name: read_record(dict[str, Any], head.get(name), name)
+            for name in ("student", "layout")
+        }
+        config = student_from_plain(described["student"])
+        layout = Layout.from_plain(config.inputs, described["layout"])
+        about = read_record(dict[str, Any], head.get("about", {}), "about")
+        return Checkpoint(config, layout, about, tensors)
+    except (ValueError, UsageError) as error:
+        raise UsageError(f"{path} is damaged: its header is no student's ({error})") from error
 
 
 def load_student(path: Path) -> Student:
@@ -102,14 +108,69 @@ def load_student(path: Path) -> Student:
         UsageError: see `load_checkpoint`; or the file is a training file or holds the weights of another network.
     """
     saved = load_checkpoint(path)
+    if _described_shapes(path, saved) != _shapes(saved.tensors):
+        raise UsageError(f"{path} does not hold the weights of a student alone. {_remedy(path)}")
     student = make_student(saved.config, saved.layout)
-    try:
-        student.load_state_dict(dict(saved.tensors))
-    except RuntimeError as error:
-        raise UsageError(
-            f"{path} does not hold the weights of a student alone. {_remedy(path)}"
-        ) from error
+    student.load_state_dict(dict(saved.tensors))
+    if not all(bool(tensor.isfinite().all()) for tensor in student.state_dict().values()):
+        raise UsageError(f"{path} holds weights that are not finite; it cannot act.")
     return student.eval().requires_grad_(False)
+
+
+def _described_shapes(path: Path, saved: Checkpoint) -> dict[str, tuple[int, ...]]:
+    """Shapes of the weights of the network that a file describes, which takes no memory yet.
+
+    Raises:
+        UsageError: it describes none.
+    """
+    try:
+        with torch.device("meta"):
+            return _shapes(make_student(saved.config, saved.layout).state_dict())
+    # The file chooses the sizes; what torch says about those that do not fit together differs from layer to layer.
+    except (RuntimeError, ValueError, TypeError, AssertionError, ArithmeticError) as error:
+        raise UsageError(
+            f"{path} is damaged: it describes no network ({reason(error)})."
+        ) from error
+
+
+def _shapes(tensors: Mapping[str, Tensor]) -> dict[str, tuple[int, ...]]:
+    return {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+
+
+State = TypeVar("State")
+
+
+def saved_state(path: Path, about: Mapping[str, Any], kind: type[State]) -> State:
+    """The progress of a run that the header of its training file tells.
+
+    Args:
+        path: the file, for the message.
+        about: of its header.
+        kind: a dataclass; what the header tells besides its fields is left out.
+
+    Raises:
+        UsageError: a field does not fit.
+    """
+    known = {field.name for field in fields(cast(Any, kind))}
+    try:
+        return read_record(kind, {name: about[name] for name in known & set(about)}, "about")
+    except ValueError as error:
+        raise UsageError(f"{path} is damaged: {error}") from error
+
+
+@contextmanager
+def restoring(path: Path) -> Iterator[None]:
+    """Within this context tensors of a training file are put into the networks and optimizers of a run.
+
+    Raises:
+        UsageError: they do not fit.
+    """
+    try:
+        yield
+    except (KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise UsageError(
+            f"{path} does not hold the state of this run ({reason(error)}); begin a new run."
+        ) from error
 
 
 def _remedy(path: Path) -> str:

@@ -35,7 +35,11 @@ def compacted(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def expanded(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Inverse of `compacted`, up to rounding; tensors that were not compacted stay as they are."""
+    """Inverse of `compacted`, up to rounding; tensors that were not compacted stay as they are.
+
+    Raises:
+        RuntimeError: scales do not fit their tensor.
+    """
     found: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
         if name.startswith(SCALE):

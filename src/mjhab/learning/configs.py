@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.files.records import read_record
 
 BC = "bc"
 FLOW = "flow"
@@ -335,26 +336,45 @@ def to_plain(config: Any) -> dict[str, Any]:
     return dataclasses.asdict(config)
 
 
+SIZES = {
+    "image_size": 1024,
+    "history": 64,
+    "shift": 1024,
+    "channels": 8192,
+    "image_features": 16_384,
+    "hidden": 16_384,
+    "layers": 64,
+    "state_features": 16_384,
+    "unet": 8192,
+    "chunk": 1000,
+    "sampling_steps": 1000,
+}
+"""Largest values of the fields of a student that a file describes; the presets stay far below."""
+MAX_STAGES = 16
+"""Most entries of ``channels`` and ``unet`` in a file."""
+
+
 def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
     """Build a `StudentConfig` from the dict of ``to_plain``, also after a round trip through JSON.
 
     Raises:
-        UsageError: a field is unknown to this version, or one is missing.
+        UsageError: a field is unknown to this version, is of another type, or is out of `SIZES`.
     """
     try:
-        parts = {
-            "inputs": InputConfig(**_tuples(values["inputs"])),
-            "network": NetworkConfig(**_tuples(values["network"])),
-            "optimizer": OptimizerConfig(**_tuples(values["optimizer"])),
-        }
-        return StudentConfig(**{**_tuples(values), **parts})
-    except (KeyError, TypeError) as error:
+        config: StudentConfig = read_record(StudentConfig, values, "student")
+        for part in (config, config.inputs, config.network):
+            for name, most in SIZES.items():
+                _check_size(name, getattr(part, name, 0), most)
+        if config.inputs.cameras and not config.inputs.image_size:
+            raise ValueError("student.inputs: has cameras whose image_size is 0.")
+    except ValueError as error:
         raise UsageError(
-            f"the config of a student does not fit this version of mjhab: {error}."
+            f"the config of a student does not fit this version of mjhab: {error}"
         ) from error
+    return config
 
 
-def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
-    }
+def _check_size(name: str, value: int | tuple[int, ...], most: int) -> None:
+    sizes = value if isinstance(value, tuple) else (value,)
+    if len(sizes) > MAX_STAGES or not all(0 <= size <= most for size in sizes):
+        raise ValueError(f"{name}: expected whole numbers from 0 to {most:,}, got {shown(value)}.")

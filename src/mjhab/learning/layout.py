@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.files.records import read_record
 from mjhab.learning.configs import InputConfig
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -25,6 +26,9 @@ LINK_STATE = (
     ("link/nearly_closed", 1),
 )
 """Entries of the optional inputs, see `InputConfig`."""
+MAX_STATE_WIDTH = 10_000
+MAX_ACTIONS = 1000
+"""Limits of layouts that a file describes; that of Fetch has 42 numbers and 13 actions."""
 Entry = tuple[str, int]
 """Name and width of a part of a vector."""
 
@@ -149,17 +153,20 @@ class Layout:
 
     @classmethod
     def from_plain(cls, inputs: InputConfig, values: Mapping[str, Any]) -> Layout:
-        """Build from the dict of ``to_plain``, also after a round trip through JSON."""
-        return cls(
-            inputs,
-            tuple((str(name), int(width)) for name, width in values["state"]),
-            tuple(values["actions"]),
-            tuple(values["targets"]),
-            tuple(values["control"]),
-            str(values.get("profile", DEFAULT_PROFILE)),
-            tuple(values.get("kinds", OLDER_KINDS)),
-            str(values.get("robot", "")),
-        )
+        """Build from the dict of ``to_plain``, also after a round trip through JSON.
+
+        Raises:
+            ValueError: a field is missing, unknown or does not fit; the message names it.
+        """
+        layout: Layout = read_record(cls, {**values, "inputs": asdict(inputs)}, "layout")
+        widths = [width for _, width in layout.state]
+        if min(widths, default=1) < 1 or sum(widths) > MAX_STATE_WIDTH:
+            raise ValueError(f"layout.state: widths {shown(widths)} are none of a state vector.")
+        if not 1 <= len(layout.actions) <= MAX_ACTIONS:
+            raise ValueError(f"layout.actions: {len(layout.actions)} names of actions.")
+        if len(layout.control) < 2:
+            raise ValueError("layout.control: expected control mode and kind of base.")
+        return layout
 
     def condition(self, subtask: str, target: str) -> np.ndarray:
         """One-hot condition of a subtask and its type of target, (n,) float32; empty if the student has no condition.

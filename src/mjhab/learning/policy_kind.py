@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import is_file
 from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -26,7 +27,7 @@ CAMERA_SIZE = "camera_size"
 
 def members(spec: str) -> list[Path]:
     """Files of the checkpoints that a specification names."""
-    if Path(spec).is_file():
+    if is_file(Path(spec)):
         return [Path(spec)]
     *first, last = spec.split(f"{SUFFIX}{AND}")
     return [*(Path(part + SUFFIX) for part in first), Path(last)]

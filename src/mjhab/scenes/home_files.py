@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.reading import read_bytes, read_json
+from mjhab.core.files.records import read_record
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
@@ -26,7 +27,6 @@ from mjhab.scenes.builtin.pack import ROLES
 from mjhab.scenes.home_checks import check_home
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_source import HOME_SUFFIXES, PackRequest, PackSource
-from mjhab.scenes.records import read_record
 from mjhab.scenes.replica_cad.files import SCENE_SUFFIX
 from mjhab.scenes.roles import present_roles
 from mjhab.scenes.shapes.shapes import span

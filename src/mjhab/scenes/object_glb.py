@@ -70,7 +70,7 @@ def object_from_glb(
     points = np.concatenate([hull.vertices for hull in hulls]).astype(float)
     center = ((points.min(axis=0) + points.max(axis=0)) / 2).round(6)
     half = (np.ptp(points, axis=0) / 2).round(6)
-    _check_extent(path, 2 * half)
+    check_extent(path, 2 * half)
     meshes = {f"{name}/piece_{k}": _moved(hull, -center) for k, hull in enumerate(hulls)}
     collision = tuple(Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False) for mesh in meshes)
     shown = [dataclasses.replace(part, vertices=part.vertices - center) for part in seen or pieces]
@@ -103,7 +103,16 @@ def _moved(mesh: Mesh, shift: np.ndarray) -> Mesh:
     return dataclasses.replace(mesh, vertices=(mesh.vertices + shift).astype(np.float32))
 
 
-def _check_extent(path: Path, extent: np.ndarray) -> None:
+def check_extent(path: Path, extent: np.ndarray) -> None:
+    """Refuse an object that is too large or too small to be one.
+
+    Args:
+        path: the file.
+        extent: (3,) along the axes [m].
+
+    Raises:
+        UsageError: see `MIN_EXTENT_M` and `MAX_EXTENT_M`.
+    """
     shown = " x ".join(f"{size:g}" for size in extent.tolist())
     if extent.max() > MAX_EXTENT_M or extent.min() < MIN_EXTENT_M:
         raise UsageError(

@@ -11,9 +11,9 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
+from mjhab.core.files.records import read_record
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_source import PackRequest, PackSource
-from mjhab.scenes.records import read_record
 from mjhab.scenes.roles import check_roles, present_roles
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop, Roles

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, shown
 
 MAX_JSON_MB = 256
 """Largest JSON text that is read [MB], after it was unpacked; 10,000 episodes in the HAB format take about 90."""
@@ -18,21 +19,59 @@ _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 _MAX_SHOWN_CHARACTERS = 160
 
 
+def check_file(path: Path, most_mb: float = math.inf) -> None:
+    """Refuse what is no regular file.
+
+    Raises:
+        UsageError: it is missing, no regular file, or larger than ``most_mb``.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise UsageError(f"{path} is not a file.")
+        size = path.stat().st_size
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: cannot be read ({reason(error)}).") from error
+    if size > most_mb * _MB:
+        raise UsageError(f"{path}: {size / _MB:,.0f} MB; at most {most_mb:g} MB are read.")
+
+
 def read_bytes(path: Path, most_mb: float = MAX_JSON_MB) -> bytes:
     """The content of a regular file.
 
     Raises:
         UsageError: it is missing, no regular file, unreadable, or larger than ``most_mb``.
     """
+    check_file(path, most_mb)
     try:
-        if path.exists() and not path.is_file():
-            raise UsageError(f"{path} is not a file.")
-        size = path.stat().st_size
-        if size > most_mb * _MB:
-            raise UsageError(f"{path}: {size / _MB:,.0f} MB; at most {most_mb:g} MB are read.")
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: cannot be read ({reason(error)}).") from error
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; False, too, for a name that no file can have, where `Path.is_file` may raise."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def beside(path: Path, name: str) -> Path:
+    """The file that a file names, relative to its own folder; it need not exist.
+
+    Args:
+        path: the file that names it.
+        name: what it says.
+
+    Raises:
+        ValueError: the name is none that a file can have.
+    """
+    try:
+        found = path.parent / name
+        found.is_file()
+        return found
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{shown(name)} is no name of a file ({reason(error)})") from error
 
 
 def unpack_gzip(raw: bytes, most_mb: float = MAX_JSON_MB) -> bytes:

@@ -80,7 +80,8 @@ class Registry(Generic[Item]):
         Raises:
             UsageError: it is not; the message lists the names, and the plugins that could not be loaded.
         """
-        if name not in self._names:
+        # Callers from outside of the type checker give anything, lists too.
+        if not isinstance(name, str) or name not in self._names:
             known = unknown_name(self._what, name, self._names)
             raise UsageError(f"{known}{plugins.failed_plugins()}")
         return name

@@ -18,11 +18,21 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
 
 
 def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
-    """Load the tensors that ``optimizer_tensors`` returned into an optimizer."""
+    """Load the tensors that ``optimizer_tensors`` returned into an optimizer.
+
+    Raises:
+        ValueError: they are those of other parameters.
+    """
+    parameters = [value for group in optimizer.param_groups for value in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
     for key, value in tensors.items():
         number, _, name = key.partition("/")
-        state.setdefault(int(number), {})[name] = value
+        entry = int(number)
+        if not 0 <= entry < len(parameters) or (
+            value.ndim and value.shape != parameters[entry].shape
+        ):
+            raise ValueError(f"the state {key!r} of an optimizer fits none of its parameters")
+        state.setdefault(entry, {})[name] = value
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 

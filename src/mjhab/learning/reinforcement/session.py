@@ -26,6 +26,7 @@ from mjhab.learning.checkpoint import (
     load_student,
     save_student,
     save_tensors,
+    saved_state,
 )
 from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
 from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
@@ -169,6 +170,8 @@ class ReinforcementSession:
             torch.set_num_threads(threads)
         self.request = request
         self.folder = folder
+        self.training_file = checkpoint
+        """The state that the next update depends on, of this process."""
         self.start = _start_of(request)
         self.config = request.config
         if self.start is not None:
@@ -193,9 +196,7 @@ class ReinforcementSession:
         self.standing = Standing()
         if resume and checkpoint.is_file():
             self.saved = load_checkpoint(checkpoint)
-            about = self.saved.about
-            known = {name: about[name] for name in Standing.__dataclass_fields__ if name in about}
-            self.standing = Standing(**known)
+            self.standing = saved_state(checkpoint, self.saved.about, Standing)
         if self.start is not None:
             self.standing.trained = True
         seed = self.seed + self.standing.checkpoints

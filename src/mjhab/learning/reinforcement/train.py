@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from mjhab.learning.checkpoint import restoring
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.demonstrations.expert import collect_demonstrations
 from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
@@ -237,7 +238,8 @@ class _PpoRun(_Run):
         self.agent = agent
         self.learner = PpoLearner(agent, worlds, self.config, session.seed)
         if session.saved is not None:
-            self._restore(session.saved.tensors)
+            with restoring(session.training_file):
+                self._restore(session.saved.tensors)
 
     def prepare(self) -> None:
         session = self.session
@@ -318,13 +320,14 @@ class _SacRun(_Run):
         self.online = self._buffer(REPLAY, worlds.count, self.sac.capacity)
         self.shown: ReplayBuffer | None = None
         if session.saved is not None:
-            self._restore(session.saved.tensors, session.saved.about)
+            with restoring(session.training_file):
+                self._restore(session.saved.tensors)
 
     def prepare(self) -> None:
         if self.sac.demonstrations:
             self.shown = self._demonstrations(self.sac.demonstrations)
 
-    def _restore(self, tensors: Any, about: Any) -> None:
+    def _restore(self, tensors: Any) -> None:
         learner = self.learner
         self.agent.load_state_dict(part_of("agent", tensors))
         for name, optimizer in learner.optimizers.items():

@@ -15,7 +15,13 @@ from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
-from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
+from mjhab.learning.checkpoint import (
+    load_checkpoint,
+    restoring,
+    save_student,
+    save_training,
+    saved_state,
+)
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import (
     BatchSampler,
@@ -220,13 +226,13 @@ class Session:
         """The latest complete evaluation."""
         saved = load_checkpoint(folder.training) if resume and folder.training.is_file() else None
         if saved is not None:
-            known = {name: saved.about[name] for name in Progress.__dataclass_fields__}
-            self.progress = Progress(**known)
+            self.progress = saved_state(folder.training, saved.about, Progress)
         self.device = training_device(request.device)
         student = make_student(self.config, layout, request.seed).to(self.device)
         self.trainer = Trainer(student, request.seed, self.config.updates)
         if saved is not None:
-            self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
+            with restoring(folder.training):
+                self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None and bool(saved.about.get("fitted", True))
         self.collectors = [
             Collector(scene, layout.env_options(), request.means, request.seed, request.ray)

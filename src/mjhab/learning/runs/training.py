@@ -125,13 +125,19 @@ class Trainer:
         return found
 
     def restore(self, tensors: dict[str, Tensor], step: int) -> None:
-        """Load the state that ``tensors`` returned after ``step`` updates."""
+        """Load the state that ``tensors`` returned after ``step`` updates.
+
+        Raises:
+            RuntimeError, KeyError, ValueError: they are those of another network.
+        """
         self.student.load_state_dict(_part(tensors, WEIGHTS))
         self.average.load_state_dict(_part(tensors, AVERAGE))
         first = _part(tensors, FIRST_MOMENT)
         second = _part(tensors, SECOND_MOMENT)
         for name, parameter in self.student.named_parameters():
             if name in first:
+                if not first[name].shape == second[name].shape == parameter.shape:
+                    raise ValueError(f"the moments of {name} have another shape than its weights")
                 self.optimizer.state[parameter] = {
                     "step": torch.tensor(float(step)),
                     "exp_avg": first[name].to(parameter.device, copy=True),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.reading import parse_json
+from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.core.rotations import mat_from_quat
+from mjhab.scenes.formats.fields import Fields
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE
 
@@ -28,12 +30,22 @@ _COMPONENT = {
     5125: np.uint32,
     5126: np.float32,
 }
-_WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_ANY = frozenset(_COMPONENT)
+_WHOLE = _ANY - {5126}
+_INDICES = frozenset({5121, 5123, 5125})
+"""Types of components: all, the whole numbers, and those of indices."""
+_WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 _TRIANGLES = 4
 MAX_NODE_DEPTH = 100
 MAX_NODES = 10_000
+MAX_FILE_MB = 1024
 MAX_TEXTURE_PIXELS = 2**26
-"""Limits of a file; the largest texture of ReplicaCAD has 2**24 pixels."""
+MAX_PIXELS = 2**28
+"""Limits of a file, of one texture and of all together; the largest texture of ReplicaCAD has 2**24 pixels."""
+MAX_UV = 1e6
+"""Largest texture coordinate, after its transform."""
+_IMAGE_FORMATS = ("PNG", "JPEG")
+"""What glTF allows."""
 TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns a vector of a file, with +y up, into our axes: (x, y, z) becomes (x, -z, y)."""
 
@@ -66,21 +78,12 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
         UsageError: the file is missing, cut off, or not what it says; names the file and the part.
     """
     document, blob = _chunks(path)
-    reader = _Reader(path, document, blob)
     try:
-        parts = reader.primitives(textures)
-    except (
-        KeyError,
-        IndexError,
-        TypeError,
-        ValueError,
-        struct.error,
-        OSError,
-        OverflowError,
-    ) as error:
-        raise UsageError(
-            f"{path}: broken glTF ({type(error).__name__}: {error}); download the file again."
-        ) from error
+        # What overflows is refused below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            parts = _Reader(document, blob).primitives(textures)
+    except ValueError as error:
+        raise UsageError(f"{path}: broken glTF ({error}); download the file again.") from error
     for part in parts:
         if not (np.abs(part.vertices) <= MAX_FILE_NUMBER).all():
             raise UsageError(
@@ -111,10 +114,7 @@ def read_hulls(path: Path) -> list[np.ndarray]:
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary chunk of a file."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    raw = read_bytes(path, MAX_FILE_MB)
     if len(raw) < 20 or raw[:4] != b"glTF":
         raise UsageError(
             f"{path}: not a binary glTF file (no 'glTF' header); download the file again."
@@ -146,23 +146,30 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 class _Reader:
-    def __init__(self, path: Path, document: dict[str, Any], blob: bytes) -> None:
-        self.path = path
-        self.document = document
+    """Reads the triangles of a document.
+
+    Raises:
+        ValueError: something in it does not fit; all methods.
+    """
+
+    def __init__(self, document: dict[str, Any], blob: bytes) -> None:
+        self.document = Fields(document, "")
         self.blob = blob
         self._images: dict[int, np.ndarray] = {}
         self._visits = 0
+        self._pixels = 0
 
     def primitives(self, textures: bool) -> list[Primitive]:
-        scenes = self.document.get("scenes", [])
-        nodes = self.document["nodes"]
-        children = {child for node in nodes for child in node.get("children", [])}
-        roots = scenes[self.document.get("scene", 0)]["nodes"] if scenes else []
+        nodes = self.document.parts("nodes")
+        children = {child for node in nodes for child in node.wholes("children")}
+        roots: list[int] = []
+        if self.document.parts("scenes"):
+            roots = self.document.pick("scenes", self.document.whole("scene", 0)).wholes("nodes")
         out: list[Primitive] = []
         for root in roots or [i for i in range(len(nodes)) if i not in children]:
             self._walk(root, np.eye(4), textures, out, 0)
         if not out:
-            raise UsageError(f"{self.path}: no triangles; download the file again.")
+            raise ValueError("no triangles")
         return out
 
     def _walk(
@@ -171,110 +178,136 @@ class _Reader:
         self._visits += 1
         if depth > MAX_NODE_DEPTH or self._visits > MAX_NODES:
             raise ValueError("nodes that contain each other, or far too many of them")
-        node = self.document["nodes"][index]
+        node = self.document.pick("nodes", index)
         pose = parent @ _local(node)
         if "mesh" in node:
-            mesh = self.document["meshes"][node["mesh"]]
-            for part in mesh["primitives"]:
-                if part.get("mode", _TRIANGLES) == _TRIANGLES:
-                    out.append(
-                        self._primitive(str(mesh.get("name", node["mesh"])), part, pose, textures)
-                    )
-        for child in node.get("children", []):
+            number = node.whole("mesh")
+            mesh = self.document.pick("meshes", number)
+            name = mesh.text("name") if "name" in mesh else str(number)
+            for part in mesh.parts("primitives"):
+                if part.whole("mode", _TRIANGLES) == _TRIANGLES:
+                    made = self._primitive(name, part, pose, textures)
+                    if len(made.faces):
+                        out.append(made)
+        for child in node.wholes("children"):
             self._walk(child, pose, textures, out, depth + 1)
 
-    def _primitive(
-        self, name: str, part: dict[str, Any], pose: np.ndarray, textures: bool
-    ) -> Primitive:
-        attributes = part["attributes"]
-        vertices = (
-            self._array(attributes["POSITION"]).astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        )
+    def _primitive(self, name: str, part: Fields, pose: np.ndarray, textures: bool) -> Primitive:
+        attributes = part.part("attributes")
+        points = self._array(attributes.whole("POSITION"), "VEC3", _ANY)
+        vertices = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        corners = np.arange(len(vertices))
         if "indices" in part:
-            faces = self._array(part["indices"]).reshape(-1, 3).astype(np.int32)
-        else:
-            faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
-        if faces.size and int(faces.max()) >= len(vertices):
+            corners = self._array(part.whole("indices"), "SCALAR", _INDICES).ravel()
+        if len(corners) % 3:
+            raise ValueError(f"{part.where} has {len(corners)} corners, which are no triangles")
+        if len(corners) and int(corners.max()) >= len(vertices):
             raise ValueError(f"mesh {name!r} names a vertex that does not exist")
+        faces = corners.reshape(-1, 3).astype(np.int32)
         if np.linalg.det(pose[:3, :3]) < 0:
             faces = faces[:, ::-1].copy()
         if not textures:
             return Primitive(name, vertices, faces, None, None, np.ones(3))
         color, texture, bend = self._look(part)
-        uv = (
-            self._array(attributes["TEXCOORD_0"]).astype(np.float64)
-            if "TEXCOORD_0" in attributes
-            else None
-        )
-        if uv is not None:
-            uv = np.c_[uv, np.ones(len(uv))] @ bend.T
-        return Primitive(name, vertices, faces, uv, texture if uv is not None else None, color)
+        if "TEXCOORD_0" not in attributes:
+            return Primitive(name, vertices, faces, None, None, color)
+        uv = self._array(attributes.whole("TEXCOORD_0"), "VEC2", _ANY).astype(np.float64)
+        if len(uv) != len(vertices):
+            raise ValueError(f"mesh {name!r} has {len(vertices)} vertices and {len(uv)} TEXCOORD_0")
+        uv = np.c_[uv, np.ones(len(uv))] @ bend.T
+        if not (np.abs(uv) <= MAX_UV).all():
+            raise ValueError(f"mesh {name!r} has TEXCOORD_0 beyond {MAX_UV:g} or not finite")
+        return Primitive(name, vertices, faces, uv, texture, color)
 
-    def _array(self, index: int) -> np.ndarray:
-        accessor = self.document["accessors"][index]
-        view = self.document["bufferViews"][accessor["bufferView"]]
-        kind = _COMPONENT[accessor["componentType"]]
-        width = _WIDTH[accessor["type"]]
-        count = accessor["count"]
+    def _array(self, index: int, shape: str, kinds: Collection[int]) -> np.ndarray:
+        """An accessor, (count, width of the shape).
+
+        Args:
+            index: its number.
+            shape: "VEC3" and so on.
+            kinds: component types that it may have.
+        """
+        accessor = self.document.pick("accessors", index)
+        view = self.document.pick("bufferViews", accessor.whole("bufferView"))
+        component = accessor.whole("componentType")
+        if component not in kinds or accessor.text("type") != shape:
+            raise ValueError(f"{accessor.where} is no {shape} of a fitting componentType")
+        kind = _COMPONENT[component]
+        width = _WIDTH[shape]
+        count = accessor.whole("count")
         size = np.dtype(kind).itemsize
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        stride = view.get("byteStride", size * width)
-        if min(count, start) < 0 or stride < size * width:
-            raise ValueError(f"accessor {index} has a count, a place or a stride that cannot be")
+        start = view.whole("byteOffset", 0) + accessor.whole("byteOffset", 0)
+        stride = view.whole("byteStride", size * width)
+        if stride < size * width:
+            raise ValueError(f"{view.place('byteStride')}: {stride} bytes are less than an element")
         if count and start + stride * (count - 1) + size * width > len(self.blob):
-            raise ValueError(f"accessor {index} reaches past the end of the binary chunk")
+            raise ValueError(f"{accessor.where} reaches past the end of the binary chunk")
+        if not count:
+            return np.zeros((0, width), kind)
         data = np.ndarray((count, width), kind, self.blob, start, (stride, size))
-        if accessor.get("normalized"):
+        if "normalized" in accessor and accessor.value("normalized") and component in _WHOLE:
             data = data / np.iinfo(kind).max
         return data
 
-    def _look(self, part: dict[str, Any]) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+    def _look(self, part: Fields) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
         """Colour factor (3,), texture, and the (2, 3) map of texture coordinates of a primitive."""
         bend = np.eye(2, 3)
         if "material" not in part:
             return np.ones(3), None, bend
-        surface = self.document["materials"][part["material"]].get("pbrMetallicRoughness", {})
-        color = np.asarray(surface.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3], float)
+        material = self.document.pick("materials", part.whole("material"))
+        surface = material.part("pbrMetallicRoughness")
+        color = surface.numbers("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3]
+        if not (np.abs(color) <= 1.0).all():
+            raise ValueError(f"{surface.place('baseColorFactor')}: expected numbers from 0 to 1")
         if "baseColorTexture" not in surface:
             return color, None, bend
-        reference = surface["baseColorTexture"]
-        moved = reference.get("extensions", {}).get("KHR_texture_transform")
-        if moved:
-            (sx, sy) = moved.get("scale", (1, 1))
-            (ox, oy) = moved.get("offset", (0, 0))
-            c = np.cos(moved.get("rotation", 0.0))
-            s = np.sin(moved.get("rotation", 0.0))
+        reference = surface.part("baseColorTexture")
+        extensions = reference.part("extensions")
+        if "KHR_texture_transform" in extensions:
+            moved = extensions.part("KHR_texture_transform")
+            sx, sy = moved.numbers("scale", (1.0, 1.0))
+            ox, oy = moved.numbers("offset", (0.0, 0.0))
+            angle = moved.number("rotation", 0.0)
+            c = np.cos(angle)
+            s = np.sin(angle)
             bend = np.array([[c * sx, s * sy, ox], [-s * sx, c * sy, oy]])
-        return color, self._image(self.document["textures"][reference["index"]]["source"]), bend
+        texture = self.document.pick("textures", reference.whole("index"))
+        return color, self._image(texture.whole("source")), bend
 
     def _image(self, index: int) -> np.ndarray:
         if index not in self._images:
-            from PIL import Image
-
-            view = self.document["bufferViews"][self.document["images"][index]["bufferView"]]
-            start = view.get("byteOffset", 0)
-            data = io.BytesIO(self.blob[start : start + view["byteLength"]])
-            try:
-                with Image.open(data) as image:
-                    if image.width * image.height > MAX_TEXTURE_PIXELS:
-                        raise ValueError(f"image {index} has {image.width} x {image.height} pixels")
-                    rgb = image.convert("RGB")
-            except (SyntaxError, Image.DecompressionBombError) as error:
-                raise ValueError(f"image {index}: {error}") from error
-            # Powers of two repeat and halve exactly.
-            width, height = (min(MAX_TEXTURE, 1 << (side.bit_length() - 1)) for side in rgb.size)
-            self._images[index] = np.asarray(rgb.resize((width, height), Image.Resampling.BOX))
+            self._images[index] = self._decoded(index)
         return self._images[index]
 
+    def _decoded(self, index: int) -> np.ndarray:
+        from PIL import Image
 
-def _local(node: dict[str, Any]) -> np.ndarray:
+        image = self.document.pick("images", index)
+        view = self.document.pick("bufferViews", image.whole("bufferView"))
+        start = view.whole("byteOffset", 0)
+        data = io.BytesIO(self.blob[start : start + view.whole("byteLength")])
+        try:
+            with Image.open(data, formats=_IMAGE_FORMATS) as picture:
+                # Nothing is unpacked yet: a small file may hold many pixels.
+                width, height = picture.size
+                self._pixels += width * height
+                if width * height > MAX_TEXTURE_PIXELS or self._pixels > MAX_PIXELS:
+                    raise ValueError(f"{image.where} has {width} x {height} pixels, too many")
+                rgb = picture.convert("RGB")
+        except (SyntaxError, OSError, Image.DecompressionBombError) as error:
+            raise ValueError(f"{image.where}: {reason(error)}") from error
+        # Powers of two repeat and halve exactly.
+        width, height = (min(MAX_TEXTURE, 1 << (side.bit_length() - 1)) for side in rgb.size)
+        return np.asarray(rgb.resize((width, height), Image.Resampling.BOX))
+
+
+def _local(node: Fields) -> np.ndarray:
     """The (4, 4) transform of a node in its parent."""
     if "matrix" in node:
-        return np.asarray(node["matrix"], float).reshape(4, 4).T
+        return node.numbers("matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
     pose = np.eye(4)
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    pose[:3, :3] = mat_from_quat(np.array([w, x, y, z], float)) * np.asarray(
-        node.get("scale", (1, 1, 1)), float
-    )
-    pose[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    x, y, z, w = node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))
+    turn = mat_from_quat(np.array([w, x, y, z], float))
+    pose[:3, :3] = turn * node.numbers("scale", (1.0, 1.0, 1.0))
+    pose[:3, 3] = node.numbers("translation", (0.0, 0.0, 0.0))
     return pose

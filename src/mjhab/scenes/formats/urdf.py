@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.reading import read_bytes
+from mjhab.core.files.reading import beside, read_bytes
 from mjhab.core.names import check_name
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 
@@ -148,7 +148,10 @@ def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
         if mesh is None:
             raise UsageError(f"{path}: link {name!r}: visual shapes must be meshes.")
         scale = _numbers(path, f"link {name!r}: mesh scale", mesh.get("scale", "1 1 1"), 3)
-        file = path.parent / _need(path, mesh, "filename")
+        try:
+            file = beside(path, _need(path, mesh, "filename"))
+        except ValueError as error:
+            raise UsageError(f"{path}: link {name!r}: {error}.") from error
         visuals.append(UrdfVisual(file, scale, _origin(path, part, f"link {name!r}")))
     value = (
         0.0

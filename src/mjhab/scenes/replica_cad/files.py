@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
-from mjhab.core.files.reading import read_json_object
+from mjhab.core.errors import UsageError, shown
+from mjhab.core.files.reading import beside, read_json_object
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
 from mjhab.scenes.formats.gltf import TO_Z_UP
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
@@ -23,6 +23,7 @@ PREFIX = "frl_apartment_"
 """What most names of the data set begin with and ours do not."""
 FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
 HOW_TO_GET = "`mjhab assets fetch replica_cad` gets it"
+_MIN_QUATERNION_LENGTH = 0.5
 _MAX_LEVEL_TILT_RAD = 1e-4
 """Rotations that tilt by less than about this [rad] are headings."""
 
@@ -69,7 +70,7 @@ def numbers(path: Path, record: Any, key: str, count: int, where: str = "") -> n
     except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.shape != (count,) or not (np.abs(array) <= MAX_FILE_NUMBER).all():
-        expected = f"expected {count} numbers, got {value!r} (up to {MAX_FILE_NUMBER:g})"
+        expected = f"expected {count} numbers, got {shown(value)} (up to {MAX_FILE_NUMBER:g})"
         raise UsageError(f"{path}: field {where}.{key}: {expected}.")
     return array
 
@@ -80,6 +81,17 @@ def number(path: Path, record: Any, key: str, where: str = "", *, positive: bool
     if positive and not found > 0.0:
         raise UsageError(f"{path}: field {where}.{key}: expected a number above 0, got {found:g}.")
     return found
+
+
+def file_in(path: Path, record: Any, key: str) -> Path:
+    """The file that a config names relative to its folder; it need not exist. Else a UsageError names the field."""
+    value = field(path, record, key)
+    if not isinstance(value, str):
+        raise UsageError(f"{path}: field {key!r}: expected the name of a file, got {shown(value)}.")
+    try:
+        return beside(path, value).resolve()
+    except ValueError as error:
+        raise UsageError(f"{path}: field {key!r}: {error}.") from error
 
 
 def short_name(template: str) -> str:
@@ -99,17 +111,20 @@ def quat_of(rotation: np.ndarray) -> Quat:
     return (w, x, y, z)
 
 
+def rotation(path: Path, record: dict[str, Any], where: str) -> np.ndarray:
+    """The rotation (3, 3) of a record, in the axes of the data set; none if it gives none."""
+    if "rotation" not in record:
+        return np.eye(3)
+    given = numbers(path, record, "rotation", 4, where)
+    if np.linalg.norm(given) < _MIN_QUATERNION_LENGTH:
+        raise UsageError(f"{path}: field {where}.rotation: not a quaternion: {given.tolist()}.")
+    return mat_from_quat(given / np.linalg.norm(given))
+
+
 def placement(path: Path, record: dict[str, Any], template: str, where: str) -> Placement:
     """Where a scene puts a template, in our axes."""
     x, y, z = numbers(path, record, "translation", 3, where).tolist()
-    given = (
-        numbers(path, record, "rotation", 4, where)
-        if "rotation" in record
-        else np.array([1.0, 0.0, 0.0, 0.0])
-    )
-    if np.linalg.norm(given) < 0.5:
-        raise UsageError(f"{path}: field {where}.rotation: not a quaternion: {given.tolist()}.")
-    turn = TO_Z_UP @ mat_from_quat(given / np.linalg.norm(given)) @ TO_Z_UP.T
+    turn = TO_Z_UP @ rotation(path, record, where) @ TO_Z_UP.T
     return place(template, np.array([x, -z, y]), turn)
 
 

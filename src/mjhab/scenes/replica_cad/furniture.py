@@ -20,6 +20,7 @@ from mjhab.scenes.formats.urdf import Urdf, UrdfBox, UrdfJoint, UrdfLink, UrdfVi
 from mjhab.scenes.replica_cad import handles
 from mjhab.scenes.replica_cad.files import (
     HOW_TO_GET,
+    file_in,
     load_json,
     place,
     point,
@@ -108,10 +109,10 @@ class Furniture:
     def _rigid(self, name: str, stem: str) -> Prop:
         path = self.folder / "configs" / "objects" / f"{stem}.object_config.json"
         body = load_json(path)
-        look = _asset(path, body, "render_asset")
+        look = file_in(path, body, "render_asset")
         if not body.get("use_bounding_box_for_collision") and "collision_asset" in body:
             geoms = self._hulls(
-                name, read_hulls(_asset(path, body, "collision_asset")), drawn=not look.is_file()
+                name, read_hulls(file_in(path, body, "collision_asset")), drawn=not look.is_file()
             )
         elif look.is_file():
             points = (
@@ -278,13 +279,6 @@ class Furniture:
             link = space.link if space.link in moved else ""
             places.append(fit(space, pieces, link, moved.get(link)))
         return tuple(p for p in places if p)
-
-
-def _asset(path: Path, body: dict[str, Any], key: str) -> Path:
-    """The file a config names; it need not exist."""
-    if not isinstance(body.get(key), str):
-        raise UsageError(f"{path}: field {key!r} is missing or not a file name.")
-    return (path.parent / body[key]).resolve()
 
 
 def _righted(world: np.ndarray) -> np.ndarray:

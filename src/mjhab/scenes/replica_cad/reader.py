@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import roles
@@ -30,10 +30,12 @@ from mjhab.scenes.replica_cad.files import (
     HOW_TO_GET,
     SCENE_SUFFIX,
     check_folder,
+    file_in,
     load_json,
     number,
     numbers,
     placement,
+    rotation,
     short_name,
 )
 from mjhab.scenes.replica_cad.files import field as entry
@@ -247,22 +249,18 @@ class _Scenes:
             config = (
                 self.folder / "configs" / "stages" / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
             )
-            file = (config.parent / _text(config, load_json(config), "render_asset", "")).resolve()
+            file = file_in(config, load_json(config), "render_asset")
         shift = np.zeros(3)
-        turn = np.array([1.0, 0.0, 0.0, 0.0])
         if "translation" in record:
             shift = numbers(path, record, "translation", 3, "stage_instance")
-        if "rotation" in record:
-            turn = numbers(path, record, "rotation", 4, "stage_instance")
-        key = (file, *shift.tolist(), *turn.tolist())
+        turn = rotation(path, record, "stage_instance")
+        key = (file, *shift.tolist(), *turn.ravel().tolist())
         if key not in self._stages:
             if self.stage_mesh is None and not file.is_file():
                 self.missing.append(file)
                 self._stages[key] = None
             else:
-                self._stages[key] = stage_shape(
-                    file, mat_from_quat(turn / np.linalg.norm(turn)), shift
-                )
+                self._stages[key] = stage_shape(file, turn, shift)
         return self._stages[key]
 
     def _extent(self, name: str, placed: list[Placement]) -> Extent:
@@ -300,7 +298,7 @@ def _text(path: Path, record: Any, key: str, where: str) -> str:
     """A name that a field holds: of a template, or of a file relative to the config."""
     value = entry(path, record, key, where)
     if not isinstance(value, str):
-        raise UsageError(f"{path}: field {where}.{key}: expected a name, got {value!r}.")
+        raise UsageError(f"{path}: field {where}.{key}: expected a name, got {shown(value)}.")
     return value
 
 

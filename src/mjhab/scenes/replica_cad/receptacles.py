@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from mjhab.core.errors import UsageError, shown
 from mjhab.scenes.replica_cad.files import PREFIX, numbers, point
 from mjhab.scenes.shapes.hulls import vertical_extent
 from mjhab.scenes.spec import Receptacle
@@ -50,14 +51,20 @@ def spaces(
         path, body: the config.
         frames: pose (4, 4) in our template frame of the object ("") or of its links by name.
         scale: of the object.
+
+    Raises:
+        UsageError: a field does not fit; names it.
     """
     found = []
-    for key, record in body.get("user_defined", {}).items():
+    given = body.get("user_defined", {})
+    if not isinstance(given, dict):
+        raise UsageError(f"{path}: field 'user_defined': expected an object, got {shown(given)}.")
+    for key, record in given.items():
         if not key.startswith(_KEY_PREFIX):
             continue
         where = f"user_defined.{key}"
         link = record.get("parent_link", "") if isinstance(record, dict) else ""
-        if link not in frames:
+        if not isinstance(link, str) or link not in frames:
             continue
         pose = frames[link]
         center = pose[:3, :3] @ (scale * numbers(path, record, "position", 3, where)) + pose[:3, 3]

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from mjhab.core.errors import UsageError
 from mjhab.scenes.builtin.objects import MASSES
 from mjhab.scenes.formats.gltf import Primitive, read_glb
+from mjhab.scenes.object_glb import check_extent
 from mjhab.scenes.shapes.hulls import hull_mesh
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.painting import textured_mesh
@@ -70,7 +71,11 @@ def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
     types: dict[str, ObjectType] = {}
     meshes: dict[str, object] = {}
     for name in MASSES:
-        types[name], added = object_from_scan(name, read_scan(folder / name / SCAN))
+        path = folder / name / SCAN
+        try:
+            types[name], added = object_from_scan(name, read_scan(path))
+        except QhullError as error:
+            raise UsageError(f"{path}: the scan is flat; download the file again.") from error
         meshes.update(added)
     return types, meshes
 
@@ -79,13 +84,14 @@ def read_scan(path: Path) -> Scan:
     """Read a textured mesh.
 
     Raises:
-        UsageError: the file is broken, or has no texture; the message names it.
+        UsageError: the file is broken, has no texture, or is as large or as small as no object; the message names it.
     """
-    (part, *others) = read_glb(path)
+    part, *others = read_glb(path)
     if others or part.texture is None or part.uv is None:
         raise UsageError(
             f"{path}: not one mesh with a base colour texture; download the file again."
         )
+    check_extent(path, np.ptp(part.vertices, axis=0))
     center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
     return Scan(part.vertices - center, part.faces.astype(np.int64), part.uv, part.texture)
 

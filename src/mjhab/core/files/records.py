@@ -8,21 +8,30 @@ import types
 import typing
 from typing import Any
 
+from mjhab.core.errors import shown
+
 
 def read_record(kind: Any, value: Any, where: str) -> Any:
-    """Turn plain data of JSON into ``kind``: dataclasses, tuples, dictionaries, literals, numbers, strings, booleans.
+    """Turn plain data of JSON into ``kind``: dataclasses, tuples, lists, dictionaries, literals, numbers, strings,
+    booleans.
 
     Raises:
         ValueError: the value does not fit; the message names the field.
     """
+    if kind is Any:
+        return value
     origin = typing.get_origin(kind)
     args = typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
         return _read_fields(kind, value, where)
     if origin is types.UnionType:
         return None if value is None else read_record(args[0], value, where)
+    if origin is list:
+        return list(read_record(tuple[args[0], ...], value, where))
     if origin is tuple:
-        if not isinstance(value, list) or (Ellipsis not in args and len(value) != len(args)):
+        if not isinstance(value, list | tuple) or (
+            Ellipsis not in args and len(value) != len(args)
+        ):
             raise ValueError(
                 f"{where}: expected a list of {'any' if Ellipsis in args else len(args)} entries."
             )
@@ -39,17 +48,17 @@ def read_record(kind: Any, value: Any, where: str) -> Any:
         }
     if origin is typing.Literal:
         if value not in args:
-            raise ValueError(f"{where}: {value!r} is not one of {', '.join(map(str, args))}.")
+            raise ValueError(f"{where}: {shown(value)} is not one of {', '.join(map(str, args))}.")
         return value
     if kind is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{where}: expected a number, got {value!r}.")
+            raise ValueError(f"{where}: expected a number, got {shown(value)}.")
         number = _float(value)
         if not math.isfinite(number):
             raise ValueError(f"{where}: expected a finite number, got {number}.")
         return number
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise ValueError(f"{where}: expected {kind.__name__}, got {value!r}.")
+        raise ValueError(f"{where}: expected {kind.__name__}, got {shown(value)}.")
     return value
 
 

@@ -1,0 +1,100 @@
+"""Reading ``.npz`` files that others wrote: bounded before anything is unpacked, and one error for all damage."""
+
+from __future__ import annotations
+
+import lzma
+import math
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import check_file, reason
+
+_MB = 2**20
+_SUFFIX = ".npy"
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    RuntimeError,  # encrypted, or packed by a method that is not known (NotImplementedError)
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+)
+
+
+class Arrays:
+    """The arrays of an opened file; each is unpacked when it is asked for.
+
+    Its methods raise only what `open_arrays` turns into a UsageError.
+    """
+
+    def __init__(self, file: zipfile.ZipFile, most_mb: float) -> None:
+        self._file = file
+        self._left = int(most_mb * _MB)
+        self._most_mb = most_mb
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all arrays."""
+        return tuple(name.removesuffix(_SUFFIX) for name in self._file.namelist())
+
+    def read(self, name: str) -> np.ndarray:
+        """An array.
+
+        Raises:
+            ValueError: there is none of this name, it holds Python objects, is damaged, or the arrays that were read
+                so far are larger than the limit together.
+        """
+        try:
+            info = self._file.getinfo(name + _SUFFIX)
+        except KeyError as error:
+            raise ValueError(f"array {name!r} is missing") from error
+        # A small file may state, and hold, any size.
+        self._left -= info.file_size
+        if self._left < 0:
+            raise ValueError(f"its arrays hold more than the {self._most_mb:g} MB that are read")
+        with self._file.open(info) as stream:
+            _check_size(name, stream, info.file_size)
+        with self._file.open(info) as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+def _check_size(name: str, stream: IO[bytes], size: int) -> None:
+    """Refuse an array whose header states another size than there is: numpy takes the memory first."""
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, _, kind = np.lib.format.read_array_header_1_0(stream)
+    else:
+        shape, _, kind = np.lib.format.read_array_header_2_0(stream)
+    if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != size - stream.tell():
+        raise ValueError(f"array {name!r} has another size than its shape {shape} says")
+
+
+@contextmanager
+def open_arrays(path: Path, what: str, most_mb: float) -> Iterator[Arrays]:
+    """Open a file for reading its arrays.
+
+    Args:
+        path: the file.
+        what: what it is, for the message: "spawn set".
+        most_mb: of all arrays that are read together [MB], unpacked.
+
+    Raises:
+        UsageError: it is no such file, it is damaged or too large; also for what is read within this context.
+    """
+    check_file(path)
+    try:
+        with zipfile.ZipFile(path) as file:
+            yield Arrays(file, most_mb)
+    except _DAMAGE as error:
+        raise UsageError(
+            f"{path} is no {what}, or is damaged ({reason(error)}); make it again."
+        ) from error

@@ -64,6 +64,8 @@ def test_a_score_is_made_of_the_episodes_of_the_manifest(result: tuple[Path, Res
     # Nothing is left to do: the second call reads what the first one left.
     again = score(ScoreSpec("random", "subtasks", "test", path.parent, worlds=2, threads=1))
     assert again.summary == summary
+    # The time is that of all starts, not that of the last one.
+    assert again.facts["seconds"] == scored.facts["seconds"] > 0.5
     assert [e.record for e in again.episodes] == [e.record for e in scored.episodes]
 
 

@@ -7,7 +7,6 @@ import os
 import platform
 import secrets
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -98,7 +97,7 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         UsageError: a name is unknown; the policy needs other rules; or the folder holds another run.
     """
     asked = manifest(spec.track, spec.split, spec.robot)
-    started = time.perf_counter()
+    seconds = 0.0
     episodes: list[Scored] = []
     policies: dict[str, Any] = {}
     for row in asked.rows:
@@ -118,10 +117,11 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         evaluation = evaluation_of(spec, asked, row, options)
         kept = spec.out / "actions" / row.name
         run = run_evaluation(evaluation, [ActionKeeper(kept), *sinks(evaluation)])
+        # The summary of a run counts its earlier starts, too.
+        seconds += run.summary["seconds"]
         episodes += [_scored(row, record, kept) for record in _wanted(run, evaluation)]
     if not policies:
         raise UsageError(f"{spec.policy} has no policy for any row of the track {spec.track}.")
-    seconds = time.perf_counter() - started
     return write_result(spec.out / RESULT_FILE, facts_of(spec, asked, policies, seconds), episodes)
 
 
@@ -198,7 +198,7 @@ def scored_options(facts: PolicyFacts) -> dict[str, Any]:
 def facts_of(
     spec: ScoreSpec, asked: Manifest, policies: Mapping[str, Any], seconds: float
 ) -> dict[str, Any]:
-    """Facts of a result file: policy, track, versions, hardware and time."""
+    """Facts of a result file: policy, track, versions, hardware, and wall time of all starts [s]."""
     first = next(iter(policies.values()))
     return {
         "track": asked.track,

@@ -27,7 +27,7 @@ from mjhab.evaluation.score.actions import (
 )
 from mjhab.evaluation.score.capabilities import capabilities_of
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
-from mjhab.evaluation.score.result import Result, Scored, write_result
+from mjhab.evaluation.score.result import Result, Scored, write_result, write_summary
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.records import EpisodeRecord
@@ -38,6 +38,7 @@ FREE_OPTIONS = frozenset(
 )
 """Environment options that a policy may choose: observations, control and robot. The benchmark fixes all others."""
 RESULT_FILE = "result.json"
+SUMMARY_FILE = "summary.json"
 CHECKED_EPISODES = 100
 """Largest number of episodes that a check replays."""
 
@@ -87,7 +88,7 @@ class Checked:
 
 
 def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda _: ()) -> Result:
-    """Run the missing episodes of a score and write its result file, ``out/result.json``.
+    """Run the missing episodes of a score and write ``out/result.json``, and what tables show of it as summary.json.
 
     Args:
         spec: the score.
@@ -122,7 +123,10 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         episodes += [_scored(row, record, kept) for record in _wanted(run, evaluation)]
     if not policies:
         raise UsageError(f"{spec.policy} has no policy for any row of the track {spec.track}.")
-    return write_result(spec.out / RESULT_FILE, facts_of(spec, asked, policies, seconds), episodes)
+    facts = facts_of(spec, asked, policies, seconds)
+    result = write_result(spec.out / RESULT_FILE, facts, episodes)
+    write_summary(spec.out / SUMMARY_FILE, result)
+    return result
 
 
 def evaluation_of(

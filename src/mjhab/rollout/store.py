@@ -116,9 +116,21 @@ class RunFolder:
     def earlier_seconds(self) -> float:
         """Wall time [s] of the starts before this one, as far as they wrote a summary."""
         try:
-            return float(read_json_object(self.path / SUMMARY)["seconds"])
-        except (UsageError, KeyError, TypeError, ValueError):
+            return float(self._earlier_summary().get("seconds", 0.0))
+        except (TypeError, ValueError):
             return 0.0
+
+    def earlier_latency_ms(self) -> dict[str, float | None] | None:
+        """Entry "latency_ms" of the summary that the last start wrote; None without one."""
+        latency_ms = self._earlier_summary().get("latency_ms")
+        return latency_ms if isinstance(latency_ms, dict) else None
+
+    def _earlier_summary(self) -> dict[str, Any]:
+        """The summary of the last start; empty if there is none that can be read."""
+        try:
+            return read_json_object(self.path / SUMMARY)
+        except UsageError:
+            return {}
 
     def film_path(self, index: int) -> Path:
         """Where the film of an episode belongs."""

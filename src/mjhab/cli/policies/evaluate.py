@@ -173,8 +173,8 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
         f"{summary['episodes']} episodes: success once {100 * summary['success_once']:.1f} %, at end "
         f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
     )
-    if "latency_ms" in summary:
-        latency = summary["latency_ms"]
+    latency = summary.get("latency_ms", {"p50": None})
+    if latency["p50"] is not None:
         print(f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms")
     print(f"report: {run.report}")
 

@@ -7,6 +7,8 @@ that a force sensor here lists its contacts one by one and `normal_force` adds t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
@@ -27,21 +29,32 @@ SLOT_WIDTH = 7
 FORCE_SENSOR_WIDTH = CONTACT_SLOTS * SLOT_WIDTH
 
 
+@dataclass(frozen=True)
+class _Readings:
+    """What a contact sensor writes: the fields of its contacts, which contacts it keeps, and how many of them."""
+
+    fields: tuple[int, ...]
+    reduce: int
+    slots: int = 1
+
+
 def add_force_sensor(spec: mujoco.MjSpec, name: str, body1: str, body2: str = "") -> None:
     """Add a sensor of the contacts of ``body1`` with ``body2`` ("": with anything); read it with `normal_force`."""
-    _add_sensor(spec, name, body1, body2, (_FOUND, _FORCE, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
+    _add_sensor(
+        spec, name, body1, body2, _Readings((_FOUND, _FORCE, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
+    )
 
 
 def add_touch_sensor(
     spec: mujoco.MjSpec, name: str, body1: str, body2: str, *, whole_subtree: bool
 ) -> None:
     """Add a sensor of one number: how many contacts ``body2`` has with ``body1``, or with all bodies from it down."""
-    _add_sensor(spec, name, body1, body2, (_FOUND,), _NETFORCE, 1, whole_subtree)
+    _add_sensor(spec, name, body1, body2, _Readings((_FOUND,), _NETFORCE), whole_subtree)
 
 
 def add_depth_sensor(spec: mujoco.MjSpec, name: str, subtree: str) -> None:
     """Add a sensor of one number: the least distance [m] of the contacts of the bodies from ``subtree`` down."""
-    _add_sensor(spec, name, subtree, "", (_DIST,), _MINDIST, 1, whole_subtree=True)
+    _add_sensor(spec, name, subtree, "", _Readings((_DIST,), _MINDIST), whole_subtree=True)
 
 
 def _add_sensor(
@@ -49,9 +62,7 @@ def _add_sensor(
     name: str,
     body1: str,
     body2: str,
-    fields: tuple[int, ...],
-    reduce: int,
-    slots: int,
+    readings: _Readings,
     whole_subtree: bool = False,
 ) -> None:
     # A reference of type XBODY on the first side stands for the whole subtree below that body.
@@ -62,7 +73,8 @@ def _add_sensor(
     if body2:
         sensor.reftype = mujoco.mjtObj.mjOBJ_BODY
         sensor.refname = body2
-    sensor.intprm = [sum(1 << f for f in fields), reduce, slots]
+    fields = sum(1 << field for field in readings.fields)
+    sensor.intprm = [fields, readings.reduce, readings.slots]
 
 
 def normal_force(readings: np.ndarray) -> np.ndarray:

@@ -7,6 +7,8 @@ that a force sensor here lists its contacts one by one and `normal_force` adds t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
@@ -31,9 +33,19 @@ FORCE_SENSOR_WIDTH = CONTACT_SLOTS * _FORCE_SLOT
 TOUCH_SENSOR_WIDTH = CONTACT_SLOTS * _TOUCH_SLOT
 
 
+@dataclass(frozen=True)
+class _Readings:
+    """What a contact sensor writes: the fields of its contacts, which contacts it keeps, and how many of them."""
+
+    fields: tuple[int, ...]
+    reduce: int
+    slots: int = 1
+
+
 def add_force_sensor(spec: mujoco.MjSpec, name: str, body: str) -> None:
     """Add a sensor of the contacts of a body with anything; read it with `normal_force` and `pair_force`."""
-    _add_sensor(spec, name, body, "", (_FOUND, _FORCE, _POS, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
+    readings = _Readings((_FOUND, _FORCE, _POS, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
+    _add_sensor(spec, name, body, "", readings)
 
 
 def add_touch_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) -> None:
@@ -43,14 +55,13 @@ def add_touch_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) ->
     place of a force sensor per pair of bodies: the engine passes all sensors in every substep, and passing a sensor
     without contacts takes 70 ns. With 167 sensors that was 17 % of the time of a step.
     """
-    _add_sensor(
-        spec, name, subtree, body, (_FOUND, _POS), _MAXFORCE, CONTACT_SLOTS, whole_subtree=True
-    )
+    readings = _Readings((_FOUND, _POS), _MAXFORCE, CONTACT_SLOTS)
+    _add_sensor(spec, name, subtree, body, readings, whole_subtree=True)
 
 
 def add_depth_sensor(spec: mujoco.MjSpec, name: str, subtree: str) -> None:
     """Add a sensor of one number: the least distance [m] of the contacts of the bodies from ``subtree`` down."""
-    _add_sensor(spec, name, subtree, "", (_DIST,), _MINDIST, 1, whole_subtree=True)
+    _add_sensor(spec, name, subtree, "", _Readings((_DIST,), _MINDIST), whole_subtree=True)
 
 
 def _add_sensor(
@@ -58,9 +69,7 @@ def _add_sensor(
     name: str,
     body1: str,
     body2: str,
-    fields: tuple[int, ...],
-    reduce: int,
-    slots: int,
+    readings: _Readings,
     whole_subtree: bool = False,
 ) -> None:
     # A reference of type XBODY on the first side stands for the whole subtree below that body.
@@ -71,7 +80,8 @@ def _add_sensor(
     if body2:
         sensor.reftype = mujoco.mjtObj.mjOBJ_BODY
         sensor.refname = body2
-    sensor.intprm = [sum(1 << f for f in fields), reduce, slots]
+    fields = sum(1 << field for field in readings.fields)
+    sensor.intprm = [fields, readings.reduce, readings.slots]
 
 
 def normal_force(readings: np.ndarray) -> np.ndarray:

@@ -294,6 +294,17 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
                 final_updates=1500,
             ),
         ),
+        "state": TrainConfig(
+            dataclasses.replace(STATE, demos=400, updates=10_000),
+            DaggerConfig(
+                rounds=5,
+                episodes=150,
+                updates=4000,
+                first_prefix=80,
+                prefix_growth=40,
+                final_updates=20_000,
+            ),
+        ),
         "flow": TrainConfig(FLOW_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
         "act": TrainConfig(ACT_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
     },

@@ -65,7 +65,8 @@ UNREADABLE = (*BROKEN, TypeError, IndexError, OverflowError, MemoryError)
 
 
 def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
-    """Shards among the given files and, recursively, in the given folders; sorted by name within a folder.
+    """Shards among the given files and, recursively, in the given folders; sorted by name within a folder. A file that
+    is named twice, or by a link, too, is there once.
 
     Raises:
         UsageError: a place does not exist, or a folder has no shards.
@@ -81,7 +82,10 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
             found.append(place)
         else:
             raise UsageError(f"{place} does not exist; give a shard (*.h5) or a folder of shards.")
-    return list(dict.fromkeys(found))
+    by_file: dict[Path, Path] = {}
+    for path in found:
+        by_file.setdefault(path.resolve(), path)
+    return list(by_file.values())
 
 
 class Episode:
@@ -557,13 +561,29 @@ def open_shard(path: Path | str) -> Shard:
     return Shard(path)
 
 
-def episodes(places: Path | Sequence[Path]) -> Iterator[Episode]:
+def episodes(places: Path | Sequence[Path], copies: bool = False) -> Iterator[Episode]:
     """Iterate over the episodes of shards and folders.
 
     Episodes remain usable after the iteration; once their shard is closed, every access opens the file again.
+
+    Args:
+        places: the shards and folders.
+        copies: an episode may be in several shards. Otherwise that is an error: it would count more than once in every
+            number, and no one could say which copy is meant.
+
+    Raises:
+        UsageError: an episode (config, seed and index) is in two shards, such as a file and its copy.
     """
+    seen: dict[str, Path] = {}
     for path in shard_paths(places):
         with open_shard(path) as shard:
+            for name in shard.names:
+                first = seen.setdefault(name, path)
+                if first != path and not copies:
+                    raise UsageError(
+                        f"episode {name} is in {first} and in {path}. Leave one of them out, or write each episode "
+                        "once with: mjhab data merge PLACES --out NEW.h5"
+                    )
             yield from shard
 
 

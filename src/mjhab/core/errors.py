@@ -23,6 +23,6 @@ def unknown_name(kind: str, given: str, valid: Iterable[str]) -> UsageError:
         valid: every accepted name.
     """
     names = sorted(valid)
-    near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(str(given), names, n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     return UsageError(f"unknown {kind} {given!r}.{hint} Valid names: {', '.join(names)}.")

@@ -34,12 +34,8 @@ def test_any_value_is_taken_or_refused(name: str) -> None:
             config = EnvConfig(**{"subtask": "pick", name: value})
         except UsageError:
             continue
-        taken = getattr(config, name)
-        assert (
-            isinstance(default, bool)
-            or not isinstance(default, str)
-            or isinstance(taken, str | None)
-        )
+        if isinstance(default, str):
+            assert isinstance(getattr(config, name), str | None)
 
 
 def test_paths_become_texts() -> None:

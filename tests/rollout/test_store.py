@@ -205,8 +205,31 @@ def test_runs_of_older_versions_stay_readable(tmp_path: Path) -> None:
     ]
     file.write_text("".join(json.dumps(entry) + "\n" for entry in old))
     assert sorted(read_records(tmp_path), key=lambda record: record.index) == records
-    with RunFolder.open(tmp_path, CONFIG, resume=True) as folder:
-        assert folder.records == records
+
+
+def test_a_record_that_names_no_config_is_not_continued(tmp_path: Path) -> None:
+    """It may come from another run, and would count in the success rate of this one."""
+    run(RunFolder.open(tmp_path, CONFIG))
+    file = tmp_path / "episodes.jsonl"
+    foreign = {**lines(tmp_path)[0], "index": 99}
+    del foreign["config_hash"]
+    with open(file, "a") as out:
+        out.write(json.dumps(foreign) + "\n")
+    for read in (read_records, lambda path: RunFolder.open(path, CONFIG, resume=True)):
+        with pytest.raises(
+            UsageError, match=r"line 7 of .*episode 99.* no config_hash.*--overwrite"
+        ):
+            read(tmp_path)
+
+
+def test_an_episode_that_is_there_twice_is_an_error(tmp_path: Path) -> None:
+    run(RunFolder.open(tmp_path, CONFIG))
+    file = tmp_path / "episodes.jsonl"
+    with open(file, "a") as out:
+        out.write(file.read_text().splitlines()[0] + "\n")
+    for read in (read_records, lambda path: RunFolder.open(path, CONFIG, resume=True)):
+        with pytest.raises(UsageError, match=r"line 7 of .*episode \d is there twice"):
+            read(tmp_path)
 
 
 @pytest.mark.parametrize("line", [0, -1])

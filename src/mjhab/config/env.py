@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, ClassVar
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import check_texts
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
@@ -134,6 +136,7 @@ class EnvConfig:
     buffers: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._check_types()
         if self.target == "all":
             object.__setattr__(self, "target", "")
         self._take_home_file()
@@ -162,6 +165,29 @@ class EnvConfig:
         for name in (self.subtask,) if self.subtask else task.subtasks:
             robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
         self._check_numbers()
+
+    def _check_types(self) -> None:
+        """Refuse values of other types than their options have, as a file may hold them; a path becomes a text.
+
+        Raises:
+            UsageError: names the option.
+        """
+        for name in ("home", "spawns", "episodes_file"):
+            value = getattr(self, name)
+            if isinstance(value, os.PathLike):
+                object.__setattr__(self, name, str(value))
+        for option in dataclasses.fields(EnvConfig):
+            value = getattr(self, option.name)
+            text = isinstance(option.default, str) and option.name != "assets"
+            without = option.name == "render_mode" and value is None
+            if text and not isinstance(value, str) and not without:
+                raise UsageError(f"{option.name} must be a text, got {value!r}.")
+            if option.default_factory is dict and not isinstance(value, Mapping):
+                raise UsageError(f"{option.name} must be a mapping by name, got {value!r}.")
+        for name in ("extra_objects", "cameras", "stationary"):
+            value = getattr(self, name)
+            if value is not OF_PROFILE and not isinstance(value, str):
+                check_texts(name, value)
 
     def of_profile(self) -> dict[str, Any]:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""
@@ -223,9 +249,10 @@ class EnvConfig:
             )
         for name in WHOLE_NUMBERS:
             object.__setattr__(self, name, whole_number(name, getattr(self, name)))
-        if not 0.0 <= self.open_start <= 1.0:
+        is_number = isinstance(self.open_start, int | float)
+        if not is_number or not 0.0 <= self.open_start <= 1.0:
             raise UsageError(
-                f"open_start is a share of resets between 0 and 1, got {self.open_start}"
+                f"open_start is a share of resets between 0 and 1, got {self.open_start!r}"
             )
 
     @property

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjhab.core.errors import UsageError
+from mjhab.config.env import EnvConfig
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.store.episode_data import RunInfo
 
@@ -21,12 +23,22 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
         **options: further fields of `EnvConfig` that do not change an episode: worlds, threads, observations.
 
     Raises:
-        UsageError: a file that the run was recorded with is missing.
+        UsageError: a file that the run was recorded with is missing, or its options are none of an environment.
     """
     from mjhab.envs import make, make_train
 
     # Shards store lists, configurations need tuples.
-    config = {key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()}
+    recorded = run.config.get("env")
+    if recorded is None:
+        raise UsageError(
+            "the episodes do not say in which environment they were recorded (config has no env), so they cannot be "
+            "simulated again."
+        )
+    config = {key: tuple(v) if isinstance(v, list) else v for key, v in recorded.items()}
+    known = {option.name for option in dataclasses.fields(EnvConfig)}
+    for name in config:
+        if name not in known - options.keys() - {"autoreset"}:
+            raise unknown_name("environment option of the recorded episodes", name, known)
     # All option values of the profile are recorded; its name would only forbid other cameras.
     config.pop("profile", None)
     for name in ("episodes_file", "spawns"):

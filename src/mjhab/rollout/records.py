@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from numbers import Integral, Real
 from typing import Any
+
+import numpy as np
 
 from mjhab.core.names import check_name
 from mjhab.tasks.instructions import MAX_INSTRUCTION_CHARACTERS
@@ -50,20 +53,25 @@ class SubtaskRecord:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SubtaskRecord:
-        """Build from an entry of ``info["ended"]`` or from JSON; numbers may be numpy scalars."""
+        """Build from an entry of ``info["ended"]`` or from JSON; numbers may be numpy scalars.
+
+        Raises:
+            KeyError: a field is missing.
+            ValueError: a field has another type, or a count is negative.
+        """
         return cls(
-            index=int(data["index"]),
+            index=_count("index", data["index"]),
             kind=str(data["kind"]),
             target=str(data["target"]),
             label=str(data["label"]) if data["label"] else None,
             legacy_label=str(data["legacy_label"]) if data["legacy_label"] else None,
-            success_once=bool(data["success_once"]),
-            success_at_end=bool(data["success_at_end"]),
-            start_step=int(data["start_step"]),
-            end_step=int(data["end_step"]),
-            peak_force=round(float(data["peak_force"]), 3),
-            cumulative_force=round(float(data["cumulative_force"]), 3),
-            events=tuple((int(step), str(name)) for step, name in data["events"]),
+            success_once=_truth("success_once", data["success_once"]),
+            success_at_end=_truth("success_at_end", data["success_at_end"]),
+            start_step=_count("start_step", data["start_step"]),
+            end_step=_count("end_step", data["end_step"]),
+            peak_force=round(_number("peak_force", data["peak_force"]), 3),
+            cumulative_force=round(_number("cumulative_force", data["cumulative_force"]), 3),
+            events=_events(data["events"]),
         )
 
 
@@ -124,36 +132,73 @@ class EpisodeRecord:
         """Read what ``to_dict`` wrote.
 
         Raises:
-            KeyError: a field is missing.
-            ValueError: a name has characters that `core.names.check_name` refuses, because names become parts of paths.
+            ValueError: a field is missing or has another type; a subtask is not one of the plan; or a name has
+                characters that `core.names.check_name` refuses, because names become parts of paths.
         """
-        values = {f.name: data[f.name] for f in fields(cls) if f.name not in OPTIONAL}
-        values["style"] = dict(data.get("style", {}))
-        values["instruction"] = _sentence(data.get("instruction", ""))
-        values["instructions"] = tuple(_sentence(text) for text in data.get("instructions", ()))
-        values["error"] = _sentence(data.get("error", ""))
-        values["config_hash"] = str(data.get("config_hash", ""))
-        values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
-        values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
-        values["events"] = tuple((int(step), str(name)) for step, name in data["events"])
-        values["force"] = tuple(float(value) for value in data["force"])
-        values["taint"] = tuple(data["taint"])
-        record = cls(**values)
-        _check_numbers(record)
+        try:
+            record = cls(**_values(data))
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(
+                f"it is no record of an episode ({type(error).__name__}: {error})"
+            ) from error
+        if not record.plan:
+            raise ValueError("its plan has no subtask")
+        for entry in record.subtasks:
+            if entry.index >= len(record.plan):
+                raise ValueError(f"it has subtask {entry.index} of a plan of {len(record.plan)}")
         _check_names(record)
         return record
 
 
-def _check_numbers(record: EpisodeRecord) -> None:
-    """Refuse counts that are not integers of at least 0, and successes that are not bool."""
+def _values(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a record by name, each of its type."""
+    values = {f.name: data[f.name] for f in fields(EpisodeRecord) if f.name not in OPTIONAL}
     for name in ("seed", "index", "steps", "completed"):
-        value = getattr(record, name)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
-            raise ValueError(f"{name} must be a whole number from 0, not {str(value)[:60]!r}.")
+        values[name] = _count(name, data[name])
     for name in ("success_once", "success_at_end", "fail", "spawn_fallback"):
-        value = getattr(record, name)
-        if not isinstance(value, bool):
-            raise ValueError(f"{name} must be true or false, not {str(value)[:60]!r}.")
+        values[name] = _truth(name, data[name])
+    for name in ("peak_force", "cumulative_force", "seconds"):
+        values[name] = _number(name, data[name])
+    values["style"] = dict(data.get("style", {}))
+    values["instruction"] = _sentence(data.get("instruction", ""))
+    values["instructions"] = tuple(_sentence(text) for text in data.get("instructions", ()))
+    values["error"] = _sentence(data.get("error", ""))
+    values["config_hash"] = str(data.get("config_hash", ""))
+    values["final_state"] = str(data["final_state"])
+    values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
+    values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
+    values["events"] = _events(data["events"])
+    values["force"] = tuple(_number("force", value) for value in data["force"])
+    values["taint"] = tuple(data["taint"])
+    return values
+
+
+def _count(name: str, value: Any) -> int:
+    """A whole number from 0 that was read from a file; numpy scalars become ints."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or not 0 <= int(value) <= MAX_COUNT:
+        raise ValueError(f"{name} must be a whole number from 0, not {str(value)[:60]!r}.")
+    return int(value)
+
+
+def _truth(name: str, value: Any) -> bool:
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be true or false, not {str(value)[:60]!r}.")
+    return bool(value)
+
+
+def _number(name: str, value: Any) -> float:
+    """A number that was read from a file; NaN and infinity may come from a tainted episode."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise ValueError(f"{name} must be a number, not {str(value)[:60]!r}.")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ValueError(f"{name} must be a number that fits 64 bits.") from error
+
+
+def _events(told: Any) -> tuple[Event, ...]:
+    return tuple((_count("step of an event", step), str(name)) for step, name in told)
 
 
 def _sentence(text: Any) -> str:

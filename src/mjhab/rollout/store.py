@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -210,9 +210,14 @@ def read_records(folder: Path) -> list[EpisodeRecord]:
     """Return the finished episodes of a run folder, which may still be running; changes nothing.
 
     Raises:
-        UsageError: a record that is not the last one is damaged, or belongs to another config than the folder's.
+        UsageError: a record that is not the last one is damaged, belongs to another config than the folder's, or names
+            none (in a folder of an older version, no record names one); or an episode is there twice.
     """
-    return _read_file(folder / EPISODES, _stored_hash(folder / CONFIG))[0]
+    path = folder / EPISODES
+    kept, _ = _read_file(path)
+    hashed = any(record.config_hash for record in kept)
+    _check_records(kept, _stored_hash(folder / CONFIG) if hashed else "", path)
+    return kept
 
 
 def config_hash(config: Mapping[str, Any]) -> str:
@@ -297,20 +302,37 @@ def _stored_hash(path: Path) -> str:
         return ""
 
 
-def _check_same_run(record: EpisodeRecord, wanted: str, path: Path, line: int) -> None:
-    """Refuse a record of another config; records of older versions name none."""
-    if wanted and record.config_hash not in ("", wanted):
+def _check_same_run(record: EpisodeRecord, wanted: str, what: str) -> None:
+    """Refuse a record of another config than the ``wanted`` one ("" for any). ``what``: the record, for messages."""
+    again = "Run it again with --overwrite, or into another folder."
+    if wanted and not record.config_hash:
         raise UsageError(
-            f"line {line} of {path} (episode {record.index}) comes from another run: its config has the hash "
-            f"{record.config_hash}, {CONFIG} beside it {wanted}. Two runs were written into one folder, or {CONFIG} "
-            "was changed; run it again with --overwrite, or into another folder."
+            f"{what} does not name its config (it has no config_hash), so it may come from another run. {again}"
+        )
+    if wanted and record.config_hash != wanted:
+        raise UsageError(
+            f"{what} comes from another run: its config has the hash {record.config_hash}, {CONFIG} beside it "
+            f"{wanted}. Two runs were written into one folder, or {CONFIG} was changed. {again}"
         )
 
 
-def _read_file(path: Path, wanted: str) -> tuple[list[EpisodeRecord], int]:
+def _check_records(records: Sequence[EpisodeRecord], wanted: str, path: Path) -> None:
+    """Refuse records of another config than ``wanted`` ("" for any), and a second record of an episode."""
+    seen: set[int] = set()
+    for number, record in enumerate(records, 1):
+        _check_same_run(record, wanted, f"line {number} of {path} (episode {record.index})")
+        if record.index in seen:
+            raise UsageError(
+                f"line {number} of {path}: episode {record.index} is there twice. Run it again with --overwrite."
+            )
+        seen.add(record.index)
+
+
+def _read_file(path: Path) -> tuple[list[EpisodeRecord], int]:
     """Return the records of a file and the number of bytes they take: a line torn at the very end is left out.
 
-    ``wanted``: hash of the config that the records must come from; "" for any.
+    Raises:
+        UsageError: a finished line is no record.
     """
     whole = path.read_bytes() if path.is_file() else b""
     kept = []
@@ -320,23 +342,25 @@ def _read_file(path: Path, wanted: str) -> tuple[list[EpisodeRecord], int]:
             if not line.endswith(b"\n"):
                 raise ValueError("the line is not finished")
             record = EpisodeRecord.from_dict(parse_json(line))
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except ValueError as error:
             if line.endswith(b"\n"):
                 said = reason(error)
                 raise UsageError(
-                    f"line {number} of {path} is damaged ({type(error).__name__}: {said}). Start the run again with "
-                    "--overwrite."
+                    f"line {number} of {path} is damaged ({said}). Start the run again with --overwrite."
                 ) from error
             break
-        _check_same_run(record, wanted, path, number)
         kept.append(record)
         end += len(line)
     return kept, end
 
 
 def _take_records(path: Path, wanted: str) -> list[EpisodeRecord]:
-    """Read a file that will be continued: cut off what a crash left at its end."""
-    kept, end = _read_file(path, wanted)
+    """Read a file that will be continued: cut off what a crash left at its end.
+
+    A run that can be continued has the config of this version of mjhab, which writes the hash into every record.
+    """
+    kept, end = _read_file(path)
+    _check_records(kept, wanted, path)
     if path.is_file() and end < path.stat().st_size:
         with open(path, "r+b") as file:
             file.truncate(end)

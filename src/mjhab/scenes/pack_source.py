@@ -67,12 +67,16 @@ def pack_request(assets: Assets) -> PackRequest:
     """The request that a caller or a file states.
 
     Raises:
-        UsageError: a mapping with other keys than the fields of `PackRequest`.
+        UsageError: a mapping with other keys than the fields of `PackRequest`, or none of these types.
     """
     if isinstance(assets, PackRequest):
         return assets
     if isinstance(assets, str):
         return _from_text(assets)
+    if not isinstance(assets, Mapping):
+        raise UsageError(
+            f"assets must be a name, a path as a text, or a mapping of options, got {assets!r}."
+        )
     names = [f.name for f in dataclasses.fields(PackRequest)]
     for key in assets:
         if key not in names:

@@ -214,6 +214,17 @@ def test_what_was_begun_is_not_mixed_with_something_else(
     assert bytes_of(out) != before
 
 
+@pytest.mark.parametrize("out", [".", "..", "/", "sub/.."])
+def test_a_place_without_a_name_is_refused(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, export: Export, out: str
+) -> None:
+    (tmp_path / "sub").mkdir()
+    monkeypatch.chdir(tmp_path / "sub")
+    with pytest.raises(UsageError, match="does not name a new folder"):
+        export(source, Path(out))
+    assert [path.name for path in tmp_path.rglob("*")] == ["sub"]
+
+
 def test_options_of_films_and_images_must_be_the_same(source: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         lerobot(source, tmp_path / "set", settings={"quality": 18}, begin=stop_after(1))

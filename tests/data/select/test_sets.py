@@ -147,8 +147,23 @@ def test_split_refuses(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"a.h5 exists already"):
         split([folder], tmp_path / "out", {"a": 0.5})
     merge([folder / "pick.h5"], folder / "again.h5")
-    with pytest.raises(UsageError, match="occurs twice"):
+    with pytest.raises(UsageError, match=r"is in .* and in .*mjhab data merge"):
         split([folder], tmp_path / "more", {"a": 0.5})
+
+
+def test_a_copied_shard_counts_once_or_not_at_all(tmp_path: Path) -> None:
+    """Its episodes would count twice in every number; `merge` leaves the copies out."""
+    record(tmp_path / "set" / "a.h5", range(2))
+    shutil.copy(tmp_path / "set" / "a.h5", tmp_path / "set" / "a (copy).h5")
+    for read in (select, stats, lambda place: list(episodes(place))):
+        with pytest.raises(
+            UsageError, match=r"is in .*a \(copy\).h5 and in .*a.h5.*mjhab data merge"
+        ):
+            read(tmp_path / "set")
+    (tmp_path / "link.h5").symlink_to(tmp_path / "set" / "a.h5")
+    assert len(list(episodes([tmp_path / "set" / "a.h5", tmp_path / "link.h5"]))) == 2
+    done = merge([tmp_path / "set"], tmp_path / "one.h5")
+    assert (done.written, done.repeated) == (2, 2) and select(tmp_path / "one.h5").of == 2
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +12,14 @@ import h5py
 import numpy as np
 import pytest
 
+from mjhab.cli.main import main
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.sets import split, stats
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import EpisodeData, episode_digest
-from mjhab.data.store.hdf5 import group, put_attributes, read_arrays
+from mjhab.data.store.hdf5 import dataset, group, put_attributes, read_arrays
+from mjhab.data.store.images import ImageFormat, encode
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter
@@ -228,6 +231,151 @@ def test_records_that_do_not_fit_their_episode(tmp_path: Path, picks: bytes, cha
     report = check(path)
     assert list(report.damaged) == [(path, name)]
     assert message in "; ".join(report.damaged[path, name])
+
+
+# -- what an episode says of itself ------------------------------------------------------------------------------------
+
+
+def forged(path: Path, picks: bytes, change: Callable[[h5py.File, h5py.Group], None]) -> str:
+    """Change the second episode of a copy, with a digest that fits; returns its name."""
+    path.write_bytes(picks)
+    with h5py.File(path, "r+") as file:
+        name = sorted(group(file, "episodes"))[1]
+        episode = group(file, f"episodes/{name}")
+        change(file, episode)
+        put_attributes(episode, {"digest": episode_digest(read_arrays(episode))})
+    return name
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("label", b"no_such_label", "its record has label"),
+        ("success", False, "its record has success True, its group False"),
+        ("home", b"other", "its record has home"),
+        ("index", 77, "its record has index 1, its group 77"),
+        ("seed", 5, "its record has seed 0, its group 5"),
+        ("style", b"{}", "its record has style"),
+        ("ending", b"tired", "it ended by 'tired'"),
+        ("steps", np.zeros((3, 3)), "attribute 'steps' must be int"),
+        ("actors", np.zeros((3, 3)), "attribute 'actors' must be str"),
+        ("actors", b"[3]", "attribute 'actors' must be a list of texts"),
+        ("run", b"elsewhere", "its run elsewhere"),
+    ],
+)
+def test_attributes_that_contradict_the_record(
+    tmp_path: Path, picks: bytes, name: str, value: Any, message: str
+) -> None:
+    path = tmp_path / "a.h5"
+    attribute = name
+
+    def change(_: h5py.File, episode: h5py.Group) -> None:
+        del episode.attrs[attribute]
+        put_attributes(episode, {attribute: value.decode() if isinstance(value, bytes) else value})
+
+    name = forged(path, picks, change)
+    report = check(path)
+    assert list(report.damaged) == [(path, name)] and report.ok == 2
+    assert message in "; ".join(report.damaged[path, name])
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("", b"null"),
+        ("", b"[1]"),
+        ("", b"9" * 5000),
+        ("", b"{}"),
+        ("config", None),
+        ("config/env", [1]),
+        ("config/policy", "expert"),
+        ("config/policy/name", {}),
+        ("options", None),
+        ("layout", []),
+        ("layout/actions", 13),
+        ("layout/sizes", {"qpos": "many"}),
+        ("layout/columns", {"robot_q": None}),
+        ("absent", "states/qpos"),
+        ("licence", None),
+    ],
+)
+def test_a_run_of_other_types_damages_its_episodes_and_ends_no_command(
+    tmp_path: Path, picks: bytes, entry: str, value: Any
+) -> None:
+    path = tmp_path / "a.h5"
+    path.write_bytes(picks)
+    with h5py.File(path, "r+") as file:
+        name = next(iter(group(file, "runs")))
+        told = json.loads(bytes(dataset(file, f"runs/{name}")[()]))
+        *above, last = entry.split("/")
+        place = told
+        for key in above:
+            place = place.setdefault(key, {})
+        place[last] = value
+        data = value if not entry else json.dumps(told).encode()
+        del file[f"runs/{name}"]
+        file[f"runs/{name}"] = np.frombuffer(data, np.uint8)
+    assert len(check(path).damaged) == 3
+    for act in (lambda: stats(path), lambda: to_maniskill(path, tmp_path / "set")):
+        with pytest.raises(MjhabError, match="cannot be read"):
+            act()
+    place = str(path)
+    for command in (
+        ["data", "query", place],
+        ["label", place],
+        ["replay", place, "--verify"],
+    ):
+        assert main(command) == 1, command
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (b"no picture", "frame 0 of images/head/depth: the bytes are no picture"),
+        (encode(np.zeros((4, 4, 3), np.uint8), "rgb", ImageFormat()), "pixels I;16 or I, not RGB"),
+        (encode(np.zeros((4, 5000, 1), int), "depth", ImageFormat()), "5000 x 4 pixels"),
+    ],
+)
+def test_frames_that_are_no_pictures(tmp_path: Path, frame: bytes, message: str) -> None:
+    source = tmp_path / "source.h5"
+    record(source, range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    path = tmp_path / "a.h5"
+
+    def change(_: h5py.File, episode: h5py.Group) -> None:
+        (camera,) = list(group(episode, "images"))[:1]
+        pictures = group(episode, f"images/{camera}/depth")
+        count = len(dataset(pictures, "ends"))
+        del pictures["bytes"], pictures["ends"]
+        pictures["bytes"] = np.frombuffer(frame * count, np.uint8)
+        pictures["ends"] = np.arange(1, count + 1) * len(frame)
+
+    name = forged(path, source.read_bytes(), change)
+    with open_shard(path) as shard:
+        (camera, output) = next(one for one in shard.episode(name).images if one[1] == "depth")
+        with pytest.raises(DamagedError):
+            shard.episode(name).frame(camera, output, 0)
+    report = check(path)
+    told = "; ".join(report.damaged[path, name])
+    assert message.replace("images/head", f"images/{camera}") in told and report.ok == 1
+
+
+def test_bombs_are_not_unpacked(tmp_path: Path, picks: bytes) -> None:
+    """Each takes a few kilobytes in the file and gigabytes in memory."""
+    path = tmp_path / "a.h5"
+    path.write_bytes(picks)
+    with h5py.File(path, "r+") as file:
+        first, second, third = (group(file, f"episodes/{name}") for name in group(file, "episodes"))
+        for episode, place, shape in (
+            (first, "actions", (10**9, 13)),
+            (second, "record", (10**11,)),
+            (third, "obs/extra_thing", (10**10,)),
+        ):
+            if place in episode:
+                del episode[place]
+            episode.create_dataset(place, shape, "f4", chunks=True, compression="gzip")
+    report = check(path)
+    assert len(report.damaged) == 3
+    assert all("unpacks to" in wrong[0] for wrong in report.damaged.values())
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from h5py import h5o  # type: ignore[attr-defined]
 
+from mjhab.cli.main import main
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import group
@@ -81,7 +82,9 @@ def test_a_turned_bit_in_a_cut_shard_is_still_found(
 
 
 def test_a_damaged_index_loses_nothing(
-    tmp_path: Path, made: tuple[Path, list[int], dict[str, str]]
+    tmp_path: Path,
+    made: tuple[Path, list[int], dict[str, str]],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     source, _, digests = made
     path = tmp_path / "a.h5"
@@ -95,6 +98,12 @@ def test_a_damaged_index_loses_nothing(
     path.write_bytes(data)
     with pytest.raises(DamagedError, match="mjhab data repair"):
         open_shard(path)
+    assert main(["data", "repair", str(path)]) == 0
+    assert (
+        f"{COUNT} episodes kept, 0 lost; how many more are lost is unknown"
+        in capsys.readouterr().out
+    )
+    path.write_bytes(data)
     done = repair(path)
     assert done.kept == COUNT and not done.lost and not done.indexed
     assert {episode.name for episode in episodes(path)} == set(digests)

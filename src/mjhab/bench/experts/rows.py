@@ -11,7 +11,7 @@ from typing import Any
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.data.store.shard import last_label
+from mjhab.data.store.episode_data import last_label
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import valid_targets
 from mjhab.layout.layout import Layout

@@ -262,10 +262,10 @@ def _repair(options: DataRepairOptions) -> int:
     done = [repair(path) for path in shard_paths(options.places)]
     kept = sum(r.kept for r in done)
     lost = sum(len(r.lost) for r in done)
+    indexed = all(r.indexed for r in done)
     if options.json:
         aside = [str(r.kept_as) for r in done if r.kept_as]
         finished = sum(r.finished for r in done)
-        indexed = all(r.indexed for r in done)
         print_json(
             {
                 "kept": kept,
@@ -278,7 +278,8 @@ def _repair(options: DataRepairOptions) -> int:
         return 0
     for each in done:
         print(_repaired(each))
-    print(f"{kept} episodes kept, {lost} lost")
+    more = "" if indexed else "; how many more are lost is unknown, because an index is damaged"
+    print(f"{kept} episodes kept, {lost} lost{more}")
     return 0
 
 

@@ -38,12 +38,21 @@ class Target:
 
     out: its path. overwrite: replace an existing folder that contains a file matching the pattern ``mark``.
     resume: continue what an interrupted process has left.
+
+    Raises:
+        UsageError: ``out`` has no name of its own ("." or "/"), so that no folder beside it can be named after it.
     """
 
     out: Path
     mark: str
     overwrite: bool = False
     resume: bool = False
+
+    def __post_init__(self) -> None:
+        if self.out.name in ("", ".."):
+            raise UsageError(
+                f"--out {self.out} does not name a new folder; give its name, such as --out {self.out / 'export'}."
+            )
 
     @property
     def part(self) -> Path:

@@ -36,13 +36,13 @@ from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
+from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.hdf5 import change_file, make_file
 from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.journal import recover
 from mjhab.data.store.object_axes import scan_yaws, to_scan_axes
 from mjhab.data.store.older import OBJECT_POSE
 from mjhab.data.store.reading import Episode, open_shard
-from mjhab.data.store.shard import last_label
 from mjhab.rollout.records import EpisodeRecord
 
 CHAIN = "sequential_task"

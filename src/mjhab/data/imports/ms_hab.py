@@ -33,8 +33,9 @@ from mjhab.data.imports.ms_hab_layout import (
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, dataset_paths, group
 from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.object_axes import SCAN_YAWS, from_scan_axes, shown_objects
+from mjhab.data.store.object_axes import from_scan_axes, shown_objects
 from mjhab.data.store.older import OBJECT_POSE
+from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.data.store.schema import FORMAT
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord

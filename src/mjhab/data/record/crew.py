@@ -18,9 +18,9 @@ from mjhab.data.record.recorder import Recorder
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
-from mjhab.data.store.episode_data import EpisodeData, RunInfo
+from mjhab.data.store.episode_data import EpisodeData, RunInfo, last_label
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.shard import ShardWriter, StorageError, last_label
+from mjhab.data.store.shard import ShardWriter, StorageError
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord

@@ -20,7 +20,7 @@ from mjhab.core.joints import BASE
 from mjhab.core.version import __version__
 from mjhab.data.record.worlds import RecordedEnv, Views
 from mjhab.data.store.episode_data import RunInfo
-from mjhab.data.store.object_axes import SCAN_YAWS
+from mjhab.data.store.run_entries import SCAN_YAWS
 
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
 _FREE = frozenset(

@@ -11,10 +11,9 @@ import numpy as np
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.record.provenance import describe_run, model_hash
 from mjhab.data.record.worlds import RecordedEnv
-from mjhab.data.store.episode_data import EpisodeData, RunInfo, to_bytes
+from mjhab.data.store.episode_data import EpisodeData, RunInfo, last_label, to_bytes
 from mjhab.data.store.images import ImageFormat, encode
 from mjhab.data.store.schema import CHECKS, FORCES
-from mjhab.data.store.shard import last_label
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 

@@ -69,14 +69,16 @@ def first_of_targets(found: Selection, count: int) -> list[Place]:
     return [place for place in found.matched if place in kept]
 
 
-def select(places: Path | Sequence[Path], where: Filter | None = None) -> Selection:
-    """Apply a filter to every episode; without a filter all pass.
+def select(
+    places: Path | Sequence[Path], where: Filter | None = None, copies: bool = False
+) -> Selection:
+    """Apply a filter to every episode; without a filter all pass. ``copies``: see `reading.episodes`.
 
     Raises:
-        UsageError, DamagedError: see ``open_shard``.
+        UsageError, DamagedError: see ``open_shard`` and `reading.episodes`.
     """
     found = Selection()
-    for episode in episodes(places):
+    for episode in episodes(places, copies):
         found.of += 1
         record = episode.record
         run = episode.run
@@ -157,7 +159,7 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
     if any(path.resolve() == out.resolve() for path in paths):
         raise UsageError(f"--out {out} is one of the shards to merge; give a new file.")
     _check_outside(places, out)
-    found = select(paths, where)
+    found = select(paths, where, copies=True)
     digests: dict[str, str] = {}
     if out.exists():
         with open_shard(out) as shard:
@@ -223,13 +225,7 @@ def split(
             raise UsageError(f"{path} exists already; give an empty folder as --out.")
     _check_outside(places, out)
     groups: dict[str, list[Place]] = defaultdict(list)
-    names: set[str] = set()
     for episode in episodes(places):
-        if episode.name in names:
-            raise UsageError(
-                f"episode {episode.name} occurs twice; merge the shards into one first."
-            )
-        names.add(episode.name)
         groups[GROUPINGS[by](episode)].append((episode.shard.path, episode.name))
     dealt = _deal(groups, parts, seed)
     _write_parts({path: dealt[part] for part, path in targets.items()})

@@ -12,10 +12,13 @@ import numpy as np
 
 from mjhab.core.files.reading import parse_json
 from mjhab.data.store.older import OLDER_ROBOT
+from mjhab.data.store.run_entries import check_entries
 from mjhab.data.store.schema import VERSION, column_widths, problems
 from mjhab.rollout.records import EpisodeRecord
 
 _ARRAY = "__array__"
+_ARRAY_KINDS = "biuf"
+"""Kinds of numpy arrays in JSON data: truths and numbers."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,16 @@ class RunInfo:
     assets: str = "builtin"
     licence: str = ""
     absent: Sequence[str] = ()
+
+    @classmethod
+    def from_dict(cls, values: Any) -> RunInfo:
+        """Read JSON data; entries that later versions may add are left out.
+
+        Raises:
+            ValueError: it is no object, has no config, or an entry has another type than mjhab writes.
+        """
+        check_entries(values)
+        return cls(**{name: values[name] for name in cls.__dataclass_fields__ if name in values})
 
     @property
     def robot(self) -> str:
@@ -144,6 +157,16 @@ def record_problems(record: EpisodeRecord) -> list[str]:
     return found
 
 
+def last_label(record: EpisodeRecord) -> str:
+    """Label of the last subtask that ended, "" if none did."""
+    return (record.subtasks[-1].label or "") if record.subtasks else ""
+
+
+def style_text(record: EpisodeRecord) -> str:
+    """How the expert was asked to act, as the text of an attribute; "" if nothing was asked."""
+    return json.dumps(record.style) if record.style else ""
+
+
 def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:
     """SHA-256 over names, types, shapes and bytes of all datasets of an episode, including its record."""
     digest = hashlib.sha256()
@@ -186,7 +209,13 @@ def _plain(value: Any) -> Any:
 def _restore(value: dict[str, Any]) -> Any:
     if _ARRAY not in value:
         return value
-    return np.array(value["data"], np.dtype(value[_ARRAY])).reshape(value["shape"])
+    try:
+        dtype = np.dtype(value[_ARRAY])
+        if dtype.kind not in _ARRAY_KINDS:
+            raise ValueError(f"an array holds truths or numbers, not {dtype}")
+        return np.array(value["data"], dtype).reshape(value["shape"])
+    except (KeyError, TypeError, OverflowError, IndexError, SyntaxError) as error:
+        raise ValueError(f"an array is not what was written ({error})") from error
 
 
 def _hash(value: Any) -> str:

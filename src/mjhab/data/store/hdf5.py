@@ -6,6 +6,7 @@ The HDF5 library never writes to the disk itself here: on a full disk it may cra
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,10 @@ from mjhab.core.version import __version__
 from mjhab.data.store.journal import Overlay, commit, committed_length
 from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
+MAX_UNPACKED_BYTES = 256 << 20
+"""Datasets up to this size are read however well they are compressed [bytes]."""
+MAX_UNPACKED_RATIO = 200
+"""Compression that larger datasets may have; images, the only large ones, are stored uncompressed."""
 LIBVER = ("v110", "v110")
 """File format of HDF5 1.10 (2016): files are small, and all current readers support it."""
 
@@ -134,11 +139,32 @@ def dataset(parent: h5py.Group, path: str) -> h5py.Dataset:
 
     Raises:
         KeyError: there is none.
+        ValueError: its data lie in another file.
     """
     item = parent[path]
     if not isinstance(item, h5py.Dataset):
         raise KeyError(f"{path} is not a dataset")
+    if item.is_virtual or item.external or item.file.id != parent.file.id:
+        raise ValueError(f"the data of {path} lie in another file")
     return item
+
+
+def content(item: h5py.Dataset) -> np.ndarray:
+    """The whole array of a dataset.
+
+    Raises:
+        ValueError: it unpacks to far more than it takes in the file, as no data of a robot do.
+    """
+    size = _nbytes(item)
+    if size > MAX_UNPACKED_BYTES and size > MAX_UNPACKED_RATIO * item.id.get_storage_size():
+        raise ValueError(
+            f"{item.name} unpacks to {size:,} bytes, more than {MAX_UNPACKED_RATIO} times what it takes in the file"
+        )
+    return np.asarray(item[()])
+
+
+def _nbytes(item: h5py.Dataset) -> int:
+    return math.prod(int(side) for side in item.shape or ()) * item.dtype.itemsize
 
 
 def dataset_paths(parent: h5py.Group) -> list[str]:
@@ -151,5 +177,9 @@ def dataset_paths(parent: h5py.Group) -> list[str]:
 
 
 def read_arrays(parent: h5py.Group) -> dict[str, np.ndarray]:
-    """Every dataset in a group by its path."""
-    return {path: dataset(parent, path)[()] for path in dataset_paths(parent)}
+    """Every dataset in a group by its path.
+
+    Raises:
+        ValueError: see `content`.
+    """
+    return {path: content(dataset(parent, path)) for path in dataset_paths(parent)}

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import io
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.reading import reason
 
 RGB_FORMATS = ("png", "jpeg")
+MAX_SIDE = 4096
+"""Largest side of a picture that is read [px]; an encoded picture of a few bytes may claim any size."""
+_INTEGER_MODES = ("I;16", "I")
+_MODES = {"rgb": ("RGB",)}
+"""Pillow's names of the pixels that ``encode`` writes, by output; others than rgb have integers of 16 bits."""
 _PNG_LEVEL = 4
 _MOST = int(np.iinfo(np.uint16).max)
 
@@ -52,8 +62,50 @@ def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
 
 
 def decode(data: bytes, output: str) -> np.ndarray:
-    """Decode a frame of ``encode``: rgb (H, W, 3) uint8, depth (H, W, 1) int16, seg (H, W, 1) int32."""
-    image = np.asarray(Image.open(io.BytesIO(data)))
+    """Decode a frame of ``encode``: rgb (H, W, 3) uint8, depth (H, W, 1) int16, seg (H, W, 1) int32.
+
+    Raises:
+        ValueError: the bytes are no such picture.
+    """
+    with _telling(), _opened(data, output) as picture:
+        image = np.asarray(picture)
     if output == "rgb":
         return image
     return image.astype(np.int16 if output == "depth" else np.int32)[..., None]
+
+
+def check_frame(data: bytes, output: str) -> tuple[int, int]:
+    """Check a frame of ``encode`` without decoding it: header, and the checksums of a PNG; returns width and height.
+
+    Raises:
+        ValueError: the bytes are no such picture.
+    """
+    with _telling(), _opened(data, output) as picture:
+        size = picture.size
+        picture.verify()
+    return size
+
+
+@contextmanager
+def _telling() -> Iterator[None]:
+    """Turn what Pillow raises for broken pictures into ValueError."""
+    try:
+        yield
+    except (OSError, SyntaxError, EOFError, struct.error, zlib.error) as error:
+        raise ValueError(f"the bytes are no picture ({reason(error)})") from error
+
+
+def _opened(data: bytes, output: str) -> Image.Image:
+    """Open a picture, whose header alone is read; refuse other formats, kinds of pixels, and sizes of no camera."""
+    picture = Image.open(io.BytesIO(data), formats=("PNG", "JPEG") if output == "rgb" else ("PNG",))
+    wide, high = picture.size
+    if max(wide, high) > MAX_SIDE:
+        raise ValueError(
+            f"a picture of {wide} x {high} pixels; at most {MAX_SIDE} x {MAX_SIDE} are read"
+        )
+    modes = _MODES.get(output, _INTEGER_MODES)
+    if picture.mode not in modes:
+        raise ValueError(
+            f"a picture of {output} has pixels {' or '.join(modes)}, not {picture.mode}"
+        )
+    return picture

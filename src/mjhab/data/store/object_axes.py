@@ -13,12 +13,10 @@ import numpy as np
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import quat_canonical, quat_from_yaw, quat_mul
 from mjhab.data.store.reading import Episode
+from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.rollout.records import PlanEntry
 from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
-
-SCAN_YAWS = "scan_yaws"
-"""Key of `RunInfo.layout`: `ObjectType.scan_yaw` [rad] by type of object, without those that are 0."""
 
 
 def to_scan_axes(poses: np.ndarray, scan_yaw: np.ndarray | float) -> np.ndarray:

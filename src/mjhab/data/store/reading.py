@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-import json
+import itertools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -16,31 +16,38 @@ from h5py import h5r
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.locking import is_written
+from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.names import check_name
 from mjhab.data.store.episode_data import (
     RunInfo,
     episode_digest,
     from_bytes,
+    last_label,
     record_problems,
     run_id,
+    style_text,
     unnamed_actors,
 )
 from mjhab.data.store.hdf5 import (
     check_format,
+    content,
     dataset,
     dataset_paths,
     group,
     read_arrays,
     read_attributes,
 )
-from mjhab.data.store.images import decode
+from mjhab.data.store.images import check_frame, decode
 from mjhab.data.store.journal import Overlay, committed_length, read_journal
 from mjhab.data.store.locking import quiet
 from mjhab.data.store.older import POSES, STAND_INS, canonical_poses, stand_in
 from mjhab.data.store.schema import (
+    ATTRIBUTE_TYPES,
     COLUMNS,
+    ENDINGS,
     EPISODES,
     FIELDS,
+    NEEDED_ATTRIBUTES,
     RUNS,
     TERMINAL,
     DamagedError,
@@ -53,10 +60,13 @@ from mjhab.tasks.labelling.state import History
 
 BROKEN = (OSError, RuntimeError, ValueError, KeyError)
 """Exceptions that h5py raises for damaged files."""
+UNREADABLE = (*BROKEN, TypeError, IndexError, OverflowError, MemoryError)
+"""Exceptions of reading an episode whose parts have other types or shapes than the schema says."""
 
 
 def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
-    """Shards among the given files and, recursively, in the given folders; sorted by name within a folder.
+    """Shards among the given files and, recursively, in the given folders; sorted by name within a folder. A file that
+    is named twice, or by a link, too, is there once.
 
     Raises:
         UsageError: a place does not exist, or a folder has no shards.
@@ -72,7 +82,10 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
             found.append(place)
         else:
             raise UsageError(f"{place} does not exist; give a shard (*.h5) or a folder of shards.")
-    return list(dict.fromkeys(found))
+    by_file: dict[Path, Path] = {}
+    for path in found:
+        by_file.setdefault(path.resolve(), path)
+    return list(by_file.values())
 
 
 class Episode:
@@ -101,29 +114,41 @@ class Episode:
     def _telling(self) -> Iterator[None]:
         try:
             yield
-        except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        except UNREADABLE as error:
             raise DamagedError(
-                f"episode {self.name} of {self.shard.path} cannot be read ({type(error).__name__}: {error}). See what "
-                f"is wrong with: mjhab data check {self.shard.path}"
+                f"episode {self.name} of {self.shard.path} cannot be read ({type(error).__name__}: {reason(error)}). "
+                f"See what is wrong with: mjhab data check {self.shard.path}"
             ) from error
 
     @functools.cached_property
     def record(self) -> EpisodeRecord:
         """Identity, plan, labels, events, forces."""
         with self._reading():
-            return EpisodeRecord.from_dict(from_bytes(dataset(self._group, "record")[()]))
+            record = EpisodeRecord.from_dict(from_bytes(content(dataset(self._group, "record"))))
+            wrong = record_problems(record)
+            if wrong:
+                raise ValueError("; ".join(wrong))
+            return record
 
     @property
     def run(self) -> RunInfo:
         """The run that made it: config, versions, layout."""
         with self._reading():
-            return self.shard.runs[str(self.attributes["run"])]
+            return self.shard.run(self.attributes["run"])
 
     @functools.cached_property
     def attributes(self) -> dict[str, Any]:
-        """The attributes of its group, see `schema.ATTRIBUTES`."""
+        """The attributes of its group, see `schema.ATTRIBUTES`; each has its type."""
         with self._reading():
-            return read_attributes(self._group)
+            told = read_attributes(self._group)
+            for name, kind in ATTRIBUTE_TYPES.items():
+                if name in told and not isinstance(told[name], kind):
+                    shown = str(told[name])[:60]
+                    raise ValueError(f"attribute {name!r} must be {kind.__name__}, not {shown!r}")
+            missing = [name for name in NEEDED_ATTRIBUTES if name not in told]
+            if missing:
+                raise ValueError(f"it has no attribute {', '.join(missing)}")
+            return told
 
     @property
     def steps(self) -> int:
@@ -155,7 +180,13 @@ class Episode:
     def actors(self) -> tuple[str, ...]:
         """Names that ``array("actor")`` indexes."""
         names = self.attributes.get("actors")
-        return (self.run.policy,) if names is None else tuple(json.loads(names))
+        if names is None:
+            return (self.run.policy,)
+        with self._reading():
+            told = parse_json(names)
+            if not isinstance(told, list) or not all(isinstance(name, str) for name in told):
+                raise ValueError(f"attribute 'actors' must be a list of texts, not {names[:60]!r}")
+            return tuple(told)
 
     @property
     def nbytes(self) -> int:
@@ -164,8 +195,18 @@ class Episode:
             return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
 
     def initial(self) -> dict[str, Any]:
-        """The state after the reset, for ``env.set_state``."""
-        return from_bytes(self.array("states/initial"))
+        """The state after the reset, for ``env.set_state``.
+
+        Raises:
+            DamagedError: it is not what a recorder writes.
+        """
+        data = self.array("states/initial")
+        with self._reading():
+            state = from_bytes(data)
+            for name in ("qpos", "qvel"):
+                if not isinstance(state["sim"][name], np.ndarray):
+                    raise ValueError(f"states/initial has no array {name}")
+            return state
 
     def copy_to(self, parent: h5py.Group) -> None:
         """Copy it unchanged into a group of another file."""
@@ -186,7 +227,7 @@ class Episode:
         """
         with self._reading():
             if path in self._group:
-                return self._as_of_now(path, dataset(self._group, path)[()])
+                return self._as_of_now(path, content(dataset(self._group, path)))
         if path in self.lacks:
             return stand_in(path, self.array(STAND_INS[path]))
         if path in self.run.absent:
@@ -213,7 +254,8 @@ class Episode:
     def columns(self, path: str) -> dict[str, int]:
         """Column names of a two-dimensional dataset, with the number of columns of each name (0 for a plain column)."""
         split = [name.rpartition(":") for name in self._column_names(path)]
-        return {head or tail: int(tail) if head else 0 for head, _, tail in split}
+        with self._reading():
+            return {head or tail: int(tail) if head else 0 for head, _, tail in split}
 
     def _column_names(self, path: str) -> list[str]:
         with self._reading():
@@ -226,7 +268,8 @@ class Episode:
         at = 0
         table = {}
         for name, width in self.columns(path).items():
-            table[name] = array[:, at : at + width] if width else array[:, at]
+            with self._reading():
+                table[name] = array[:, at : at + width] if width else array[:, at]
             at += width or 1
         return table
 
@@ -309,15 +352,16 @@ class Episode:
 
         Signals are bool (T+1, 1), where T is the number of the subtask's control steps.
         """
-        starts = [*self.array("subtasks/step").tolist(), self.steps]
-        first = self.array("subtasks/checks")[k : k + 1]
-        checks = np.concatenate(
-            [first, self.array("signals/checks")[starts[k] + 1 : starts[k + 1] + 1]]
-        )
-        fields = checks_by_name(checks)
-        return int(self.array("subtasks/index")[k]), History(
-            **{n: fields[n] for n in History.__dataclass_fields__}
-        )
+        steps = self.array("subtasks/step")
+        before = self.array("subtasks/checks")
+        rows = self.array("signals/checks")
+        numbers = self.array("subtasks/index")
+        with self._reading():
+            starts = [*steps.tolist(), self.steps]
+            first = before[k : k + 1]
+            checks = np.concatenate([first, rows[starts[k] + 1 : starts[k + 1] + 1]])
+            fields = checks_by_name(checks)
+            return int(numbers[k]), History(**{n: fields[n] for n in History.__dataclass_fields__})
 
     def problems(self) -> list[str]:
         """Describe missing or inconsistent parts and changed bytes; empty if the episode is undamaged."""
@@ -337,13 +381,29 @@ class Episode:
             wrong = wrong or unnamed_actors(arrays, self.actors)
             if not wrong and episode_digest(arrays) != self.attributes["digest"]:
                 wrong.append("its bytes are not those that were written (digest)")
-            return wrong or self._record_problems()
+            return wrong or self._record_problems() or _picture_problems(arrays)
 
     def _record_problems(self) -> list[str]:
-        wrong = record_problems(self.record)
-        if self.record.steps != self.steps:
-            wrong.append(f"its record has {self.record.steps} steps, its group {self.steps}")
-        name = str(self.attributes["run"])
+        record = self.record
+        told = {
+            "seed": record.seed,
+            "index": record.index,
+            "home": record.home,
+            "label": last_label(record),
+            "success": record.success_once,
+            "steps": record.steps,
+            "style": style_text(record),
+        }
+        wrong = [
+            f"its record has {name} {value!r}, its group {self.attributes[name]!r}"
+            for name, value in told.items()
+            if name in self.attributes and self.attributes[name] != value
+        ]
+        if self.attributes["ending"] not in ENDINGS:
+            wrong.append(
+                f"it ended by {self.attributes['ending'][:60]!r}; endings are {', '.join(ENDINGS)}"
+            )
+        name = self.attributes["run"]
         if run_id(self.shard.told[name]) != name:
             wrong.append("what made it (its run) is not what was written")
         if self.run.episode_name(self.record.seed, self.record.index) != self.name:
@@ -375,12 +435,13 @@ class Shard:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._fd = -1
+        self._runs: dict[str, RunInfo] = {}
         try:
             with quiet(path):
                 self.file = self._open()
                 check_format(self.file, path)
                 self._read_index()
-        except BROKEN as error:
+        except UNREADABLE as error:
             self.close()
             raise _unreadable(path, error) from error
         except BaseException:
@@ -413,18 +474,36 @@ class Shard:
 
     @functools.cached_property
     def told(self) -> dict[str, dict[str, Any]]:
-        """JSON data of each run by name; those of later versions may have more entries than a `RunInfo`."""
+        """JSON data of each run by name, without those that cannot be read; those of later versions may have more
+        entries than a `RunInfo`."""
         runs = group(self.file, RUNS)
-        return {str(name): from_bytes(dataset(runs, str(name))[()]) for name in runs}
+        found: dict[str, dict[str, Any]] = {}
+        for name in map(str, runs):
+            # An episode of a run that cannot be read says so; the others do not need it.
+            with suppress(*UNREADABLE):
+                found[name] = from_bytes(content(dataset(runs, name)))
+        return found
+
+    def run(self, name: str) -> RunInfo:
+        """A run that made episodes, by its name.
+
+        Raises:
+            ValueError: it is missing or not what was written.
+        """
+        if name not in self._runs:
+            if name not in self.told:
+                raise ValueError(f"what made it (its run {name}) is missing or damaged")
+            self._runs[name] = RunInfo.from_dict(self.told[name])
+        return self._runs[name]
 
     @functools.cached_property
     def runs(self) -> dict[str, RunInfo]:
-        """The runs that made the episodes, by name."""
-        known = RunInfo.__dataclass_fields__
-        return {
-            name: RunInfo(**{k: v for k, v in run.items() if k in known})
-            for name, run in self.told.items()
-        }
+        """The runs that made the episodes, by name, without those that are damaged."""
+        found: dict[str, RunInfo] = {}
+        for name in self.told:
+            with suppress(ValueError):
+                found[name] = self.run(name)
+        return found
 
     def episode(self, name: str) -> Episode:
         """One episode by its name.
@@ -446,7 +525,7 @@ class Shard:
             return Episode(self, name).problems()
         except DamagedError as error:
             cause = error.__cause__ or error
-            return [f"cannot be read ({type(cause).__name__}: {cause})"]
+            return [f"cannot be read ({type(cause).__name__}: {reason(cause)})"]
 
     def __iter__(self) -> Iterator[Episode]:
         return (Episode(self, name) for name in self.names)
@@ -482,14 +561,50 @@ def open_shard(path: Path | str) -> Shard:
     return Shard(path)
 
 
-def episodes(places: Path | Sequence[Path]) -> Iterator[Episode]:
+def episodes(places: Path | Sequence[Path], copies: bool = False) -> Iterator[Episode]:
     """Iterate over the episodes of shards and folders.
 
     Episodes remain usable after the iteration; once their shard is closed, every access opens the file again.
+
+    Args:
+        places: the shards and folders.
+        copies: an episode may be in several shards. Otherwise that is an error: it would count more than once in every
+            number, and no one could say which copy is meant.
+
+    Raises:
+        UsageError: an episode (config, seed and index) is in two shards, such as a file and its copy.
     """
+    seen: dict[str, Path] = {}
     for path in shard_paths(places):
         with open_shard(path) as shard:
+            for name in shard.names:
+                first = seen.setdefault(name, path)
+                if first != path and not copies:
+                    raise UsageError(
+                        f"episode {name} is in {first} and in {path}. Leave one of them out, or write each episode "
+                        "once with: mjhab data merge PLACES --out NEW.h5"
+                    )
             yield from shard
+
+
+def _picture_problems(arrays: Mapping[str, np.ndarray]) -> list[str]:
+    """Describe the first frame of each camera that is no picture, or has another size than the frames before it."""
+    found = []
+    for path, ends in arrays.items():
+        folder, _, name = path.rpartition("/")
+        if name != "ends" or not path.startswith("images/"):
+            continue
+        data = arrays[f"{folder}/bytes"]
+        sizes = set()
+        for t, (start, end) in enumerate(itertools.pairwise([0, *ends.tolist()])):
+            try:
+                sizes.add(check_frame(data[start:end].tobytes(), folder.rpartition("/")[2]))
+            except ValueError as error:
+                found.append(f"frame {t} of {folder}: {error}")
+                break
+        if len(sizes) > 1:
+            found.append(f"the frames of {folder} have {len(sizes)} different sizes")
+    return found
 
 
 def _camera_output(key: str) -> tuple[str, str]:
@@ -507,4 +622,4 @@ def _unreadable(path: Path, error: Exception) -> DamagedError:
             f"{path} cannot be read: it is cut off, {there:,} of its {whole:,} bytes are there. Copy it again from "
             f"where it came from, or save the episodes that are whole: mjhab data repair {path}"
         )
-    return DamagedError(f"{path} cannot be read: {error}. Try: mjhab data repair {path}")
+    return DamagedError(f"{path} cannot be read: {reason(error)}. Try: mjhab data repair {path}")

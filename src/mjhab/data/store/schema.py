@@ -49,6 +49,8 @@ FORCES: tuple[str, ...] = ("robot_force", "target_force", "cumulative_force")
 """Columns of ``signals/forces``: the float fields of `tasks.measure.Signals`."""
 COLUMNS = "columns"
 """Attribute of a two-dimensional dataset: names of its columns, joined by commas; "name:n" stands for n columns."""
+ENDINGS = ("success", "force_exceeded", "place_broken", "timeout", "cut")
+"""How an episode can end; "cut" by its caller."""
 TERMINAL = frozenset({"success", "force_exceeded", "place_broken"})
 """Endings for which the environment returned "terminated"; the others are truncations."""
 
@@ -218,13 +220,30 @@ ATTRIBUTES: dict[str, str] = {
     "label": "label of the last subtask that ended",
     "success": "whether the goal was reached at least once",
     "steps": "number N of control steps",
-    "ending": "how it ended: success, force_exceeded, place_broken, timeout, or cut (by the caller)",
+    "ending": f"how it ended: {', '.join(ENDINGS[:-1])}, or {ENDINGS[-1]} (by the caller)",
     "style": "JSON: how the expert was asked to act in this episode; empty if nothing was asked",
     "actors": "JSON: the names that the numbers of `actor` stand for",
     "schema": "version of the schema that the episode was recorded in; 1 where it is missing",
     "digest": "SHA-256 over the record and every dataset",
 }
 """Attributes of an episode group."""
+ATTRIBUTE_TYPES: dict[str, type] = {
+    "seed": int,
+    "index": int,
+    "run": str,
+    "home": str,
+    "model": str,
+    "label": str,
+    "success": bool,
+    "steps": int,
+    "ending": str,
+    "style": str,
+    "actors": str,
+    "schema": int,
+    "digest": str,
+}
+NEEDED_ATTRIBUTES = ("run", "steps", "ending", "digest")
+"""Attributes without which an episode cannot be read."""
 
 
 class DamagedError(MjhabError):
@@ -355,6 +374,7 @@ def _bad_values(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
     for path, ends in arrays.items():
         if path.endswith("/ends") and path.startswith("images/"):
             data = arrays.get(path.removesuffix("ends") + "bytes")
-            if data is None or (np.diff(ends) <= 0).any() or ends[-1] != len(data):
+            fits = data is not None and ends[0] > 0 and ends[-1] == len(data)
+            if not fits or (np.diff(ends) <= 0).any():
                 found.append(f"{path} does not fit its bytes")
     return found

@@ -20,7 +20,9 @@ from mjhab.data.store.episode_data import (
     EpisodeData,
     RunInfo,
     episode_digest,
+    last_label,
     record_bytes,
+    style_text,
     to_bytes,
 )
 from mjhab.data.store.hdf5 import (
@@ -191,11 +193,6 @@ class ShardWriter:
         self.close()
 
 
-def last_label(record: EpisodeRecord) -> str:
-    """Label of the last subtask that ended, "" if none did."""
-    return (record.subtasks[-1].label or "") if record.subtasks else ""
-
-
 def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
     """Divide names into batches of about _BATCH bytes."""
     batch: list[str] = []
@@ -231,7 +228,7 @@ def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
         "steps": record.steps,
         "ending": data.ending,
         "digest": episode_digest(arrays),
-        "style": json.dumps(record.style) if record.style else "",
+        "style": style_text(record),
         "actors": json.dumps(data.actors),
         "schema": data.schema,
     }

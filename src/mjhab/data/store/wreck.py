@@ -52,10 +52,11 @@ class Wreck(Shard):
     @functools.cached_property
     def told(self) -> dict[str, dict[str, Any]]:
         """JSON data of each run by name."""
-        with suppress(*BROKEN):
-            return super().told
         found = (_run(self.file, reference) for reference in self._references)
-        return {run_id(values): values for values in found if values is not None}
+        told = {run_id(values): values for values in found if values is not None}
+        with suppress(*BROKEN):
+            told |= super().told
+        return told
 
 
 def _header_offsets(path: Path) -> list[int]:

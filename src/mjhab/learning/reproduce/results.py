@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.files.reading import read_json_object
-from mjhab.data.store.shard import last_label
+from mjhab.data.store.episode_data import last_label
 from mjhab.learning.reproduce.rows import TableRow
 from mjhab.learning.reproduce.variants import (
     AS_PUBLISHED,

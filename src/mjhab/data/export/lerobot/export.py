@@ -32,9 +32,9 @@ from mjhab.data.select.describing import (
 from mjhab.data.select.own_state import split_state
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
+from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.reading import Episode, open_shard
-from mjhab.data.store.shard import last_label
 
 FPS = round(1 / STEP_SECONDS)
 STATE = "observation.state"

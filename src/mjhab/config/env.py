@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.option_types import fitting
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
@@ -41,6 +43,8 @@ _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 @dataclass(frozen=True)
 class EnvConfig:
     """Options of an environment: robot, homes, task, observations, actions, rewards, episodes and backend.
+
+    None stands for the default of every option.
 
     profile: name of a `profiles.Profile`. It gives values to the options whose default is OF_PROFILE, and to
     ``horizon`` if that is 0; after construction the fields hold these values. "ms_hab" refuses other values of these
@@ -123,6 +127,7 @@ class EnvConfig:
     buffers: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._take_types()
         if self.target == "all":
             object.__setattr__(self, "target", "")
         self._take_home_file()
@@ -156,6 +161,28 @@ class EnvConfig:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""
         names = profile_named(self.profile).options(self.subtask, trains=self.trains)
         return {name: getattr(self, name) for name in ("profile", *names)}
+
+    def _take_types(self) -> None:
+        """Put defaults in place of None, and plain values in place of paths, lists and numbers of numpy.
+
+        Raises:
+            UsageError: an option has a value of another type, or a number out of its range.
+        """
+        if isinstance(self.starts, str):
+            raise UsageError(
+                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
+                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
+            )
+        hints = typing.get_type_hints(type(self))
+        for option in dataclasses.fields(self):
+            value = getattr(self, option.name)
+            if value is None and option.default is not dataclasses.MISSING:
+                value = option.default
+            elif value is None:
+                value = {}
+            if value is not None:
+                value = fitting(option.name, hints[option.name], value)
+            object.__setattr__(self, option.name, value)
 
     def _take_home_file(self) -> None:
         """Turn a home that is a file into the pack of that file, all homes of which are used.
@@ -205,23 +232,11 @@ class EnvConfig:
             )
 
     def _check_numbers(self) -> None:
-        if isinstance(self.starts, str):
-            raise UsageError(
-                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
-                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
-            )
-        least = {
-            "num_envs": 1,
-            "threads": 0,
-            "horizon": 0,
-            "episode_pool": 0,
-            "starts": 0,
-            "frame_stack": 1,
-        }
-        for name, low in least.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < low:
-                raise UsageError(f"{name} must be a whole number of at least {low}, got {value!r}")
+        for name in ("starts", "buffers"):
+            if self.backend == "cpu" and getattr(self, name):
+                raise UsageError(
+                    f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
+                )
         if not 0.0 <= self.open_start <= 1.0:
             raise UsageError(
                 f"open_start is a share of resets between 0 and 1, got {self.open_start}"
@@ -333,6 +348,9 @@ def _override(
     with contextlib.suppress(TypeError, ValueError):
         new = type(present)(value) if not isinstance(present, bool) else value
     good = isinstance(value, bool) == isinstance(present, bool) and new == value
+    # A number may be as low as 0, or as its default, such as -1 for "without limit".
+    if isinstance(present, int | float) and good:
+        good = new >= min(0, present)
     if not good or (isinstance(present, tuple) and len(present) != len(tuple(new))):
         raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
     if part:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from mjhab.config.env import EnvConfig, TrainConfig
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.sim.backends import resolve
 from mjhab.tasks.household.registry import TASKS, task_with
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -113,11 +113,13 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
     """Build one world of a Gymnasium id as a plain `gymnasium.Env`; entry point of ``gymnasium.make``."""
     from mjhab.envs.single import SingleEnv
 
-    if options.get("backend") == "warp":
-        raise UsageError(
-            "one world as a plain gymnasium.Env runs on backend 'cpu'; use gymnasium.make_vec for 'warp'"
-        )
     fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
+    for name, value in fixed.items():
+        if options.get(name) not in (None, value):
+            raise UsageError(
+                f"one world as a plain gymnasium.Env has {name} {value!r}, got {shown(options[name])}; "
+                "gymnasium.make_vec takes others."
+            )
     return SingleEnv(config_by_id(env_id, **{**options, **fixed}))
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import stat
 import tarfile
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,28 @@ def test_paths_that_lead_out_are_refused(tmp_path: Path, make: object, name: str
     assert "bundle" in str(caught.value)
     assert not list(tmp_path.rglob("evil")) and not (root / "replica_cad").exists()
     assert not any((root / ".partial").glob("*"))
+
+
+@pytest.mark.parametrize("make", [make_zip, make_tar])
+def test_an_archive_that_holds_far_more_than_its_size_is_refused_before_it_is_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[..., Path]
+) -> None:
+    monkeypatch.setattr("mjhab.assets.archive.LEAST_UNPACKED_BYTES", 100_000)
+    archive = make(tmp_path / "bomb", {**GOOD, "zeros": bytes(2_000_000)})
+    with pytest.raises(UsageError, match=r"holds more than 0\.0 GB, which no data set"):
+        unpack(archive, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_header_of_a_tar_archive_that_states_gigabytes_is_not_read(tmp_path: Path) -> None:
+    header = tarfile.TarInfo("pax")
+    header.type = tarfile.XHDTYPE
+    header.size = 2**32
+    archive = tmp_path / "bomb.tar.gz"
+    with gzip.open(archive, "wb", compresslevel=1) as stream:
+        stream.write(header.tobuf(tarfile.GNU_FORMAT) + bytes(2**22))
+    with pytest.raises(UsageError, match="damaged"):
+        unpack(archive, tmp_path / "out")
 
 
 @pytest.mark.parametrize("target", ["/etc/passwd", "../../outside", "configs"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import socket
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +15,15 @@ import pytest
 
 from mjhab.assets.install import RECORD, Progress, fetch, read_record, verify
 from mjhab.assets.sources import SOURCES, hub_endpoint, source_named
-from mjhab.assets.transfer import FIRST_TIMEOUT, TRIES, TransferError, pause
+from mjhab.assets.transfer import (
+    FIRST_TIMEOUT,
+    SILENCE_COSTS,
+    TRIES,
+    Expected,
+    TransferError,
+    download,
+    pause,
+)
 from mjhab.core.errors import UsageError
 from tests.assets.hub_server import COMMIT, FakeHub
 
@@ -170,6 +179,49 @@ def test_a_dead_hub_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert sum(count.waits) + FIRST_TIMEOUT <= 5
 
 
+def test_a_hub_that_says_nothing_is_given_up_soon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert FIRST_TIMEOUT * TRIES / SILENCE_COSTS <= 10
+    monkeypatch.setattr("mjhab.assets.transfer.FIRST_TIMEOUT", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        monkeypatch.setenv("HF_ENDPOINT", f"http://127.0.0.1:{silent.getsockname()[1]}")
+        monkeypatch.setenv("no_proxy", "127.0.0.1")
+        count = Count()
+        with pytest.raises(TransferError, match="the server says nothing, again and again"):
+            fetch(SOURCE, tmp_path, progress=count.progress())
+    assert count.waits == []
+
+
+def test_a_file_of_which_nothing_comes_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.assets.transfer.TIMEOUT", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        monkeypatch.setenv("no_proxy", "127.0.0.1")
+        url = f"http://127.0.0.1:{silent.getsockname()[1]}/file"
+        waits: list[float] = []
+        with pytest.raises(TransferError, match="the server says nothing, again and again"):
+            download(url, tmp_path / "file", Expected(10), sleep=waits.append)
+    assert len(waits) == TRIES / SILENCE_COSTS - 1
+
+
+def test_documents_are_bounded(
+    hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.assets.transfer.MAX_DOCUMENT_MB", 1e-5)
+    with pytest.raises(TransferError, match="larger than"):
+        fetch(SOURCE, tmp_path, progress=Count().progress())
+
+
+def test_a_list_of_files_has_an_end(
+    hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.assets.hub.MAX_PAGES", 2)
+    with pytest.raises(TransferError, match="more than 2 pages"):
+        fetch(SOURCE, tmp_path, progress=Count().progress())
+
+
 def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) -> None:
     hub.files = {"README.md": b"moved"}
     with pytest.raises(
@@ -280,12 +332,13 @@ def test_unknown_data_sets_are_refused_with_a_hint() -> None:
 
 
 @pytest.mark.parametrize(
-    "body", [b"<html>", json.dumps({"error": "no"}).encode(), json.dumps([1]).encode()]
+    "body",
+    [b"<html>", json.dumps({"error": "no"}).encode(), json.dumps([1]).encode(), b"[" * 100_000],
 )
 def test_an_answer_of_something_else_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: bytes, hub: FakeHub
 ) -> None:
-    monkeypatch.setattr("mjhab.assets.hub.get", lambda url, sleep: (body, ""))
+    monkeypatch.setattr("mjhab.assets.hub.get", lambda *asked: (body, ""))
     with pytest.raises(TransferError, match=r"not JSON|field 'sha' must be") as caught:
         fetch(SOURCE, tmp_path)
     assert "\n" not in str(caught.value)

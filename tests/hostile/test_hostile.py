@@ -135,6 +135,23 @@ def test_a_cache_that_cannot_be_written_is_replaced_with_one_warning(
     assert capsys.readouterr().err.count("cannot be written") == 1
 
 
+def test_a_user_without_a_home_has_a_temporary_cache_and_is_told_where_data_sets_go(
+    own_cache: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def unknown() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", unknown)
+    for variable in ("MJHAB_ASSETS", "XDG_DATA_HOME"):
+        monkeypatch.delenv(variable, raising=False)
+    assert cache_dir() == cache_dir() and cache_dir().is_dir()
+    assert capsys.readouterr().err.count("no home folder for the cache") == 1
+    with pytest.raises(UsageError, match=r"no home folder; .*MJHAB_ASSETS"):
+        cache.assets_dir()
+    monkeypatch.setenv("MJHAB_ASSETS", "/data")
+    assert cache.assets_dir() == Path("/data")
+
+
 def test_a_cache_that_fills_up_goes_on_elsewhere(
     own_cache: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

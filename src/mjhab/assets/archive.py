@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import io
 import lzma
 import shutil
 import tarfile
@@ -9,11 +12,17 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, cast
 
 from mjhab.core.errors import UsageError
 
 _LINK = 0o120000
+MAX_UNPACKED_BYTES = 50e9
+LEAST_UNPACKED_BYTES = 1e9
+MAX_RATIO = 50
+"""Limits of an archive's content, in all and times its own size above the least; data sets have a ratio below 10."""
+MAX_HEADER_BYTES = 2**20
+"""Longest header of a file in a tar archive."""
 
 
 def safe_path(path: str, where: str) -> str:
@@ -46,11 +55,9 @@ def unpack(archive: Path, folder: Path, tell: Callable[[int], object] = lambda c
         if zipfile.is_zipfile(archive):
             with zipfile.ZipFile(archive) as file:
                 _write(_zip_members(file, archive), folder, archive, tell)
-        elif tarfile.is_tarfile(archive):
-            with tarfile.open(archive) as file:
-                _write(_tar_members(file, archive), folder, archive, tell)
         else:
-            raise UsageError(f"{archive}: neither a zip nor a tar archive.")
+            with _plain(archive) as content, _opened_tar(archive, content) as file:
+                _write(_tar_members(file, archive), folder, archive, tell)
     except (
         zipfile.BadZipFile,
         tarfile.TarError,
@@ -58,8 +65,68 @@ def unpack(archive: Path, folder: Path, tell: Callable[[int], object] = lambda c
         zlib.error,
         lzma.LZMAError,
         NotImplementedError,
+        ValueError,
     ) as error:
         raise UsageError(f"{archive}: damaged ({error}); nothing was installed.") from error
+
+
+def _opened_tar(archive: Path, content: IO[bytes]) -> tarfile.TarFile:
+    """The tar archive that a stream holds.
+
+    Raises:
+        UsageError: it holds none.
+    """
+    try:
+        return tarfile.open(fileobj=_Headers(content), mode="r:")
+    except (tarfile.ReadError, OSError, EOFError) as error:
+        raise UsageError(f"{archive}: neither a zip nor a tar archive.") from error
+
+
+def _plain(archive: Path) -> IO[bytes]:
+    """A tar archive without its compression."""
+    with archive.open("rb") as file:
+        begin = file.read(max(map(len, _COMPRESSED)))
+    for magic, opened in _COMPRESSED.items():
+        if begin.startswith(magic):
+            return cast(IO[bytes], opened(archive))
+    return archive.open("rb")
+
+
+_COMPRESSED: dict[bytes, Callable[[Path], object]] = {
+    b"\x1f\x8b": gzip.GzipFile,
+    b"BZh": bz2.BZ2File,
+    b"\xfd7zXZ": lzma.LZMAFile,
+}
+"""What reads an archive that begins with these bytes."""
+
+
+class _Headers(io.RawIOBase):
+    """A stream that gives no more than `MAX_HEADER_BYTES` at once: headers state their own length."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+
+    def read(self, size: int = -1, /) -> bytes:
+        """As of any stream.
+
+        Raises:
+            ValueError: more is asked for.
+        """
+        if not 0 <= size <= MAX_HEADER_BYTES:
+            raise ValueError(f"a header of {size:,} bytes")
+        return self._stream.read(size)
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """As of any stream."""
+        return self._stream.seek(offset, whence)
+
+    def tell(self) -> int:
+        """As of any stream."""
+        return self._stream.tell()
+
+    def seekable(self) -> bool:
+        """It is."""
+        return True
 
 
 Member = tuple[str, int, Callable[[], IO[bytes]]]
@@ -77,7 +144,8 @@ def _zip_members(file: zipfile.ZipFile, archive: Path) -> Iterator[Member]:
 
 
 def _tar_members(file: tarfile.TarFile, archive: Path) -> Iterator[Member]:
-    for info in file.getmembers():
+    # One after the other: the sizes so far are known before the next header is unpacked.
+    for info in file:
         if not (info.isfile() or info.isdir()):
             raise UsageError(
                 f"{archive}: {info.name!r} is a link or a device; nothing was installed."
@@ -92,12 +160,26 @@ def _open(file: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
     return content
 
 
+def _most_bytes(archive: Path) -> float:
+    """Most bytes that an archive may hold: a small file can hold any number."""
+    return min(MAX_UNPACKED_BYTES, LEAST_UNPACKED_BYTES + MAX_RATIO * archive.stat().st_size)
+
+
 def _write(
     members: Iterator[Member], folder: Path, archive: Path, tell: Callable[[int], object]
 ) -> None:
-    found = [(safe_path(path, str(archive)), size, content) for path, size, content in members]
+    found: list[Member] = []
+    wanted = 0
+    most = _most_bytes(archive)
+    for path, size, content in members:
+        found.append((safe_path(path, str(archive)), size, content))
+        wanted += size
+        if wanted > most:
+            raise UsageError(
+                f"{archive}: holds more than {most / 1e9:.1f} GB, which no data set of its size does; nothing was "
+                "installed."
+            )
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = sum(size for _, size, _ in found)
     free = shutil.disk_usage(folder).free
     if wanted > free:
         raise UsageError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +10,11 @@ from urllib.parse import quote, urlsplit
 
 from mjhab.assets.archive import safe_path
 from mjhab.assets.transfer import Expected, TransferError, get
+from mjhab.core.errors import shown
+from mjhab.core.files.reading import parse_json
+
+MAX_PAGES = 1000
+"""Most pages of a list of files; each has up to 1,000."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +36,17 @@ def list_files(
     """
     api = f"{endpoint}/api/datasets/{repo}"
     url = f"{api}/revision/{quote(revision, safe='')}"
-    commit = _field(_json(get(url, sleep)[0], url), "sha", str, url)
+    commit = _field(_json(get(url, sleep, True)[0], url), "sha", str, url)
     files: list[RemoteFile] = []
     tree = f"{api}/tree/{commit}"
     query = "recursive=true&expand=false"
+    pages = 0
     while query:
+        pages += 1
+        if pages > MAX_PAGES:
+            raise TransferError(
+                f"{tree}: more than {MAX_PAGES} pages of files, which no data set has."
+            )
         page = f"{tree}?{query}"
         body, link = get(page, sleep)
         rows = _json(body, page)
@@ -66,6 +76,8 @@ def _remote(row: dict[str, Any], base: str, page: str) -> RemoteFile:
     lfs = row.get("lfs") or {}
     big = isinstance(lfs, dict) and "oid" in lfs
     size = _field(lfs if big else row, "size", int, page)
+    if size < 0:
+        raise TransferError(f"{page}: {path} has {size} bytes.")
     # A pointer's own hash says nothing about the file behind it.
     expected = (
         Expected(size, sha256=str(lfs["oid"]))
@@ -77,14 +89,14 @@ def _remote(row: dict[str, Any], base: str, page: str) -> RemoteFile:
 
 def _field(row: Any, name: str, kind: type, where: str) -> Any:
     value = row.get(name) if isinstance(row, dict) else None
-    if not isinstance(value, kind):
-        raise TransferError(f"{where}: field {name!r} must be {kind.__name__}, got {value!r}.")
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise TransferError(f"{where}: field {name!r} must be {kind.__name__}, got {shown(value)}.")
     return value
 
 
 def _json(body: bytes, url: str) -> Any:
     try:
-        return json.loads(body)
+        return parse_json(body)
     except ValueError as error:
         raise TransferError(
             f"{url}: the answer is not JSON; is HF_ENDPOINT the address of a hub?"

@@ -19,19 +19,27 @@ from urllib.error import HTTPError, URLError
 from urllib.request import Request, build_opener
 
 from mjhab.core.errors import MjhabError
+from mjhab.core.files.reading import one_line
 from mjhab.core.version import __version__
 
 TRIES = 6
 """Tries in a row that bring nothing new before a transfer is given up."""
 WRONG_COSTS = 3
 """A whole file with wrong bytes counts as so many tries: it may be large."""
+SILENCE_COSTS = 3
+"""A server that says nothing at all for so long counts as so many tries: it has nothing to say."""
 TIMEOUT = 30.0
 """Longest silence of a server [s]."""
 FIRST_TIMEOUT = 4.0
 """Longest wait for the first answer of all [s]: without a network nobody should wait long to hear so."""
+MAX_DOCUMENT_MB = 64
+"""Largest document that is not written to a file [MB]; a list of 1,000 files takes about 0.3."""
+MAX_DOCUMENT_S = 60.0
+"""Longest time that such a document may take [s]."""
 UNREACHED_TRIES = 2
 """Tries in a row in which no server was reached at all before that is told."""
 CHUNK = 1 << 18
+_SILENT = "the server says nothing"
 _PASSING = (408, 425, 429, 500, 502, 503, 504)
 """HTTP states that pass by themselves."""
 
@@ -54,28 +62,59 @@ def pause(attempt: int) -> float:
     return min(2.0**attempt, 30.0)
 
 
-def get(url: str, sleep: Callable[[float], object] = time.sleep) -> tuple[bytes, str]:
+def get(
+    url: str, sleep: Callable[[float], object] = time.sleep, first: bool = False
+) -> tuple[bytes, str]:
     """Body and ``Link`` header of a small document.
+
+    Args:
+        url: its address.
+        sleep: waits between tries.
+        first: whether this server has not answered anything yet; it is then given less time.
 
     Raises:
         TransferError: the server does not give it.
     """
     problem = ""
-    for attempt in range(TRIES):
+    attempt = 0
+    while attempt < TRIES:
         try:
-            with _open(url, timeout=TIMEOUT if attempt else FIRST_TIMEOUT) as answer:
-                return answer.read(), answer.headers.get("Link", "")
-        except (OSError, http.client.HTTPException) as error:
+            with _open(url, timeout=FIRST_TIMEOUT if first else TIMEOUT) as answer:
+                return _document(answer), answer.headers.get("Link", "")
+        except (OSError, http.client.HTTPException, ValueError) as error:
             problem = _worth_another_try(url, error)
             if _is_unreached(error) and (_is_silent(error) or attempt + 1 >= UNREACHED_TRIES):
                 raise TransferError(
                     f"{url}: {problem}. No server can be reached: is there a network? A proxy is named by https_proxy. "
                     "What was fetched before stays, and the same command continues."
                 ) from error
+            if isinstance(error, TimeoutError):
+                # The wait was long enough.
+                attempt += SILENCE_COSTS
+                continue
         sleep(pause(attempt))
+        attempt += 1
     raise TransferError(
-        f"{url}: {problem}, {TRIES} times in a row; check the network or the proxy and try again."
+        f"{url}: {problem}, again and again; check the network or the proxy and try again."
     )
+
+
+def _document(answer: http.client.HTTPResponse) -> bytes:
+    """The body of an answer.
+
+    Raises:
+        TimeoutError: it takes longer than `MAX_DOCUMENT_S`.
+        ValueError: it is larger than `MAX_DOCUMENT_MB`.
+    """
+    began = time.monotonic()
+    body = b""
+    while chunk := answer.read1(CHUNK):
+        body += chunk
+        if len(body) > MAX_DOCUMENT_MB * 2**20:
+            raise ValueError(f"the answer is larger than {MAX_DOCUMENT_MB} MB")
+        if time.monotonic() - began > MAX_DOCUMENT_S:
+            raise TimeoutError(f"the answer took longer than {MAX_DOCUMENT_S:g} s")
+    return body
 
 
 def download(
@@ -114,6 +153,8 @@ def download(
             tell(-_size(part))
             part.unlink()
             failures += WRONG_COSTS - 1
+        if problem == _SILENT:
+            failures += SILENCE_COSTS - 1
         failures = 0 if _size(part) > before else failures + 1
         if stop is not None and stop.is_set():
             raise TransferError("interrupted")
@@ -153,7 +194,9 @@ def _append(
             part.unlink(missing_ok=True)
             return "the server refused to continue"
         return _worth_another_try(url, error)
-    except (OSError, http.client.HTTPException) as error:
+    except TimeoutError:
+        return _SILENT
+    except (OSError, http.client.HTTPException, ValueError) as error:
         return _worth_another_try(url, error)
     wanted = (
         expected.size if expected.size is not None else (have + int(length) if length else total)
@@ -203,12 +246,12 @@ def _wrong(part: Path, expected: Expected) -> tuple[str, str]:
     return "", sha256.hexdigest()
 
 
-def _open(url: str, start: int = 0, timeout: float = TIMEOUT) -> http.client.HTTPResponse:
+def _open(url: str, start: int = 0, timeout: float | None = None) -> http.client.HTTPResponse:
     """Ask for a file from byte ``start`` on. A fresh opener, since urllib's own keeps the proxies it saw first."""
     headers = {"User-Agent": f"mjhab/{__version__}", "Accept-Encoding": "identity"}
     if start:
         headers["Range"] = f"bytes={start}-"
-    return build_opener().open(Request(url, headers=headers), timeout=timeout)
+    return build_opener().open(Request(url, headers=headers), timeout=timeout or TIMEOUT)
 
 
 def _is_unreached(error: Exception) -> bool:
@@ -231,13 +274,17 @@ def _worth_another_try(url: str, error: Exception) -> str:
         hint = {401: "it needs an account", 403: "it is not public", 404: "it is not there"}.get(
             error.code, ""
         )
-        raise TransferError(
-            f"{url}: the server says {error.code} {error.reason}" + (f": {hint}." if hint else ".")
-        )
+        raise TransferError(f"{url}: {_refusal(error)}" + (f": {hint}." if hint else "."))
     if isinstance(error, HTTPError):
-        return f"the server says {error.code} {error.reason}"
-    reason = error.reason if isinstance(error, URLError) else error
-    return f"the connection failed ({reason})"
+        return _refusal(error)
+    if isinstance(error, TimeoutError):
+        return _SILENT
+    cause = error.reason if isinstance(error, URLError) else error
+    return f"the connection failed ({one_line(str(cause))})"
+
+
+def _refusal(error: HTTPError) -> str:
+    return f"the server says {error.code} {one_line(str(error.reason))}"
 
 
 def _size(path: Path) -> int:

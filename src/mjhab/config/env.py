@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import os
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.names import check_texts
+from mjhab.core.option_types import fitting
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
@@ -54,6 +54,8 @@ _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 @dataclass(frozen=True)
 class EnvConfig:
     """Options of an environment: robot, homes, task, observations, actions, rewards, episodes and backend.
+
+    None stands for the default of every option.
 
     profile: name of a `profiles.Profile`. It gives values to the options whose default is OF_PROFILE, and to
     ``horizon`` if that is 0; after construction the fields hold these values. "ms_hab" refuses other values of these
@@ -136,7 +138,7 @@ class EnvConfig:
     buffers: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._check_types()
+        self._take_types()
         if self.target == "all":
             object.__setattr__(self, "target", "")
         self._take_home_file()
@@ -166,33 +168,32 @@ class EnvConfig:
             robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
         self._check_numbers()
 
-    def _check_types(self) -> None:
-        """Refuse values of other types than their options have, as a file may hold them; a path becomes a text.
-
-        Raises:
-            UsageError: names the option.
-        """
-        for name in ("home", "spawns", "episodes_file"):
-            value = getattr(self, name)
-            if isinstance(value, os.PathLike):
-                object.__setattr__(self, name, str(value))
-        for option in dataclasses.fields(EnvConfig):
-            value = getattr(self, option.name)
-            text = isinstance(option.default, str) and option.name != "assets"
-            without = option.name == "render_mode" and value is None
-            if text and not isinstance(value, str) and not without:
-                raise UsageError(f"{option.name} must be a text, got {value!r}.")
-            if option.default_factory is dict and not isinstance(value, Mapping):
-                raise UsageError(f"{option.name} must be a mapping by name, got {value!r}.")
-        for name in ("extra_objects", "cameras", "stationary"):
-            value = getattr(self, name)
-            if value is not OF_PROFILE and not isinstance(value, str):
-                check_texts(name, value)
-
     def of_profile(self) -> dict[str, Any]:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""
         names = profile_named(self.profile).options(self.subtask, trains=self.trains)
         return {name: getattr(self, name) for name in ("profile", *names)}
+
+    def _take_types(self) -> None:
+        """Put defaults in place of None, and plain values in place of paths, lists and numbers of numpy.
+
+        Raises:
+            UsageError: an option has a value of another type, or a number out of its range.
+        """
+        if isinstance(self.starts, str):
+            raise UsageError(
+                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
+                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
+            )
+        hints = typing.get_type_hints(type(self))
+        for option in dataclasses.fields(self):
+            value = getattr(self, option.name)
+            if value is None and option.default is not dataclasses.MISSING:
+                value = option.default
+            elif value is None:
+                value = {}
+            if value is not None:
+                value = fitting(option.name, hints[option.name], value)
+            object.__setattr__(self, option.name, value)
 
     def _take_home_file(self) -> None:
         """Turn a home that is a file into the pack of that file, all homes of which are used.
@@ -242,15 +243,14 @@ class EnvConfig:
             )
 
     def _check_numbers(self) -> None:
-        if isinstance(self.starts, str):
-            raise UsageError(
-                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
-                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
-            )
+        for name in ("starts", "buffers"):
+            if self.backend == "cpu" and getattr(self, name):
+                raise UsageError(
+                    f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
+                )
         for name in WHOLE_NUMBERS:
-            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
-        is_number = isinstance(self.open_start, int | float)
-        if not is_number or not 0.0 <= self.open_start <= 1.0:
+            whole_number(name, getattr(self, name))
+        if not 0.0 <= self.open_start <= 1.0:
             raise UsageError(
                 f"open_start is a share of resets between 0 and 1, got {self.open_start!r}"
             )
@@ -361,6 +361,9 @@ def _override(
     with contextlib.suppress(TypeError, ValueError):
         new = type(present)(value) if not isinstance(present, bool) else value
     good = isinstance(value, bool) == isinstance(present, bool) and new == value
+    # A number may be as low as 0, or as its default, such as -1 for "without limit".
+    if isinstance(present, int | float) and good:
+        good = new >= min(0, present)
     if not good or (isinstance(present, tuple) and len(present) != len(tuple(new))):
         raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
     if part:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from mjhab.config.env import EnvConfig, TrainConfig
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.envs.conversion import keep_what_is_no_number
 from mjhab.sim.backends import resolve
 from mjhab.tasks.household.registry import TASKS, task_with
@@ -124,11 +124,13 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
 
     if "frameskip" in options:
         raise UnexpectedArgument(NO_FRAMESKIP)
-    if options.get("backend") == "warp":
-        raise UsageError(
-            "one world as a plain gymnasium.Env runs on backend 'cpu'; use gymnasium.make_vec for 'warp'"
-        )
     fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
+    for name, value in fixed.items():
+        if options.get(name) not in (None, value):
+            raise UsageError(
+                f"one world as a plain gymnasium.Env has {name} {value!r}, got {shown(options[name])}; "
+                "gymnasium.make_vec takes others."
+            )
     return SingleEnv(config_by_id(env_id, **{**options, **fixed}))
 
 

@@ -287,8 +287,8 @@ class SpawnSet:
                 f"there is no file {path}; `mjhab spawns make --out {path}` makes one."
             )
         with open_arrays(path, "spawn set", MAX_SET_MB) as data:
-            header = _read_header(str(data.read("header")))
-            columns = {name: data.read(name) for name in _COLUMNS}
+            header = _read_header(str(data["header"]))
+            columns = {name: data[name] for name in _COLUMNS}
             stated = header.pop("digest", "")
             if content_digest(header, columns) != stated:
                 raise ValueError("its content is not what its header says")

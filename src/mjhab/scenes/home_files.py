@@ -19,6 +19,7 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.files.records import read_record
 from mjhab.core.names import check_name
+from mjhab.core.option_types import fitting
 from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
 from mjhab.scenes.builtin.materials import MATERIALS
@@ -128,8 +129,9 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
     """
     if not files:
         raise UsageError("a pack of homes needs at least one home file.")
-    read = [(Path(file), read_home_file(Path(file))) for file in files]
-    pack_name = name or read[0][1].name
+    places = [Path(fitting("home file", str, file)) for file in files]
+    read = [(place, read_home_file(place)) for place in places]
+    pack_name = fitting("name of the pack", str, name) or read[0][1].name
     pack = Pack(
         pack_name,
         builtin_props(),
@@ -148,7 +150,7 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
         home = _home(pack, stated, file)
         check_home(file, pack, home)
         pack = dataclasses.replace(pack, homes=(*pack.homes, home))
-    return check_pack(pack, files[0] if isinstance(files[0], Path) else Path(files[0]))
+    return check_pack(pack, places[0])
 
 
 def read_home_file(file: Path) -> HomeFile:

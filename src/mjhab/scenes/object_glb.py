@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import QhullError
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, shown
 from mjhab.core.names import check_name
+from mjhab.core.option_types import fitting
 from mjhab.scenes.formats.gltf import TO_Z_UP, Primitive, read_glb
 from mjhab.scenes.objects import ObjectModel
 from mjhab.scenes.pack_check import MAX_MASS_KG, MIN_MASS_KG, check_range
@@ -52,7 +53,9 @@ def object_from_glb(
         >>> mug = mjhab.object_from_glb("mug", "examples/mug/mug.glb", mass=0.25)
         >>> mjhab.register_object(mug)
     """
-    path = Path(path)
+    path = Path(fitting("path of the object", str, path))
+    mass = fitting(f"mass of {shown(name)}", float, mass)
+    scale = fitting(f"scale of {shown(name)}", float, scale)
     try:
         check_name("name of the object", name)
         check_range(f"mass of {name}", mass, MIN_MASS_KG, MAX_MASS_KG, "kg")
@@ -73,7 +76,7 @@ def object_from_glb(
     check_extent(path, 2 * half)
     meshes = {f"{name}/piece_{k}": _moved(hull, -center) for k, hull in enumerate(hulls)}
     collision = tuple(Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False) for mesh in meshes)
-    shown = [dataclasses.replace(part, vertices=part.vertices - center) for part in seen or pieces]
+    drawn = [dataclasses.replace(part, vertices=part.vertices - center) for part in seen or pieces]
     x, y, z = half.tolist()
     kind = ObjectType(
         name,
@@ -83,7 +86,7 @@ def object_from_glb(
         (look(f"{name}/look", "plain_white"),),
         grasp_shape="mesh",
     )
-    return ObjectModel(kind, {**meshes, f"{name}/look": textured_mesh(shown)}, words)
+    return ObjectModel(kind, {**meshes, f"{name}/look": textured_mesh(drawn)}, words)
 
 
 def _upright(part: Primitive, scale: float) -> Primitive:

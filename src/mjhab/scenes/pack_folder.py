@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.records import read_record
 from mjhab.scenes.pack_check import check_pack
@@ -21,6 +21,8 @@ from mjhab.scenes.spec import Articulation, Home, ObjectType, Pack, Prop, Roles
 PACK_FORMAT = "mjhab-pack-1"
 _JSON = "pack.json"
 _MESHES = "meshes.npz"
+MAX_MESHES_MB = 2048
+"""Largest meshes of a pack [MB], unpacked; those of all 84 homes of ReplicaCAD take 49."""
 
 
 def save_pack(pack: Pack, folder: Path) -> None:
@@ -104,17 +106,8 @@ def load_pack(folder: Path) -> Pack:
 
 
 def _read_meshes(path: Path, names: tuple[str, ...]) -> dict[str, object]:
-    meshes: dict[str, object] = {}
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            for name in names:
-                for part in ("vertices", "faces"):
-                    if f"{name}/{part}" not in arrays:
-                        raise UsageError(f"{path}: array '{name}/{part}' is missing.")
-                meshes[name] = mesh_from_arrays(name, arrays)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise UsageError(f"{path}: cannot be read ({error}); write the pack again.") from error
-    return meshes
+    with open_arrays(path, "file of the meshes of a pack", MAX_MESHES_MB) as arrays:
+        return {name: mesh_from_arrays(name, arrays) for name in names}
 
 
 def _check_names(pack: Pack, path: Path) -> None:

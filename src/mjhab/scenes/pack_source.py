@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.files.reading import beside
+from mjhab.core.names import check_name
+from mjhab.core.option_types import fitting
 from mjhab.core.registration.registry import Registry, check_item
 from mjhab.scenes.spec import Pack
 
@@ -29,8 +34,10 @@ class PackRequest:
     scenes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for name, hint in typing.get_type_hints(type(self)).items():
+            value = fitting(f"assets: {name}", hint, getattr(self, name))
+            object.__setattr__(self, name, value)
         object.__setattr__(self, "articulate", tuple(sorted(set(self.articulate))))
-        object.__setattr__(self, "scenes", tuple(self.scenes))
 
     def __str__(self) -> str:
         """For people: the place, and in brackets what differs from the pack as it is."""
@@ -67,7 +74,7 @@ def pack_request(assets: Assets) -> PackRequest:
     """The request that a caller or a file states.
 
     Raises:
-        UsageError: a mapping with other keys than the fields of `PackRequest`, or none of these types.
+        UsageError: neither a text, a request, nor a mapping; or one with other keys than the fields of `PackRequest`.
     """
     if isinstance(assets, PackRequest):
         return assets
@@ -75,7 +82,7 @@ def pack_request(assets: Assets) -> PackRequest:
         return _from_text(assets)
     if not isinstance(assets, Mapping):
         raise UsageError(
-            f"assets must be a name, a path as a text, or a mapping of options, got {assets!r}."
+            f"assets must be the name or path of a pack, or a PackRequest, got {shown(assets)}."
         )
     names = [f.name for f in dataclasses.fields(PackRequest)]
     for key in assets:
@@ -105,6 +112,18 @@ class PackSource:
     open: Callable[[PackRequest], Pack]
     finds: Callable[[str], bool] | None = None
     options: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        try:
+            check_name("name of a pack source", self.name)
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+        if not callable(self.open) or not (self.finds is None or callable(self.finds)):
+            raise UsageError(
+                f"pack source {self.name!r}: open, and finds unless it is None, must be functions."
+            )
+        options = fitting(f"pack source {self.name!r}: options", tuple[str, ...], (*self.options,))
+        object.__setattr__(self, "options", frozenset(options))
 
 
 PACK_SOURCES: Registry[PackSource] = Registry(
@@ -137,8 +156,13 @@ def source_of(request: PackRequest) -> PackSource | None:
     """The source that opens a request, None if none does.
 
     Raises:
-        UsageError: the source does not take an option of the request.
+        UsageError: the source does not take an option of the request, or the place is none that can be.
     """
+    try:
+        # Sources look for files there; a name that no file can have is told before.
+        beside(Path(), request.place)
+    except ValueError as error:
+        raise UsageError(f"assets: {error}") from error
     found = _named_source(request.place) or next(
         (s for s in PACK_SOURCES.values() if s.finds is not None and s.finds(request.place)), None
     )

@@ -6,7 +6,7 @@ import lzma
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -21,7 +21,6 @@ _SUFFIX = ".npy"
 _DAMAGE = (
     OSError,
     ValueError,
-    KeyError,
     EOFError,
     RuntimeError,  # encrypted, or packed by a method that is not known (NotImplementedError)
     zipfile.BadZipFile,
@@ -30,33 +29,40 @@ _DAMAGE = (
 )
 
 
-class Arrays:
-    """The arrays of an opened file; each is unpacked when it is asked for.
+class Arrays(Mapping[str, np.ndarray]):
+    """The arrays of an opened file by name; each is unpacked when it is asked for.
 
-    Its methods raise only what `open_arrays` turns into a UsageError.
+    What it raises for damage, `open_arrays` turns into a UsageError.
     """
 
     def __init__(self, file: zipfile.ZipFile, most_mb: float) -> None:
         self._file = file
-        self._left = int(most_mb * _MB)
         self._most_mb = most_mb
+        self._left = int(most_mb * _MB)
+        self._entries = {
+            info.filename.removesuffix(_SUFFIX): info
+            for info in file.infolist()
+            if info.filename.endswith(_SUFFIX)
+        }
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all arrays."""
-        return tuple(name.removesuffix(_SUFFIX) for name in self._file.namelist())
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
 
-    def read(self, name: str) -> np.ndarray:
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def __getitem__(self, name: str) -> np.ndarray:
         """An array.
 
         Raises:
-            ValueError: there is none of this name, it holds Python objects, is damaged, or the arrays that were read
-                so far are larger than the limit together.
+            KeyError: there is none of this name.
+            ValueError: it holds Python objects, is damaged, or the arrays that were read so far are larger than the
+                limit together.
         """
-        try:
-            info = self._file.getinfo(name + _SUFFIX)
-        except KeyError as error:
-            raise ValueError(f"array {name!r} is missing") from error
+        info = self._entries[name]
         # A small file may state, and hold, any size.
         self._left -= info.file_size
         if self._left < 0:
@@ -94,6 +100,8 @@ def open_arrays(path: Path, what: str, most_mb: float) -> Iterator[Arrays]:
     try:
         with zipfile.ZipFile(path) as file:
             yield Arrays(file, most_mb)
+    except KeyError as error:
+        raise UsageError(f"{path}: array {error} is missing; this is no {what}.") from error
     except _DAMAGE as error:
         raise UsageError(
             f"{path} is no {what}, or is damaged ({reason(error)}); make it again."

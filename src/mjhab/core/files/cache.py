@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from mjhab.core.errors import MjhabError
+from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.progress import say
 
 CACHE_VARIABLE = "MJHAB_CACHE"
@@ -41,19 +41,24 @@ def cache_dir() -> Path:
 
 
 def _wanted_dir() -> Path:
+    """The folder that the user wants; that of a user who has no home cannot be made."""
     given = os.environ.get(CACHE_VARIABLE)
     if given:
         return Path(given)
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else _home() / ".cache") / "mjhab"
+    return (Path(base) if base else (_home() or _NO_HOME) / ".cache") / "mjhab"
 
 
-def _home() -> Path:
+_NO_HOME = Path("/dev/null")
+"""Takes the place of a home that is not there: nothing can be made below it."""
+
+
+def _home() -> Path | None:
+    """The user's home; None for a user whom the system does not know, without $HOME."""
     try:
         return Path.home()
     except RuntimeError:
-        # A user without an entry in the system's list of users, and without $HOME.
-        return Path(tempfile.gettempdir()) / f"mjhab-{os.getuid()}"
+        return None
 
 
 def _temporary_dir(wanted: Path, error: Exception) -> Path:
@@ -71,8 +76,11 @@ def _temporary_dir(wanted: Path, error: Exception) -> Path:
         for room in wanted.iterdir():
             if room.is_dir() and room.name != _MANY_FILES:
                 shutil.copytree(room, folder / room.name, copy_function=os.symlink)
+    cause = f"the cache {wanted} cannot be written ({reason})"
+    if wanted.is_relative_to(_NO_HOME):
+        cause = "this user has no home folder for the cache"
     say(
-        f"mjhab: the cache {wanted} cannot be written ({reason}); what is compiled now is lost when this process ends. "
+        f"mjhab: {cause}; what is compiled now is lost when this process ends. "
         f"${CACHE_VARIABLE} chooses another folder."
     )
     # Processes that this one starts share the folder.
@@ -109,12 +117,23 @@ def write_cached(path: Path, write: Callable[[Path], object]) -> Path:
 
 
 def assets_dir() -> Path:
-    """Folder of downloaded data sets: ``$MJHAB_ASSETS``, else ``$XDG_DATA_HOME/mjhab/assets``, else in ``~/.local``."""
+    """Folder of downloaded data sets: ``$MJHAB_ASSETS``, else ``$XDG_DATA_HOME/mjhab/assets``, else in ``~/.local``.
+
+    Raises:
+        UsageError: the user has no home.
+    """
     given = os.environ.get("MJHAB_ASSETS")
     if given:
         return Path(given)
     base = os.environ.get("XDG_DATA_HOME")
-    return (Path(base) if base else Path.home() / ".local" / "share") / "mjhab" / "assets"
+    if base:
+        return Path(base) / "mjhab" / "assets"
+    home = _home()
+    if home is None:
+        raise UsageError(
+            "this user has no home folder; name a folder for data sets by $MJHAB_ASSETS."
+        )
+    return home / ".local" / "share" / "mjhab" / "assets"
 
 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:

@@ -152,5 +152,10 @@ def read_json_object(path: Path, most_mb: float = MAX_JSON_MB) -> dict[str, Any]
 def reason(error: BaseException) -> str:
     """What an exception of the system or of a library says, on one short line."""
     said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    line = " ".join(str(said).split())
+    return one_line(str(said))
+
+
+def one_line(text: str) -> str:
+    """A text of others on one short line."""
+    line = " ".join(text.split())
     return line if len(line) <= _MAX_SHOWN_CHARACTERS else f"{line[:_MAX_SHOWN_CHARACTERS]}..."

@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, shown
+from mjhab.core.files.reading import reason
 
 ENTRY_POINT_GROUP = "mjhab.plugins"
 PATHS_VARIABLE = "MJHAB_PLUGINS"
@@ -90,8 +91,15 @@ def load_plugin(path: str | Path) -> Plugin:
 
 
 def _place(path: str | Path) -> Path:
-    """The full path of a plugin; of a package its folder."""
-    place = Path(path).expanduser().resolve()
+    """The full path of a plugin; of a package its folder.
+
+    Raises:
+        UsageError: it is no path, or begins with the home of somebody who has none.
+    """
+    try:
+        place = Path(path).expanduser().resolve()
+    except (TypeError, ValueError, RuntimeError, OSError) as error:
+        raise UsageError(f"{shown(path)} is no path of a plugin ({reason(error)}).") from error
     return place.parent if place.name == "__init__.py" else place
 
 

@@ -332,17 +332,19 @@ def _marker(value: Any, where: str) -> Marker:
     try:
         params = value["params"]
         x, y, z = (float(v) for v in params["offset"])
-        return Marker(
+        marker = Marker(
             str(value["name"]),
             str(params["object"]),
             str(params["link"]),
             (x, y, z),
             str(value["type"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ValueError(
             f"{where}: expected name, type and params with offset, link and object."
         ) from error
+    check_range(f"{where}.params.offset", marker.offset, -MAX_POSITION_M, MAX_POSITION_M, "m")
+    return marker
 
 
 def _receptacles(value: list[Any], where: str) -> tuple[Receptacle, ...]:

@@ -1,0 +1,95 @@
+"""Types of options that a caller gives in Python, where no parser has looked at them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Mapping
+from numbers import Integral, Real
+from os import PathLike, fspath
+from typing import Any
+
+from mjhab.core.errors import UsageError, shown
+
+MAX_TEXT_CHARACTERS = 4096
+
+
+def fitting(name: str, hint: Any, value: Any) -> Any:
+    """The value of an option, as the plain type that its annotation states.
+
+    Args:
+        name: of the option, for the message.
+        hint: the annotation: text, whole number, number, yes or no, a tuple of texts or of numbers, a mapping with
+            texts as keys, or several of these.
+        value: what the caller gave; a path stands for its text, a list for a tuple, a number of numpy for a plain one.
+
+    Raises:
+        UsageError: it is of another type, or a text that is too long or holds NUL.
+    """
+    kinds = typing.get_args(hint) if _is_union(hint) else (hint,)
+    for kind in kinds:
+        found = _read(name, kind, value)
+        if found is not _UNFIT:
+            return found
+    expected = " or ".join(_WORDS.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds)
+    raise UsageError(f"{name} must be {expected}, got {shown(value)} ({type(value).__name__}).")
+
+
+_UNFIT = object()
+_WORDS: dict[Any, str] = {
+    str: "a text",
+    int: "a whole number",
+    float: "a finite number",
+    bool: "True or False",
+    tuple: "a tuple",
+    Mapping: "a mapping with texts as keys",
+    types.NoneType: "None",
+}
+
+
+def _is_union(hint: Any) -> bool:
+    return typing.get_origin(hint) in (types.UnionType, typing.Union)
+
+
+def _read(name: str, kind: Any, value: Any) -> Any:
+    """The value as ``kind``, or `_UNFIT`."""
+    origin = typing.get_origin(kind) or kind
+    is_bool = isinstance(value, bool) or type(value).__name__ == "bool"
+    if origin is types.NoneType:
+        return None if value is None else _UNFIT
+    if origin is bool:
+        return bool(value) if is_bool else _UNFIT
+    if origin is str and isinstance(value, str | PathLike):
+        return _text(name, fspath(value))
+    if origin is int and isinstance(value, Integral) and not is_bool:
+        return int(value)
+    if origin is float and isinstance(value, Real) and not is_bool:
+        return float(value) if math.isfinite(value) else _UNFIT
+    if origin is tuple and isinstance(value, list | tuple):
+        return _tuple(name, typing.get_args(kind), value)
+    if origin is Mapping and isinstance(value, Mapping):
+        return value if all(isinstance(key, str) for key in value) else _UNFIT
+    if dataclasses.is_dataclass(origin) and isinstance(value, typing.cast(type, origin)):
+        return value
+    return _UNFIT
+
+
+def _tuple(name: str, kinds: tuple[Any, ...], value: list[Any] | tuple[Any, ...]) -> Any:
+    if Ellipsis in kinds:
+        kinds = (kinds[0],) * len(value)
+    if len(kinds) != len(value):
+        return _UNFIT
+    found = tuple(_read(name, kind, entry) for kind, entry in zip(kinds, value, strict=True))
+    return _UNFIT if any(entry is _UNFIT for entry in found) else found
+
+
+def _text(name: str, value: Any) -> Any:
+    if not isinstance(value, str):
+        return _UNFIT
+    if len(value) > MAX_TEXT_CHARACTERS or "\0" in value:
+        raise UsageError(
+            f"{name} must be a text of at most {MAX_TEXT_CHARACTERS:,} characters without NUL, got {shown(value)}."
+        )
+    return value

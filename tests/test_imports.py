@@ -62,7 +62,13 @@ HEAVY: dict[str, frozenset[str]] = {
 
 MOST_FILES = 15
 """Files beside the subfolders of a folder."""
-FILES = sorted(path for path in SOURCE.rglob("*.py") if path.parent != SOURCE)
+EXAMPLES = SOURCE / "examples"
+"""Examples of what users write; nothing of the package imports them."""
+FILES = sorted(
+    path
+    for path in SOURCE.rglob("*.py")
+    if path.parent != SOURCE and not path.is_relative_to(EXAMPLES)
+)
 
 
 PAGE = Path(__file__).parents[1] / "docs" / "architecture.md"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -17,8 +19,10 @@ from mjhab.bench import engine as bench
 from mjhab.bench import grasp as grasp_bench
 from mjhab.cli.machine import doctor
 from mjhab.cli.main import main
+from mjhab.cli.output import print_table
 from mjhab.cli.policies import evaluate
-from mjhab.core.machine import pip_install
+from mjhab.core import machine as machine_module
+from mjhab.core.machine import checkout, install_extra, pip_install
 from mjhab.core.registration.plugins import Plugin
 from mjhab.core.version import __version__
 from mjhab.render import gl_probe, views
@@ -179,13 +183,41 @@ def test_doctor_knows_all_extras() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
     extras = set(project["optional-dependencies"]) - {"all", "dev"}
     assert set(doctor.EXTRAS) == extras
-    assert pip_install("view").startswith((sys.executable, "uv "))
+
+
+def test_hints_install_into_the_python_that_runs_from_where_mjhab_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    root = Path(__file__).parents[2]
+    assert checkout() == root
+    assert shlex.split(install_extra("view"))[-2:] == ["-e", f"{root}[view]"]
+    assert shlex.split(pip_install("torchrl", "sets of words"))[-2:] == ["torchrl", "sets of words"]
+    assert pip_install("torchrl").startswith((sys.executable, "uv "))
+    monkeypatch.setattr(machine_module, "__file__", "/lib/site-packages/mjhab/core/machine.py")
+    assert shlex.split(install_extra("view"))[-1] == "mjhab[view]"
 
 
 def test_tables_are_whole_where_nobody_sees_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["envs", "describe", "mjhab/CloseSubtaskTrain-v1", "--obs", "depth"]) == 0
     text = capsys.readouterr().out
     assert "…" not in text and "sensor_param/fetch_head/extrinsic_cv" in text
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 200])
+def test_tables_cut_no_word_in_narrow_terminals(
+    width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    columns = ("key", "shape", "dtype", "unit", "frame", "meaning")
+    row = ("extra/tcp_pose_wrt_base", 7, "float32", "m, wxyz", "base_link", "position, quaternion")
+    print_table("observations", columns, [row, row])
+    text = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert max(map(len, text.splitlines())) <= width and "…" not in text
+    words = " ".join([*columns, *map(str, row)]).split()
+    assert all(text.count(word) >= 1 for word in words)
+    assert text.count("extra/tcp_pose_wrt_base") == 2
+    assert ("┃" in text) == (width >= 80)
 
 
 def test_a_reader_may_stop_early() -> None:

@@ -78,7 +78,6 @@ def run_page(page: Path, folder: Path) -> list[str]:
     """Run a page in a folder, which is made anew; returns the commands that failed."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    (folder / "examples").symlink_to(ROOT / "examples")
     shutil.copytree(ROOT / "docs" / "results", folder / "docs" / "results")
     for block in [*saved(README), *saved(page)]:
         (folder / block.file).write_text(block.code)

@@ -88,7 +88,9 @@ def test_the_grasp_bench_and_the_engine_bench_take_it() -> None:
 def test_a_robot_whose_files_are_missing_says_where_to_get_them() -> None:
     """With robosuite installed the robot is made of its files; without it the error tells the command."""
     if importlib.util.find_spec("robosuite") is None:
-        with pytest.raises(mjhab.core.errors.MjhabError, match="pip install --no-deps robosuite"):
+        with pytest.raises(
+            mjhab.core.errors.MjhabError, match="-m pip install --no-deps robosuite"
+        ):
             mjhab.make(robot="panda_omron", task="set_table")
         return
     panda = robot_named("panda_omron")

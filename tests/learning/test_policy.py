@@ -143,7 +143,7 @@ def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     )
     with pytest.raises(
         UsageError,
-        match=r"learning needs torch, which is not installed.*pip install 'mjhab\[learn\]'",
+        match=r"learning needs torch, which is not installed.*pip install .*\[learn\]'",
     ):
         inspect_policy("any.safetensors")
 

@@ -8,6 +8,8 @@ SOURCE: the folder src/mjhab that the wheel was made of. OUT: folder for the dem
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,10 +19,15 @@ import mjhab
 COMMAND = Path(sys.executable).with_name("mjhab")
 
 
-def run(*args: str) -> dict:
-    """The last line of the JSON that a command prints."""
+def run(*args: str, **variables: str) -> dict:
+    """The last line of the JSON that a command prints, with variables of the environment."""
     done = subprocess.run(
-        [COMMAND, *args, "--json"], capture_output=True, text=True, timeout=1200, check=False
+        [COMMAND, *args, "--json"],
+        capture_output=True,
+        text=True,
+        timeout=1200,
+        check=False,
+        env={**os.environ, **variables},
     )
     assert done.returncode == 0, f"mjhab {' '.join(args)}: {done.stderr}"
     return json.loads(done.stdout.strip().splitlines()[-1])
@@ -40,9 +47,21 @@ def check_files(source: Path) -> int:
     return sum(name.suffix != ".py" for name in names)
 
 
+def check_examples(folder: Path) -> None:
+    """The examples come with the wheel, and one of them runs as a plugin."""
+    shutil.rmtree(folder, ignore_errors=True)
+    told = run("examples", "--out", str(folder))
+    assert told["written"] > 10 and set(told["commands"]) == {p.name for p in folder.iterdir()}
+    plugin = {"MJHAB_PLUGINS": str(folder / "push")}
+    words = ("--task", "push_objects", "--subtask", "push", "--episodes", "1", "--films", "0")
+    out = str(folder.with_name("push"))
+    assert run("eval", *words, "--out", out, "--overwrite", **plugin)["episodes"] == 1
+
+
 def main(source: Path, out: Path) -> None:
     """Check the files, then run what a new user runs."""
     data = check_files(source)
+    check_examples(out.with_name("examples"))
     homes = run("homes", "list")["homes"]
     assert len(homes) == 105, len(homes)
     assert run("envs", "list")

@@ -57,6 +57,7 @@ Command = (
     | Annotated[data.DataCommand, Sub("data")]
     | Annotated[data.LabelOptions, Sub("label")]
     | Annotated[export.ExportCommand, Sub("export")]
+    | Annotated[opt.ExamplesOptions, Sub("examples")]
     | Annotated[gpu.WarmupOptions, Sub("warmup")]
     | Annotated[opt.DoctorOptions, Sub("doctor")]
 )
@@ -93,6 +94,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     data.DataCommand: ("cli.datasets.data", "run_data"),
     data.LabelOptions: ("cli.datasets.data", "run_data"),
     export.ExportCommand: ("cli.datasets.export", "run_export"),
+    opt.ExamplesOptions: ("cli.machine.examples", "run_examples"),
     gpu.WarmupOptions: ("cli.machine.warmup", "run_warmup"),
     opt.DoctorOptions: ("cli.machine.doctor", "run_doctor"),
 }

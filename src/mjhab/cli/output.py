@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -15,6 +16,8 @@ from mjhab.core.errors import UsageError
 
 PIPED_WIDTH = 10_000
 """Width of output that does not go to a terminal [characters]; wider than any table."""
+FRAME_WIDTH = 3
+"""Border and padding of a column [characters]; one more border ends the table."""
 
 
 def print_json(value: Mapping[str, Any]) -> None:
@@ -25,18 +28,60 @@ def print_json(value: Mapping[str, Any]) -> None:
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table on stdout; numbers are right-aligned.
 
-    In a terminal cells wrap, so that nothing is cut off; otherwise every row is one line, as wide as its content.
+    In a terminal cells wrap between words. Where the terminal is too narrow for that, every row is a list of its cells.
+    Nothing is cut off. Where nobody sees a terminal, every row is one line, as wide as its content.
     """
     rows = [list(row) for row in rows]
+    console = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
+    widths = _widths([columns, *rows], console.width - 1 - FRAME_WIDTH * len(columns))
+    if widths is None:
+        console.print(Text(title, style="bold"))
+        for row in rows:
+            console.print(_cells(columns, row))
+        return
     table = Table(title=title, title_justify="left", title_style="bold")
     for i, name in enumerate(columns):
         numeric = bool(rows) and all(
             isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in rows
         )
-        table.add_column(name, justify="right" if numeric else "left", overflow="fold")
+        table.add_column(
+            name, justify="right" if numeric else "left", width=widths[i], overflow="fold"
+        )
     for row in rows:
         table.add_row(*(Text(str(cell)) for cell in row))
-    Console(width=None if sys.stdout.isatty() else PIPED_WIDTH).print(table)
+    console.print(table)
+
+
+def _widths(rows: Sequence[Sequence[object]], room: int) -> list[int] | None:
+    """Width of every column so that no word is broken, at most ``room`` together; None if there is no room."""
+    cells = [[str(row[i]) for row in rows] for i in range(len(rows[0]))]
+    widths = [
+        max(cell_len(word) for cell in column for word in [*cell.split(), ""]) for column in cells
+    ]
+    wanted = [
+        max(cell_len(line) for cell in column for line in [*cell.splitlines(), ""])
+        for column in cells
+    ]
+    spare = room - sum(widths)
+    if spare < 0:
+        return None
+    # What a column with a small wish leaves over goes to those with larger ones.
+    order = sorted(range(len(widths)), key=lambda i: wanted[i] - widths[i])
+    for place, i in enumerate(order):
+        more = min(wanted[i] - widths[i], spare // (len(order) - place))
+        widths[i] += more
+        spare -= more
+    return widths
+
+
+def _cells(columns: Sequence[str], row: Sequence[object]) -> Table:
+    """A row as a list, a line per cell, with an empty line after it; words wider than the terminal are broken."""
+    cells = Table.grid("", "", padding=(0, 2, 0, 0))
+    cells.columns[1].overflow = "fold"
+    for name, cell in zip(columns, row, strict=True):
+        cells.add_row(Text(name, style="bold"), Text(str(cell)))
+    cells.add_row()
+    return cells
 
 
 def at_least(option: str, value: float, least: float) -> None:

@@ -32,12 +32,37 @@ def installed(package: str) -> str | None:
         return None
 
 
-def pip_install(extra: str) -> str:
-    """The command that brings an extra of mjhab to the Python that runs, whatever folder or shell it is given in."""
-    python = shlex.quote(sys.executable or "python")
+def pip_install(*words: str) -> str:
+    """The command that installs into the Python that runs, whatever folder or shell it is given in.
+
+    Args:
+        words: requirements and options of pip.
+    """
+    python = sys.executable or "python"
+    tool = [python, "-m", "pip", "install"]
     if importlib.util.find_spec("pip") is None:
-        return f"uv pip install --python {python} 'mjhab[{extra}]'"
-    return f"{python} -m pip install 'mjhab[{extra}]'"
+        tool = ["uv", "pip", "install", "--python", python]
+    return shlex.join([*tool, *words])
+
+
+def install_extra(extra: str) -> str:
+    """The command that brings an extra of mjhab to the Python that runs.
+
+    It names the checkout that mjhab runs from, which need not be installed. Without one it names the package, which is
+    installed, so that pip asks an index for what the extra needs alone.
+    """
+    folder = checkout()
+    if folder is None:
+        return pip_install(f"mjhab[{extra}]")
+    return pip_install("-e", f"{folder}[{extra}]")
+
+
+def checkout() -> Path | None:
+    """The folder of the checkout that mjhab runs from, None where it runs from an installed package."""
+    source = Path(__file__).resolve().parents[2]
+    if source.name == "src" and (source.parent / "pyproject.toml").is_file():
+        return source.parent
+    return None
 
 
 def gpu_name() -> str | None:

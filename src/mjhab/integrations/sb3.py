@@ -10,6 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.machine import pip_install
 
 
 def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
@@ -31,7 +32,9 @@ def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
     try:
         from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise UsageError("to_sb3 needs stable-baselines3: pip install stable-baselines3") from error
+        raise UsageError(
+            f"to_sb3 needs stable-baselines3: {pip_install('stable-baselines3')}"
+        ) from error
     if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
         raise UsageError(
             "stable-baselines3 needs an environment that resets itself; make it with autoreset='same_step'."

@@ -8,6 +8,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import pip_install
 
 SUCCESS = "success"
 """Entry of the TensorDicts: (W, 1) bool, whether the subtask is achieved now."""
@@ -29,7 +30,7 @@ def to_torchrl(env: VectorEnv) -> Any:
     try:
         from torchrl.envs import EnvBase  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise UsageError("to_torchrl needs torchrl: pip install torchrl") from error
+        raise UsageError(f"to_torchrl needs torchrl: {pip_install('torchrl')}") from error
     if env.metadata.get("autoreset_mode") != AutoresetMode.DISABLED:
         raise UsageError(
             "torchrl resets worlds itself; make the environment with autoreset='disabled'."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 
 from mjhab.core.errors import UsageError
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 
 LIBRARIES = ("torch", "safetensors", "tensorboard")
 """What the extra ``[learn]`` installs."""
@@ -21,5 +21,5 @@ def require_learn() -> None:
     if missing:
         raise UsageError(
             f"learning needs {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed. "
-            f"Install the extra: {pip_install('learn')}"
+            f"Install the extra: {install_extra('learn')}"
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 from mjhab.core.errors import UsageError
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 
 
 def require_serving() -> None:
@@ -20,4 +20,4 @@ def require_serving() -> None:
     """
     lacking = [name for name in ("msgpack", "websockets") if find_spec(name) is None]
     if lacking:
-        raise UsageError(f"served policies need {' and '.join(lacking)}: {pip_install('serve')}.")
+        raise UsageError(f"served policies need {' and '.join(lacking)}: {install_extra('serve')}.")

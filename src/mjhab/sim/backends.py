@@ -6,7 +6,7 @@ import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 
 if TYPE_CHECKING:
     from mjhab.layout.layout import Layout
@@ -34,7 +34,7 @@ def resolve(name: str) -> str:
         return "warp" if not missing and cuda_devices() else "cpu"
     if name == "warp" and missing:
         raise UsageError(
-            f"backend 'warp' needs {', '.join(missing)}, not installed here: {pip_install('gpu')}"
+            f"backend 'warp' needs {', '.join(missing)}, not installed here: {install_extra('gpu')}"
         )
     return name
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 
 from mjhab.core.errors import UsageError
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 
 
 def require_viser() -> None:
@@ -16,6 +16,6 @@ def require_viser() -> None:
     """
     if importlib.util.find_spec("viser") is None:
         raise UsageError(
-            f"mjhab view needs viser, which is not installed: {pip_install('view')}. Without it, --export writes "
+            f"mjhab view needs viser, which is not installed: {install_extra('view')}. Without it, --export writes "
             "an episode as a page."
         )

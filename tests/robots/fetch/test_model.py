@@ -214,7 +214,7 @@ def test_robot_meshes_are_sound_and_materials_known() -> None:
 
 def test_missing_mesh_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MjhabError, match="pip install gymnasium-robotics"):
+    with pytest.raises(MjhabError, match=r"pip install .*gymnasium-robotics"):
         fetch_visuals.robot_meshes.__wrapped__()
 
 

@@ -12,7 +12,7 @@ from mjhab.cli.datasets.data import read_filter
 from mjhab.cli.options.export import ExportLerobotOptions, ExportManiskillOptions
 from mjhab.cli.output import print_json
 from mjhab.core.errors import UsageError
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 from mjhab.core.progress import late_bar
 from mjhab.data.export.maniskill import export_maniskill
 from mjhab.data.export.request import ExportRequest
@@ -70,7 +70,7 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise
         raise UsageError(
-            f"LeRobot data sets need pyarrow; install it with: {pip_install('data')}"
+            f"LeRobot data sets need pyarrow; install it with: {install_extra('data')}"
         ) from error
     choice = lerobot.Choice(
         not options.no_rgb, not options.no_depth, not options.no_seg, options.until

@@ -11,7 +11,7 @@ from typing import Any
 from mjhab.cli.options.common import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.files.cache import cache_dir
-from mjhab.core.machine import cores, gpu_name, installed, pip_install
+from mjhab.core.machine import cores, gpu_name, install_extra, installed, pip_install
 from mjhab.core.memory_cache import LIMIT_VARIABLE, memory_limit_mb
 from mjhab.core.registration.plugins import loaded_plugins
 from mjhab.core.version import __version__
@@ -71,7 +71,7 @@ def diagnose() -> dict[str, Any]:
 def _print(found: dict[str, Any]) -> None:
     mujoco = found["mujoco"] or "missing"
     if found["mujoco"] != PINNED_MUJOCO:
-        mujoco += f"; mjhab needs {PINNED_MUJOCO}: pip install mujoco=={PINNED_MUJOCO}"
+        mujoco += f"; mjhab needs {PINNED_MUJOCO}: {pip_install(f'mujoco=={PINNED_MUJOCO}')}"
     rows = [("mjhab", __version__), ("python", found["python"]), ("mujoco", mujoco)]
     rows += [
         (name, installed(name) or "missing")
@@ -81,7 +81,7 @@ def _print(found: dict[str, Any]) -> None:
     extras = []
     for name, modules in EXTRAS.items():
         here = all(importlib.util.find_spec(module) for module in modules)
-        extras.append((name, ", ".join(modules), "yes" if here else f"no: {pip_install(name)}"))
+        extras.append((name, ", ".join(modules), "yes" if here else f"no: {install_extra(name)}"))
     print_table("extras", ("extra", "modules", "installed"), extras)
     robots = [
         (name, f"no: {missing}" if missing else "yes") for name, missing in found["robots"].items()

@@ -431,6 +431,21 @@ class BenchGraspOptions:
 
 
 @dataclass(frozen=True)
+class ExamplesOptions:
+    """Copy the examples of plugins and homes into a folder, and show how to try them.
+
+    `mjhab examples`
+
+    Files that are there already are kept; files with other content are refused.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("examples")
+    """Folder to copy them into."""
+    json: bool = False
+    """Print one line of JSON."""
+
+
+@dataclass(frozen=True)
 class DoctorOptions:
     """Show installed libraries, working renderers, the number of cores, and the folders of caches.
 

@@ -235,7 +235,7 @@ class BenchLearnerOptions(LearnerSpec):
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Train a policy on the robot's observations; needs pip install 'mjhab[learn]'."""
+    """Train a policy on the robot's observations; needs the extra `learn` (see `mjhab doctor`)."""
 
     command: (
         Annotated[TrainBcOptions, Sub("bc")]

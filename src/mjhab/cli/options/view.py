@@ -36,7 +36,7 @@ class ViewOptions(PolicyProfileOptions):
     One episode as a page: `mjhab view runs/pick --export pick.html`
 
     From another machine: `ssh -L 8080:localhost:8080 HOST`, then open http://localhost:8080. Needs
-    `pip install 'mjhab[view]'`; --export does not.
+    the extra `view` (`mjhab doctor` tells how to install it); --export does not.
     """
 
     places: Annotated[

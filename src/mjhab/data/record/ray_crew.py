@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 from mjhab.data.record.crew import (
     Failed,
     Gone,
@@ -76,7 +76,7 @@ class RayCrew:
             ray: Any = importlib.import_module("ray")
         except ImportError as error:
             raise UsageError(
-                f"--ray needs Ray, which is not installed: {pip_install('scale')}."
+                f"--ray needs Ray, which is not installed: {install_extra('scale')}."
             ) from error
         self._ray = ray
         _check_reachable(address)

@@ -104,7 +104,7 @@ def check_format(file: h5py.File, path: Path) -> int:
     if not OLDEST <= version <= VERSION:
         maker = str(told.get("mjhab", "?"))
         if version > VERSION:
-            how = f"Update mjhab to {maker} or later: pip install --upgrade 'mjhab>={maker}'."
+            how = f"Update mjhab to {maker} or later."
         else:
             how = (
                 f"Read it with mjhab {maker} in a separate environment, or record its episodes again: the same "

@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 
 from mjhab.core.errors import MjhabError
+from mjhab.core.machine import pip_install
 from mjhab.robots.fetch.geometry import finger_box
 from mjhab.robots.fetch.model import KINEMATIC_TREE, LINKS
 from mjhab.robots.meshes import coarse_mesh
@@ -72,7 +73,7 @@ def _mesh_folder() -> Path:
     if found is None or not found.submodule_search_locations:
         raise MjhabError(
             "the robot's visual meshes come from the package gymnasium-robotics, which is not installed; "
-            "run: pip install gymnasium-robotics"
+            f"run: {pip_install('gymnasium-robotics')}"
         )
     return Path(next(iter(found.submodule_search_locations))) / "envs" / "assets" / "stls" / "fetch"
 

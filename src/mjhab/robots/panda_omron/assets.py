@@ -6,9 +6,10 @@ import importlib.util
 from pathlib import Path
 
 from mjhab.core.errors import MjhabError
+from mjhab.core.machine import pip_install
 
 PACKAGE = "robosuite"
-INSTALL = "pip install --no-deps robosuite==1.5.2"
+INSTALL = pip_install("--no-deps", "robosuite==1.5.2")
 
 
 def robosuite_file(name: str) -> Path:

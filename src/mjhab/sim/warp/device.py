@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 from mjhab.sim.warp.builds import announce_builds
 
 LEAST_DRIVER = (12, 4)
@@ -45,7 +45,7 @@ def open_device(name: str) -> wp.Device:
     if device.is_cuda and not wp.is_conditional_graph_supported():
         raise UsageError(
             f"backend 'warp' needs a Warp that was built with CUDA {_version(LEAST_DRIVER)} or newer; "
-            f"{pip_install('gpu')} brings one."
+            f"{install_extra('gpu')} brings one."
         )
     return device
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
-from mjhab.core.machine import pip_install
+from mjhab.core.machine import install_extra
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout, addresses
 from mjhab.robots.parts import Drives
@@ -29,7 +29,7 @@ try:
     from mjhab.sim.warp.sizes import buffer_sizes, changed_sizes
 except ModuleNotFoundError as error:
     raise UsageError(
-        f"backend 'warp' needs {error.name}, which is not installed: {pip_install('gpu')}"
+        f"backend 'warp' needs {error.name}, which is not installed: {install_extra('gpu')}"
     ) from error
 
 

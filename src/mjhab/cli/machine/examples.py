@@ -1,0 +1,100 @@
+"""``mjhab examples``: copies of the example plugins and homes, to try and to change."""
+
+from __future__ import annotations
+
+import filecmp
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from mjhab.cli.options.common import ExamplesOptions
+from mjhab.cli.output import print_json, print_table
+from mjhab.core.errors import UsageError
+
+SOURCE = Path(__file__).parents[2] / "examples"
+"""The examples in the package; their files are data, nothing imports them."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """What an example adds to mjhab, and a command that uses it; "{}" in it is the folder of the examples."""
+
+    about: str
+    command: str
+
+
+EXAMPLES = {
+    "push": Example(
+        "a subtask with success, labels, reward and an expert",
+        "MJHAB_PLUGINS={}/push mjhab eval --task push_objects --subtask push --episodes 4 --out runs/push",
+    ),
+    "clear_table.py": Example(
+        "a household task of the subtasks that there are",
+        "MJHAB_PLUGINS={}/clear_table.py mjhab eval --task clear_table --episodes 4 --out runs/clear",
+    ),
+    "robot": Example(
+        "a robot in one file",
+        "MJHAB_PLUGINS={}/robot/boxy.py mjhab eval --robot boxy --subtask pick --episodes 4 --out runs/boxy",
+    ),
+    "control_mode.py": Example(
+        "a control mode",
+        "MJHAB_PLUGINS={}/control_mode.py mjhab eval --subtask pick --policy zero --control pd_joint_pos_smooth "
+        "--episodes 2 --out runs/smooth",
+    ),
+    "mug": Example(
+        "an object from a GLB file",
+        "MJHAB_PLUGINS={}/mug/mug.py mjhab eval --task tidy_house --subtask pick --target mug --episodes 4 "
+        "--out runs/mug",
+    ),
+    "home": Example(
+        "homes as files, and a pack of them",
+        "mjhab homes render cottage --assets {}/home/cottage.json --view inside --out cottage.png",
+    ),
+}
+"""File or folder in SOURCE to what it is."""
+
+
+def run_examples(options: ExamplesOptions) -> int:
+    """Copy the examples, and print what they are and how to try them; returns 0.
+
+    Raises:
+        UsageError: the folder has files of the same names with other content.
+    """
+    written = copy_examples(options.out)
+    found = {name: entry.command.format(options.out) for name, entry in EXAMPLES.items()}
+    if options.json:
+        print_json({"folder": str(options.out), "written": written, "commands": found})
+        return 0
+    rows = [(name, entry.about) for name, entry in EXAMPLES.items()]
+    print_table(f"examples in {options.out}", ("example", "what it adds"), rows)
+    print("To try them:")
+    for command in found.values():
+        print(command)
+    return 0
+
+
+def copy_examples(folder: Path) -> int:
+    """Copy the examples into a folder; returns the number of files that were not there yet.
+
+    Raises:
+        UsageError: the folder has files of the same names with other content; nothing is written then.
+    """
+    places = {path: folder / path.relative_to(SOURCE) for path in _files()}
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file; the examples need a folder.")
+    changed = [str(p) for f, p in places.items() if p.exists() and not filecmp.cmp(f, p, False)]
+    if changed:
+        raise UsageError(
+            f"{folder} has files that differ from the examples: {', '.join(changed)}. They are not overwritten; "
+            "choose another --out."
+        )
+    new = {file: place for file, place in places.items() if not place.exists()}
+    for file, place in new.items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, place)
+    return len(new)
+
+
+def _files() -> list[Path]:
+    paths = sorted(SOURCE.rglob("*"))
+    return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]

@@ -266,7 +266,7 @@ function timeLine(canvas, head, actor, now) {
     g.save(); g.beginPath(); g.rect(x(start), 18, x(end + 1) - x(start), 24); g.clip();
     g.fillStyle = "white"; g.fillText(head.plan[index].name, x(start) + 5, 34); g.restore();
   }
-  actor.forEach((a, t) => { g.fillStyle = head.actors[a].color; g.fillRect(x(t), 44, Math.max(x(1), 1), 6); });
+  actor.forEach((a, t) => { g.fillStyle = head.actors[a].color; g.fillRect(x(t), 44, x(1) + 0.5, 6); });
   for (const event of head.events) {
     const at = x(event.step);
     g.fillStyle = event.color; g.beginPath(); g.moveTo(at, 17); g.lineTo(at - 5, 6); g.lineTo(at + 5, 6); g.fill();

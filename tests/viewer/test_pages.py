@@ -114,6 +114,16 @@ def test_the_page_tells_instruction_home_and_who_acts(viewer: Viewer) -> None:
     assert color in viewer.panels._line.content
 
 
+def test_terms_are_those_of_the_subtask(viewer: Viewer) -> None:
+    track = viewer.source.track
+    assert track is not None
+    own = dict(track.moments[1].terms)
+    moment = dataclasses.replace(track.moments[1], terms={**own, "heading": 0.0})
+    chain = dataclasses.replace(track, moments=[track.moments[0], moment])
+    assert own and chain.terms_at(1) == own
+    assert chain.terms_at(0) == {}
+
+
 def test_next_shows_another_episode_from_its_beginning(viewer: Viewer) -> None:
     viewer.source.choose(viewer.source.choices[0])
     viewer.frame(0.02)

@@ -314,7 +314,9 @@ async function main() {
     [...$("actors").children].forEach((item, k) => item.classList.toggle("acts", step > 0 && actor[step - 1] === k));
     [...$("checks").children].forEach((item, k) => item.classList.toggle("on", !!checks[step * head.checks.length + k]));
     const row = head.terms.map((_, k) => terms[step * head.terms.length + k]), most = Math.max(1e-9, ...row.map(Math.abs));
+    const judged = head.plan[series.active[Math.max(step - 1, 0)]], own = judged ? judged.terms.filter((name) => head.terms.includes(name)) : [];
     [...$("terms").children].forEach((item, k) => {
+      item.hidden = own.length > 0 && !own.includes(head.terms[k]);
       const bar = item.querySelector("i"), share = 50 * Math.abs(row[k]) / most;
       bar.style.cssText = `left:${row[k] < 0 ? 50 - share : 50}%;width:${share}%;background:${row[k] < 0 ? "#dc2626" : "#16a34a"}`;
       item.lastChild.textContent = row[k].toFixed(3);

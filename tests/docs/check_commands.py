@@ -36,7 +36,7 @@ SMALL: dict[str, str] = {
     "eval_episodes": "2",
     "takeovers": "2",
     "samples": "200",
-    "keep": "",
+    "keep": "steps >= 0",
     "threads": "1",
 }
 """Option to the value that makes it quick; only options that a command has, and that are not off, are set."""

@@ -28,6 +28,7 @@ from mjhab.viewer.pages.gateway import HAND_PATH
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.timeline import actor_colors
 from mjhab.viewer.sources.replay import Replay
+from tests.viewer import check_browser
 from tests.viewer.conftest import STEPS
 
 
@@ -247,6 +248,14 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     viewer.source.choose(viewer.source.choices[0])
     viewer._fill_panels()
     assert not viewer.panels._problem.visible
+
+
+def test_checks_in_a_browser_are_skipped_with_a_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    assert check_browser.main(tmp_path / "out") == 0
+    assert capsys.readouterr().out == "skipped: no Chromium is installed (apt install chromium)\n"
 
 
 def get(viewer: Viewer, path: str) -> bytes:

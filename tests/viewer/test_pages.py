@@ -245,6 +245,9 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     assert "asset pack is not here" in viewer.panels._problem.content
     assert viewer.panels._problem.visible
     monkeypatch.undo()
+    # The next one is that after the one that was asked for, not after the one that is shown still.
+    viewer.source.next_episode()
+    assert viewer.source.choice == viewer.source.choices[1] and not viewer.source.problem
     viewer.source.choose(viewer.source.choices[0])
     viewer._fill_panels()
     assert not viewer.panels._problem.visible

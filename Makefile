@@ -114,7 +114,7 @@ test-ray: $(RAY)/.ready  ## generation on a local Ray cluster, with workers kill
 	PYTHONPATH=src:. $(RAY)/bin/python -m pytest tests/data/record/ray_cluster.py $(PYTEST_ARGS)
 
 BROWSER_OUT := runs/browser
-test-browser: $(VENV)/.dev  ## the viewer in headless Chromium (must be installed); pictures in runs/browser
+test-browser: $(VENV)/.dev  ## the viewer, and the site of make docs, in headless Chromium (skipped without); pictures in runs/browser
 	PYTHONPATH=src:. $(BIN)/python tests/viewer/check_browser.py $(BROWSER_OUT)
 
 DOCS_OUT := runs/docs

@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from tests.docs.pages import PAGES, README, ROOT, Command, blocks, commands, nam
 
 SMALL: dict[str, str] = {
     "episodes": "2",
+    "generate": "2",
+    "demos": "4",
     "per_target": "1",
     "chains": "0",
     "count": "2",
@@ -36,7 +39,7 @@ SMALL: dict[str, str] = {
     "eval_episodes": "2",
     "takeovers": "2",
     "samples": "200",
-    "keep": "",
+    "keep": "steps >= 0",
     "threads": "1",
 }
 """Option to the value that makes it quick; only options that a command has, and that are not off, are set."""
@@ -98,9 +101,10 @@ def run_page(page: Path, folder: Path) -> list[str]:
 
 def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
     """Run one command of mjhab; whether it did what it should."""
-    words = [sys.executable, *command.words[1:]]
+    given = with_files(command.words[1:], folder)
+    words = [sys.executable, *given]
     if command.program == "mjhab":
-        words = [sys.executable, "-m", "mjhab.cli.main", *small(list(command.words[1:]))]
+        words = [sys.executable, "-m", "mjhab.cli.main", *small(given)]
     environment = {**os.environ, **command.variables}
     if command.words[1] in LASTING and "--export" not in command.words:
         process = subprocess.Popen(
@@ -113,6 +117,15 @@ def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
         words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, timeout=COMMAND_SECONDS
     )
     return done.returncode == 0
+
+
+def with_files(words: Sequence[str], folder: Path) -> list[str]:
+    """The words with the files of a folder in place of patterns such as ``scores/*/result.json``, as in a shell."""
+    return [
+        str(found)
+        for word in words
+        for found in ("*" in word and sorted(folder.resolve().glob(word))) or [word]
+    ]
 
 
 def end(process: subprocess.Popen[str]) -> None:

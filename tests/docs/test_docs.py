@@ -21,6 +21,9 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import parse
+from mjhab.evaluation.score.leaderboard import leaderboard
+from mjhab.evaluation.score.manifest import TRACKS
+from mjhab.evaluation.score.result import read_for_table
 from mjhab.scenes.objects import OBJECTS
 from mjhab.scenes.pack_source import PACK_SOURCES
 from tests.docs.pages import (
@@ -146,6 +149,21 @@ def test_table_of_the_students_is_that_of_their_results(monkeypatch: pytest.Monk
     assert "| set_table | close |" in page
     filled = tables["page_with_tables"](page, {"students": tables["student_table"]})
     assert filled == page
+
+
+def test_the_leaderboard_is_the_table_of_its_results() -> None:
+    files = sorted((ROOT / "docs" / "results" / "leaderboard").glob("*.json"))
+    results = [read_for_table(file) for file in files]
+    assert {result.facts["track"] for result in results} == set(TRACKS)
+    assert (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8") == leaderboard(results)
+
+
+def test_the_site_needs_no_network() -> None:
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert "  - search\n  - offline" in site, "search works from a disk by the plugin offline alone"
+    (scripts,) = re.findall(r"polyfills: \[(.*)\]", site)
+    assert (ROOT / "docs" / scripts).is_file()
+    assert not re.findall(r"https?://", site)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -28,6 +28,7 @@ from mjhab.viewer.pages.gateway import HAND_PATH
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.timeline import actor_colors
 from mjhab.viewer.sources.replay import Replay
+from tests.viewer import check_browser
 from tests.viewer.conftest import STEPS
 
 
@@ -112,6 +113,16 @@ def test_the_page_tells_instruction_home_and_who_acts(viewer: Viewer) -> None:
     assert f"background:{color}" in viewer.panels._actors.content
     assert "random" in viewer.panels._actors.content
     assert color in viewer.panels._line.content
+
+
+def test_terms_are_those_of_the_subtask(viewer: Viewer) -> None:
+    track = viewer.source.track
+    assert track is not None
+    own = dict(track.moments[1].terms)
+    moment = dataclasses.replace(track.moments[1], terms={**own, "heading": 0.0})
+    chain = dataclasses.replace(track, moments=[track.moments[0], moment])
+    assert own and chain.terms_at(1) == own
+    assert chain.terms_at(0) == {}
 
 
 def test_next_shows_another_episode_from_its_beginning(viewer: Viewer) -> None:
@@ -234,9 +245,20 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     assert "asset pack is not here" in viewer.panels._problem.content
     assert viewer.panels._problem.visible
     monkeypatch.undo()
+    # The next one is that after the one that was asked for, not after the one that is shown still.
+    viewer.source.next_episode()
+    assert viewer.source.choice == viewer.source.choices[1] and not viewer.source.problem
     viewer.source.choose(viewer.source.choices[0])
     viewer._fill_panels()
     assert not viewer.panels._problem.visible
+
+
+def test_checks_in_a_browser_are_skipped_with_a_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    assert check_browser.main(tmp_path / "out") == 0
+    assert capsys.readouterr().out == "skipped: no Chromium is installed (apt install chromium)\n"
 
 
 def get(viewer: Viewer, path: str) -> bytes:

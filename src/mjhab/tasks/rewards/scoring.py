@@ -73,12 +73,13 @@ def _check_scales(scales: Any) -> None:
         raise UsageError(f"{right}; got {scales!r}")
     for kind, changes in scales.items():
         if not isinstance(changes, Mapping):
-            having = [name for name in SUBTASKS if kind in _term_names(name)]
+            having = [name for name in SUBTASKS if kind in term_names(name)]
             hint = f" Did you mean {{{having[0]!r}: {{{kind!r}: {changes!r}}}}}?" if having else ""
             raise UsageError(f"{right}; got {kind!r}: {changes!r}.{hint}")
 
 
-def _term_names(kind: str) -> tuple[str, ...]:
+def term_names(kind: str) -> tuple[str, ...]:
+    """Names of the reward terms of a kind; () without a dense reward."""
     table = SUBTASKS[kind].reward
     return () if table is None else tuple(term.name for term in table.terms)
 

@@ -14,6 +14,7 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.posing import Pose
 
 CAMERA_SIDE_PX = 192
+CLOSE_SECONDS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +55,11 @@ class Cameras:
             self._changed.notify()
 
     def close(self) -> None:
-        """Stop drawing."""
+        """Stop drawing, after the picture in work; it is not shown."""
         with self._changed:
             self._closing = True
             self._changed.notify()
+        self._thread.join(timeout=CLOSE_SECONDS)
 
     def _run(self) -> None:
         while True:
@@ -69,7 +71,10 @@ class Cameras:
                 self._newest = None
             assert newest is not None
             try:
-                self._show(self.draw(*newest))
+                drawn = self.draw(*newest)
+                if self._closing:
+                    return
+                self._show(drawn)
                 self.drawn += 1
             except Exception as error:
                 self.problem = f"cameras: {type(error).__name__}: {error}"

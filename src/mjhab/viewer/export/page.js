@@ -266,7 +266,7 @@ function timeLine(canvas, head, actor, now) {
     g.save(); g.beginPath(); g.rect(x(start), 18, x(end + 1) - x(start), 24); g.clip();
     g.fillStyle = "white"; g.fillText(head.plan[index].name, x(start) + 5, 34); g.restore();
   }
-  actor.forEach((a, t) => { g.fillStyle = head.actors[a].color; g.fillRect(x(t), 44, Math.max(x(1), 1), 6); });
+  actor.forEach((a, t) => { g.fillStyle = head.actors[a].color; g.fillRect(x(t), 44, x(1) + 0.5, 6); });
   for (const event of head.events) {
     const at = x(event.step);
     g.fillStyle = event.color; g.beginPath(); g.moveTo(at, 17); g.lineTo(at - 5, 6); g.lineTo(at + 5, 6); g.fill();
@@ -314,7 +314,9 @@ async function main() {
     [...$("actors").children].forEach((item, k) => item.classList.toggle("acts", step > 0 && actor[step - 1] === k));
     [...$("checks").children].forEach((item, k) => item.classList.toggle("on", !!checks[step * head.checks.length + k]));
     const row = head.terms.map((_, k) => terms[step * head.terms.length + k]), most = Math.max(1e-9, ...row.map(Math.abs));
+    const judged = head.plan[series.active[Math.max(step - 1, 0)]], own = judged ? judged.terms.filter((name) => head.terms.includes(name)) : [];
     [...$("terms").children].forEach((item, k) => {
+      item.hidden = own.length > 0 && !own.includes(head.terms[k]);
       const bar = item.querySelector("i"), share = 50 * Math.abs(row[k]) / most;
       bar.style.cssText = `left:${row[k] < 0 ? 50 - share : 50}%;width:${share}%;background:${row[k] < 0 ? "#dc2626" : "#16a34a"}`;
       item.lastChild.textContent = row[k].toFixed(3);

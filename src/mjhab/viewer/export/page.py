@@ -29,6 +29,7 @@ from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.parts import event_tone
 from mjhab.reports.plots import kind_color
+from mjhab.tasks.rewards.scoring import term_names
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
 from mjhab.viewer.drawn.posing import Poser, base_of
@@ -158,6 +159,7 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
                 "color": kind_color(entry.kind),
                 "ended": track.ended.get(index, ""),
                 "instruction": "".join(track.instructions[index : index + 1]),
+                "terms": list(term_names(entry.kind)),
             }
             for index, entry in enumerate(track.plan)
         ],

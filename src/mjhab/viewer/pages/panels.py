@@ -248,7 +248,7 @@ class Panels:
             "cumulative force", moment.cumulative_force, track.limit_at(step), "N x steps"
         )
         _fill(self._gauges, f'<div style="padding:0 8px">{forces}</div>')
-        terms = terms_html(dict(moment.terms), moment.reward)
+        terms = terms_html(track.terms_at(step), moment.reward)
         _fill(self._terms, f'<div style="padding:0 8px">{terms}</div>')
         _fill(self._checks, _checks_html(moment.checks))
         _fill(self._events, _events_html(track, step))

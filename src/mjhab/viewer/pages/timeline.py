@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from html import escape
 from itertools import groupby
 
@@ -158,7 +159,7 @@ def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
     )
 
 
-def terms_html(terms: dict[str, float], total: float) -> str:
+def terms_html(terms: Mapping[str, float], total: float) -> str:
     """Reward terms of a step as bars around zero."""
     if not terms:
         told = f"reward {total:.3f}; this reward has no terms (--reward dense has)"

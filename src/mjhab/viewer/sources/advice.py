@@ -46,6 +46,7 @@ class RecordedPlans:
             self._known[key] = self._pool.submit(self._plan, episode, track, begin)
         made = self._known[key]
         if not made.done():
+            self.problem = ""
             return None
         error = made.exception()
         self.problem = f"the expert cannot plan here: {error}" if error is not None else ""

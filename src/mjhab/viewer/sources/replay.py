@@ -32,7 +32,7 @@ class Replay:
 
     Attributes:
         choices: names of the episodes, by which `load` finds them.
-        choice: the one that is shown; "" before there is one.
+        choice: the one that was asked for last, which may be unreadable; "" before `start`.
 
     Raises:
         UsageError: there is no episode with states, or fewer than ``first`` asks for.
@@ -48,7 +48,8 @@ class Replay:
         self.hand_drives = False
         self.recording = ""
         self.choice = ""
-        self.track: Track | None = None
+        # In one piece, since a page chooses in another thread than the one that shows.
+        self._shown: tuple[Episode, Track] | None = None
         self._episodes: dict[str, Episode] = {}
         self._envs: dict[str, SequentialTaskEnv] = {}
         self._plan_wanted = False
@@ -122,7 +123,10 @@ class Replay:
         Raises:
             UsageError: see `load`.
         """
-        run: RunInfo = self._episodes[title].run
+        return self._env_of(self._episodes[title])
+
+    def _env_of(self, episode: Episode) -> SequentialTaskEnv:
+        run: RunInfo = episode.run
         if run.config_id not in self._envs:
             self._envs[run.config_id] = recorded_env(run, num_envs=1, threads=1)
         return self._envs[run.config_id]
@@ -130,25 +134,31 @@ class Replay:
     @property
     def sim(self) -> CpuSimulator:
         """Has the homes of the episode that is shown."""
-        return self.env(self.choice).sim
+        assert self._shown is not None, "there are no homes before there is a track"
+        return self._env_of(self._shown[0]).sim
+
+    @property
+    def track(self) -> Track | None:
+        """The episode that is shown; None while none could be read."""
+        return None if self._shown is None else self._shown[1]
 
     def start(self) -> None:
         """Show the episode at the position ``first``."""
         self.choose(self._first)
 
     def choose(self, choice: str) -> None:
-        """Show another episode; one that cannot be read is told in ``problem``."""
+        """Show another episode; one that cannot be read is told in ``problem``, and what is shown stays."""
+        self.choice = choice
         try:
             track = self.load(choice)
         except MjhabError as error:
             self._problem = str(error)
             return
         self._problem = ""
-        self.choice = choice
-        self.track = track
+        self._shown = (self._episodes[choice], track)
 
     def next_episode(self) -> None:
-        """Show the episode after this one."""
+        """Show the episode after this one, also if this one cannot be read."""
         at = self.choices.index(self.choice) + 1
         self.choose(self.choices[at % len(self.choices)])
 
@@ -171,10 +181,10 @@ class Replay:
 
     def plan_at(self, step: int) -> PlanMarks | None:
         """What the expert plans where the subtask of a state began; None until it is known, or if nobody asked."""
-        track = self.track
-        if not self._plan_wanted or track is None:
+        shown = self._shown
+        if not self._plan_wanted or shown is None:
             return None
-        return self._plans.at(self._episodes[self.choice], track, step)
+        return self._plans.at(*shown, step)
 
     def set_hand(self, driving: bool) -> None:
         """Nothing can be driven here."""

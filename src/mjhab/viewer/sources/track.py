@@ -11,6 +11,7 @@ import numpy as np
 from mjhab.data.store.reading import Episode
 from mjhab.data.store.schema import CHECKS, FORCES
 from mjhab.rollout.records import Event, PlanEntry
+from mjhab.tasks.rewards.scoring import term_names
 from mjhab.tasks.subtasks.registry import limits_of
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -77,6 +78,16 @@ class Track:
         while step > 0 and self.moments[step - 1].active == active:
             step -= 1
         return step
+
+    def terms_at(self, step: int) -> Mapping[str, float]:
+        """Reward terms of the control step that led to a state, of the subtask that was active in it.
+
+        The reward of a chain has the terms of all its subtasks; those of the others are 0.
+        """
+        terms = self.moments[step].terms
+        active = self.moments[max(step - 1, 0)].active
+        own = term_names(self.plan[active].kind) if active < len(self.plan) else ()
+        return {name: value for name, value in terms.items() if name in own} or terms
 
     def actors(self) -> list[str]:
         """Names of those who acted, in the order of their first action."""

@@ -14,7 +14,7 @@ from mjhab.bench.engine import measure_engine
 from mjhab.bench.grasp import grasp_table
 from mjhab.bench.specs import EngineSpec
 from mjhab.core.registration.plugins import load_plugin
-from mjhab.envs.observations import state_dim
+from mjhab.envs.observations.state import state_dim
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.robots.robot import Robot
 

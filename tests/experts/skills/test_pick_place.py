@@ -28,9 +28,10 @@ from mjhab.experts.base.route import (
     plan_route,
     planner,
 )
+from mjhab.experts.planning.base_poses import way_out
 from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
-from mjhab.experts.planning.reach import Scene, surroundings, way_out
-from mjhab.experts.skills.pick import FREE_OFFSET_M, balanced, height_below, plan_pick
+from mjhab.experts.planning.workplace import Scene, surroundings
+from mjhab.experts.skills.pick_plans import FREE_OFFSET_M, balanced, height_below, plan_pick
 from mjhab.experts.skills.place import Release, hand_goals
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import ANY

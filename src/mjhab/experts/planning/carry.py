@@ -24,8 +24,8 @@ from mjhab.experts.base.route import (
     holds,
     plan_route,
 )
-from mjhab.experts.planning.reach import surroundings
 from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
+from mjhab.experts.planning.workplace import surroundings
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 

@@ -32,7 +32,7 @@ from mjhab.experts.base.route import (
     torso_gone,
     within_reach,
 )
-from mjhab.experts.planning.reach import Blocked, HandGoals, Stance
+from mjhab.experts.planning.workplace import Blocked, HandGoals, Stance
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray

@@ -19,8 +19,8 @@ from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, 
 from mjhab.experts.base.floorplan import Arm, Floorplan, turn_between
 from mjhab.experts.base.lattice import YAWS, Lattice, Leg, turns
 from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS, planner
+from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
-from mjhab.experts.planning.reach import in_sight
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray

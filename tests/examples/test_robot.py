@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.bench.engine import measure_engine
-from mjhab.bench.grasp import grasp_table
+from mjhab.bench.simulation.engine import measure_engine
+from mjhab.bench.simulation.grasp import grasp_table
 from mjhab.bench.specs import EngineSpec
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.envs.observations.state import state_dim

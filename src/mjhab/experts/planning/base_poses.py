@@ -1,4 +1,4 @@
-"""Base poses from which the hand may reach a work place: free floor, in sight of it, and near enough for the arm.
+"""Base poses from which the hand may reach a work place: on free floor, with a line of sight, within the arm's reach.
 
 Lengths [m], angles [rad], world frame. Letters: G hand poses, B base poses.
 """
@@ -19,14 +19,20 @@ Array = np.ndarray
 OUT_CLEARANCE_M = 0.03
 """Least clearance of an object on its straight way out of a shelf."""
 FAR_BASE_M = 0.96
-"""Base poses farther than this from the work, or in narrow places, are only taken where there are no others."""
+"""Base poses farther than this from the work, or with little clearance, are used only if there are no others."""
 MAX_OVERREACH_M = 0.05
-"""Greatest distance of the wrist beyond the comfortable one, see `overreach`."""
+"""Largest distance of the wrist beyond the comfortable reach, see `overreach`."""
 _BASES = 24
 
 
 def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
-    """Room (B,) of the object, a little lifted, while bases (B, 3) drive straight back with it."""
+    """Clearance (B,) [m] of the object, lifted by 2.5 cm, while the base drives straight backwards with it.
+
+    Args:
+        bases: (B, 3) base poses at the grasp.
+        scene: obstacles and the object.
+        drive_in: distance of the drive [m].
+    """
     box = scene.target
     half = scene.target.half[0]
     size = float(half.min())
@@ -44,7 +50,7 @@ def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
 
 
 def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
-    """Base poses (B, 3) from which a goal may be reached, and the control steps (B,) to drive there."""
+    """Base poses (B, 3) from which a hand pose may be reached, and the estimated control steps (B,) to drive there."""
     point = work.point
     drive_in = work.drive_in
     r, angle, off = np.meshgrid(
@@ -76,7 +82,7 @@ def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
         drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), way)
         + 6.0 * drive_in / 0.3
     )
-    # The nearest bases may all stand on the side from which nothing can be reached.
+    # All the nearest base poses may be on a side from which no hand pose can be reached.
     reachable = np.isfinite(steps) & (
         overreach(view.robot.reach, poses, work.goals) < MAX_OVERREACH_M
     ).any(axis=1)
@@ -85,7 +91,7 @@ def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
 
 
 def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
-    """Whether no wall or tall piece stands between base poses (B, 2+) and ``point`` (3,)."""
+    """Whether (B,) no wall or tall piece of furniture is between base poses (B, 2+) and ``point`` (3,)."""
     top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)
     tall = boxes.take((top > point[2] + 0.5) & (boxes.half.max(axis=1) > 0.4))
     if not len(poses) or not len(tall):
@@ -98,7 +104,8 @@ def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
 
 
 def floor_room(footprint: Footprint, poses: Array, boxes: Boxes) -> Array:
-    """Room (B,) between the base at poses (B, 3) and boxes on the floor that no map knows: things that fell."""
+    """Clearance (B,) [m] between the base at poses (B, 3) and small boxes on the floor, which no map contains: objects
+    that fell."""
     low = boxes.take(
         (boxes.center[:, 2] - boxes.half.max(axis=1) < footprint.top)
         & (boxes.half.max(axis=1) < 0.12)
@@ -112,7 +119,7 @@ def floor_room(footprint: Footprint, poses: Array, boxes: Boxes) -> Array:
 
 
 def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
-    """The quickest poses that are not all alike."""
+    """At most `_BASES` of the quickest poses that differ from each other by more than 9 cm or 0.3 rad."""
     kept: list[int] = []
     for i in np.argsort(steps, kind="stable"):
         if len(kept) >= _BASES:
@@ -124,7 +131,10 @@ def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
 
 
 def overreach(reach: ArmReach, bases: Array, goals: HandGoals) -> Array:
-    """How far (B, G) [m] the wrist is beyond a comfortable distance from the shoulder; 0.05 is the arm's end."""
+    """Distance (B, G) [m] of the wrist beyond the comfortable reach of the arm, for base poses (B, 3) and hand poses.
+
+    At 0.05 the arm is fully stretched; negative values are within reach.
+    """
     wrist = goals.pos - reach.hand * goals.rot[:, :, 0]
     shoulder = bases[:, :2] + reach.ahead * np.stack(
         [np.cos(bases[:, 2]), np.sin(bases[:, 2])], axis=1

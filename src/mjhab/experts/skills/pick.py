@@ -1,4 +1,7 @@
-"""The expert for Pick: from tables and seats, out of the opened drawer, from the shelf of the fridge."""
+"""The expert for Pick: from tables and seats, from an open drawer, from a shelf of the fridge.
+
+Lengths [m], angles [rad], world frame. Letters: A base poses that did not work, J joints.
+"""
 
 from __future__ import annotations
 
@@ -42,42 +45,45 @@ from mjhab.tasks.style import ANY
 
 Array = np.ndarray
 INSIDE_M = 0.06
-"""Distance that the base has driven in from which on it is driven out again."""
+"""Distance driven into a shelf above which the base drives out again before another attempt."""
 LIFT_M = 0.10
 """Height by which an object is lifted off an open surface before it is carried."""
 SHELF_LIFT_M = 0.025
 """The same on a shelf."""
 LATE_IN_STEPS = 130
-"""With fewer control steps left, the base hurries into a shelf."""
+"""With fewer control steps left, the base drives into a shelf at `HASTY_SPEED_M_S`."""
 LATE_OUT_STEPS = 60
-"""With fewer control steps left, the base hurries out of a shelf."""
+"""With fewer control steps left, the base drives out of a shelf at `HASTY_SPEED_M_S`."""
 FINE_OPENING_M = 0.094
-"""Openings of the hand from which on there are less than 3 mm of free space on either side of the object."""
+"""Opening of the hand above which less than 3 mm of free space are left on either side of the object."""
 FINE_CLOSING_M = 0.004
-"""Motion per control step of fingers that close on a can beside its axis: an impact would shoot it out of the hand."""
+"""Motion of the fingers per control step while they close on a can beside its axis: an impact would push it out."""
 MAX_SHORT_M = 0.025
-"""A hand that stops farther than this from its grasp does not close."""
+"""Largest distance of the hand from its grasp at which the fingers close."""
 WAIT_STEPS = (5, 10, 20, 50)
-"""Control steps to wait after the first, second, ... attempt without a way: things may come to rest meanwhile."""
+"""Control steps to wait after the first, second, ... attempt without a plan: objects may come to rest meanwhile."""
 MAX_NUDGES = 2
-"""How often an object is turned."""
+"""Largest number of pushes that turn an object."""
 NUDGE_STEPS = 115
-"""Control steps that must be left to turn it."""
+"""Control steps that must be left to turn an object."""
 NUDGE_BACK_M = 0.12
-"""Distance that the base draws back from it."""
+"""Distance that the base drives backwards after a push."""
 
 
 def pick(view: WorldView) -> Motion:
-    """Pick up the active subtask's object and bring it home; try again while there is time."""
+    """Pick up the object of the active subtask and bring the arm to rest; repeated until the episode ends."""
     subtask = view.subtask
     assert subtask is not None
     return (yield from pick_up(view, subtask.obj))
 
 
 def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
-    """Pick up an object, wherever it lies, and bring it home; try again while there is time.
+    """Pick up an object wherever it lies and bring the arm to rest; repeated until the episode ends.
 
-    ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
+    Args:
+        view: world to act in.
+        obj: name of the object.
+        keep: hold the object at rest, and start again when it is lost; False: end as soon as it is lifted.
     """
     failed = np.zeros((0, 3))
     attempt = 0
@@ -102,8 +108,8 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
         taken = yield from _take(view, obj, stance, goals, depth, hasty=inside)
         short = taken is None and not depth and not short
         if short:
-            # The base stopped a little too far off: from where it is another grasp is the quickest. Once: the plan
-            # may be to stay, and would be the same for ever.
+            # The base stopped a little too far away: another grasp from the present base pose is the quickest. Only
+            # once, because a plan that keeps the base where it is would be repeated for ever.
             continue
         if taken:
             if depth or inside:
@@ -120,8 +126,8 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
 
 
 def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motion:
-    """Get out of where a grasp was tried in vain, the base having come in over ``depth``, if it got so far."""
-    # A hand that presses against something inside is not drawn back before the base is.
+    """Leave the place of a failed grasp, to which the base drove straight in over up to ``depth`` [m]."""
+    # A hand that presses against furniture is not moved before the base has driven out.
     if not (depth and view.link_forces.sum() > BLOCKED_FORCE_N):
         yield from _let_go(view)
     if (
@@ -137,7 +143,10 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
 def _planned(
     view: WorldView, obj: str, failed: Array, attempt: int, inside: bool
 ) -> tuple[Stance, HandGoals, float] | None:
-    """`plan_pick` with the wished kind of grasp, else with any; ``inside``: from where the object was just turned."""
+    """`plan_pick` with the kind of grasp of the style, else with any.
+
+    ``inside``: the object was just turned by a push, and the base still stands before the shelf.
+    """
     if inside and (found := plan_inside(view, obj, failed)) is not None:
         return found
     wish = style_of(view).grasp

@@ -42,35 +42,42 @@ from mjhab.tasks.style import ANY
 Array = np.ndarray
 MAX_GOALS = 60
 FREE_OFFSET_M = 0.015
-"""Distance of the object's centre beside the pads that costs nothing. Farther off, its weight turns the object
+"""Lateral distance of the object's centre from the pads without a cost. With a larger one its weight turns the object
 between the pads, and it slips out when something pushes it from above."""
 OFFSET_PRICE_PER_M = 15.0
 """Score lost per metre beyond `FREE_OFFSET_M`."""
 GRASP_ROOM_M = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
-"""Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
-to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
+"""Required clearances [m] of the first, second and third search: between gripper and neighbours; on a shelf between
+hand with wrist and neighbours (the spheres of the wrist are up to 8 mm too large); and the reduction of the arm's
+clearance that applies to the hand."""
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=GRASP_ROOM_M[-1][0])
-# Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
-# shelf, where there is no way from above, bowls are taken by the rim from the front.
+# On a shelf there is little room: more directions around the object, a short approach, and boxes nearly as wide as the
+# hand opens. Below a low board no approach from above is possible: bowls are grasped by the rim from the front.
 SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0)
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
 SHELF_BLUNT_M = 0.004
-"""End of the pads [m] that does not count there."""
+"""Length of the tips of the pads that does not count as contact on a shelf."""
 INSIDE_WAYS_M = (0.0, 0.1, 0.2, SHELF_DEPTH_M)
-"""Distances that the base may drive straight in where it has just turned the object."""
+"""Distances that the base may drive straight into the shelf after a push."""
 _HOME_WEIGHT = 0.8
-"""Weight of a control step on the way back to rest there: hardly any time is left."""
+"""Weight of the control steps from the grasp back to rest after a push, when few are left."""
 
 
 def plan_pick(
     view: WorldView, obj: str, failed: Array, attempt: int = 0, wish: str = ANY
 ) -> tuple[Stance, HandGoals, float] | None:
-    """The best way to grasp an object: stance, grasps it refers to, and how far the base comes straight in [m].
+    """Plan a grasp of an object.
 
     Args:
-        failed: (A, 3) base poses that did not work.
-        attempt: number of attempts before; later ones take what the first leave out.
-        wish: the kind of grasp, a word of `tasks.style.Style.grasp`.
+        view: world to plan in.
+        obj: name of the object.
+        failed: (A, 3) base poses from which earlier attempts failed.
+        attempt: number of earlier attempts; later ones accept less clearance.
+        wish: kind of grasp, see `tasks.style.Style.grasp`.
+
+    Returns:
+        Stance, the grasps to which its ``goal`` refers, and the distance of the straight drive at the end [m]; None if
+        no grasp can be reached.
     """
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)
@@ -126,7 +133,16 @@ def shelf_grasps(
     around: Boxes,
     clear: float,
 ) -> Grasps:
-    """Grasps of an object on a shelf at ``pose`` (7,), best first, with some room to the boxes ``around``."""
+    """Grasps of an object on a shelf, best first.
+
+    Args:
+        shape: of the object.
+        pose: (7,) of the object.
+        scene: obstacles, and the robot with its gripper.
+        inward: unit vector into the shelf.
+        around: boxes that the gripper must not touch.
+        clear: least clearance to them [m].
+    """
     hand = scene.body.gripper
     gripper = replace(hand, usable=hand.shelf_usable, blunt=SHELF_BLUNT_M)
     for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS):
@@ -142,7 +158,8 @@ def shelf_grasps(
 
 
 def plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, HandGoals, float] | None:
-    """Like `plan_pick`, for an object on a shelf that was just turned: the quickest grasp counted to the way home."""
+    """Like `plan_pick` for an object on a shelf after a push: the grasp with the fewest control steps until the arm is
+    at rest again."""
     pose = view.object_pose(obj)
     scene = scene_of(view, obj)
     around = scene.beside.near(pose[:3], 0.5)
@@ -186,14 +203,14 @@ def plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, HandG
 
 
 def balanced(grasps: Grasps, centre: Array) -> Grasps:
-    """Grasps in the order of scores that count how far beside the pads the object's ``centre`` (3,) hangs."""
+    """Grasps with scores reduced by the lateral distance of the object's ``centre`` (3,) from the pads, best first."""
     aside = np.abs(np.einsum("gj,gj->g", centre - grasps.pos, grasps.rot[:, :, 2]))
     score = grasps.score - OFFSET_PRICE_PER_M * np.maximum(aside - FREE_OFFSET_M, 0.0)
     return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
 
 
 def scene_of(view: WorldView, obj: str) -> Scene:
-    """What is around an object that lies somewhere."""
+    """Obstacles around an object that is not held."""
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)
     near, target = surroundings(view, obj, pose[:3])
@@ -209,14 +226,14 @@ def direction_to(view: WorldView, pose: Array) -> tuple[float, float]:
 
 
 def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
-    """How far to come in with the arm stretched out; a second attempt is quicker from where the base is."""
+    """Distances [m] of the straight drive to try, in order; later attempts begin with none, which is quicker."""
     if not depth:
         return (0.0,)
     return (0.0, depth) if attempt else (depth, 0.0)
 
 
 def height_below(shape: ObjectShape, rot: Array) -> float:
-    """How far [m] an object turned by ``rot`` (3, 3) reaches below its centre."""
+    """Distance [m] from the centre of an object with rotation ``rot`` (3, 3) down to its lowest point."""
     up = np.abs(rot[2])
     half = np.array(shape.half)
     if shape.kind in ("box", "mesh"):
@@ -227,7 +244,7 @@ def height_below(shape: ObjectShape, rot: Array) -> float:
 
 
 def _diverse(grasps: Grasps) -> HandGoals:
-    """The best grasps that differ from each other."""
+    """At most `MAX_GOALS` of the best grasps, each more than 2.5 cm or 0.3 rad from the others."""
     kept: list[int] = []
     for i in range(min(len(grasps), 600)):
         if len(kept) >= MAX_GOALS:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mjhab.bench import engine as bench
-from mjhab.bench import grasp as grasp_bench
+from mjhab.bench.simulation import engine as bench
+from mjhab.bench.simulation import grasp as grasp_bench
 from mjhab.cli.machine import doctor
 from mjhab.cli.main import main
 from mjhab.cli.output import print_table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.cli.options.train import (
+from mjhab.cli.options.policies.train import (
     TrainActOptions,
     TrainBcOptions,
     TrainDaggerOptions,

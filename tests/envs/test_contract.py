@@ -230,6 +230,55 @@ def test_state_round_trip_in_another_environment():
     assert flat(env.get_state(1)["tracker"]) == flat(other.get_state(2)["tracker"])
 
 
+PER_STEP = (
+    "._worlds",
+    "sensing._rows",
+    ".rewarder._worlds",
+    ".controller._arm.target",
+    ".nav._fields",
+    ".nan_resets",
+)
+"""Arrays (W, ...) that hold no state of a world: numbers of worlds, what every step computes anew before it is read,
+fields with room beyond ``nav._shape``, and counters of the environment."""
+
+
+def arrays_of_worlds(thing: object, worlds: int, name: str = "") -> dict[str, np.ndarray]:
+    """The numeric (W, ...) arrays that an object of mjhab and its parts hold, by their path."""
+    if isinstance(thing, np.ndarray):
+        row_per_world = thing.ndim > 0 and len(thing) == worlds and thing.dtype != object
+        return {name: thing} if row_per_world and not name.endswith(PER_STEP) else {}
+    if not type(thing).__module__.startswith("mjhab.") or not hasattr(thing, "__dict__"):
+        return {}
+    found: dict[str, np.ndarray] = {}
+    for key, value in vars(thing).items():
+        if key not in ("sim", "source", "starts", "_sim", "_starts"):
+            found |= arrays_of_worlds(value, worlds, f"{name}.{key}")
+    return found
+
+
+def test_no_part_of_a_state_is_forgotten():
+    """Every part with a state is in snapshots, and a restored world keeps nothing of the episode before."""
+    worlds = 5
+    env, other = (
+        build(num_envs=worlds, subtask="navigate", reward_mode="normalized_dense") for _ in range(2)
+    )
+    for each, seed in ((env, 1), (other, 2)):
+        each.reset(seed=seed)
+        for step in range(3):
+            each.step(actions(each, 10 * seed + step))
+    stateful = [part for key, part in vars(env).items() if hasattr(part, "get_state")]
+    assert stateful
+    assert {id(part) for part in stateful} <= {id(part) for part in env.restorable_parts().values()}
+    other.set_state(4, env.get_state(1))
+    want = arrays_of_worlds(env, worlds)
+    got = arrays_of_worlds(other, worlds)
+    assert {".grip", ".progress.pointer", ".teleports.pending", ".nav._origin"} <= want.keys()
+    different = [key for key in want if not np.array_equal(want[key][1], got[key][4])]
+    assert not different
+    place = np.tile(env.sim.qpos[1, :2], (worlds, 1))
+    assert env.nav.at(place)[1] == other.nav.at(place)[4] > 0.0
+
+
 def test_a_state_of_a_version_without_ee_contact_is_taken():
     env = build(num_envs=1)
     env.reset(seed=0)

@@ -21,7 +21,8 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.core.frozen import FrozenMap
 from mjhab.data.record.recorder import Recorder
-from mjhab.envs.observations import BASE_VELOCITY_KEY, STATE_KEY, state_dim
+from mjhab.envs.observations.modes import STATE_KEY
+from mjhab.envs.observations.state import BASE_VELOCITY_KEY, state_dim
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.envs.single import OF_WORLDS, SingleEnv
 from mjhab.envs.spaces import nested

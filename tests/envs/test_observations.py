@@ -15,14 +15,10 @@ from gymnasium.vector.utils import batch_space
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
-from mjhab.envs.observations import (
-    Views,
-    camera_table,
-    image_size,
-    intrinsic_matrix,
-    mode_outputs,
-    state_table,
-)
+from mjhab.envs.observations.cameras import camera_table, intrinsic_matrix
+from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.modes import image_size, mode_outputs
+from mjhab.envs.observations.state import state_table
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.fetch.model import BASE_HEIGHT

@@ -9,7 +9,7 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.observations import state_dim, state_table
+from mjhab.envs.observations.state import state_dim, state_table
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.robot import ROBOT

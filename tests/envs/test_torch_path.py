@@ -13,7 +13,8 @@ import mjhab.envs as envs
 from mjhab.core.arrays import map_record, to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.envs.device.fields import GoalFields
-from mjhab.envs.observations import Views, state_observation, state_table
+from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.state import state_observation, state_table
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.plan_tables import Rows, look_up
 from mjhab.envs.parts.rewarding import Rewarder, RewardInputs, RewardRules

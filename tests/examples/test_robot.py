@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.bench.engine import measure_engine
-from mjhab.bench.grasp import grasp_table
+from mjhab.bench.simulation.engine import measure_engine
+from mjhab.bench.simulation.grasp import grasp_table
 from mjhab.bench.specs import EngineSpec
 from mjhab.core.registration.plugins import load_plugin
-from mjhab.envs.observations import state_dim
+from mjhab.envs.observations.state import state_dim
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.robots.robot import Robot
 

@@ -12,7 +12,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts import make_expert
-from mjhab.experts.skills.pick import plan_pick
+from mjhab.experts.skills.pick_plans import plan_pick
 from mjhab.experts.style import Manner, StyledView
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.rollout.loop import rollout

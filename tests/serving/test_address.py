@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mjhab.cli.options.served import ServedOptions
+from mjhab.cli.options.policies.served import ServedOptions
 from mjhab.core.errors import UsageError
 from mjhab.serving.address import Address, with_options
 

@@ -33,7 +33,7 @@ class MjhabEnvConfig(EnvConfig):
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        from mjhab.envs.observations import state_dim, unsensed_table
+        from mjhab.envs.observations.state import state_dim, unsensed_table
         from mjhab.evaluation.served.action_spaces import ActionReader, space_named
         from mjhab.robots.controllers import make_controller
         from mjhab.robots.registry import robot_named

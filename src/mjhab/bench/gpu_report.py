@@ -15,11 +15,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjhab.bench import env as bench_env
+from mjhab.bench.environments import env as bench_env
 from mjhab.bench.interact.run import measure_interact
 from mjhab.bench.parity.episodes import Leg
 from mjhab.bench.parity.run import measure_parity
-from mjhab.bench.sleep import sleep_cost
+from mjhab.bench.simulation.sleep import sleep_cost
 from mjhab.bench.specs import EnvBenchSpec, InteractSpec, ParitySpec
 from mjhab.core.errors import MjhabError, unknown_name
 from mjhab.core.files.cache import write_atomic

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from mjhab.cli.options import common as opt
-from mjhab.cli.options import data, env, expert, export, gpu, spawn
-from mjhab.cli.options import generate as gen
-from mjhab.cli.options import reproduce as rep
-from mjhab.cli.options import score as sco
-from mjhab.cli.options import serve as srv
-from mjhab.cli.options import train as learn
+from mjhab.cli.options import env, expert, gpu, spawn
 from mjhab.cli.options import view as look
 from mjhab.cli.options.common import Sub
+from mjhab.cli.options.datasets import data, export
+from mjhab.cli.options.datasets import generate as gen
+from mjhab.cli.options.policies import reproduce as rep
+from mjhab.cli.options.policies import score as sco
+from mjhab.cli.options.policies import serve as srv
+from mjhab.cli.options.policies import train as learn
 
 
 @dataclass(frozen=True)

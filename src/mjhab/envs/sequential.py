@@ -19,7 +19,7 @@ from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.plan_tables import PlanTables
 from mjhab.envs.parts.reporting import Reporter
-from mjhab.envs.parts.snapshots import restore, snapshot
+from mjhab.envs.parts.snapshots import Restorable, restore, snapshot
 from mjhab.envs.parts.teleport import Teleports
 from mjhab.envs.parts.tracking import StepNotes, Tracker
 from mjhab.envs.parts.world_view import WorldView
@@ -162,10 +162,14 @@ class SequentialTaskEnv(TaskLoop):
         return changed
 
     def _enter_subtask(self, mask: np.ndarray) -> None:
+        self._find_ways(mask)
+        super()._enter_subtask(mask)
+
+    def _find_ways(self, mask: np.ndarray) -> None:
+        """Find the ways to the goals of the worlds in ``mask`` (W,) that navigate, where rewards look at them."""
         if self.config.reward in DENSE_MODES:
             for w in np.flatnonzero(mask & self.focus.navigates).tolist():
                 self.nav.begin(w, self.homes[w], self.focus.active.goal_pos[w, :2])
-        super()._enter_subtask(mask)
 
     # -- step ------------------------------------------------------------------------------------------------------
 
@@ -226,6 +230,42 @@ class SequentialTaskEnv(TaskLoop):
     def set_state(self, world: int, state: dict[str, Any]) -> None:
         """Put one world into a state from ``get_state``; the others keep every bit. See `snapshots.restore`."""
         restore(self, world, state)
+        # The ways to the goal are not part of a state: they follow from home and goal.
+        self._find_ways(np.arange(self.num_envs) == world)
+
+    def restorable_parts(self) -> Mapping[str, Restorable]:
+        """Every part with state of its own, by its key in a snapshot."""
+        return {
+            "tracker": self.tracker,
+            "controller": self.controller,
+            "rewarder": self.rewarder,
+            "pending": self.teleports,
+        }
+
+    def get_columns(self, world: int) -> dict[str, Any]:
+        """What the environment itself keeps of a world, by its key in a snapshot."""
+        return {
+            "next": {"seed": int(self.seeds[world]), "count": int(self.count[world])},
+            "flags": {
+                "fallback": bool(self.fallback[world]),
+                "success": bool(self.success[world]),
+                "fail": bool(self.fail[world]),
+            },
+            "joint_start": float(self.joint_start[world]),
+            "grip": float(self.grip[world]),
+        }
+
+    def set_columns(self, world: int, columns: Mapping[str, Any]) -> None:
+        """Restore what the environment itself keeps of a world; no reset is due afterwards."""
+        flags = columns["flags"]
+        self.seeds[world] = columns["next"]["seed"]
+        self.count = _with_entry(self.count, world, columns["next"]["count"])
+        self.fallback = _with_entry(self.fallback, world, flags["fallback"])
+        self.success = _with_entry(self.success, world, flags["success"])
+        self.fail = _with_entry(self.fail, world, flags["fail"])
+        self.due = _with_entry(self.due, world, False)
+        self.joint_start = _with_entry(self.joint_start, world, columns["joint_start"])
+        self.grip = _with_entry(self.grip, world, columns["grip"])
 
     def render_world(self, world: int, width: int = 480, height: int = 360) -> np.ndarray:
         """Human view (H, W, 3) uint8 of one world."""
@@ -257,3 +297,10 @@ class SequentialTaskEnv(TaskLoop):
         return hashlib.sha256(
             batch.qpos[world].tobytes() + batch.qvel[world].tobytes()
         ).hexdigest()[:16]
+
+
+def _with_entry(values: np.ndarray, world: int, value: float) -> np.ndarray:
+    """Copy of an array with another value for one world; arrays that were returned before are not modified."""
+    changed = values.copy()
+    changed[world] = value
+    return changed

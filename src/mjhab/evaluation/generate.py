@@ -27,7 +27,7 @@ from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import Episode
 from mjhab.data.store.reading import episodes as recorded_episodes
-from mjhab.envs.observations import camera_names, image_size, mode_outputs
+from mjhab.envs.observations.modes import camera_names, image_size, mode_outputs
 from mjhab.episodes.starts import valid_targets
 from mjhab.evaluation.evaluate import (
     EvalSpec,

@@ -7,9 +7,12 @@ from mjhab.core.kernels.jit import compiler
 KERNEL_MODULES = (
     "core.kernels.box_gaps",
     "experts.jit",
+    "experts.arm.frame_kernels",
     "experts.arm.gentle",
     "experts.arm.ik_kernels",
     "experts.arm.sphere_gaps",
+    "experts.arm.step_kernels",
+    "experts.base.follower",
     "experts.base.navigation",
     "experts.base.pilot",
     "robots.kinematics",

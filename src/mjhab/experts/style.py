@@ -1,6 +1,6 @@
-"""What makes an expert act in a style: scripts read it from their view, and `Manner` slows and disturbs their actions.
+"""Styles of acting: scripts read the style from their view, and `Manner` slows and disturbs their actions.
 
-What a script intends and what is executed are kept apart: only the second one has noise.
+An intended action comes from the script; the executed action is the intended one with noise.
 """
 
 from __future__ import annotations
@@ -16,17 +16,20 @@ from mjhab.tasks.style import ANY, BURSTS, PLAIN, SMOOTH, VISIBLE, Style
 
 Array = np.ndarray
 NOISE_MEMORY = 0.86
-"""Share of smooth noise that is left after a control step: its time constant is a third of a second."""
+"""Factor of the smooth noise from one control step to the next: its time constant is a third of a second."""
 BURST_STEPS = (5, 30)
-"""Least and greatest number of control steps of a burst of noise, and of the pause before it."""
+"""Least and largest duration of a burst of noise, and of the pause before it [control steps]."""
 FULL_NOISE_ACTION = 0.25
-"""Action from which on noise has its full size. It fades for smaller actions: success asks for a robot that stands
-still, and fingers that close on something must not shake."""
+"""Size of an action (of -1..1) above which noise has its full scale. For smaller actions it is reduced in proportion,
+because success requires a robot that stands still, and the hand must be still while its fingers close."""
 
 
 class StyledView(WorldView):
-    """A view for a script that acts in a style. A slower script has longer control steps: speeds that it reads are per
-    second of its own, slower time."""
+    """A view for a script that acts in a style.
+
+    A slowed script acts as if its control steps were longer, so that the joint velocities it reads are divided by
+    ``style.speed``.
+    """
 
     def __init__(self, env: Worlds, world: int) -> None:
         super().__init__(env, world)
@@ -34,26 +37,26 @@ class StyledView(WorldView):
 
     @property
     def qd(self) -> Array:
-        """(J,) joint velocities, per second of the script."""
+        """(J,) joint velocities [m/s, rad/s] divided by the speed of the style."""
         return super().qd / self.style.speed
 
 
 def style_of(view: WorldView) -> Style:
-    """The style to act with; plain for a view without one."""
+    """Style of a view; `PLAIN` for a view without one."""
     return view.style if isinstance(view, StyledView) else PLAIN
 
 
 def wait_for(view: WorldView, condition: motion.Until) -> motion.Until:
-    """What ends a wait early: ``condition`` in the style of visible waits, else nothing.
+    """Condition that ends a wait early: ``condition`` if the style has visible waits, else `motion.never`.
 
-    Nobody who sees one state can tell how long the hand has waited in it: of equal states most are followed by more
-    waiting, and that is what a policy learns that imitates the expert.
+    An imitating policy sees one state and cannot tell how long the expert has waited in it. With waits of a fixed
+    duration most equal states are followed by more waiting, and the policy learns to wait for ever.
     """
     return condition if style_of(view).waits == VISIBLE else motion.never
 
 
 def of_kind(grasps: Grasps, kind: str) -> Grasps:
-    """The grasps that come from one side: "top", "tilted", "side" or "any"."""
+    """Grasps with one approach direction: "top", "tilted", "side" or "any", see `candidates.KINDS`."""
     return grasps if kind == ANY else grasps.take(np.flatnonzero(grasps.kind == KINDS.index(kind)))
 
 
@@ -78,7 +81,7 @@ class Manner:
         """Control steps for which the robot still stands before it begins."""
 
     def due(self) -> bool:
-        """Whether the script gives its next action in this control step; else the last one goes on."""
+        """Whether the script gives its next action in this control step; else the last action is repeated."""
         self._phase += self.style.speed
         if self._phase < 2.0 - 1e-9:
             return False
@@ -95,13 +98,13 @@ class Manner:
         return self._disturbed(still, scale)
 
     def slow(self, action: Array) -> Array:
-        """The intended action (A,) float32 for one of the script; the gripper stays as it is."""
+        """Intended action (A,) float32: the script's ``action`` (A,) times the speed, except for the gripper."""
         out = action * np.float32(self.style.speed)
         out[self._columns.gripper] = action[self._columns.gripper]
         return out
 
     def disturb(self, intended: Array) -> Array:
-        """The executed action (A,) float32 for an intended one; the gripper stays as it is."""
+        """Executed action (A,) float32: ``intended`` (A,) plus noise, except for the gripper."""
         style = self.style
         if not (style.noise or style.base_noise):
             return intended
@@ -117,8 +120,11 @@ class Manner:
         return self._disturbed(intended, scale)
 
     def _burst(self, intended: Array) -> Array:
-        """Noise at times, at rest too: who only sees disturbed motions does not learn to come back to rest. The pauses
-        let the robot stand still, as success asks for."""
+        """Executed action (A,) with noise in bursts, also while the robot is at rest.
+
+        Data with noise only during motions do not show how to return to rest. Success requires a robot that stands
+        still, which it does in the pauses.
+        """
         if self._stretch == 0:
             self._in_burst = not self._in_burst
             self._stretch = int(self._random.integers(BURST_STEPS[0], BURST_STEPS[1] + 1))

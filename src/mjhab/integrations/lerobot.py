@@ -12,14 +12,9 @@ from gymnasium import spaces
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.observations import (
-    STATE_KEY,
-    ObsEntry,
-    camera_key,
-    state_observation,
-    state_table,
-    unsensed_table,
-)
+from mjhab.envs.observations.entry import ObsEntry
+from mjhab.envs.observations.modes import STATE_KEY, camera_key
+from mjhab.envs.observations.state import state_observation, state_table, unsensed_table
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
 
 CAMERAS = ("head", "wrist")

@@ -17,7 +17,8 @@ from vla_eval.specs import IMAGE_RGB, LANGUAGE, RAW, DimSpec
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.observations import STATE_KEY, camera_key, state_dim
+from mjhab.envs.observations.modes import STATE_KEY, camera_key
+from mjhab.envs.observations.state import state_dim
 from mjhab.evaluation.score.manifest import Row, manifest
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named

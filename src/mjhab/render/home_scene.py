@@ -13,8 +13,9 @@ from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
 from mjhab.layout.layout import Layout
-from mjhab.render.build_scene import SceneBuilder, box_mesh
+from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.follow_camera import FollowCamera
+from mjhab.render.primitives import box_mesh
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.render_scene import RenderScene
 from mjhab.robots.parts import CameraMount

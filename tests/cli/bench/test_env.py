@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjhab.bench.reward import auc, figure, summary
+from mjhab.bench.environments.reward import auc, figure, summary
+from mjhab.bench.environments.stages import STAGES
 from mjhab.bench.soak.run import CURVE_POINTS, MemoryCurve
-from mjhab.bench.stages import STAGES
 from mjhab.cli.main import main
 from mjhab.cli.options.env import EnvsDescribeOptions
 from mjhab.cli.worlds.envs import description

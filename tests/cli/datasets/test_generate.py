@@ -16,7 +16,7 @@ import mjhab
 from mjhab.cli.datasets.generate import generate_spec
 from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.main import main
-from mjhab.cli.options.generate import GenerateOptions
+from mjhab.cli.options.datasets.generate import GenerateOptions
 from mjhab.core.errors import UsageError
 from mjhab.data.store.reading import open_shard
 from mjhab.evaluation.generate import build_stage, make_job

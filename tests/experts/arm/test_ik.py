@@ -15,7 +15,7 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import Boxes
-from mjhab.experts.arm.ik_kernels import link_frames, tree_of
+from mjhab.experts.arm.frame_kernels import link_frames, tree_of
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.kinematics import StepBounds, limited_step, rotation_vector

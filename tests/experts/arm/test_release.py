@@ -14,7 +14,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_mat
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion, release
-from mjhab.experts.planning.reach import surroundings
+from mjhab.experts.planning.workplace import surroundings
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
 

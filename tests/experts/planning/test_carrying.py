@@ -32,17 +32,10 @@ from mjhab.experts.base.route import (
     simulate,
     torso_gone,
 )
+from mjhab.experts.planning.base_poses import FAR_BASE_M, MAX_OVERREACH_M, base_poses, overreach
 from mjhab.experts.planning.carry import CORNER_RADIUS_M, held_spheres
-from mjhab.experts.planning.reach import (
-    FAR_BASE_M,
-    MAX_OVERREACH_M,
-    Scene,
-    Work,
-    _overreach,
-    base_poses,
-    surroundings,
-)
-from mjhab.experts.skills.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
+from mjhab.experts.planning.workplace import Scene, Work, surroundings
+from mjhab.experts.skills.pick_plans import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.skills.place import DROP_HEIGHTS_M, Release, hand_goals, place
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.kinematics import wrap
@@ -220,7 +213,7 @@ def test_bases_are_only_where_something_can_be_reached():
         work = Work(point=goal, goals=wanted, scene=scene, far=far)
         bases, steps = base_poses(view, work)
         assert len(bases) and np.isfinite(steps).all()
-        assert (_overreach(ROBOT.reach, bases, wanted).min(axis=1) < MAX_OVERREACH_M).all()
+        assert (overreach(ROBOT.reach, bases, wanted).min(axis=1) < MAX_OVERREACH_M).all()
     # Far off only where there is no other way, or to save one.
     near_by = base_poses(view, Work(point=goal, goals=goals, scene=scene))
     anywhere = base_poses(view, Work(point=goal, goals=goals, scene=scene, far=True))

@@ -16,8 +16,9 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.base import route
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
-from mjhab.experts.planning.reach import Blocked, HandGoals, Scene, Stance
-from mjhab.experts.planning.sampled import Free, arm_way, plan_around, roomier
+from mjhab.experts.planning.arm_ways import Free, arm_way
+from mjhab.experts.planning.sampled import plan_around, roomier
+from mjhab.experts.planning.workplace import Blocked, HandGoals, Scene, Stance
 from mjhab.robots.fetch.robot import ROBOT
 
 PAN = 5

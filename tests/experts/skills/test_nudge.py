@@ -13,8 +13,8 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
-from mjhab.experts.planning.reach import Scene
-from mjhab.experts.skills import pick
+from mjhab.experts.planning.workplace import Scene
+from mjhab.experts.skills import pick_plans
 from mjhab.experts.skills.nudge import Graspable, _goals, _pushes, outline, plan_nudge
 from mjhab.robots.fetch.robot import ROBOT
 
@@ -104,8 +104,8 @@ def test_a_box_that_cannot_be_grasped_is_turned_and_stays_upright():
     assert subtask is not None
     obj = subtask.obj
     before = mat_from_quat(view.object_pose(obj)[3:])
-    assert pick.plan_pick(view, obj, np.zeros((0, 3))) is None
-    assert pick.scene_of(view, obj).support_z > 0.5
+    assert pick_plans.plan_pick(view, obj, np.zeros((0, 3))) is None
+    assert pick_plans.scene_of(view, obj).support_z > 0.5
     expert = make_expert(env)
     expert.reset(np.ones(1, bool))
     turn = 0.0

@@ -19,18 +19,13 @@ from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, Options, 
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.ik import rotate
+from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import Pilot
-from mjhab.experts.base.route import (
-    LOOKAHEADS_M,
-    LOST_STEPS,
-    RouteWish,
-    follow,
-    plan_route,
-    planner,
-)
+from mjhab.experts.base.route import LOOKAHEADS_M, LOST_STEPS, RouteWish, follow, plan_route
+from mjhab.experts.planning.base_poses import way_out
 from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
-from mjhab.experts.planning.reach import Scene, surroundings, way_out
-from mjhab.experts.skills.pick import FREE_OFFSET_M, balanced, height_below, plan_pick
+from mjhab.experts.planning.workplace import Scene, surroundings
+from mjhab.experts.skills.pick_plans import FREE_OFFSET_M, balanced, height_below, plan_pick
 from mjhab.experts.skills.place import Release, hand_goals
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import ANY

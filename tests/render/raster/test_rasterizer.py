@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.render.build_scene import SceneBuilder, primitive_mesh
+from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.gl_probe import GL_BACKENDS, best_renderer, renderer_probe
 from mjhab.render.mesh_levels import corner_normals
+from mjhab.render.primitives import primitive_mesh
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.shapes.meshes import Mesh

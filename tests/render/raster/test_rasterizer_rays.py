@@ -15,7 +15,8 @@ import pytest
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
-from mjhab.render.build_scene import SceneBuilder, box_mesh
+from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.primitives import box_mesh
 from mjhab.render.raster.rasterizer import NEAR, Cameras, Rasterizer
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.bench import env as bench_env
-from mjhab.bench import sleep as gpu_sleep
+from mjhab.bench.environments import env as bench_env
+from mjhab.bench.environments.stages import STAGES
 from mjhab.bench.interact import run as bench_interact
 from mjhab.bench.interact.scene import InteractScene, interact_scene
 from mjhab.bench.parity import episodes as parity_episodes
 from mjhab.bench.parity import run as bench_parity
 from mjhab.bench.parity.episodes import KINDS, Leg, Log, run_equal, run_own
-from mjhab.bench.stages import STAGES
+from mjhab.bench.simulation import sleep as gpu_sleep
 from mjhab.cli.machine import warmup
 from mjhab.cli.options.env import BenchEnvOptions
 from mjhab.cli.options.gpu import BenchParityOptions, WarmupOptions

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from mjhab.bench.environments.stages import resident_mb
 from mjhab.bench.interact.plot import interact_page
 from mjhab.bench.interact.scene import (
     CONTROL_MODE,
@@ -24,7 +25,6 @@ from mjhab.bench.interact.scene import (
 )
 from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.specs import InteractSpec
-from mjhab.bench.stages import resident_mb
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic

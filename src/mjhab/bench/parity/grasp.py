@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.bench.grasp import (
+from mjhab.bench.simulation.grasp import (
     BENCH_OBJECTS,
     DROP_DISTANCE,
     GRIP_TARGET,

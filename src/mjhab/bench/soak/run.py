@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.bench.environments.stages import resident_mb
 from mjhab.bench.specs import SoakSpec
-from mjhab.bench.stages import resident_mb
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.memory_cache import memory_limit_mb, memory_use
 from mjhab.core.progress import progress_bar

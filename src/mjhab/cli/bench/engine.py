@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.bench.engine import measure_engine
+from mjhab.bench.simulation.engine import measure_engine
 from mjhab.cli.options.common import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.robots.registry import DEFAULT_ROBOT
@@ -36,7 +36,7 @@ def bench_grasp(options: BenchGraspOptions) -> int:
     """Print how far objects slip in the moving gripper; returns 1 if one is dropped."""
     at_least("seed", options.seed, 0)
     at_least("seconds", options.seconds, 0.1)
-    from mjhab.bench.grasp import grasp_table
+    from mjhab.bench.simulation.grasp import grasp_table
 
     rows = grasp_table(
         seconds=options.seconds, seed=options.seed, robot=options.robot or DEFAULT_ROBOT

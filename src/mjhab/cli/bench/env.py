@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mjhab.bench.env import measure
-from mjhab.bench.stages import STAGES
+from mjhab.bench.environments.env import measure
+from mjhab.bench.environments.stages import STAGES
 from mjhab.cli.options.env import BenchEnvOptions
 from mjhab.cli.output import at_least, print_json, print_table
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.cli.options.train import BenchLearnerOptions
+from mjhab.cli.options.policies.train import BenchLearnerOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.learning.require import require_learn
 
@@ -14,7 +14,7 @@ def bench_learner(options: BenchLearnerOptions) -> int:
             at_least(name, getattr(options, name), least)
     at_least("batches", min(options.batches, default=0), 2)
     require_learn()
-    from mjhab.bench.learner import measure_learner
+    from mjhab.bench.training.learner import measure_learner
 
     found = measure_learner(options)
     if options.json:

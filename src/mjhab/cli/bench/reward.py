@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.bench.reward import REPORT, measure_rewards
+from mjhab.bench.environments.reward import REPORT, measure_rewards
 from mjhab.cli.options.env import BenchRewardOptions
 from mjhab.cli.output import at_least, print_json, print_table
 

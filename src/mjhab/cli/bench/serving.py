@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mjhab.bench.serving import IMAGE_SIZE_PX, MAX_ADDED_MS, measure_serving
-from mjhab.cli.options.serve import BenchServingOptions
+from mjhab.cli.options.policies.serve import BenchServingOptions
 from mjhab.cli.output import at_least, print_json, print_table
 
 

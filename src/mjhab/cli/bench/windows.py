@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mjhab.bench.windows import measure_windows
-from mjhab.cli.options.data import BenchWindowsOptions
+from mjhab.bench.training.windows import measure_windows
+from mjhab.cli.options.datasets.data import BenchWindowsOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.options.data import (
+from mjhab.cli.options.datasets.data import (
     DataCheckOptions,
     DataFieldsOptions,
     DataImportOptions,

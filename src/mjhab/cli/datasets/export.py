@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from mjhab.cli.datasets.data import read_filter
-from mjhab.cli.options.export import ExportLerobotOptions, ExportManiskillOptions
+from mjhab.cli.options.datasets.export import ExportLerobotOptions, ExportManiskillOptions
 from mjhab.cli.output import print_json
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import install_extra

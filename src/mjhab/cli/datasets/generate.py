@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjhab.cli.interrupts import stop_signals
-from mjhab.cli.options.generate import GenerateOptions
+from mjhab.cli.options.datasets.generate import GenerateOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.config.profile_choice import profile_options
 from mjhab.data.record.generation import Standing

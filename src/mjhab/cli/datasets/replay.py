@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from mjhab.cli.datasets.data import read_filter
-from mjhab.cli.options.generate import ReplayOptions
+from mjhab.cli.options.datasets.generate import ReplayOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.core.progress import progress_bar

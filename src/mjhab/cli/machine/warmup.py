@@ -76,7 +76,7 @@ class _Work:
 
     def compile_rasterizer(self) -> None:
         """Draw one small picture of every kind in the first home."""
-        from mjhab.envs.observations import CAMERA_OUTPUTS
+        from mjhab.envs.observations.modes import CAMERA_OUTPUTS
         from mjhab.render.home_scene import HomeRenderer
 
         first = self.layout.pack.homes[0].name

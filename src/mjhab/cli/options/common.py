@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from mjhab.bench.specs import EngineSpec
-from mjhab.cli.options.served import ServedOptions
+from mjhab.cli.options.policies.served import ServedOptions
 from mjhab.config.profile_choice import ProfileChoice
 from mjhab.config.profiles import DEFAULT_PROFILE
 

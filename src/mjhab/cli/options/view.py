@@ -20,7 +20,7 @@ from mjhab.cli.options.common import (
     PolicyProfileOptions,
     StageMesh,
 )
-from mjhab.cli.options.data import Preset, Where
+from mjhab.cli.options.datasets.data import Preset, Where
 
 
 @dataclass(frozen=True)

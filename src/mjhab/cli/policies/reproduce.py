@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mjhab.cli.interrupts import sigterm_interrupts
-from mjhab.cli.options.reproduce import ReproduceOptions
+from mjhab.cli.options.policies.reproduce import ReproduceOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.learning.reproduce.make import reproduce

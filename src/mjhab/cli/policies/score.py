@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from mjhab.cli.interrupts import sigterm_interrupts
-from mjhab.cli.options.score import ScoreOptions
+from mjhab.cli.options.policies.score import ScoreOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.errors import UsageError

@@ -9,7 +9,7 @@ import sys
 import threading
 from typing import TYPE_CHECKING
 
-from mjhab.cli.options.serve import ServeOptions
+from mjhab.cli.options.policies.serve import ServeOptions
 from mjhab.cli.output import at_least, print_json
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyOptions, full_spec

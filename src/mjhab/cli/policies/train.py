@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.cli.interrupts import sigterm_interrupts
-from mjhab.cli.options.train import (
+from mjhab.cli.options.policies.train import (
     ReinforcementOptions,
     RunOptions,
     TrainActOptions,

@@ -68,7 +68,7 @@ def robot_rows() -> list[dict[str, Any]]:
         action and of the observation ``state``; ``available``, whether its files are installed; ``missing``, the
         message that names the command which installs them, "" if available.
     """
-    from mjhab.envs.observations import state_dim
+    from mjhab.envs.observations.state import state_dim
     from mjhab.robots.availability import missing_files
     from mjhab.robots.registry import ROBOTS
 

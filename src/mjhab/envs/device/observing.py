@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import torch
 
 from mjhab.core.joints import BASE
-from mjhab.envs.observations import Views, intrinsic_matrix, state_observation
+from mjhab.envs.observations.cameras import intrinsic_matrix
+from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.state import state_observation
 from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing

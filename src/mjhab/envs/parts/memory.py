@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import available_mb
-from mjhab.envs.observations import mode_outputs
+from mjhab.envs.observations.modes import mode_outputs
 
 CAMERAS = 2
 """Default number of cameras of a robot: one on its head, one on its hand."""

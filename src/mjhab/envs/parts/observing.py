@@ -9,21 +9,18 @@ import numpy as np
 
 from mjhab.core.arrays import map_record
 from mjhab.core.joints import BASE
-from mjhab.envs.observations import (
+from mjhab.envs.observations.cameras import camera_table, intrinsic_matrix
+from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.modes import (
     CAMERA_OUTPUTS,
     POINTCLOUD,
-    Views,
     camera_names,
-    camera_table,
-    describe,
     image_size,
-    intrinsic_matrix,
     mode_outputs,
     own_state_only,
-    state_observation,
-    state_table,
-    table_space,
 )
+from mjhab.envs.observations.state import state_observation, state_table
+from mjhab.envs.observations.table import describe, table_space
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.robots.robot import Robot

@@ -6,7 +6,8 @@ import numpy as np
 
 from mjhab.core.arrays import Array, as_like, count, may_hold, namespace, zeros
 from mjhab.core.joints import BASE, BASE_YAW
-from mjhab.envs.observations import ObsContext, pose_in_base
+from mjhab.envs.observations.entry import ObsContext
+from mjhab.envs.observations.state import pose_in_base
 from mjhab.envs.parts.plan_tables import Focus, Tables
 from mjhab.layout.layout import Addresses, Layout
 from mjhab.scenes.spec import OWN_POINTS

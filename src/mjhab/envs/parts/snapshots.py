@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, Protocol
-
-import numpy as np
 
 from mjhab.core.arrays import row_of, with_row
 from mjhab.core.errors import UsageError
-from mjhab.envs.parts.rewarding import Rewarder
-from mjhab.envs.parts.teleport import Teleports
-from mjhab.envs.parts.tracking import Tracker
 from mjhab.episodes.generator import Episode
-from mjhab.robots.controllers.controller import Controller
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.progress import Progress
 from mjhab.tasks.signals import Signals
 
-_FLAGS = ("fallback", "success", "fail")
+
+class Restorable(Protocol):
+    """A part of an environment that holds state of its own for every world."""
+
+    def get_state(self, world: int) -> Any:
+        """Copy of the state of a world: arrays, numbers, strings, lists and dicts of them."""
+        ...
+
+    def set_state(self, world: int, state: Any) -> None:
+        """Restore a world from `get_state`; other worlds are not changed."""
+        ...
 
 
 class RestorableWorlds(Protocol):
@@ -30,18 +35,18 @@ class RestorableWorlds(Protocol):
     signals: Signals | None
     progress: Progress
     episodes_now: list[Episode | None]
-    tracker: Tracker
-    controller: Controller
-    rewarder: Rewarder
-    teleports: Teleports
-    seeds: np.ndarray
-    count: np.ndarray
-    fallback: np.ndarray
-    success: np.ndarray
-    fail: np.ndarray
-    due: np.ndarray
-    joint_start: np.ndarray
-    grip: np.ndarray
+
+    def restorable_parts(self) -> Mapping[str, Restorable]:
+        """Every part with state of its own, by its key in a snapshot."""
+        ...
+
+    def get_columns(self, world: int) -> dict[str, Any]:
+        """What the environment itself keeps of a world, by its key in a snapshot."""
+        ...
+
+    def set_columns(self, world: int, columns: Mapping[str, Any]) -> None:
+        """Restore what the environment itself keeps of a world from a snapshot."""
+        ...
 
     def make_episode(self, seed: int, index: int) -> Episode:
         """An episode by its name."""
@@ -52,7 +57,7 @@ class RestorableWorlds(Protocol):
         ...
 
     def follow(self, progress: Progress) -> None:
-        """Set the progress of all worlds and everything derived from it."""
+        """Set the progress of all worlds and look up what the subtasks are about."""
         ...
 
 
@@ -70,18 +75,12 @@ def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
         raise UsageError(f"world {world} has no state yet: call reset first")
     return {
         "episode": {"seed": episode.seed, "index": episode.index, "home": episode.home},
-        "next": {"seed": int(env.seeds[world]), "count": int(env.count[world])},
         "sim": env.sim.get_world(world),
+        "taint": int(env.sim.taint()[world]),
         "progress": dataclasses.asdict(row_of(env.progress, world)),
         "signals": dataclasses.asdict(row_of(env.signals, world)),
-        "tracker": env.tracker.get_row(world),
-        "controller": env.controller.get_state(world),
-        "rewarder": env.rewarder.get_state(world),
-        "flags": {name: bool(getattr(env, name)[world]) for name in _FLAGS},
-        "joint_start": float(env.joint_start[world]),
-        "grip": float(env.grip[world]),
-        "pending": int(env.teleports.pending[world]),
-        "taint": int(env.sim.taint()[world]),
+        **{key: part.get_state(world) for key, part in env.restorable_parts().items()},
+        **env.get_columns(world),
     }
 
 
@@ -102,28 +101,12 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     env.sim.set_world(world, episode.home, state["sim"])
     env.adopt(world, episode)
     env.sim.add_taint(world, state["taint"])
-    env.seeds[world] = state["next"]["seed"]
-    env.count = _with_entry(env.count, world, state["next"]["count"])
-    env.fallback = _with_entry(env.fallback, world, state["flags"]["fallback"])
-    env.success = _with_entry(env.success, world, state["flags"]["success"])
-    env.fail = _with_entry(env.fail, world, state["flags"]["fail"])
-    env.due = _with_entry(env.due, world, False)
-    env.joint_start = _with_entry(env.joint_start, world, state["joint_start"])
-    env.grip = _with_entry(env.grip, world, state["grip"])
-    env.teleports.pending[world] = state["pending"]
+    env.set_columns(world, state)
     # States of versions without ``ee_contact``: any link that touched stands in for it, as in their labels.
     env.signals = with_row(
         env.signals, world, {"ee_contact": state["signals"]["touch"], **state["signals"]}
     )
     env.follow(with_row(env.progress, world, state["progress"]))
-    env.tracker.set_row(world, state["tracker"])
     env.state = env.sim.state()
-    env.controller.set_state(world, state["controller"])
-    env.rewarder.set_state(world, state["rewarder"])
-
-
-def _with_entry(values: np.ndarray, world: int, value: float) -> np.ndarray:
-    """Copy of an array with another value for one world; arrays that were returned before are not modified."""
-    changed = values.copy()
-    changed[world] = value
-    return changed
+    for key, part in env.restorable_parts().items():
+        part.set_state(world, state[key])

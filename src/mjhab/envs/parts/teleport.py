@@ -54,6 +54,14 @@ class Teleports:
         """(W,) bool: a teleport is due."""
         return self.pending >= 0
 
+    def get_state(self, world: int) -> int:
+        """Tries done for the teleport of a world, -1 when none is due."""
+        return int(self.pending[world])
+
+    def set_state(self, world: int, state: int) -> None:
+        """Restore a world from `get_state`."""
+        self.pending[world] = state
+
     def begin(self, mask: np.ndarray, navigates: np.ndarray) -> None:
         """Note for the worlds in ``mask`` (W,) whether their new subtask ``navigates`` (W,): then a teleport is due."""
         self.pending = np.where(mask, np.where(navigates, 0, -1), self.pending)

@@ -43,16 +43,16 @@ class Tracker:
             self._notes.restart(mask, signals)
         self._start_step = np.where(mask, progress.episode_step, self._start_step)
 
-    def get_row(self, world: int) -> dict[str, Any]:
+    def get_state(self, world: int) -> dict[str, Any]:
         """Copy of the collected data of a world."""
         assert self._notes is not None
         return {"start_step": int(self._start_step[world]), **self._notes.get_row(world)}
 
-    def set_row(self, world: int, row: dict[str, Any]) -> None:
-        """Restore the data of a world from ``get_row``."""
+    def set_state(self, world: int, state: dict[str, Any]) -> None:
+        """Restore the data of a world from `get_state`."""
         assert self._notes is not None
-        self._start_step[world] = row["start_step"]
-        self._notes.set_row(world, row)
+        self._start_step[world] = state["start_step"]
+        self._notes.set_row(world, state)
 
     def update(self, signals: Signals, progress: Progress) -> list[list[str]]:
         """Add one control step, before the pointer advances; returns the names of its events per world."""

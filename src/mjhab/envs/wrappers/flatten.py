@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 
-from mjhab.envs.observations import STATE_KEY
+from mjhab.envs.observations.modes import STATE_KEY
 from mjhab.envs.spaces import ordered_dict
 from mjhab.envs.wrappers.base import PIXELS, ObservationMap, check_key, dict_space, require_images
 

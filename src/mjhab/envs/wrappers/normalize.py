@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.envs.observations import DEPTH_MAX, DEPTH_SCALE
+from mjhab.envs.observations.cameras import DEPTH_MAX, DEPTH_SCALE
 from mjhab.envs.spaces import ordered_dict
 from mjhab.envs.wrappers.base import ImageLeaf, ObservationMap, dict_space, require_images
 

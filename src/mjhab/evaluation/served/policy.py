@@ -13,7 +13,7 @@ import numpy as np
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
-from mjhab.envs.observations import STATE_KEY, camera_key
+from mjhab.envs.observations.modes import STATE_KEY, camera_key
 from mjhab.evaluation.served.action_spaces import ActionReader
 from mjhab.evaluation.served.metadata import own_part, space_of
 from mjhab.robots.kinematics import rotation_vector

@@ -15,7 +15,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
-from mjhab.experts.arm.ik_kernels import link_frames, tree_of
+from mjhab.experts.arm.frame_kernels import link_frames, tree_of
 from mjhab.experts.arm.sphere_gaps import least_gaps, own_gaps
 from mjhab.robots.kinematics import Chain, Frames
 

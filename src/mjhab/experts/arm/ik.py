@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.core.joints import BASE
 from mjhab.experts.arm import ik_kernels
+from mjhab.experts.arm.frame_kernels import tree_of
 from mjhab.robots.kinematics import Chain, rotate, rotation_vector, wrap
 
 Array = np.ndarray
@@ -117,7 +118,7 @@ def solve(
         np.broadcast_to(seeds, (*shape, seeds.shape[-1])).reshape(shape[0] * shape[1], -1)
     )
     pos_err, rot_err = ik_kernels.reach(
-        ik_kernels.tree_of(chain),
+        tree_of(chain),
         flat,
         _floats(pos),
         _floats(rot),
@@ -187,7 +188,7 @@ def servo(
         ahead = q.copy()
         ahead[:, BASE] = base_next
     return ik_kernels.servo_steps(
-        ik_kernels.tree_of(chain),
+        tree_of(chain),
         ahead,
         q,
         _floats(pos),

@@ -1,4 +1,4 @@
-"""Compiled inverse kinematics: forward kinematics, task errors and damped steps of one configuration after the other.
+"""Compiled inverse kinematics: task errors, Jacobians and iterations of one configuration after the other.
 
 The numbers are those of `mjhab.robots.kinematics`, which computes whole batches in numpy or torch; here every
 configuration stops as soon as it is done, and nothing is allocated in the loops. Letters: N configurations, Q joint
@@ -7,13 +7,11 @@ columns, L links, J joints from the root to the tip, D columns that may move. Le
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import NamedTuple
-
 import numpy as np
 
+from mjhab.experts.arm.frame_kernels import SLIDE, Tree, place_link, place_root
+from mjhab.experts.arm.step_kernels import Space, make_space, set_limited_step
 from mjhab.experts.jit import inline, kernel
-from mjhab.robots.kinematics import DAMPING, DAMPING_PER_ERROR, Chain
 
 Array = np.ndarray
 POSE = 0
@@ -22,154 +20,6 @@ CLOSING = 2
 POSITION = 3
 """Which part of the orientation counts, see `ik.Mode`."""
 MODES = {"pose": POSE, "approach": APPROACH, "closing": CLOSING, "position": POSITION}
-FIXED = 0
-SLIDE = 1
-HINGE = 2
-
-
-class Tree(NamedTuple):
-    """A chain as arrays. Joint j leads from link ``parent[j]`` to link j + 1; link 0 is the root.
-
-    parent, kind, axis, column (L - 1,) i64: kind is `FIXED`, `SLIDE` or `HINGE`, column -1 where the joint is fixed;
-    sign (L - 1,); offset (L - 1, 3) of the joint in its parent's frame; path (J,) i64: the joints from the root to
-    the tip; height of the root; lower, upper (Q,): joint limits.
-    """
-
-    parent: Array
-    kind: Array
-    axis: Array
-    column: Array
-    sign: Array
-    offset: Array
-    path: Array
-    height: float
-    lower: Array
-    upper: Array
-
-
-class Space(NamedTuple):
-    """What one configuration needs while it is worked on; made once per call, so that the loops allocate nothing.
-
-    pos, rot: (L, 3), (L, 3, 3) link frames; turn (3, 3), axis (3,): the error's rotation and a direction; error (6,),
-    jac (D, 6): task error and transposed Jacobian; pull, low, high, largest, step (D,): what `kinematics.limited_step`
-    takes and gives; stopped (D,), free (D,) bool, remaining, wanted (6,), square (6, 6): its intermediate values.
-    """
-
-    pos: Array
-    rot: Array
-    turn: Array
-    axis: Array
-    error: Array
-    jac: Array
-    pull: Array
-    low: Array
-    high: Array
-    largest: Array
-    step: Array
-    stopped: Array
-    free: Array
-    remaining: Array
-    wanted: Array
-    square: Array
-
-
-@inline
-def _space(tree: Tree, columns: int) -> Space:
-    links = len(tree.parent) + 1
-    return Space(
-        np.empty((links, 3)),
-        np.empty((links, 3, 3)),
-        np.empty((3, 3)),
-        # Multiplied by 0 where no axis counts: what an empty array holds may be NaN.
-        np.zeros(3),
-        np.empty(6),
-        np.zeros((columns, 6)),
-        np.empty(columns),
-        np.empty(columns),
-        np.empty(columns),
-        np.empty(columns),
-        np.empty(columns),
-        np.empty(columns),
-        np.empty(columns, np.bool_),
-        np.empty(6),
-        np.empty(6),
-        np.empty((6, 6)),
-    )
-
-
-@lru_cache(maxsize=16)
-def tree_of(chain: Chain) -> Tree:
-    """The arrays of a chain."""
-    path: list[int] = []
-    link = chain.tip_index
-    while link > 0:
-        path.append(link - 1)
-        link = chain.parent[link - 1]
-    kinds = {"fixed": FIXED, "slide": SLIDE, "hinge": HINGE}
-    return Tree(
-        np.array(chain.parent, np.int64),
-        np.array([kinds[joint.kind] for joint in chain.joints], np.int64),
-        np.array([joint.axis for joint in chain.joints], np.int64),
-        np.array(chain.column, np.int64),
-        np.array([joint.sign for joint in chain.joints]),
-        np.array([joint.pos for joint in chain.joints], np.float64),
-        np.array(path[::-1], np.int64),
-        float(chain.root_height),
-        np.ascontiguousarray(chain.lower, np.float64),
-        np.ascontiguousarray(chain.upper, np.float64),
-    )
-
-
-@inline
-def _place_link(tree: Tree, j: int, q: Array, pos: Array, rot: Array) -> None:
-    """Write the frame of the link behind joint ``j`` into ``pos`` (L, 3) and ``rot`` (L, 3, 3), links as rows."""
-    up = tree.parent[j]
-    link = j + 1
-    offset = tree.offset[j]
-    for i in range(3):
-        pos[link, i] = (
-            pos[up, i]
-            + offset[0] * rot[up, i, 0]
-            + offset[1] * rot[up, i, 1]
-            + offset[2] * rot[up, i, 2]
-        )
-        for k in range(3):
-            rot[link, i, k] = rot[up, i, k]
-    kind = tree.kind[j]
-    axis = tree.axis[j]
-    if kind == SLIDE:
-        for i in range(3):
-            pos[link, i] += tree.sign[j] * q[tree.column[j]] * rot[up, i, axis]
-    elif kind == HINGE:
-        c = np.cos(q[tree.column[j]])
-        s = tree.sign[j] * np.sin(q[tree.column[j]])
-        a = (axis + 1) % 3
-        b = (axis + 2) % 3
-        for i in range(3):
-            rot[link, i, a] = c * rot[up, i, a] + s * rot[up, i, b]
-            rot[link, i, b] = c * rot[up, i, b] - s * rot[up, i, a]
-
-
-@inline
-def _place_root(tree: Tree, pos: Array, rot: Array) -> None:
-    for i in range(3):
-        pos[0, i] = 0.0
-        for k in range(3):
-            rot[0, i, k] = 1.0 if i == k else 0.0
-    pos[0, 2] = tree.height
-
-
-@kernel
-def link_frames(tree: Tree, q: Array) -> tuple[Array, Array]:
-    """World positions (N, L, 3) and rotations (N, L, 3, 3) of all links at configurations ``q`` (N, Q)."""
-    links = len(tree.parent) + 1
-    pos = np.empty((len(q), links, 3))
-    rot = np.empty((len(q), links, 3, 3))
-    for n in range(len(q)):
-        _place_root(tree, pos[n], rot[n])
-        for j in range(links - 1):
-            _place_link(tree, j, q[n], pos[n], rot[n])
-    return pos, rot
 
 
 @inline
@@ -254,9 +104,9 @@ def _task(
 
     ``slot`` (L - 1,): place of each joint's column among the D that may move, -1: it may not.
     """
-    _place_root(tree, s.pos, s.rot)
+    place_root(tree, s.pos, s.rot)
     for j in tree.path:
-        _place_link(tree, j, q, s.pos, s.rot)
+        place_link(tree, j, q, s.pos, s.rot)
     tip = tree.path[-1] + 1
     for i in range(3):
         s.error[i] = goal_pos[i] - s.pos[tip, i]
@@ -297,81 +147,6 @@ def _task(
         row[5] = counts * (z - about * s.axis[2])
 
 
-@inline
-def _solve(square: Array, x: Array) -> None:
-    """Replace ``x`` (6,) by the solution of ``square`` (6, 6) times it; ``square`` is positive definite and is lost."""
-    for i in range(6):
-        for k in range(i + 1):
-            value = square[i, k]
-            for m in range(k):
-                value -= square[i, m] * square[k, m]
-            square[i, k] = np.sqrt(value) if i == k else value / square[k, k]
-    for i in range(6):
-        for m in range(i):
-            x[i] -= square[i, m] * x[m]
-        x[i] /= square[i, i]
-    for i in range(5, -1, -1):
-        for m in range(i + 1, 6):
-            x[i] -= square[m, i] * x[m]
-        x[i] /= square[i, i]
-
-
-@inline
-def _damped(s: Space) -> None:
-    """Set the damped step of the free columns for the remaining error, see `kinematics.damped_step`."""
-    size = 0.0
-    for i in range(6):
-        size += s.remaining[i] * s.remaining[i]
-        s.wanted[i] = s.remaining[i]
-        for k in range(i + 1):
-            s.square[i, k] = 0.0
-    for d in range(len(s.step)):
-        if not s.free[d]:
-            continue
-        row = s.jac[d]
-        for i in range(6):
-            s.wanted[i] -= row[i] * s.pull[d]
-            for k in range(i + 1):
-                s.square[i, k] += row[i] * row[k]
-    for i in range(6):
-        s.square[i, i] += DAMPING + DAMPING_PER_ERROR * min(size, 1.0)
-    _solve(s.square, s.wanted)
-    for d in range(len(s.step)):
-        s.step[d] = 0.0
-        if s.free[d]:
-            s.step[d] = s.pull[d]
-            for i in range(6):
-                s.step[d] += s.jac[d, i] * s.wanted[i]
-
-
-@inline
-def _limited(s: Space) -> None:
-    """Set the step that keeps to the room ``low``, ``high``, see `kinematics.limited_step`."""
-    columns = len(s.step)
-    s.stopped[:] = 0.0
-    s.free[:] = True
-    for attempt in range(3):
-        for i in range(6):
-            s.remaining[i] = s.error[i]
-            for d in range(columns):
-                s.remaining[i] -= s.jac[d, i] * s.stopped[d]
-        _damped(s)
-        share = 1.0
-        for d in range(columns):
-            s.step[d] += s.stopped[d]
-            share = max(share, abs(s.step[d]) / s.largest[d])
-        over = False
-        for d in range(columns):
-            s.step[d] /= share
-            over = over or (s.free[d] and (s.step[d] < s.low[d] or s.step[d] > s.high[d]))
-        if attempt == 2 or not over:
-            break
-        for d in range(columns):
-            if s.free[d] and (s.step[d] < s.low[d] or s.step[d] > s.high[d]):
-                s.stopped[d] = min(max(s.step[d], s.low[d]), s.high[d])
-                s.free[d] = False
-
-
 @kernel
 def _one_step(tree: Tree, q: Array, rest: Array, rest_gain: float, dofs: Array, s: Space) -> None:
     """Set the step that takes out the error of configuration ``q`` (Q,) and keeps it in its limits."""
@@ -380,7 +155,7 @@ def _one_step(tree: Tree, q: Array, rest: Array, rest_gain: float, dofs: Array, 
         s.pull[d] = (rest[column] - q[column]) * rest_gain
         s.low[d] = tree.lower[column] - q[column]
         s.high[d] = tree.upper[column] - q[column]
-    _limited(s)
+    set_limited_step(s)
 
 
 @inline
@@ -417,7 +192,7 @@ def reach(
     pos_err = np.empty(len(q))
     rot_err = np.empty(len(q))
     slot = _slots(tree, dofs)
-    s = _space(tree, len(dofs))
+    s = make_space(tree, len(dofs))
     s.largest[:] = max_step
     shared = len(q) // max(len(goal_pos), 1)
     for n in range(len(q)):
@@ -458,7 +233,7 @@ def servo_steps(
     """
     delta = np.zeros(q.shape)
     slot = _slots(tree, dofs)
-    s = _space(tree, len(dofs))
+    s = make_space(tree, len(dofs))
     for d in range(len(dofs)):
         s.largest[d] = largest[dofs[d]]
     for n in range(len(q)):

@@ -19,7 +19,8 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.base.navigation import FloorClearance, Follower, Planner
+from mjhab.experts.base.follower import Follower
+from mjhab.experts.base.navigation import FloorClearance, Planner
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray

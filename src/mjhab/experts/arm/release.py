@@ -11,7 +11,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import approach_clearance
 from mjhab.episodes.grasps.stable import ObjectShape
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.planning.reach import surroundings
+from mjhab.experts.planning.workplace import surroundings
 
 Array = np.ndarray
 TIGHT_PLAY_M = 0.008

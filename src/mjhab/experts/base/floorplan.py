@@ -16,7 +16,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import motion
-from mjhab.experts.base.route import planner
+from mjhab.experts.base.ajar import planner
 from mjhab.experts.planning.carry import held_spheres
 from mjhab.robots.kinematics import wrap
 

@@ -1,4 +1,7 @@
-"""Motions that drawers and doors have in common: getting to a stance, taking a handle, letting go."""
+"""Motions that drawers and doors have in common: driving to a stance, grasping a handle, releasing it.
+
+Lengths [m], angles [rad], world frame. Letters: M configurations, J joints, T samples of a route.
+"""
 
 from __future__ import annotations
 
@@ -19,34 +22,34 @@ from mjhab.robots.robot import Robot
 Array = np.ndarray
 Motion = motion.Motion
 FUNNEL_STEP_M = 0.02
-"""Motion of the hand per control step while it comes onto a handle."""
+"""Motion of the hand per control step while the open fingers move over a handle."""
 STRADDLE_M = 0.068
 """Distance from the tool centre to a handle at which the fingertips do not reach it yet."""
 ALONG_BAR_M = 0.04
-"""Greatest distance along the bar from the wished place at which a handle may be taken."""
+"""Largest distance along the bar between the planned and the actual grasp."""
 FOLD_CLEARANCE_M = 0.005
-"""Clearance with which the arm folds."""
+"""Least clearance of a route on which the arm moves to its rest pose."""
 RETREAT_CLEARANCE_M = 0.29
-"""Clearance of the base on the floor when it backs away."""
+"""Least clearance of the base on the floor when it drives backwards."""
 ROUTES_TRIED = 5
-"""Number of stances whose route is planned."""
+"""Number of stances for which a route is planned."""
 MAX_ROUTES_TRIED = 12
-"""The same while none of them has a clear route."""
+"""The same while no route without a collision has been found."""
 ARM_REACH_M = 1.3
-"""Distance from the base beyond which the arm touches nothing."""
+"""Distance from the base beyond which the arm cannot touch anything."""
 MAX_ROUTE_DEFICIT_M = 0.012
 """Maximum clearance deficit along a route: `plan_route` allows for errors of the drive."""
 AMBIGUOUS_TURN_RAD = 2.8
-"""Turns at the end that are larger than this might be driven the other way round, along poses that were not checked."""
+"""Largest turn at the end of a route. With a larger one the base may turn the other way, through unchecked poses."""
 SECOND_CHOICE_STEPS = 8.0
-"""Control steps between the second and the first configuration of a stance."""
+"""Cost of using the second configuration of a stance instead of the first [control steps]."""
 BLOCKED_PRICE_STEPS = 1000.0
-"""Cost of a route that touches something."""
+"""Cost of a route with a collision [control steps]."""
 
 
 def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) -> Boxes:
-    """What the robot might touch on its way to some base poses (M, 3+): walls, furniture, links as they are now but
-    for ``shut``, which counts as closed."""
+    """Boxes within the arm's reach of the present base pose or of ``goals`` (M, 3+): walls, furniture, and links at
+    their present joint positions. The link ``shut`` counts as closed."""
     links = [view.link_boxes()] if shut is None else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
     boxes = Boxes.join([view.home.boxes, *links])
     places = np.concatenate([view.base[None, :2], goals[:, :2]])
@@ -58,15 +61,18 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
 def best_route(
     view: WorldView, goals: Array, others: Array | None = None, link: JointedLink | None = None
 ) -> tuple[int, Route] | None:
-    """The quickest way to one of some configurations (M, J), most wanted first, that touches nothing.
+    """The quickest collision-free route to one of several configurations.
 
     Args:
-        others: (M, J) configurations that will do as well but for some more steps.
-        link: a door that the hand must not pass through: a fast hand could seem to jump from one side to the other.
+        view: world to plan in.
+        goals: (M, J) configurations, preferred ones first.
+        others: (M, J) second choice for every goal, at a cost of `SECOND_CHOICE_STEPS`; used when driving backwards.
+        link: a door that the hand must not pass through. It is checked at two samples per control step, because a fast
+            hand could pass through it between two control steps.
 
     Returns:
-        The index of the configuration and the way there, forwards or backwards; where none is free, the one with the
-        most room; None when there is no way at all.
+        Index of the configuration and the route to it, forwards or backwards. If every route has a collision, the one
+        with the most clearance; None when there is no route.
     """
     boxes = obstacles(view, goals[:MAX_ROUTES_TRIED])
     door = None if link is None else link.boxes(view.link_q(link.id))
@@ -74,7 +80,7 @@ def best_route(
     for i, goal in enumerate(goals[:MAX_ROUTES_TRIED]):
         if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED_PRICE_STEPS:
             break
-        # Backing up to a place turns the hand less, but from the other side: then it rather comes straight in.
+        # A drive backwards ends with less turning, but from the other side: the second choice suits it better.
         for direction, end, more in (
             (1, goal, 0.0),
             (-1, goal if others is None else others[i], SECOND_CHOICE_STEPS),
@@ -96,7 +102,7 @@ def best_route(
 
 
 def _cost(view: WorldView, route: Route, door: Boxes | None) -> float:
-    """Steps a route takes, and a lot more where it is blocked."""
+    """Duration of a route [control steps], plus `BLOCKED_PRICE_STEPS` and more if it has a collision."""
     lack = max(-route.room, 0.0)
     if door is not None and lack < MAX_ROUTE_DEFICIT_M:
         gap = _hand(view.robot).clearance(_passed(view, route), door).min()
@@ -116,7 +122,7 @@ def _hand(robot: Robot) -> RobotSpheres:
 
 
 def _turn_at_end(route: Route) -> float:
-    """How far the base turns on the spot where a route ends [rad]."""
+    """Angle by which the base turns in place at the end of a route [rad]."""
     way = route.path[-1] - route.path[-2]
     if np.linalg.norm(way) < 0.03:
         return 0.0
@@ -125,7 +131,7 @@ def _turn_at_end(route: Route) -> float:
 
 
 def _passed(view: WorldView, route: Route) -> Array:
-    """Configurations (T, J) expected on a route, two for every control step."""
+    """Expected configurations (T, J) on a route, two per control step."""
     poses = simulate(view.base, route.path, route.yaw, route.direction, route.lookahead, route.care)
     robot = view.robot.chain
     needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
@@ -144,7 +150,7 @@ def go(view: WorldView, route: Route, gripper: float) -> Motion:
 
 
 def creep(view: WorldView, posture: Array, heading: float, speed: float, gripper: float) -> Array:
-    """One action: drive at ``speed`` [m/s] along ``heading``, the arm held."""
+    """Action (A,) that drives at ``speed`` [m/s] along ``heading`` [rad] with the arm at ``posture`` (J,)."""
     turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
@@ -152,7 +158,14 @@ def creep(view: WorldView, posture: Array, heading: float, speed: float, gripper
 def let_go(
     view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: float = 0.3
 ) -> Motion:
-    """Open the hand, then draw it straight back [m] from what it held, base and arm together."""
+    """Open the hand, then move it backwards along its own axis by ``way`` [m] with base and arm.
+
+    Args:
+        view: world to act in.
+        way: distance of the motion [m].
+        gripper: gripper action, -1..1.
+        speed: of the hand [m/s].
+    """
     until = wait_for(view, motion.has_opened(gripper))
     yield from motion.hold(view, 4, gripper=gripper, until=until)
     pos, rot = motion.tcp(view)
@@ -181,12 +194,13 @@ def fold(
     shut: JointedLink | None = None,
     gripper: float = motion.OPEN,
 ) -> Motion:
-    """Bring the arm to rest, backing away first as far [m] as it needs to touch nothing.
+    """Bring the arm to its rest pose; the base first drives backwards as far as a collision-free motion requires.
 
     Args:
-        ways: how far it may back away [m], tried in this order.
-        shut: a door that will be closed by then.
-        gripper: open fingers might take hold of the edge of a door nearby.
+        view: world to act in.
+        ways: distances that the base may drive backwards [m], tried in this order.
+        shut: a door that counts as closed.
+        gripper: gripper action. Close the fingers near the edge of a door, which open fingers could catch.
     """
     q = view.q
     rest = motion.rest_goal(view)
@@ -217,7 +231,7 @@ def fold(
 
 
 def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
-    """Drive ``way`` [m] backwards with the arm held."""
+    """Drive ``way`` [m] backwards at ``speed`` [m/s] with the arm held. Returns whether the base arrived."""
     posture = view.q
     start = view.base[:2]
     heading = float(view.base[2])
@@ -237,13 +251,18 @@ def take(
     height: float | None = None,
     gripper: float = motion.OPEN,
 ) -> Motion:
-    """Put the open hand onto the handle and close it. Returns whether both fingers press.
+    """Move the open fingers over a handle and close them, up to two times.
 
     Args:
-        rot: (3, 3) of the hand in the world.
-        posture: preferred configuration (J,).
-        height: where on an upright bar [m]; None: its middle.
-        gripper: how wide the hand is open on its way.
+        view: world to act in.
+        link: drawer or door with the handle.
+        rot: (3, 3) rotation of the hand in the world.
+        posture: (J,) preferred configuration.
+        height: of the grasp on a vertical bar above the floor [m]; None for the middle of the bar.
+        gripper: gripper action while the hand moves, -1..1.
+
+    Returns:
+        Whether both fingers press on the handle.
     """
     for _ in range(2):
         handle, _, _ = link.handle_pose(view.link_q(link.id))
@@ -258,9 +277,10 @@ def take(
 def _funnel(
     view: WorldView, goal: Array, rot: Array, posture: Array, gripper: float, max_steps: int = 40
 ) -> Motion:
-    """Bring the hand to ``goal``, forward only as far as it is in line: open fingers must not hit what they straddle.
+    """Bring the hand to ``goal`` (3,) so that the open fingers pass on both sides of the bar without touching it.
 
-    Along the bar (the hand's z axis) the place matters little.
+    The hand moves forward only while it is laterally aligned with the bar. Errors along the bar (the z axis of the
+    hand) are tolerated up to `ALONG_BAR_M`. Returns whether the hand arrived.
     """
     robot = view.robot.chain
     dofs = ik.columns(robot)
@@ -289,8 +309,16 @@ def _funnel(
 def base_towards(
     view: WorldView, wish: Array, speed: float = 0.0, most: float = 0.5
 ) -> tuple[float, float]:
-    """Forward speed [m/s] and yaw rate [rad/s] that bring the base to a near pose ``wish`` (3+,), as far as it can go
-    without turning aside; ``speed``: that of the pose itself along the heading."""
+    """Forward speed [m/s] and yaw rate [rad/s] that bring the base towards a nearby pose ``wish`` (3+,).
+
+    A lateral error stays: the base only drives along its heading and turns to that of the pose.
+
+    Args:
+        view: world to act in.
+        wish: (3+,) x, y, yaw of the wished pose.
+        speed: at which the pose itself moves along the heading [m/s].
+        most: largest forward speed [m/s].
+    """
     q = view.q
     ahead = float((wish[:2] - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
     v = float(np.clip(speed + 1.5 * ahead, -most, most))
@@ -298,7 +326,7 @@ def base_towards(
 
 
 def next_base(view: WorldView, v: float, w: float) -> Array:
-    """Where the base will be (1, 3) after a control step."""
+    """Base pose (1, 3) after one control step with forward speed ``v`` [m/s] and yaw rate ``w`` [rad/s]."""
     q = view.q
     return (
         q[None, BASE]

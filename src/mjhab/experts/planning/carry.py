@@ -1,4 +1,7 @@
-"""Ways back to the rest pose, with or without an object in the hand."""
+"""Driving into furniture and out of it with the arm held, and ways back to the rest pose.
+
+Lengths [m], angles [rad], world frame. Letters: J joints, H spheres.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +27,16 @@ from mjhab.experts.base.route import (
     holds,
     plan_route,
 )
-from mjhab.experts.planning.reach import surroundings
 from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
+from mjhab.experts.planning.workplace import surroundings
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 BACK_WAYS_M = (0.0, 0.2, 0.4, 0.6, 0.8)
-"""Distances that the base may drive back while the arm returns."""
+"""Distances that the base may drive backwards while the arm moves to its rest pose."""
 AROUND_BACK_WAYS_M = (0.0, 0.3)
-"""The same where the arm passes other postures on its way."""
+"""The same for routes of `plan_around`, on which the arm passes through other postures."""
 SHELF_DEPTH_M = 0.42
 """Distance that the base drives straight in with the arm stretched out, to reach into a fridge."""
 
@@ -43,18 +46,19 @@ IN_SPEED_M_S = 0.35
 OUT_SPEED_M_S = 0.5
 """Speed of the base while it drives straight out."""
 HASTY_SPEED_M_S = 0.7
-"""Speed of the base for both where time is short."""
+"""Speed of the base in both directions when few control steps are left."""
 HASTY_END_M = (0.04, 0.025)
-"""Where time is short, a drive ends at this distance from its goal, and when the base moves less than this per control
-step; the motion of the arm that follows makes up for the rest."""
+"""When few control steps are left, a drive ends within the first distance of its goal, once the base moves less than
+the second one per control step. The motion of the arm that follows corrects the remaining error."""
 STUCK_STEPS = 6
-"""Control steps without motion after which it is stuck; fingers that touch something show no force."""
+"""Control steps without motion after which the base counts as blocked. `WorldView.link_forces` leaves out the
+fingers."""
 IN_CLEARANCE_M = 0.012
-"""Clearance from which on the arm may stay as it was planned while the base drives in."""
+"""Clearance above which the arm keeps its planned configuration while the base drives in."""
 CORNER_RADIUS_M = 0.012
 """Radius of the spheres in the corners of a held box."""
 MAX_CORRECTION_RAD = 0.5
-"""Largest change of a joint that makes up for errors of the drive."""
+"""Largest change of a joint that corrects a lateral error of the base."""
 
 
 def grip(robot: Robot, opening: float) -> float:
@@ -85,11 +89,20 @@ class ReachIn:
 def drive_in(
     view: WorldView, reach: ReachIn, boxes: Boxes, *, gripper: float, hasty: bool = False
 ) -> Motion:
-    """Drive straight on about to the base pose of a configuration, with the arm already stretched out. Returns whether
-    it got there; not when it is stuck.
+    """Drive straight ahead towards the base pose of a configuration, with the arm already stretched out.
 
-    Small errors of the base sideways stay, steering would sweep the arm: where the arm would come too near to
-    ``boxes``, it makes up for them before.
+    Lateral errors of the base are not steered away, because a turn would sweep the arm sideways. Where they would bring
+    the arm too near to an obstacle, the arm corrects them before the drive.
+
+    Args:
+        view: world to act in.
+        reach: configuration at the end of the drive, and the pose of the hand there.
+        boxes: obstacles.
+        gripper: gripper action, -1..1.
+        hasty: drive faster and accept a larger error at the end.
+
+    Returns:
+        Whether the base arrived; False when it is blocked.
     """
     near, slow = HASTY_END_M if hasty else (0.02, 0.006)
     goal = _lined_up(view, reach, boxes)
@@ -124,7 +137,11 @@ def drive_in(
 def drive_out(
     view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED_M_S
 ) -> Motion:
-    """Drive straight back over ``way`` [m], the arm held as it is. Returns whether it got there."""
+    """Drive straight backwards over ``way`` [m] at up to ``speed`` [m/s] with the arm held.
+
+    Returns:
+        Whether the base arrived; False when it is blocked.
+    """
     goal = view.q
     start = view.base[:2]
     heading = float(view.base[2])
@@ -143,8 +160,11 @@ def drive_out(
 
 
 def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> Array:
-    """The configuration (J,) with the base where straight on from here leads. Where the arm so comes too near to the
-    boxes and with a small change does not, the arm brings the hand to its pose all the same."""
+    """The configuration (J,) at the end of a straight drive from the present base pose.
+
+    If the arm would come nearer than `IN_CLEARANCE_M` to an obstacle, and a small change of its joints that keeps the
+    hand at its pose gives more clearance, the arm is changed.
+    """
     goal = reach.q
     q = view.q
     robot = view.robot.chain
@@ -170,7 +190,7 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> Array:
 
 
 def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
-    """Least clearance [m] on the straight ``way`` [m] of the base to ``goal`` (J,), the arm held."""
+    """Least clearance [m] of the robot while its base drives the last ``way`` [m] straight to ``goal`` (J,)."""
     q = np.repeat(goal[None], 6, axis=0)
     q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
         [np.cos(goal[2]), np.sin(goal[2])]
@@ -179,7 +199,7 @@ def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
 
 
 def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
-    """Spheres that fill the box of an object in the hand: centres (H, 3) in the frame of the tool, radii (H,)."""
+    """Spheres that cover the bounding box of an object in the hand: centres (H, 3) in the tool frame, radii (H,)."""
     pos, rot = motion.tcp(view)
     pose = view.object_pose(obj)
     half = np.array(view.object_type(obj).half)
@@ -191,7 +211,7 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     size = np.full(len(grid), radius)
     if view.object_shape(obj).kind in ("box", "mesh"):
-        # Larger spheres leave corners bare, and those are what knocks an object out of the hand.
+        # The larger spheres leave out the corners, and a collision of a corner knocks the object out of the hand.
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (
             half - CORNER_RADIUS_M
         )
@@ -202,7 +222,16 @@ def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
 
 
 def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
-    """Bring the arm to rest, driving back as far as the room around asks for. Returns whether it arrived."""
+    """Bring the arm to its rest pose; the base drives backwards as far as obstacles require.
+
+    Args:
+        view: world to act in.
+        obj: name of the object that is held or was just released.
+        holding: keep the fingers closed and count the object as part of the robot.
+
+    Returns:
+        Whether the arm is at rest; False when the object was lost.
+    """
     gripper = motion.CLOSED if holding else motion.OPEN
     robot = motion.spheres(view.robot)
     if holding:
@@ -219,7 +248,8 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
 
 
 def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) -> Route | None:
-    """The quickest way to rest that keeps clear, straight back if need be; else the one with the most room."""
+    """A collision-free route to the rest pose with the shortest drive backwards, else the one with the most clearance;
+    None when there is none."""
     others, target = surroundings(view, obj, view.tcp_pose[:3])
     boxes = others if holding else type(others).join([others, target])
     now = view.q

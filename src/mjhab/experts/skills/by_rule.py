@@ -19,7 +19,8 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.pilot import Pilot
-from mjhab.experts.planning.reach import Scene, clear_ones
+from mjhab.experts.planning.reach import clear_ones
+from mjhab.experts.planning.workplace import Scene
 
 Array = np.ndarray
 Drive = tuple[float, float]

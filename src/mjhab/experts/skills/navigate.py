@@ -15,12 +15,13 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards
 from mjhab.experts.base.floorplan import Arm, Floorplan, turn_between
 from mjhab.experts.base.lattice import YAWS, Lattice, Leg, turns
-from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS, planner
+from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS
+from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
-from mjhab.experts.planning.reach import in_sight
 from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray

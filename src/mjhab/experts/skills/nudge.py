@@ -24,15 +24,8 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
 from mjhab.experts.planning.carry import ReachIn, drive_in
-from mjhab.experts.planning.reach import (
-    CLEARANCES_M,
-    HandGoals,
-    Scene,
-    Stance,
-    Work,
-    settle_reach,
-    stances,
-)
+from mjhab.experts.planning.reach import settle_reach, stances
+from mjhab.experts.planning.workplace import CLEARANCES_M, HandGoals, Scene, Stance, Work
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.parts import Gripper
 

@@ -1,4 +1,7 @@
-"""The expert for Pick: from tables and seats, out of the opened drawer, from the shelf of the fridge."""
+"""The expert for Pick: from tables and seats, from an open drawer, from a shelf of the fridge.
+
+Lengths [m], angles [rad], world frame. Letters: A base poses that did not work, J joints.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY
-from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.candidates import (
-    Grasps,
-    LyingObject,
-    ObjectShape,
-    Options,
-    grasp_candidates,
-)
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow, holds
@@ -32,81 +26,64 @@ from mjhab.experts.planning.carry import (
     grip,
     inside_depth,
 )
-from mjhab.experts.planning.reach import (
-    CLEARANCES_M,
-    Blocked,
+from mjhab.experts.planning.reach import hand_room, settle_reach
+from mjhab.experts.planning.workplace import (
     HandGoals,
-    Scene,
     Stance,
-    Work,
-    hand_room,
-    settle_reach,
-    stances,
-    surroundings,
 )
-from mjhab.experts.planning.sampled import roomier
-from mjhab.experts.skills.nudge import in_steps, nudge, plan_nudge
-from mjhab.experts.style import of_kind, style_of, wait_for
+from mjhab.experts.skills.nudge import nudge, plan_nudge
+from mjhab.experts.skills.pick_plans import (
+    GRASP_ROOM_M,
+    direction_to,
+    plan_inside,
+    plan_pick,
+    scene_of,
+    shelf_grasps,
+)
+from mjhab.experts.style import style_of, wait_for
 from mjhab.tasks.style import ANY
 
 Array = np.ndarray
 INSIDE_M = 0.06
-"""Distance that the base has driven in from which on it is driven out again."""
+"""Distance driven into a shelf above which the base drives out again before another attempt."""
 LIFT_M = 0.10
 """Height by which an object is lifted off an open surface before it is carried."""
 SHELF_LIFT_M = 0.025
 """The same on a shelf."""
 LATE_IN_STEPS = 130
-"""With fewer control steps left, the base hurries into a shelf."""
+"""With fewer control steps left, the base drives into a shelf at `HASTY_SPEED_M_S`."""
 LATE_OUT_STEPS = 60
-"""With fewer control steps left, the base hurries out of a shelf."""
+"""With fewer control steps left, the base drives out of a shelf at `HASTY_SPEED_M_S`."""
 FINE_OPENING_M = 0.094
-"""Openings of the hand from which on there are less than 3 mm of free space on either side of the object."""
+"""Opening of the hand above which less than 3 mm of free space are left on either side of the object."""
 FINE_CLOSING_M = 0.004
-"""Motion per control step of fingers that close on a can beside its axis: an impact would shoot it out of the hand."""
+"""Motion of the fingers per control step while they close on a can beside its axis: an impact would push it out."""
 MAX_SHORT_M = 0.025
-"""A hand that stops farther than this from its grasp does not close."""
+"""Largest distance of the hand from its grasp at which the fingers close."""
 WAIT_STEPS = (5, 10, 20, 50)
-"""Control steps to wait after the first, second, ... attempt without a way: things may come to rest meanwhile."""
-MAX_GOALS = 60
-FREE_OFFSET_M = 0.015
-"""Distance of the object's centre beside the pads that costs nothing. Farther off, its weight turns the object
-between the pads, and it slips out when something pushes it from above."""
-OFFSET_PRICE_PER_M = 15.0
-"""Score lost per metre beyond `FREE_OFFSET_M`."""
-_CLEAR = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
-"""Room [m] asked between gripper and neighbours, on a shelf also with its wrist (the spheres that stand for it are up
-to 8 mm too large), and how much nearer than the arm the hand may come; less each time no good way is found."""
-OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=_CLEAR[-1][0])
-# Little room: closer steps around the object, a short way in, and boxes nearly as wide as the hand opens. Below a low
-# shelf, where there is no way from above, bowls are taken by the rim from the front.
-SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0)
-LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
-SHELF_BLUNT_M = 0.004
-"""End of the pads [m] that does not count there."""
+"""Control steps to wait after the first, second, ... attempt without a plan: objects may come to rest meanwhile."""
 MAX_NUDGES = 2
-"""How often an object is turned."""
+"""Largest number of pushes that turn an object."""
 NUDGE_STEPS = 115
-"""Control steps that must be left to turn it."""
+"""Control steps that must be left to turn an object."""
 NUDGE_BACK_M = 0.12
-"""Distance that the base draws back from it."""
-INSIDE_WAYS_M = (0.0, 0.1, 0.2, SHELF_DEPTH_M)
-"""Distances that the base may drive straight in where it has just turned the object."""
-_HOME_WEIGHT = 0.8
-"""Weight of a control step on the way back to rest there: hardly any time is left."""
+"""Distance that the base drives backwards after a push."""
 
 
 def pick(view: WorldView) -> Motion:
-    """Pick up the active subtask's object and bring it home; try again while there is time."""
+    """Pick up the object of the active subtask and bring the arm to rest; repeated until the episode ends."""
     subtask = view.subtask
     assert subtask is not None
     return (yield from pick_up(view, subtask.obj))
 
 
 def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
-    """Pick up an object, wherever it lies, and bring it home; try again while there is time.
+    """Pick up an object wherever it lies and bring the arm to rest; repeated until the episode ends.
 
-    ``keep``: hold it there, and start again when it is lost; else end as soon as it is lifted.
+    Args:
+        view: world to act in.
+        obj: name of the object.
+        keep: hold the object at rest, and start again when it is lost; False: end as soon as it is lifted.
     """
     failed = np.zeros((0, 3))
     attempt = 0
@@ -131,8 +108,8 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
         taken = yield from _take(view, obj, stance, goals, depth, hasty=inside)
         short = taken is None and not depth and not short
         if short:
-            # The base stopped a little too far off: from where it is another grasp is the quickest. Once: the plan
-            # may be to stay, and would be the same for ever.
+            # The base stopped a little too far away: another grasp from the present base pose is the quickest. Only
+            # once, because a plan that keeps the base where it is would be repeated for ever.
             continue
         if taken:
             if depth or inside:
@@ -149,8 +126,8 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
 
 
 def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motion:
-    """Get out of where a grasp was tried in vain, the base having come in over ``depth``, if it got so far."""
-    # A hand that presses against something inside is not drawn back before the base is.
+    """Leave the place of a failed grasp, to which the base drove straight in over up to ``depth`` [m]."""
+    # A hand that presses against furniture is not moved before the base has driven out.
     if not (depth and view.link_forces.sum() > BLOCKED_FORCE_N):
         yield from _let_go(view)
     if (
@@ -166,8 +143,11 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
 def _planned(
     view: WorldView, obj: str, failed: Array, attempt: int, inside: bool
 ) -> tuple[Stance, HandGoals, float] | None:
-    """`plan_pick` with the wished kind of grasp, else with any; ``inside``: from where the object was just turned."""
-    if inside and (found := _plan_inside(view, obj, failed)) is not None:
+    """`plan_pick` with the kind of grasp of the style, else with any.
+
+    ``inside``: the object was just turned by a push, and the base still stands before the shelf.
+    """
+    if inside and (found := plan_inside(view, obj, failed)) is not None:
         return found
     wish = style_of(view).grasp
     for k in (0, 1, 2) if attempt == 0 else (attempt,):
@@ -180,135 +160,13 @@ def _planned(
     return None
 
 
-def plan_pick(
-    view: WorldView, obj: str, failed: Array, attempt: int = 0, wish: str = ANY
-) -> tuple[Stance, HandGoals, float] | None:
-    """The best way to grasp an object: stance, grasps it refers to, and how far the base comes straight in [m].
-
-    Args:
-        failed: (A, 3) base poses that did not work.
-        attempt: number of attempts before; later ones take what the first leave out.
-        wish: the kind of grasp, a word of `tasks.style.Style.grasp`.
-    """
-    pose = view.object_pose(obj)
-    shape = view.object_shape(obj)
-    scene = scene_of(view, obj)
-    depth = inside_depth(view, pose[:3])
-    around = scene.beside.near(pose[:3], 0.5)
-    if depth:
-        every = _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0])
-    else:
-        every = grasp_candidates(
-            LyingObject.of(shape, pose, scene.support_z),
-            neighbours=around,
-            gripper=view.robot.gripper,
-            options=OPTIONS,
-        )
-    every = balanced(of_kind(every, wish), pose[:3])
-    room = hand_room(view.robot.gripper, every, around) if depth else None
-    best = None
-    tried = 0
-    blocked: list[Blocked] = []
-    for asked, hand, nearer in _CLEAR[min(attempt, 1) :]:
-        keep = every.clear >= asked
-        grasps = every.take(np.flatnonzero(keep if room is None else keep & (room > hand)))
-        if len(grasps) <= tried:
-            continue
-        tried = len(grasps)
-        goals = _diverse(grasps)
-        for back in _ways_in(depth, attempt):
-            work = Work(
-                point=pose[:3],
-                goals=goals,
-                scene=scene,
-                drive_in=back,
-                avoid=failed,
-                room=CLEARANCES_M[min(attempt, 2)],
-                nearer=nearer,
-            )
-            found = stances(view, work, blocked)
-            if found and (best is None or found[0].route.room > best[0].route.room):
-                best = found[0], goals, back
-            if best is not None and (not depth or best[0].route.room >= 0.0):
-                return roomier(view, best, blocked)
-    return roomier(view, best, blocked)
-
-
-def _shelf_grasps(
-    shape: ObjectShape,
-    pose: Array,
-    scene: Scene,
-    inward: tuple[float, float],
-    around: Boxes,
-    clear: float,
-) -> Grasps:
-    """Grasps of an object on a shelf at ``pose`` (7,), best first, with some room to the boxes ``around``."""
-    hand = scene.body.gripper
-    gripper = replace(hand, usable=hand.shelf_usable, blunt=SHELF_BLUNT_M)
-    for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS):
-        found = grasp_candidates(
-            LyingObject.of(shape, pose, scene.support_z),
-            neighbours=around,
-            options=replace(options, inward=inward, least_clear_m=clear),
-            gripper=gripper,
-        )
-        if len(found) or shape.kind != "bowl":
-            break
-    return found
-
-
-def _plan_inside(
-    view: WorldView, obj: str, failed: Array
-) -> tuple[Stance, HandGoals, float] | None:
-    """Like `plan_pick`, for an object on a shelf that was just turned: the quickest grasp counted to the way home."""
-    pose = view.object_pose(obj)
-    scene = scene_of(view, obj)
-    around = scene.beside.near(pose[:3], 0.5)
-    shape = view.object_shape(obj)
-    every = balanced(
-        _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0]), pose[:3]
-    )
-    room = hand_room(view.robot.gripper, every, around)
-    best = None
-    least = np.inf
-    for (asked, hand, nearer), arm in zip(_CLEAR, CLEARANCES_M, strict=True):
-        rows = np.flatnonzero((every.clear >= asked) & (room > hand))
-        if not len(rows):
-            continue
-        goals = _diverse(every.take(rows))
-        for back in INSIDE_WAYS_M:
-            work = Work(
-                point=pose[:3],
-                goals=goals,
-                scene=scene,
-                drive_in=back,
-                avoid=failed,
-                room=arm,
-                nearer=nearer,
-                home=_HOME_WEIGHT,
-            )
-            for stance in stances(view, work):
-                cost = (
-                    stance.route.steps
-                    + in_steps(back)
-                    + _HOME_WEIGHT * float(motion.steps_home(view.robot, stance.at))
-                )
-                cost += 1e4 * max(-stance.route.room, 0.0)
-                if cost < least:
-                    best = (stance, goals, back)
-                    least = cost
-        if best is not None and best[0].route.room >= 0.0:
-            break
-    return best
-
-
 def _nudge(view: WorldView, obj: str) -> Motion:
     """Turn an object on a shelf such that it can be grasped, and draw back a little. Returns whether it turned."""
     pose = view.object_pose(obj)
     scene = scene_of(view, obj)
     if not inside_depth(view, pose[:3]):
         return False
-    way = _inward(view, pose)
+    way = direction_to(view, pose)
     place = min(
         (p for p in view.home.receptacles if p.kind == "shelf"),
         key=lambda p: float(np.linalg.norm(pose[:3] - p.pos)),
@@ -321,8 +179,10 @@ def _nudge(view: WorldView, obj: str) -> Motion:
 
     def graspable(after: Array, more: float) -> int:
         straight = float(inward[0]), float(inward[1])
-        every = _shelf_grasps(shape, after, scene, straight, around, _CLEAR[0][0] + more)
-        return int((hand_room(view.robot.gripper, every, around) > _CLEAR[0][1] + 1.5 * more).sum())
+        every = shelf_grasps(shape, after, scene, straight, around, GRASP_ROOM_M[0][0] + more)
+        return int(
+            (hand_room(view.robot.gripper, every, around) > GRASP_ROOM_M[0][1] + 1.5 * more).sum()
+        )
 
     plan = plan_nudge(view, obj, scene, inward, graspable)
     if plan is None:
@@ -330,61 +190,6 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     done = yield from nudge(view, obj, plan, scene.all, graspable)
     yield from drive_out(view, NUDGE_BACK_M, gripper=motion.OPEN)
     return done
-
-
-def balanced(grasps: Grasps, centre: Array) -> Grasps:
-    """Grasps in the order of scores that count how far beside the pads the object's ``centre`` (3,) hangs."""
-    aside = np.abs(np.einsum("gj,gj->g", centre - grasps.pos, grasps.rot[:, :, 2]))
-    score = grasps.score - OFFSET_PRICE_PER_M * np.maximum(aside - FREE_OFFSET_M, 0.0)
-    return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
-
-
-def scene_of(view: WorldView, obj: str) -> Scene:
-    """What is around an object that lies somewhere."""
-    pose = view.object_pose(obj)
-    shape = view.object_shape(obj)
-    near, target = surroundings(view, obj, pose[:3])
-    support = float(pose[2]) - height_below(shape, mat_from_quat(pose[3:]))
-    return Scene(near, target, support, view.robot)
-
-
-def _inward(view: WorldView, pose: Array) -> tuple[float, float]:
-    """Level unit vector from the robot to an object at ``pose`` (7,)."""
-    way = pose[:2] - view.base[:2]
-    x, y = way / max(float(np.linalg.norm(way)), 1e-6)
-    return float(x), float(y)
-
-
-def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
-    """How far to come in with the arm stretched out; a second attempt is quicker from where the base is."""
-    if not depth:
-        return (0.0,)
-    return (0.0, depth) if attempt else (depth, 0.0)
-
-
-def height_below(shape: ObjectShape, rot: Array) -> float:
-    """How far [m] an object turned by ``rot`` (3, 3) reaches below its centre."""
-    up = np.abs(rot[2])
-    half = np.array(shape.half)
-    if shape.kind in ("box", "mesh"):
-        return float(up @ half)
-    if shape.kind == "sphere":
-        return float(half.max())
-    return float(half[0] * np.hypot(up[0], up[1]) + half[2] * up[2])
-
-
-def _diverse(grasps: Grasps) -> HandGoals:
-    """The best grasps that differ from each other."""
-    kept: list[int] = []
-    for i in range(min(len(grasps), 600)):
-        if len(kept) >= MAX_GOALS:
-            break
-        turn = np.einsum("gij,ij->g", grasps.rot[kept], grasps.rot[i])
-        shift = np.linalg.norm(grasps.pos[kept] - grasps.pos[i], axis=1)
-        if not kept or ((turn < 1.0 + 2.0 * np.cos(0.3)) | (shift > 0.025)).all():
-            kept.append(i)
-    g = grasps.take(np.array(kept))
-    return HandGoals(g.pos, g.rot, g.pre, g.opening, g.score)
 
 
 def _take(

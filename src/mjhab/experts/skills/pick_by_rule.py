@@ -11,6 +11,7 @@ from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.skills import pick as search
+from mjhab.experts.skills import pick_plans
 from mjhab.experts.skills.by_rule import (
     STANDOFF_M,
     Drive,
@@ -98,12 +99,12 @@ def plan(view: WorldView, obj: str) -> tuple[Stance, Array, Array] | None:
     pose = view.object_pose(obj)
     if inside_depth(view, pose[:3]):
         return None
-    scene = search.scene_of(view, obj)
+    scene = pick_plans.scene_of(view, obj)
     every = grasp_candidates(
         LyingObject.of(view.object_shape(obj), pose, scene.support_z),
         neighbours=scene.beside.near(pose[:3], 0.5),
         gripper=view.robot.gripper,
-        options=search.OPTIONS,
+        options=pick_plans.OPTIONS,
     )
     every = every.take(np.flatnonzero(every.clear >= LEAST_CLEAR_M))
     lifted = every.pos + np.array([0.0, 0.0, LIFT_M])

@@ -32,20 +32,19 @@ from mjhab.experts.planning.carry import (
     held_spheres,
     inside_depth,
 )
-from mjhab.experts.planning.reach import (
+from mjhab.experts.planning.reach import hand_room, settle_reach, stances
+from mjhab.experts.planning.sampled import Found, roomier
+from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
     Blocked,
     HandGoals,
     Scene,
     Stance,
     Work,
-    hand_room,
-    settle_reach,
-    stances,
     surroundings,
 )
-from mjhab.experts.planning.sampled import Found, roomier
-from mjhab.experts.skills.pick import height_below, pick_up
+from mjhab.experts.skills.pick import pick_up
+from mjhab.experts.skills.pick_plans import height_below
 from mjhab.experts.style import style_of, wait_for
 from mjhab.tasks.style import DROP as DROP_IT
 

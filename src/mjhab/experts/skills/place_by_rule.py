@@ -10,7 +10,7 @@ from mjhab.experts.arm.gentle import care_for, eased
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import holds
 from mjhab.experts.planning.carry import held_spheres, inside_depth
-from mjhab.experts.planning.reach import Scene, surroundings
+from mjhab.experts.planning.workplace import Scene, surroundings
 from mjhab.experts.skills import place as search
 from mjhab.experts.skills.by_rule import (
     STANDOFF_M,

@@ -18,6 +18,8 @@ KERNEL_MODULES = (
     "render.raster.fill",
     "render.raster.kernels",
     "render.raster.shading",
+    "render.raster.surfaces",
+    "render.raster.texturing",
     "render.patterns",
     "render.textures",
 )

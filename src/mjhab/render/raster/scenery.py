@@ -9,7 +9,8 @@ import numpy as np
 from mjhab.core.errors import UsageError
 from mjhab.render.raster.arrays import FACE_BITS, PARKED_BELOW, Geometry, Placing
 from mjhab.render.raster.lighting import Lamps
-from mjhab.render.raster.shading import Surface, tone_curve
+from mjhab.render.raster.shading import tone_curve
+from mjhab.render.raster.surfaces import Surface
 from mjhab.render.render_scene import RenderScene
 
 BOX_FACES = 12

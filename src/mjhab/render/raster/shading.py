@@ -10,40 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.render.patterns import SHADE_TOP
 from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.jit import color_inline, color_kernel
 from mjhab.render.raster.lighting import blended_share, light_point, sky
-from mjhab.render.textures import Texels, copy_for, sample
+from mjhab.render.raster.surfaces import fill_frame, normal_at, place_point
+from mjhab.render.raster.texturing import pattern_axes, texture_level, textured
 
 SHORT_RUN = 3
 """Runs up to this many samples are lit alike."""
 TONE_RANGE = 4.0
 """Linear value that the last entry of ``tone_curve`` stands for."""
-
-
-class Surface(NamedTuple):
-    """Looks of faces and materials (arrays of RenderScene); instance_material (H, I) or -1.
-
-    mesh_start (N,) i32: first face; smooth (F,) bool: the normal varies over the face; extent (I, 3): size of each
-    instance's mesh along its axes [m].
-    """
-
-    mesh_start: np.ndarray
-    face_material: np.ndarray
-    face_normal: np.ndarray
-    face_uv: np.ndarray
-    face_density: np.ndarray
-    smooth: np.ndarray
-    instance_material: np.ndarray
-    extent: np.ndarray
-    color: np.ndarray
-    color2: np.ndarray
-    texture: np.ndarray
-    pattern: np.ndarray
-    size: np.ndarray
-    gloss: np.ndarray
-    texels: Texels
 
 
 class Openness(NamedTuple):
@@ -84,61 +60,6 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
 
 
 @color_inline
-def _frame(poses, room, lens, i):
-    """Fill frames[i]: the camera (0:3) and its axes (3:12, by rows) in the instance's axes, 1 / scale (12:15)."""
-    if room.stamp[i] == room.stamp[-1]:
-        return
-    room.stamp[i] = room.stamp[-1]
-    f = room.frames
-    rot = poses.rot
-    m = lens.mat
-    d0 = lens.pos[0] - poses.pos[i, 0]
-    d1 = lens.pos[1] - poses.pos[i, 1]
-    d2 = lens.pos[2] - poses.pos[i, 2]
-    for r in range(3):
-        a = rot[i, 0, r]
-        b = rot[i, 1, r]
-        c = rot[i, 2, r]
-        f[i, r] = a * d0 + b * d1 + c * d2
-        for k in range(3):
-            f[i, 3 + 3 * r + k] = a * m[0, k] + b * m[1, k] + c * m[2, k]
-        f[i, 12 + r] = 1.0 / poses.scale[i, r]
-
-
-@color_inline
-def _place(f, i, u, v, depth):
-    """Point in the instance's axes [m] at a depth along the ray with slopes (u, v)."""
-    x = f[i, 0] + depth * (f[i, 3] * u + f[i, 4] * v - f[i, 5])
-    y = f[i, 1] + depth * (f[i, 6] * u + f[i, 7] * v - f[i, 8])
-    z = f[i, 2] + depth * (f[i, 9] * u + f[i, 10] * v - f[i, 11])
-    return x, y, z
-
-
-@color_inline
-def _normal(surface, f, i, face, x, y, z):
-    """Unit normal of a face at a point, both in the instance's axes."""
-    n = surface.face_normal
-    sx = f[i, 12]
-    sy = f[i, 13]
-    sz = f[i, 14]
-    nx = float(n[face, 0, 3])
-    ny = float(n[face, 1, 3])
-    nz = float(n[face, 2, 3])
-    if surface.smooth[face]:
-        x = x * sx
-        y = y * sy
-        z = z * sz
-        nx += n[face, 0, 0] * x + n[face, 0, 1] * y + n[face, 0, 2] * z
-        ny += n[face, 1, 0] * x + n[face, 1, 1] * y + n[face, 1, 2] * z
-        nz += n[face, 2, 0] * x + n[face, 2, 1] * y + n[face, 2, 2] * z
-    nx = nx * sx
-    ny = ny * sy
-    nz = nz * sz
-    length = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
-    return nx * length, ny * length, nz * length
-
-
-@color_inline
 def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, v, w, col, row):
     """Light (6 numbers) at a pixel of inverse depth ``w``, and how much the face is turned to the camera."""
     depth = 1.0 / w
@@ -147,8 +68,8 @@ def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, 
     rx = m[0, 0] * u + m[0, 1] * v - m[0, 2]
     ry = m[1, 0] * u + m[1, 1] * v - m[1, 2]
     rz = m[2, 0] * u + m[2, 1] * v - m[2, 2]
-    px, py, pz = _place(room.frames, i, u, v, depth)
-    px, py, pz = _normal(surface, room.frames, i, face, px, py, pz)
+    px, py, pz = place_point(room.frames, i, u, v, depth)
+    px, py, pz = normal_at(surface, room.frames, i, face, px, py, pz)
     nx = rot[i, 0, 0] * px + rot[i, 0, 1] * py + rot[i, 0, 2] * pz
     ny = rot[i, 1, 0] * px + rot[i, 1, 1] * py + rot[i, 1, 2] * pz
     nz = rot[i, 2, 0] * px + rot[i, 2, 1] * py + rot[i, 2, 2] * pz
@@ -173,80 +94,6 @@ def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, 
     return light_point(lamps, home, x, y, z, nx, ny, nz, vx, vy, vz, gloss, open_share), max(
         facing, 0.05
     )
-
-
-@color_inline
-def _axes(surface, i, face, f, u, v, w):
-    """Axes (u, v) of the plane that a patterned face lies in; u runs along the longer side of the piece."""
-    e = surface.extent
-    x, y, z = _place(f, i, u, v, 1.0 / w)
-    x, y, z = _normal(surface, f, i, face, x, y, z)
-    x = abs(x)
-    y = abs(y)
-    z = abs(z)
-    sx = e[i, 0] / abs(f[i, 12])
-    sy = e[i, 1] / abs(f[i, 13])
-    sz = e[i, 2] / abs(f[i, 14])
-    if z >= x and z >= y:
-        return (0, 1) if sx >= sy else (1, 0)
-    if x >= y:
-        return (1, 2) if sy >= sz else (2, 1)
-    return (0, 2) if sx >= sz else (2, 0)
-
-
-@color_inline
-def _pick(axis, x, y, z):
-    return x if axis == 0 else (y if axis == 1 else z)
-
-
-@color_inline
-def _linear(level):
-    """Linear light of an sRGB value 0..255 (cubic, within 0.002)."""
-    c = level * (1.0 / 255.0)
-    return c * (c * (c * 0.305306011 + 0.682171111) + 0.012522878)
-
-
-@color_inline
-def _textured(surface, f, i, face, m, first, second, level, u, v, w):
-    """Colour, linear rgb, of a face with a texture at a pixel of inverse depth ``w``."""
-    x, y, z = _place(f, i, u, v, 1.0 / w)
-    color = surface.color
-    texture = surface.texture[m]
-    if surface.pattern[m]:
-        # Every piece starts elsewhere in the pattern.
-        s = _pick(first, x, y, z) / surface.size[m, 0] + 0.37 * i
-        t = _pick(second, x, y, z) / surface.size[m, 1] + 0.23 * i
-        mix, shade, _ = sample(surface.texels, texture, level, s, t)
-        mix = mix * (1.0 / 255.0)
-        shade = shade * (SHADE_TOP / 255.0)
-        other = surface.color2
-        return (
-            shade * (color[m, 0] + mix * (other[m, 0] - color[m, 0])),
-            shade * (color[m, 1] + mix * (other[m, 1] - color[m, 1])),
-            shade * (color[m, 2] + mix * (other[m, 2] - color[m, 2])),
-        )
-    x = x * f[i, 12]
-    y = y * f[i, 13]
-    z = z * f[i, 14]
-    a = surface.face_uv
-    s = a[face, 0, 0] * x + a[face, 0, 1] * y + a[face, 0, 2] * z + a[face, 0, 3]
-    t = a[face, 1, 0] * x + a[face, 1, 1] * y + a[face, 1, 2] * z + a[face, 1, 3]
-    r, g, b = sample(surface.texels, texture, level, s, t)
-    return color[m, 0] * _linear(r), color[m, 1] * _linear(g), color[m, 2] * _linear(b)
-
-
-@color_inline
-def _copy(surface, m, face, f, i, pixel):
-    """Level of a material's texture for pixels of this size on the surface [m]."""
-    texture = surface.texture[m]
-    if texture < 0:
-        return 0
-    wide = 1 << surface.texels.bits[texture, 0]
-    high = 1 << surface.texels.bits[texture, 1]
-    if surface.pattern[m]:
-        return copy_for(pixel * max(wide / surface.size[m, 0], high / surface.size[m, 1]))
-    grow = max(abs(f[i, 12]), abs(f[i, 13]), abs(f[i, 14]))
-    return copy_for(pixel * surface.face_density[face] * grow * np.sqrt(float(wide * high)))
 
 
 @color_inline
@@ -279,7 +126,7 @@ def _shade_run(
     v = (0.5 * height - row - 0.5) / lens.focal
     f = room.frames
     line = room.line
-    _frame(poses, room, lens, i)
+    fill_frame(poses, room, lens, i)
     m = surface.instance_material[home, i]
     if m < 0:
         m = surface.face_material[face]
@@ -294,7 +141,7 @@ def _shade_run(
     begun = False
     u = (at - cx) * inv
     w = float(inverse[row, at])
-    first, second = _axes(surface, i, face, f, u, v, w) if surface.pattern[m] else (0, 1)
+    first, second = pattern_axes(surface, i, face, f, u, v, w) if surface.pattern[m] else (0, 1)
     p = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     turned = 1.0
     while left < stop:
@@ -317,7 +164,7 @@ def _shade_run(
                 (q[4] - p[4]) * s,
                 (q[5] - p[5]) * s,
             )
-            level = _copy(
+            level = texture_level(
                 surface, m, face, f, i, inv / (float(inverse[row, left]) * np.sqrt(turned))
             )
             if plain:
@@ -326,7 +173,7 @@ def _shade_run(
                 for x in range(left, end):
                     w = float(inverse[row, x])
                     t = float(x - left)
-                    r, g, b = _textured(
+                    r, g, b = textured(
                         surface, f, i, face, m, first, second, level, (x - cx) * inv, v, w
                     )
                     line[0, x] = r * (p[0] + t * d[0]) + p[3] + t * d[3]

@@ -18,6 +18,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.render.home_scene import build_render_scene
 from mjhab.render.raster.rasterizer import FAST_CELL, NEAR, OUTPUTS
+from mjhab.render.warp import occlusion as warp_occlusion
 from mjhab.render.warp import shading as warp_shading
 from mjhab.render.warp import tracing as warp_tracing
 from mjhab.render.warp.scene import DeviceScene
@@ -179,7 +180,7 @@ class WarpCameras:
         return frame
 
     def _make_cells(self) -> Any:
-        cells = warp_shading.Cells()
+        cells = warp_occlusion.Cells()
         (height, width) = self._size
         cells.cell = FAST_CELL
         cells.width = -(-width // FAST_CELL)
@@ -270,9 +271,9 @@ class WarpCameras:
             return
         spots = (*shape, cells.width * cells.height)
         wp.launch(
-            warp_shading.block_cells, dim=spots, inputs=[scene.looks, worlds, frame, cells, first]
+            warp_occlusion.block_cells, dim=spots, inputs=[scene.looks, worlds, frame, cells, first]
         )
-        wp.launch(warp_shading.blur_cells, dim=spots, inputs=[worlds, cells, first])
+        wp.launch(warp_occlusion.blur_cells, dim=spots, inputs=[worlds, cells, first])
         wp.launch(
             warp_shading.shade,
             dim=(*shape, frame.width * frame.height),

@@ -12,7 +12,7 @@ from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.occlusion import DISK
 from mjhab.render.raster.shading import tone_curve
 from mjhab.render.render_scene import RenderScene
-from mjhab.render.warp.shading import Looks
+from mjhab.render.warp.looks import Looks
 from mjhab.render.warp.tracing import Movers, Stills
 
 DETAIL = 0.0005

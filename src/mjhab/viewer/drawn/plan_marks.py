@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.experts.base.driving import Trip
 from mjhab.experts.base.route import Route
-from mjhab.experts.planning.reach import HandGoals, Stance
+from mjhab.experts.planning.workplace import HandGoals, Stance
 
 MAX_CANDIDATES = 40
 

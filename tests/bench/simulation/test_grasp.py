@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjhab.bench.grasp import BENCH_OBJECTS, GraspBench, grasp_table
+from mjhab.bench.simulation.grasp import BENCH_OBJECTS, GraspBench, grasp_table
 from mjhab.core.errors import UsageError
 from mjhab.robots.fetch.model import FINGER_LINKS, TCP_LINK
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.data import Places, Preset, Sub, Until, Where
+from mjhab.cli.options.datasets.data import Places, Preset, Sub, Until, Where
 
 Out = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
 

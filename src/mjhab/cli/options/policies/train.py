@@ -20,7 +20,7 @@ from mjhab.cli.options.common import (
     StageMesh,
     Sub,
 )
-from mjhab.cli.options.data import Where
+from mjhab.cli.options.datasets.data import Where
 
 DataPlaces = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...")]
 Minutes = Annotated[float, tyro.conf.arg(metavar="MINUTES")]

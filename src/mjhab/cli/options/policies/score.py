@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from mjhab.cli.options.common import MaybeName, Name, Number, PolicyName
-from mjhab.cli.options.served import ServedOptions
+from mjhab.cli.options.policies.served import ServedOptions
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from mjhab.cli.options.common import (
     PolicyProfileOptions,
     StageMesh,
 )
-from mjhab.cli.options.data import Places, Preset, Until, Where
+from mjhab.cli.options.datasets.data import Places, Preset, Until, Where
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
-"""``python -m mjhab.bench.curves OUT [SAMPLES [SEEDS]]``: samples that PPO takes, with our settings and the paper's.
+"""Samples that PPO takes, with our settings and the paper's: ``python -m mjhab.bench.training.curves OUT [SAMPLES
+[SEEDS]]``.
 
 Trains close drawer from the same states with preset "fast" and with "paper_state", the hyper-parameters of the paper,
 in SEEDS (3) seeds of SAMPLES (3,000,000) samples each, and writes OUT/curves.json. The same command goes on after a

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from mjhab.bench.engine import sway
+from mjhab.bench.environments.stages import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.bench.memory_sampler import MemorySampler
+from mjhab.bench.simulation.engine import sway
 from mjhab.bench.specs import EnvBenchSpec
-from mjhab.bench.stages import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.config.profile_choice import profile_options
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from mjhab.cli.options.common import Assets, Name, Number, ProfileOptions
-from mjhab.cli.options.train import Minutes
+from mjhab.cli.options.policies.train import Minutes
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mjhab.bench.engine import measure_sps, sway
+from mjhab.bench.environments.stages import Stopwatch, resident_mb, stage_seconds, watch_env
+from mjhab.bench.simulation.engine import measure_sps, sway
 from mjhab.bench.specs import EnvBenchSpec
-from mjhab.bench.stages import Stopwatch, resident_mb, stage_seconds, watch_env
 from mjhab.config.profile_choice import profile_options
 from mjhab.sim.backends import resolve
 
@@ -27,7 +27,7 @@ def measure(spec: EnvBenchSpec) -> dict[str, Any]:
     """
     backend = resolve(spec.backend)
     if backend == "warp":
-        from mjhab.bench.device_env import measure_device_env as work
+        from mjhab.bench.environments.device_env import measure_device_env as work
     else:
         work = measure_env
     points = []

@@ -1,0 +1,1 @@
+"""Measurements of worlds that move: engine, grasps, sleeping islands."""

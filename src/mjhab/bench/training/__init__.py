@@ -1,0 +1,1 @@
+"""Measurements of learners: updates, learning curves, windows of recorded data."""

@@ -1,0 +1,91 @@
+"""Observation modes, keys of observations, and the cameras and image sizes that are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mjhab.config.ranges import range_of
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.robots.robot import Robot
+
+STATE_KEY = "state"
+PROPRIOCEPTION = "proprioception"
+CAMERA_OUTPUTS = ("depth", "rgb", "seg")
+POINTCLOUD = "pointcloud"
+OBS_MODES: dict[str, tuple[str, ...]] = {
+    "state": (),
+    PROPRIOCEPTION: (),
+    "depth": ("depth",),
+    "rgb": ("rgb",),
+    "rgbd": ("depth", "rgb"),
+    "seg": ("seg",),
+    POINTCLOUD: (POINTCLOUD,),
+}
+"""Observation modes and the images that each adds to the state; joined by "+" they add up, as in "rgbd+seg".
+"proprioception" replaces the state by what the robot's own sensors tell, as in "proprioception+rgbd"."""
+MIN_SIZE = 8
+"""Smallest image side [px]."""
+
+
+def camera_key(camera: str, output: str) -> str:
+    """Key of one camera image in the observation."""
+    return f"sensor_data/{camera}/{output}"
+
+
+def param_key(camera: str, param: str) -> str:
+    """Key of one parameter of a camera in the observation."""
+    return f"sensor_param/{camera}/{param}"
+
+
+def mode_outputs(mode: str) -> tuple[str, ...]:
+    """What an observation mode adds to the state, e.g. "rgbd+seg" -> ("depth", "rgb", "seg").
+
+    Raises:
+        UsageError: a part that is no mode.
+    """
+    wanted = set[str]()
+    for part in mode.split("+"):
+        if part not in OBS_MODES:
+            raise unknown_name("observation mode", part, OBS_MODES)
+        wanted.update(OBS_MODES[part])
+    return tuple(name for name in (*CAMERA_OUTPUTS, POINTCLOUD) if name in wanted)
+
+
+def own_state_only(mode: str) -> bool:
+    """Whether an observation mode hides what no sensor of the robot measures: object, goal and grasp."""
+    return PROPRIOCEPTION in mode.split("+")
+
+
+def camera_names(robot: Robot, cameras: str | Sequence[str]) -> tuple[str, ...]:
+    """Names of cameras of a robot, checked, each once, in the order given.
+
+    Raises:
+        UsageError: a name that is no camera, or none at all.
+    """
+    names = (cameras,) if isinstance(cameras, str) else tuple(dict.fromkeys(cameras))
+    for name in names:
+        robot.camera(name)
+    if not names:
+        raise UsageError(
+            f"cameras must name at least one camera of: {', '.join(robot.camera_names)}; got none."
+        )
+    return names
+
+
+def image_size(size: int | Sequence[int]) -> tuple[int, int]:
+    """(height, width) [px] of a size that is one number or a pair.
+
+    Raises:
+        UsageError: not whole numbers, not one or two of them, below MIN_SIZE, or above the range of "camera_size".
+    """
+    _, most = range_of("camera_size")
+    sides = tuple(size) if isinstance(size, Sequence) else (size, size)
+    if len(sides) != 2 or any(
+        not isinstance(side, int | np.integer) or not MIN_SIZE <= side <= most for side in sides
+    ):
+        raise UsageError(
+            f"camera size must be one whole number or (height, width), each {MIN_SIZE} to {most}; got {size!r}."
+        )
+    return int(sides[0]), int(sides[1])

@@ -1,0 +1,229 @@
+"""Rows of the state: joints, tool centre, and what the active subtask is about (mshab/envs/sequential_task.py).
+
+The concatenation of the six entries is ``state`` (W, S), see `state_dim`. Entries that the active subtask does not use
+are zero, so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds what the
+robot's own sensors measure instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+from mjhab.core.arrays import Array, empty, namespace
+from mjhab.core.joints import BASE_XY, BASE_YAW
+from mjhab.core.rotations import quat_canonical
+from mjhab.envs.observations.entry import ObsContext, ObsEntry
+from mjhab.envs.observations.modes import STATE_KEY
+from mjhab.robots.robot import Robot
+from mjhab.tasks.subtasks.registry import SUBTASKS
+from mjhab.tasks.subtasks.spec import SubtaskSpec
+
+
+def pose_in_base(base: Array, height: float, pose: Array) -> Array:
+    """World poses (..., W, 7) in the frame of the base link, with canonical quaternions.
+
+    ``base`` (W, 3): x, y [m], yaw [rad]; ``height`` [m]: of the base link above the floor.
+
+    The sign that a quaternion of the simulator has depends on how often the base or the object has turned round.
+    """
+    # The base turns about z only: half of the quaternion product is zero and left out.
+    xp = namespace(base)
+    yaw = base[:, BASE_YAW]
+    c = xp.cos(yaw)
+    s = xp.sin(yaw)
+    ch = xp.cos(0.5 * yaw)
+    sh = xp.sin(0.5 * yaw)
+    x = pose[..., 0] - base[:, 0]
+    y = pose[..., 1] - base[:, 1]
+    qw = pose[..., 3]
+    qx = pose[..., 4]
+    qy = pose[..., 5]
+    qz = pose[..., 6]
+    out = empty(pose.shape, pose)
+    out[..., 0] = c * x + s * y
+    out[..., 1] = c * y - s * x
+    out[..., 2] = pose[..., 2] - height
+    out[..., 3] = ch * qw + sh * qz
+    out[..., 4] = ch * qx + sh * qy
+    out[..., 5] = ch * qy - sh * qx
+    out[..., 6] = ch * qz - sh * qw
+    out[..., 3:] = quat_canonical(out[..., 3:])
+    return out
+
+
+OBJECT_KEY = "extra/obj_pose_wrt_base"
+GOAL_KEY = "extra/goal_pos_wrt_base"
+GRASP_KEY = "extra/is_grasped"
+_OBJECT_IN = {
+    "object": "its object",
+    "link": "the object behind the link",
+    "way": "the object in the hand, zero without one",
+}
+_GOAL_IN = {
+    "object": "where its object goes",
+    "link": "the handle",
+    "way": "where the way leads",
+}
+_GRASPED_IN = {
+    "object": "its object",
+    "link": "the handle",
+    "way": "the object in the hand",
+}
+"""What the rows of the task are, by what a subtask is about (`SubtaskSpec.about`)."""
+
+
+def task_meanings(kinds: Sequence[str]) -> dict[str, str]:
+    """What the rows of the task mean in some kinds of subtasks, by key; from `SubtaskSpec.shows` and ``about``.
+
+    Raises:
+        UsageError: there is no such subtask.
+    """
+    specs = [SUBTASKS[kind] for kind in kinds]
+    return {
+        key: f"{_listed(about, [s for s in specs if part in (*s.shows, '')], specs)} ({numbers}); "
+        "zero once the plan is finished"
+        for key, numbers, part, about in (
+            (OBJECT_KEY, "position, quaternion with w >= 0", "object", _OBJECT_IN),
+            (GOAL_KEY, "position", "goal", _GOAL_IN),
+            (GRASP_KEY, "1 while both fingers hold it", "", _GRASPED_IN),
+        )
+    }
+
+
+def _listed(
+    about: Mapping[str, str], shown: Sequence[SubtaskSpec], all_kinds: Sequence[SubtaskSpec]
+) -> str:
+    """ "Pick, Place: its object; Open: the handle; zero in Navigate"."""
+    by_meaning: dict[str, list[str]] = {}
+    for spec in shown:
+        by_meaning.setdefault(about[spec.about], []).append(spec.name.capitalize())
+    told = [f"{', '.join(names)}: {meaning}" for meaning, names in by_meaning.items()]
+    hidden = [spec.name.capitalize() for spec in all_kinds if spec not in shown]
+    if hidden:
+        told.append(f"zero in {', '.join(hidden)}")
+    return "; ".join(told)
+
+
+def joint_rows(robot: Robot) -> tuple[ObsEntry, ...]:
+    """Rows of the joints of a robot, without those of its base."""
+    upper = robot.columns.upper
+    count = upper.stop - upper.start
+    groups = [group for group in ("torso", "head", "arm", "fingers") if robot.group(group)]
+    frame = f"joint: {', '.join(groups)}"
+    return (
+        ObsEntry(
+            "agent/qpos",
+            (count,),
+            "m, rad",
+            frame,
+            lambda c: c.robot_q[:, upper],
+            "joint positions without the base",
+        ),
+        ObsEntry(
+            "agent/qvel",
+            (count,),
+            "m/s, rad/s",
+            frame,
+            lambda c: c.robot_qd[:, upper],
+            "joint velocities without the base",
+        ),
+    )
+
+
+def task_rows(robot: Robot) -> tuple[ObsEntry, ...]:
+    """Rows of the tool centre and of what the active subtask is about."""
+    base = robot.base_link
+    return (
+        ObsEntry(
+            "extra/tcp_pose_wrt_base",
+            (7,),
+            "m, wxyz",
+            base,
+            lambda c: c.tcp_pose,
+            f"{robot.tcp}: position, quaternion with w >= 0",
+        ),
+        ObsEntry(
+            OBJECT_KEY,
+            (7,),
+            "m, wxyz",
+            base,
+            lambda c: c.obj_pose,
+            "object of the active subtask, w >= 0; zero once the plan is finished",
+        ),
+        ObsEntry(
+            GOAL_KEY,
+            (3,),
+            "m",
+            base,
+            lambda c: c.goal_pos,
+            "goal of the active subtask; zero once the plan is finished",
+        ),
+        ObsEntry(
+            GRASP_KEY,
+            (1,),
+            "0 or 1",
+            "-",
+            lambda c: c.is_grasped[:, None],
+            "what the active subtask is about is grasped; zero once the plan is finished",
+        ),
+    )
+
+
+def base_velocity_row(robot: Robot) -> ObsEntry:
+    """Row of the velocity of the base, as its odometry tells it."""
+    return ObsEntry(
+        BASE_VELOCITY_KEY,
+        (3,),
+        "m/s, rad/s",
+        robot.base_link,
+        _base_velocity,
+        "velocity of the base: forward, to the left, yaw rate",
+    )
+
+
+@lru_cache(maxsize=16)
+def state_table(robot: Robot, own: bool = False) -> tuple[ObsEntry, ...]:
+    """The entries of ``state``, in order; ``own``: those of the mode "proprioception"."""
+    tcp, *task = task_rows(robot)
+    if own:
+        return (*joint_rows(robot), base_velocity_row(robot), tcp)
+    return (*joint_rows(robot), tcp, *task)
+
+
+def state_dim(robot: Robot, own: bool = False) -> int:
+    """Numbers in ``state``; ``own``: in the mode "proprioception"."""
+    return sum(entry.shape[0] for entry in state_table(robot, own))
+
+
+def unsensed_table(robot: Robot) -> tuple[ObsEntry, ...]:
+    """The entries of ``state`` that no sensor of the robot measures: object, goal, grasp."""
+    own = {entry.key for entry in state_table(robot, own=True)}
+    return tuple(entry for entry in state_table(robot) if entry.key not in own)
+
+
+BASE_VELOCITY_KEY = "agent/base_vel"
+
+
+def _base_velocity(context: ObsContext) -> Array:
+    yaw = context.robot_q[:, BASE_YAW]
+    xp = namespace(yaw)
+    c = xp.cos(yaw)
+    s = xp.sin(yaw)
+    velocity = context.robot_qd[:, BASE_XY]
+    ahead = c * velocity[:, 0] + s * velocity[:, 1]
+    left = c * velocity[:, 1] - s * velocity[:, 0]
+    return xp.stack([ahead, left, context.robot_qd[:, BASE_YAW]], axis=1)
+
+
+def state_observation(table: Sequence[ObsEntry], context: ObsContext) -> dict[str, Array]:
+    """Every entry of a `state_table` and their concatenation, float32, (W, ...); the entries are views of it."""
+    xp = namespace(context.robot_q)
+    state = xp.astype(xp.concat([entry.compute(context) for entry in table], axis=1), xp.float32)
+    obs = {}
+    column = 0
+    for entry in table:
+        obs[entry.key] = state[:, column : column + entry.shape[0]]
+        column += entry.shape[0]
+    obs[STATE_KEY] = state
+    return obs

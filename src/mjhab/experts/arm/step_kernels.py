@@ -1,0 +1,142 @@
+"""Compiled damped least squares: the step of a configuration that takes out an error within bounds.
+
+The same arithmetic as `robots.kinematics.limited_step`, one configuration at a time. Letters: D columns that may move,
+L links.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjhab.experts.arm.frame_kernels import Tree
+from mjhab.experts.jit import inline
+from mjhab.robots.kinematics import DAMPING, DAMPING_PER_ERROR
+
+Array = np.ndarray
+
+
+class Space(NamedTuple):
+    """What one configuration needs while it is worked on; made once per call, so that the loops allocate nothing.
+
+    pos, rot: (L, 3), (L, 3, 3) link frames; turn (3, 3), axis (3,): the error's rotation and a direction; error (6,),
+    jac (D, 6): task error and transposed Jacobian; pull, low, high, largest, step (D,): what `kinematics.limited_step`
+    takes and gives; stopped (D,), free (D,) bool, remaining, wanted (6,), square (6, 6): its intermediate values.
+    """
+
+    pos: Array
+    rot: Array
+    turn: Array
+    axis: Array
+    error: Array
+    jac: Array
+    pull: Array
+    low: Array
+    high: Array
+    largest: Array
+    step: Array
+    stopped: Array
+    free: Array
+    remaining: Array
+    wanted: Array
+    square: Array
+
+
+@inline
+def make_space(tree: Tree, columns: int) -> Space:
+    links = len(tree.parent) + 1
+    return Space(
+        np.empty((links, 3)),
+        np.empty((links, 3, 3)),
+        np.empty((3, 3)),
+        # Multiplied by 0 where no axis counts: what an empty array holds may be NaN.
+        np.zeros(3),
+        np.empty(6),
+        np.zeros((columns, 6)),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns),
+        np.empty(columns, np.bool_),
+        np.empty(6),
+        np.empty(6),
+        np.empty((6, 6)),
+    )
+
+
+@inline
+def _solve(square: Array, x: Array) -> None:
+    """Replace ``x`` (6,) by the solution of ``square`` (6, 6) times it; ``square`` is positive definite and is lost."""
+    for i in range(6):
+        for k in range(i + 1):
+            value = square[i, k]
+            for m in range(k):
+                value -= square[i, m] * square[k, m]
+            square[i, k] = np.sqrt(value) if i == k else value / square[k, k]
+    for i in range(6):
+        for m in range(i):
+            x[i] -= square[i, m] * x[m]
+        x[i] /= square[i, i]
+    for i in range(5, -1, -1):
+        for m in range(i + 1, 6):
+            x[i] -= square[m, i] * x[m]
+        x[i] /= square[i, i]
+
+
+@inline
+def _set_damped_step(s: Space) -> None:
+    """Set the damped step of the free columns for the remaining error, see `kinematics.damped_step`."""
+    size = 0.0
+    for i in range(6):
+        size += s.remaining[i] * s.remaining[i]
+        s.wanted[i] = s.remaining[i]
+        for k in range(i + 1):
+            s.square[i, k] = 0.0
+    for d in range(len(s.step)):
+        if not s.free[d]:
+            continue
+        row = s.jac[d]
+        for i in range(6):
+            s.wanted[i] -= row[i] * s.pull[d]
+            for k in range(i + 1):
+                s.square[i, k] += row[i] * row[k]
+    for i in range(6):
+        s.square[i, i] += DAMPING + DAMPING_PER_ERROR * min(size, 1.0)
+    _solve(s.square, s.wanted)
+    for d in range(len(s.step)):
+        s.step[d] = 0.0
+        if s.free[d]:
+            s.step[d] = s.pull[d]
+            for i in range(6):
+                s.step[d] += s.jac[d, i] * s.wanted[i]
+
+
+@inline
+def set_limited_step(s: Space) -> None:
+    """Set the step that keeps to the room ``low``, ``high``, see `kinematics.limited_step`."""
+    columns = len(s.step)
+    s.stopped[:] = 0.0
+    s.free[:] = True
+    for attempt in range(3):
+        for i in range(6):
+            s.remaining[i] = s.error[i]
+            for d in range(columns):
+                s.remaining[i] -= s.jac[d, i] * s.stopped[d]
+        _set_damped_step(s)
+        share = 1.0
+        for d in range(columns):
+            s.step[d] += s.stopped[d]
+            share = max(share, abs(s.step[d]) / s.largest[d])
+        over = False
+        for d in range(columns):
+            s.step[d] /= share
+            over = over or (s.free[d] and (s.step[d] < s.low[d] or s.step[d] > s.high[d]))
+        if attempt == 2 or not over:
+            break
+        for d in range(columns):
+            if s.free[d] and (s.step[d] < s.low[d] or s.step[d] > s.high[d]):
+                s.stopped[d] = min(max(s.step[d], s.low[d]), s.high[d])
+                s.free[d] = False

@@ -1,0 +1,46 @@
+"""Maps of free floor in which open doors and drawers are obstacles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.core.boxes import nearest_box_distance
+from mjhab.envs.parts.world_view import HomeShapes, WorldView
+from mjhab.experts.arm import motion
+from mjhab.experts.arm.clearance import Boxes
+from mjhab.experts.base.navigation import FloorClearance, Planner
+
+OVERHANG_M = 0.05
+"""The robot is narrower by this length at the height of drawers and doors than at its base."""
+
+
+def planner(view: WorldView) -> Planner:
+    """Path planner of the world's home that knows which doors and drawers stand open now."""
+    ajar = {name: round(view.link_q(name), 1) for name in view.home.links}
+    ajar_now = tuple((name, q) for name, q in ajar.items() if q > 0.05)
+    if not ajar_now:
+        return motion.planner(view.home)
+    home = view.home
+    return home.derived.get(("planner", ajar_now), lambda: _planner_with(home, ajar_now))
+
+
+def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Planner:
+    plain = motion.planner(home)
+    boxes = Boxes.join([home.links[name].boxes(q) for name, q in ajar])
+    nx, ny = plain.clearance.shape
+    x = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell
+    y = plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell
+    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1).reshape(
+        -1, 3
+    )
+    # Seen from above: doors and drawers stand upright, so that height plays no part.
+    flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
+    gap = nearest_box_distance(cells, flat).reshape(nx, ny) + OVERHANG_M
+    clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
+    return Planner(
+        FloorClearance(plain.origin, plain.cell, clearance),
+        plain.radius,
+        plain.comfort,
+        plain.caution,
+        plain.narrow,
+    )

@@ -1,0 +1,175 @@
+"""Ways of arm and torso around obstacles while the base stands, found by RRT-Connect of OMPL.
+
+Lengths [m], angles [rad], world frame. Letters: N configurations, V ends, P configurations of a way, J joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from mjhab.experts.arm import ik
+from mjhab.experts.arm.clearance import Boxes, RobotSpheres
+from mjhab.experts.base.route import DRIVE_ERROR_M, MARGIN_M, SELF_CLEARANCE_M
+from mjhab.robots.robot import Robot
+
+Array = np.ndarray
+EDGE_STEPS = 1.5
+"""Distance between the configurations of an edge that are checked, in control steps of the slowest joint."""
+MAX_EDGE_STEPS = 12.0
+"""Longest edge of the trees, in control steps of the slowest joint."""
+MAX_ROUNDS = 300
+"""Rounds after which RRT-Connect gives up; one takes about a millisecond."""
+PLANNING_SEED = 1
+_PIECES = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Which configurations are clear: the ``robot`` at least ``room`` from ``boxes`` and ``own`` from itself [m];
+    ``drive`` from boxes while the base drives. ``body``: whose joints and links they are."""
+
+    body: Robot
+    robot: RobotSpheres
+    boxes: Boxes
+    room: float
+    own: float
+    drive: float
+
+    @classmethod
+    def near(cls, body: Robot, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
+        """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (J,)."""
+        room = float(robot.clearance(q, boxes)[0]) - 0.004
+        own = float(robot.self_clearance(q[None])[0]) - 0.004
+        return cls(
+            body,
+            robot,
+            boxes,
+            min(MARGIN_M, room),
+            min(SELF_CLEARANCE_M, own),
+            min(MARGIN_M + DRIVE_ERROR_M, room),
+        )
+
+    def spare(self, q: Array) -> Array:
+        """How much clearer (N,) [m] than asked configurations (N, J) are while the base stands."""
+        return np.minimum(
+            self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own
+        )
+
+    def likely(self, start: Array, ends: Array) -> Array:
+        """Whether straight motions from ``start`` (J,) to ``ends`` (V, J) are clear in a few places: (V,) bool."""
+        share = np.linspace(0.0, 1.0, _PIECES + 1)[1:, None, None]
+        gap = self.spare((start + share * (ends - start)).reshape(-1, len(start)))
+        return gap.reshape(_PIECES, -1).min(axis=0) >= 0.0
+
+    def edge(self, start: Array, end: Array) -> bool:
+        """Whether the straight motion between two configurations (J,) is clear."""
+        pieces = 1 + int(way_length(self.body, np.stack([start, end])) / EDGE_STEPS)
+        share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
+        return bool((self.spare(start + share * (end - start)) >= 0.0).all())
+
+
+def arm_way(start: Array, end: Array, free: Free, rounds: int = MAX_ROUNDS) -> Array | None:
+    """Configurations (P, J) from ``start`` to ``end`` (J,) with clear straight motions between them.
+
+    Only the arm and the torso of the two differ. None when ``rounds`` of RRT-Connect do not find any.
+    """
+    from ompl import base, geometric, util
+
+    # Every generator of random numbers is made after this, with numbers that follow from it: the same way every time.
+    # OMPL calls that an error, once there was another generator before.
+    util.setLogLevel(util.LogLevel.LOG_NONE)
+    util.RNG.setSeed(PLANNING_SEED)
+    info: Any = _space(start, end, free)
+    problem: Any = base.ProblemDefinition(info)
+    problem.setStartAndGoalStates(_state(free.body, info, start), _state(free.body, info, end))
+    planner = geometric.RRTConnect(info)
+    planner.setRange(MAX_EDGE_STEPS)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    left = iter(range(rounds))
+    planner.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
+    if not problem.hasExactSolution():
+        return None
+    path = problem.getSolutionPath()
+    between = [
+        _joints(free.body, path.getState(i), start) for i in range(1, path.getStateCount() - 1)
+    ]
+    return _shortened(np.array([start, *between, end]), free)
+
+
+def _space(start: Array, end: Array, free: Free) -> Any:
+    """What OMPL has to know (``SpaceInformation``) of arm and torso, within half a turn of both ends (J,)."""
+    from ompl import base
+
+    class Edges(base.MotionValidator):
+        """Looks at all of an edge at once."""
+
+        def checkMotion(self, s1: Any, s2: Any, *_: Any) -> bool:
+            return free.edge(_joints(free.body, s1, start), _joints(free.body, s2, start))
+
+    robot = free.body.chain
+    dofs = ik.columns(robot)
+    scale = joint_scale(free.body)
+    low = np.maximum(np.minimum(start, end) - np.pi, robot.lower)[dofs] / scale
+    high = np.minimum(np.maximum(start, end) + np.pi, robot.upper)[dofs] / scale
+    space = base.RealVectorStateSpace(len(dofs))
+    bounds = base.RealVectorBounds(len(dofs))
+    for i in range(len(dofs)):
+        bounds.setLow(i, float(low[i]))
+        bounds.setHigh(i, float(high[i]))
+    space.setBounds(bounds)
+    info = base.SpaceInformation(space)
+    info.setStateValidityChecker(
+        lambda state: bool(free.spare(_joints(free.body, state, start)[None])[0] >= 0.0)
+    )
+    info.setMotionValidator(Edges(info))
+    info.setup()
+    return info
+
+
+def _joints(robot: Robot, state: Any, like: Array) -> Array:
+    """The configuration (J,) of a state of OMPL, ``like`` (J,) but for arm and torso."""
+    q = like.copy()
+    dofs = ik.columns(robot.chain)
+    q[dofs] = joint_scale(robot) * [state[i] for i in range(len(dofs))]
+    return q
+
+
+def _state(robot: Robot, info: Any, q: Array) -> Any:
+    """The state of OMPL for a configuration (J,), inside its bounds."""
+    state = info.allocState()
+    for i, value in enumerate(q[ik.columns(robot.chain)] / joint_scale(robot)):
+        state[i] = float(value)
+    info.enforceBounds(state)
+    return state
+
+
+def _shortened(way: Array, free: Free) -> Array:
+    """Without the configurations that a straight motion can leave out."""
+    kept = [way[0]]
+    at = 0
+    while at < len(way) - 1:
+        at = next(
+            (i for i in range(len(way) - 1, at + 1, -1) if free.edge(way[at], way[i])), at + 1
+        )
+        kept.append(way[at])
+    return np.array(kept)
+
+
+def way_length(robot: Robot, way: Array) -> float:
+    """Control steps that the arm needs along configurations (P, J)."""
+    return float(
+        np.max(
+            np.abs(np.diff(way, axis=0))[:, ik.columns(robot.chain)] / joint_scale(robot), axis=1
+        ).sum()
+    )
+
+
+@lru_cache(maxsize=8)
+def joint_scale(robot: Robot) -> Array:
+    """Motion (D,) of arm and torso in one control step."""
+    return ik.step_limits(robot.chain)[ik.columns(robot.chain)]

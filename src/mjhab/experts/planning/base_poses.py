@@ -1,0 +1,144 @@
+"""Base poses from which the hand may reach a work place: on free floor, with a line of sight, within the arm's reach.
+
+Lengths [m], angles [rad], world frame. Letters: G hand poses, B base poses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes, nearest_box_distance
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.experts.base.ajar import planner
+from mjhab.experts.base.route import drive_steps
+from mjhab.experts.planning.workplace import HandGoals, Scene, Work
+from mjhab.robots.kinematics import wrap
+from mjhab.robots.robot import ArmReach, Footprint
+
+Array = np.ndarray
+OUT_CLEARANCE_M = 0.03
+"""Least clearance of an object on its straight way out of a shelf."""
+FAR_BASE_M = 0.96
+"""Base poses farther than this from the work, or with little clearance, are used only if there are no others."""
+MAX_OVERREACH_M = 0.05
+"""Largest distance of the wrist beyond the comfortable reach, see `overreach`."""
+_BASES = 24
+
+
+def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
+    """Clearance (B,) [m] of the object, lifted by 2.5 cm, while the base drives straight backwards with it.
+
+    Args:
+        bases: (B, 3) base poses at the grasp.
+        scene: obstacles and the object.
+        drive_in: distance of the drive [m].
+    """
+    box = scene.target
+    half = scene.target.half[0]
+    size = float(half.min())
+    axes = [
+        np.linspace(-h + size, h - size, 1 + int(np.ceil(2 * (h - size) / (1.3 * size))))
+        for h in half
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = box.center[0] + grid @ box.rot[0].T + np.array([0.0, 0.0, 0.025])
+    ahead = np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1)
+    share = np.linspace(0.0, drive_in, 7)
+    moved = points - share[None, :, None, None] * ahead[:, None, None]
+    gap = nearest_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9))
+    return gap.reshape(len(bases), -1).min(axis=1) - size
+
+
+def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
+    """Base poses (B, 3) from which a hand pose may be reached, and the estimated control steps (B,) to drive there."""
+    point = work.point
+    drive_in = work.drive_in
+    r, angle, off = np.meshgrid(
+        np.arange(0.5, 1.26, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
+    )
+    x = point[0] - r * np.cos(angle)
+    y = point[1] - r * np.sin(angle)
+    poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
+    here = view.base - drive_in * np.array([np.cos(view.base[2]), np.sin(view.base[2]), 0.0])
+    bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
+    poses = np.concatenate(
+        [poses, [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
+    )
+    far_off = np.append(r.ravel() > FAR_BASE_M, np.zeros(4, bool))
+    cells = planner(view)
+    back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    far_off |= cells.clearance_at(back) < cells.radius
+    good = np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2])) >= cells.narrow
+    good &= floor_room(view.robot.footprint, poses, work.scene.near) > 0.0
+    if work.avoid is not None and len(work.avoid):
+        gap = np.linalg.norm((poses[:, None] - work.avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
+        good &= gap > 0.10
+    good[good] = in_sight(poses[good], point, work.scene.near)
+    poses = poses[good]
+    back = back[good]
+    far_off = far_off[good]
+    way = cells.costs(view.base[:2])[cells.cells(back)]
+    steps = (
+        drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), way)
+        + 6.0 * drive_in / 0.3
+    )
+    # All the nearest base poses may be on a side from which no hand pose can be reached.
+    reachable = np.isfinite(steps) & (
+        overreach(view.robot.reach, poses, work.goals) < MAX_OVERREACH_M
+    ).any(axis=1)
+    reachable &= ~far_off | work.far | ~(reachable & ~far_off).any()
+    return _spread(poses[reachable], steps[reachable])
+
+
+def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
+    """Whether (B,) no wall or tall piece of furniture is between base poses (B, 2+) and ``point`` (3,)."""
+    top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)
+    tall = boxes.take((top > point[2] + 0.5) & (boxes.half.max(axis=1) > 0.4))
+    if not len(poses) or not len(tall):
+        return np.ones(len(poses), bool)
+    share = np.linspace(0.1, 0.9, 8)[:, None, None]
+    line = poses[:, :2] + share * (point[:2] - poses[:, :2])
+    height = np.full((*line.shape[:2], 1), point[2] + 0.15)
+    gap = nearest_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall)
+    return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
+
+
+def floor_room(footprint: Footprint, poses: Array, boxes: Boxes) -> Array:
+    """Clearance (B,) [m] between the base at poses (B, 3) and small boxes on the floor, which no map contains: objects
+    that fell."""
+    low = boxes.take(
+        (boxes.center[:, 2] - boxes.half.max(axis=1) < footprint.top)
+        & (boxes.half.max(axis=1) < 0.12)
+    )
+    if not len(low):
+        return np.ones(len(poses))
+    gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(
+        axis=1
+    )
+    return gap.min(axis=1) - footprint.radius
+
+
+def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
+    """At most `_BASES` of the quickest poses that differ from each other by more than 9 cm or 0.3 rad."""
+    kept: list[int] = []
+    for i in np.argsort(steps, kind="stable"):
+        if len(kept) >= _BASES:
+            break
+        gap = (poses[kept] - poses[i]) * [1.0, 1.0, 0.3]
+        if not kept or np.linalg.norm(gap, axis=1).min() > 0.09:
+            kept.append(int(i))
+    return poses[kept], steps[kept]
+
+
+def overreach(reach: ArmReach, bases: Array, goals: HandGoals) -> Array:
+    """Distance (B, G) [m] of the wrist beyond the comfortable reach of the arm, for base poses (B, 3) and hand poses.
+
+    At 0.05 the arm is fully stretched; negative values are within reach.
+    """
+    wrist = goals.pos - reach.hand * goals.rot[:, :, 0]
+    shoulder = bases[:, :2] + reach.ahead * np.stack(
+        [np.cos(bases[:, 2]), np.sin(bases[:, 2])], axis=1
+    )
+    level = np.linalg.norm(wrist[:, :2] - shoulder[:, None], axis=2) - reach.out
+    height = np.maximum(np.maximum(reach.low - wrist[:, 2], wrist[:, 2] - reach.high), 0.0)
+    return np.hypot(np.maximum(level, 0.0), height) - reach.length

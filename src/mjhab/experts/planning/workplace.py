@@ -1,0 +1,142 @@
+"""What is asked for where the hand works, and what is around: hand poses, obstacles, and the ways that were found.
+
+Lengths [m], angles [rad], world frame. Letters: G hand poses, A avoided base poses, N configurations, J joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.experts.arm import motion
+from mjhab.experts.arm.clearance import RobotSpheres
+from mjhab.experts.arm.gentle import Care
+from mjhab.experts.base.route import Route
+from mjhab.robots.robot import Robot
+
+Array = np.ndarray
+NEARBY_M = 2.6
+"""Furniture within this distance of the work is checked for collisions."""
+CLEARANCES_M = (0.012, 0.006, 0.0)
+"""Least clearance of the arm at the work, and of the whole robot just before it, in the first, second and later
+attempts."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandGoals:
+    """Hand poses, any of which will do: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
+    ``opening`` (G,) and ``score`` (G,), higher is better, worth about half a second each point."""
+
+    pos: Array
+    rot: Array
+    pre: Array
+    opening: Array
+    score: Array
+
+    def __len__(self) -> int:
+        return len(self.pos)
+
+    def take(self, rows: Array) -> HandGoals:
+        """Some of them, by index."""
+        return HandGoals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Obstacles and robot around a work place.
+
+    near: boxes of everything but the object. target: boxes of the object, empty while it is held. support_z: height of
+    the surface that the object lies on or goes to [m]. body: the robot. held: centres and radii [m] of spheres that
+    cover the held object, in the frame of the hand. care: limits of the motion for a held object.
+    """
+
+    near: Boxes
+    target: Boxes
+    support_z: float
+    body: Robot
+    held: tuple[Array, Array] | None = None
+    care: Care | None = None
+
+    @property
+    def all(self) -> Boxes:
+        """Every box."""
+        return Boxes.join([self.near, self.target])
+
+    @property
+    def beside(self) -> Boxes:
+        """Boxes of ``near`` that rise above the supporting surface."""
+        top = self.near.center[:, 2] + np.einsum(
+            "kj,kj->k", np.abs(self.near.rot[:, 2]), self.near.half
+        )
+        return self.near.take(top > self.support_z + 0.004)
+
+    def robot(self) -> RobotSpheres:
+        """Spheres of the arm and of the held object."""
+        arm = motion.arm_spheres(self.body)
+        return arm if self.held is None else arm.with_held(*self.held)
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """A way to reach hand pose ``goal`` (index): drive ``route``, then configurations ``pre`` and ``at`` (J,)."""
+
+    goal: int
+    pre: Array
+    at: Array
+    route: Route
+
+
+@dataclass(frozen=True, eq=False)
+class Blocked:
+    """Hand poses that the arm can reach, but without a collision-free straight motion from ``pre`` to ``at``.
+
+    goals: all hand poses. goal: (N,) indices into ``goals``, best first. pre, at: (N, J) joint configurations before
+    and at each hand pose. scene: obstacles. drive_in: distance of the straight drive at the end [m].
+    """
+
+    goals: HandGoals
+    goal: Array
+    pre: Array
+    at: Array
+    scene: Scene
+    drive_in: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Work:
+    """A request for a base pose, an arm motion and a route.
+
+    Attributes:
+        point: (3,) point near which the base stands [m].
+        goals: hand poses, of which one is reached.
+        scene: obstacles and robot.
+        drive_in: distance [m] that the base drives straight forward at the end, with the arm already stretched out, for
+            instance into a fridge. The route ends at this distance before the work place.
+        avoid: (A, 3) base poses from which an earlier attempt failed.
+        room: least clearance [m] at the work, see `CLEARANCES_M`.
+        nearer: how much nearer [m] than that the hand may come just before its work.
+        home: weight of the control steps from the work back to rest.
+        far: stand far off even where one may stand nearer: that can save a long way.
+    """
+
+    point: Array
+    goals: HandGoals
+    scene: Scene
+    drive_in: float = 0.0
+    avoid: Array | None = None
+    room: float = CLEARANCES_M[0]
+    nearer: float = 0.0
+    home: float = 0.0
+    far: bool = False
+
+
+def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:
+    """Everything solid near ``point`` (3,) but the object, and the object's bounding box."""
+    parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
+    others = Boxes.join(parts)
+    everything = view.object_boxes()
+    mine = np.array([view.object_names.index(obj)])
+    return others.near(np.array([*point[:2], 0.9]), NEARBY_M), everything.take(mine)

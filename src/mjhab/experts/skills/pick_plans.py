@@ -1,0 +1,257 @@
+"""Plans of Pick: which grasp of an object, from which base pose, and how far the base drives straight into a shelf.
+
+Lengths [m], world frame. Letters: A base poses that did not work, G grasps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes
+from mjhab.core.rotations import mat_from_quat
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.episodes.grasps.candidates import (
+    Grasps,
+    LyingObject,
+    ObjectShape,
+    Options,
+    grasp_candidates,
+)
+from mjhab.experts.arm import motion
+from mjhab.experts.planning.carry import (
+    SHELF_DEPTH_M,
+    inside_depth,
+)
+from mjhab.experts.planning.reach import hand_room, stances
+from mjhab.experts.planning.sampled import roomier
+from mjhab.experts.planning.workplace import (
+    CLEARANCES_M,
+    Blocked,
+    HandGoals,
+    Scene,
+    Stance,
+    Work,
+    surroundings,
+)
+from mjhab.experts.skills.nudge import in_steps
+from mjhab.experts.style import of_kind
+from mjhab.tasks.style import ANY
+
+Array = np.ndarray
+MAX_GOALS = 60
+FREE_OFFSET_M = 0.015
+"""Lateral distance of the object's centre from the pads without a cost. With a larger one its weight turns the object
+between the pads, and it slips out when something pushes it from above."""
+OFFSET_PRICE_PER_M = 15.0
+"""Score lost per metre beyond `FREE_OFFSET_M`."""
+GRASP_ROOM_M = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
+"""Required clearances [m] of the first, second and third search: between gripper and neighbours; on a shelf between
+hand with wrist and neighbours (the spheres of the wrist are up to 8 mm too large); and the reduction of the arm's
+clearance that applies to the hand."""
+OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=GRASP_ROOM_M[-1][0])
+# On a shelf there is little room: more directions around the object, a short approach, and boxes nearly as wide as the
+# hand opens. Below a low board no approach from above is possible: bowls are grasped by the rim from the front.
+SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0)
+LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
+SHELF_BLUNT_M = 0.004
+"""Length of the tips of the pads that does not count as contact on a shelf."""
+INSIDE_WAYS_M = (0.0, 0.1, 0.2, SHELF_DEPTH_M)
+"""Distances that the base may drive straight into the shelf after a push."""
+_HOME_WEIGHT = 0.8
+"""Weight of the control steps from the grasp back to rest after a push, when few are left."""
+
+
+def plan_pick(
+    view: WorldView, obj: str, failed: Array, attempt: int = 0, wish: str = ANY
+) -> tuple[Stance, HandGoals, float] | None:
+    """Plan a grasp of an object.
+
+    Args:
+        view: world to plan in.
+        obj: name of the object.
+        failed: (A, 3) base poses from which earlier attempts failed.
+        attempt: number of earlier attempts; later ones accept less clearance.
+        wish: kind of grasp, see `tasks.style.Style.grasp`.
+
+    Returns:
+        Stance, the grasps to which its ``goal`` refers, and the distance of the straight drive at the end [m]; None if
+        no grasp can be reached.
+    """
+    pose = view.object_pose(obj)
+    shape = view.object_shape(obj)
+    scene = scene_of(view, obj)
+    depth = inside_depth(view, pose[:3])
+    around = scene.beside.near(pose[:3], 0.5)
+    if depth:
+        every = shelf_grasps(
+            shape, pose, scene, direction_to(view, pose), around, GRASP_ROOM_M[-1][0]
+        )
+    else:
+        every = grasp_candidates(
+            LyingObject.of(shape, pose, scene.support_z),
+            neighbours=around,
+            gripper=view.robot.gripper,
+            options=OPTIONS,
+        )
+    every = balanced(of_kind(every, wish), pose[:3])
+    room = hand_room(view.robot.gripper, every, around) if depth else None
+    best = None
+    tried = 0
+    blocked: list[Blocked] = []
+    for asked, hand, nearer in GRASP_ROOM_M[min(attempt, 1) :]:
+        keep = every.clear >= asked
+        grasps = every.take(np.flatnonzero(keep if room is None else keep & (room > hand)))
+        if len(grasps) <= tried:
+            continue
+        tried = len(grasps)
+        goals = _diverse(grasps)
+        for back in _ways_in(depth, attempt):
+            work = Work(
+                point=pose[:3],
+                goals=goals,
+                scene=scene,
+                drive_in=back,
+                avoid=failed,
+                room=CLEARANCES_M[min(attempt, 2)],
+                nearer=nearer,
+            )
+            found = stances(view, work, blocked)
+            if found and (best is None or found[0].route.room > best[0].route.room):
+                best = found[0], goals, back
+            if best is not None and (not depth or best[0].route.room >= 0.0):
+                return roomier(view, best, blocked)
+    return roomier(view, best, blocked)
+
+
+def shelf_grasps(
+    shape: ObjectShape,
+    pose: Array,
+    scene: Scene,
+    inward: tuple[float, float],
+    around: Boxes,
+    clear: float,
+) -> Grasps:
+    """Grasps of an object on a shelf, best first.
+
+    Args:
+        shape: of the object.
+        pose: (7,) of the object.
+        scene: obstacles, and the robot with its gripper.
+        inward: unit vector into the shelf.
+        around: boxes that the gripper must not touch.
+        clear: least clearance to them [m].
+    """
+    hand = scene.body.gripper
+    gripper = replace(hand, usable=hand.shelf_usable, blunt=SHELF_BLUNT_M)
+    for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS):
+        found = grasp_candidates(
+            LyingObject.of(shape, pose, scene.support_z),
+            neighbours=around,
+            options=replace(options, inward=inward, least_clear_m=clear),
+            gripper=gripper,
+        )
+        if len(found) or shape.kind != "bowl":
+            break
+    return found
+
+
+def plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, HandGoals, float] | None:
+    """Like `plan_pick` for an object on a shelf after a push: the grasp with the fewest control steps until the arm is
+    at rest again."""
+    pose = view.object_pose(obj)
+    scene = scene_of(view, obj)
+    around = scene.beside.near(pose[:3], 0.5)
+    shape = view.object_shape(obj)
+    every = balanced(
+        shelf_grasps(shape, pose, scene, direction_to(view, pose), around, GRASP_ROOM_M[-1][0]),
+        pose[:3],
+    )
+    room = hand_room(view.robot.gripper, every, around)
+    best = None
+    least = np.inf
+    for (asked, hand, nearer), arm in zip(GRASP_ROOM_M, CLEARANCES_M, strict=True):
+        rows = np.flatnonzero((every.clear >= asked) & (room > hand))
+        if not len(rows):
+            continue
+        goals = _diverse(every.take(rows))
+        for back in INSIDE_WAYS_M:
+            work = Work(
+                point=pose[:3],
+                goals=goals,
+                scene=scene,
+                drive_in=back,
+                avoid=failed,
+                room=arm,
+                nearer=nearer,
+                home=_HOME_WEIGHT,
+            )
+            for stance in stances(view, work):
+                cost = (
+                    stance.route.steps
+                    + in_steps(back)
+                    + _HOME_WEIGHT * float(motion.steps_home(view.robot, stance.at))
+                )
+                cost += 1e4 * max(-stance.route.room, 0.0)
+                if cost < least:
+                    best = (stance, goals, back)
+                    least = cost
+        if best is not None and best[0].route.room >= 0.0:
+            break
+    return best
+
+
+def balanced(grasps: Grasps, centre: Array) -> Grasps:
+    """Grasps with scores reduced by the lateral distance of the object's ``centre`` (3,) from the pads, best first."""
+    aside = np.abs(np.einsum("gj,gj->g", centre - grasps.pos, grasps.rot[:, :, 2]))
+    score = grasps.score - OFFSET_PRICE_PER_M * np.maximum(aside - FREE_OFFSET_M, 0.0)
+    return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
+
+
+def scene_of(view: WorldView, obj: str) -> Scene:
+    """Obstacles around an object that is not held."""
+    pose = view.object_pose(obj)
+    shape = view.object_shape(obj)
+    near, target = surroundings(view, obj, pose[:3])
+    support = float(pose[2]) - height_below(shape, mat_from_quat(pose[3:]))
+    return Scene(near, target, support, view.robot)
+
+
+def direction_to(view: WorldView, pose: Array) -> tuple[float, float]:
+    """Level unit vector from the robot to an object at ``pose`` (7,)."""
+    way = pose[:2] - view.base[:2]
+    x, y = way / max(float(np.linalg.norm(way)), 1e-6)
+    return float(x), float(y)
+
+
+def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
+    """Distances [m] of the straight drive to try, in order; later attempts begin with none, which is quicker."""
+    if not depth:
+        return (0.0,)
+    return (0.0, depth) if attempt else (depth, 0.0)
+
+
+def height_below(shape: ObjectShape, rot: Array) -> float:
+    """Distance [m] from the centre of an object with rotation ``rot`` (3, 3) down to its lowest point."""
+    up = np.abs(rot[2])
+    half = np.array(shape.half)
+    if shape.kind in ("box", "mesh"):
+        return float(up @ half)
+    if shape.kind == "sphere":
+        return float(half.max())
+    return float(half[0] * np.hypot(up[0], up[1]) + half[2] * up[2])
+
+
+def _diverse(grasps: Grasps) -> HandGoals:
+    """At most `MAX_GOALS` of the best grasps, each more than 2.5 cm or 0.3 rad from the others."""
+    kept: list[int] = []
+    for i in range(min(len(grasps), 600)):
+        if len(kept) >= MAX_GOALS:
+            break
+        turn = np.einsum("gij,ij->g", grasps.rot[kept], grasps.rot[i])
+        shift = np.linalg.norm(grasps.pos[kept] - grasps.pos[i], axis=1)
+        if not kept or ((turn < 1.0 + 2.0 * np.cos(0.3)) | (shift > 0.025)).all():
+            kept.append(i)
+    g = grasps.take(np.array(kept))
+    return HandGoals(g.pos, g.rot, g.pre, g.opening, g.score)

@@ -1,0 +1,89 @@
+"""Compiled geometry of the faces that pixels show: point and normal in the axes of their instance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mjhab.render.raster.jit import color_inline
+from mjhab.render.textures import Texels
+
+
+class Surface(NamedTuple):
+    """Looks of faces and materials (arrays of RenderScene); instance_material (H, I) or -1.
+
+    mesh_start (N,) i32: first face; smooth (F,) bool: the normal varies over the face; extent (I, 3): size of each
+    instance's mesh along its axes [m].
+    """
+
+    mesh_start: np.ndarray
+    face_material: np.ndarray
+    face_normal: np.ndarray
+    face_uv: np.ndarray
+    face_density: np.ndarray
+    smooth: np.ndarray
+    instance_material: np.ndarray
+    extent: np.ndarray
+    color: np.ndarray
+    color2: np.ndarray
+    texture: np.ndarray
+    pattern: np.ndarray
+    size: np.ndarray
+    gloss: np.ndarray
+    texels: Texels
+
+
+@color_inline
+def fill_frame(poses, room, lens, i):
+    """Fill frames[i]: the camera (0:3) and its axes (3:12, by rows) in the instance's axes, 1 / scale (12:15)."""
+    if room.stamp[i] == room.stamp[-1]:
+        return
+    room.stamp[i] = room.stamp[-1]
+    f = room.frames
+    rot = poses.rot
+    m = lens.mat
+    d0 = lens.pos[0] - poses.pos[i, 0]
+    d1 = lens.pos[1] - poses.pos[i, 1]
+    d2 = lens.pos[2] - poses.pos[i, 2]
+    for r in range(3):
+        a = rot[i, 0, r]
+        b = rot[i, 1, r]
+        c = rot[i, 2, r]
+        f[i, r] = a * d0 + b * d1 + c * d2
+        for k in range(3):
+            f[i, 3 + 3 * r + k] = a * m[0, k] + b * m[1, k] + c * m[2, k]
+        f[i, 12 + r] = 1.0 / poses.scale[i, r]
+
+
+@color_inline
+def place_point(f, i, u, v, depth):
+    """Point in the instance's axes [m] at a depth along the ray with slopes (u, v)."""
+    x = f[i, 0] + depth * (f[i, 3] * u + f[i, 4] * v - f[i, 5])
+    y = f[i, 1] + depth * (f[i, 6] * u + f[i, 7] * v - f[i, 8])
+    z = f[i, 2] + depth * (f[i, 9] * u + f[i, 10] * v - f[i, 11])
+    return x, y, z
+
+
+@color_inline
+def normal_at(surface, f, i, face, x, y, z):
+    """Unit normal of a face at a point, both in the instance's axes."""
+    n = surface.face_normal
+    sx = f[i, 12]
+    sy = f[i, 13]
+    sz = f[i, 14]
+    nx = float(n[face, 0, 3])
+    ny = float(n[face, 1, 3])
+    nz = float(n[face, 2, 3])
+    if surface.smooth[face]:
+        x = x * sx
+        y = y * sy
+        z = z * sz
+        nx += n[face, 0, 0] * x + n[face, 0, 1] * y + n[face, 0, 2] * z
+        ny += n[face, 1, 0] * x + n[face, 1, 1] * y + n[face, 1, 2] * z
+        nz += n[face, 2, 0] * x + n[face, 2, 1] * y + n[face, 2, 2] * z
+    nx = nx * sx
+    ny = ny * sy
+    nz = nz * sz
+    length = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
+    return nx * length, ny * length, nz * length

@@ -1,0 +1,35 @@
+# type: ignore
+"""Appearance of the faces of a layout on a device: materials, textures, lamps."""
+
+from __future__ import annotations
+
+import warp as wp
+
+
+@wp.struct
+class Looks:
+    """Appearance of faces (F), instances (I), materials (M) and lamps (L) of homes (H), as in ``RenderScene``.
+
+    extent (I,): size of each instance's mesh along its axes [m]. pixels, start, bits: see ``textures.Texels``. tone:
+    see ``raster.shading.tone_curve``. disk (TURNS, TAPS): sample offsets of the ambient occlusion.
+    """
+
+    face_material: wp.array[int]
+    face_normal: wp.array2d[wp.vec4]
+    face_uv: wp.array2d[wp.vec4]
+    face_density: wp.array[float]
+    extent: wp.array[wp.vec3]
+    instance_material: wp.array2d[int]
+    color: wp.array[wp.vec3]
+    color2: wp.array[wp.vec3]
+    texture: wp.array[int]
+    pattern: wp.array[int]
+    size: wp.array[wp.vec2]
+    gloss: wp.array[float]
+    pixels: wp.array[wp.uint32]
+    start: wp.array2d[int]
+    bits: wp.array2d[int]
+    tone: wp.array[wp.uint8]
+    disk: wp.array2d[wp.vec2]
+    lamp_pos: wp.array2d[wp.vec3]
+    lamp_color: wp.array2d[wp.vec3]

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
 import pytest
 import torch
 from tensordict.nn import TensorDictModule  # pyright: ignore[reportMissingImports]
 from torch import nn
+from torchrl.data import Unbounded  # pyright: ignore[reportMissingImports]
+from torchrl.envs import (  # pyright: ignore[reportMissingImports]
+    GymEnv,
+    GymWrapper,
+    SerialEnv,
+    default_info_dict_reader,
+)
 from torchrl.envs.utils import check_env_specs  # pyright: ignore[reportMissingImports]
 from torchrl.modules import (  # pyright: ignore[reportMissingImports]
     NormalParamExtractor,
@@ -19,6 +30,7 @@ from torchrl.objectives.value import GAE  # pyright: ignore[reportMissingImports
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.integrations.torchrl import to_torchrl
+from tests.docs.pages import ROOT, blocks
 
 HORIZON = 6
 OPTIONS = {
@@ -65,6 +77,62 @@ def test_ppo_learns_from_a_rollout() -> None:
     total = torch.stack([value for name, value in losses.items() if name.startswith("loss_")]).sum()
     total.backward()
     assert all(parameter.grad is not None for parameter in layers.parameters())
+
+
+ENV_ID = "mjhab/CloseSubtaskTrain-v1"
+SHORT = {"horizon": HORIZON, "episode_pool": 2}
+CHAIN = {"task": "set_table", "num_envs": 2, "autoreset": "disabled"}
+DEPTH = {"num_envs": 2, "autoreset": "disabled", "obs_mode": "depth", "camera_size": 16}
+
+
+@pytest.mark.parametrize("keys", ["flat", "nested"])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **options: gymnasium.make(ENV_ID, **SHORT, **options),
+        lambda **options: gymnasium.make(ENV_ID, **SHORT, **options).unwrapped,
+        lambda **options: gymnasium.make_vec(ENV_ID, **SHORT, **DEPTH, **options),
+        lambda **options: mjhab.make_train(**OPTIONS, **options),
+        lambda **options: mjhab.make(**CHAIN, **options),
+    ],
+    ids=["single", "unwrapped", "make_vec", "make_train", "make"],
+)
+def test_gym_wrapper_takes_environments(make: Callable[..., Any], keys: str) -> None:
+    check_env_specs(GymWrapper(make(obs_keys=keys)))
+
+
+def test_gym_wrapper_resets_the_worlds_of_a_vector_environment_itself() -> None:
+    env = GymWrapper(mjhab.make_train(**OPTIONS))
+    types = {"success": Unbounded((2,), dtype=torch.bool)}
+    env.set_info_dict_reader(default_info_dict_reader(["success"], spec=types))
+    found = env.rollout(HORIZON + 2, break_when_any_done=False)
+    assert found["next", "success"].shape == (2, HORIZON + 2)
+    assert found["next", "truncated"][:, HORIZON - 1].all()
+    assert not found["next", "done"][:, HORIZON:].any()
+    # torchrl's name for "state".
+    last = found["next", "observation"][:, HORIZON - 1]
+    assert not torch.equal(last, found["observation"][:, HORIZON])
+    assert torch.equal(found["next", "observation"][:, 0], found["observation"][:, 1])
+
+
+def test_gym_env_makes_worlds_by_id() -> None:
+    check_env_specs(GymEnv(ENV_ID, **SHORT))
+    found = SerialEnv(2, lambda: GymEnv(ENV_ID, **SHORT)).rollout(
+        HORIZON + 2, break_when_any_done=False
+    )
+    assert found["next", "truncated"][:, HORIZON - 1].all()
+
+
+EXAMPLES = [
+    block.code
+    for block in blocks(ROOT / "docs" / "training.md")
+    if block.language == "python" and "torchrl" in block.code
+]
+
+
+@pytest.mark.parametrize("code", EXAMPLES, ids=range(len(EXAMPLES)))
+def test_the_examples_of_the_documentation_run(code: str) -> None:
+    exec(compile(code, "docs/training.md", "exec"), {})
 
 
 def test_bad_input_is_told() -> None:

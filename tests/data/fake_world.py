@@ -72,10 +72,16 @@ class FakeEnv:
     taint_names = ("contact_overflow", "nan", "penetration")
 
     def __init__(
-        self, num_envs: int = 2, subtask: str = "", images: bool = False, horizon: int = 20
+        self,
+        num_envs: int = 2,
+        subtask: str = "",
+        images: bool = False,
+        horizon: int = 20,
+        segments: Sequence[str] = (),
     ) -> None:
         self.num_envs = num_envs
         self.images = images
+        self.segments = segments
         self.horizon = horizon
         self.metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
         self.config = FakeConfig(subtask=subtask, num_envs=num_envs, runs_to_horizon=bool(subtask))
@@ -90,7 +96,7 @@ class FakeEnv:
         self.worlds = [_World(self, 0, w) for w in range(num_envs)]
         self.sim, self.observer, self.homes = (
             _Sim(self),
-            SimpleNamespace(observe=self._observe),
+            _observer(self),
             [""] * num_envs,
         )
         self.state = None
@@ -218,6 +224,13 @@ class FakeEnv:
             obs["sensor_param/fetch_head/intrinsic_cv"] = np.tile(
                 np.eye(3, dtype=np.float32), (self.num_envs, 1, 1)
             )
+            if self.segments:
+                obs["sensor_data/fetch_head/seg"] = obs["sensor_data/fetch_head/depth"].astype(
+                    np.int32
+                ) % len(self.segments)
+                pose = np.tile(np.eye(4, dtype=np.float32), (self.num_envs, 1, 1))
+                pose[:, :3, 3] = qpos[:, :3]
+                obs["sensor_param/fetch_head/cam2world_gl"] = pose
         return obs
 
     def get_state(self, world: int) -> dict[str, Any]:
@@ -232,6 +245,18 @@ class FakeEnv:
 
     def state_digest(self, world: int) -> str:
         return f"{self.worlds[world].qpos.sum():.6f}"
+
+
+def _observer(env: FakeEnv) -> SimpleNamespace:
+    """What the recorder asks; with segments also the names of their ids and a calibration."""
+    if not env.segments:
+        return SimpleNamespace(observe=env._observe)
+    return SimpleNamespace(
+        observe=env._observe,
+        outputs=("depth", "rgb", "seg"),
+        segmentation_names=env.segments,
+        calibration=lambda: {"fetch_head": {"size": [SIZE, SIZE]}},
+    )
 
 
 class _World:

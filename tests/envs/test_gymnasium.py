@@ -10,8 +10,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import NumpyToTorch
 from gymnasium.wrappers.vector import DictInfoToList
+from gymnasium.wrappers.vector import NumpyToTorch as VectorNumpyToTorch
 
 import mjhab
 from mjhab.core.errors import UsageError
@@ -19,6 +23,7 @@ from mjhab.core.frozen import FrozenMap
 from mjhab.data.record.recorder import Recorder
 from mjhab.envs.observations import BASE_VELOCITY_KEY, STATE_KEY, state_dim
 from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.envs.single import OF_WORLDS, SingleEnv
 from mjhab.envs.spaces import nested
 from mjhab.envs.wrappers import FrameStack
 
@@ -52,6 +57,82 @@ def test_an_env_is_copied_and_pickled_before_it_is_used() -> None:
     with pytest.raises(UsageError, match="before the first reset"):
         pickle.dumps(copies[1])
     env.close()
+
+
+@pytest.mark.parametrize("name", ["no_such_thing", "num_envs", "single_action_space", "_private"])
+def test_a_name_that_nobody_has_builds_no_world(name: str) -> None:
+    env: Any = gymnasium.make(ENV_ID, **OPTIONS).unwrapped
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
+        getattr(env, name)
+    assert not hasattr(env, name)
+    assert env._opened is None and copy.deepcopy(env).config == env.config
+
+
+def test_a_single_world_has_what_its_vector_environment_has_but_vectors_of_worlds() -> None:
+    env: Any = gymnasium.make(ENV_ID, **OPTIONS).unwrapped
+    env.reset(seed=0)
+    of_vectors = {"num_envs", "single_action_space", "single_observation_space", "autoreset_mode"}
+    elsewhere = {*dir(VectorEnv), *dir(SingleEnv), *vars(env), *of_vectors, "due"}
+    public = {name for name in dir(env.worlds) if not name.startswith("_")}
+    assert public - elsewhere == OF_WORLDS
+    assert all(hasattr(env, name) for name in OF_WORLDS)
+    env.close()
+
+
+def dtypes(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Type of every entry, those of nested entries too: the dtype of tensors and arrays, else the class."""
+    return {
+        key: dtypes(value) if isinstance(value, dict) else getattr(value, "dtype", type(value))
+        for key, value in values.items()
+    }
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_gymnasium_gives_our_environments_as_tensors(vector: bool) -> None:
+    options = OPTIONS | {"obs_mode": "depth", "camera_size": 16, "horizon": 2, "episode_pool": 2}
+    env: Any
+    if vector:
+        env = VectorNumpyToTorch(gymnasium.make_vec(ENV_ID, num_envs=2, **options))
+    else:
+        env = NumpyToTorch(gymnasium.make(ENV_ID, **options))
+    obs, info = env.reset(seed=0)
+    for _ in range(2):
+        obs, reward, terminated, truncated, info = env.step(torch.zeros(env.action_space.shape))
+    seen = dtypes(obs)
+    assert seen[STATE_KEY] == torch.float32
+    assert seen["sensor_data/fetch_head/depth"] == torch.int16
+    told = dtypes(info)
+    assert told["success"] == torch.bool and told["robot_force"] == torch.float64
+    assert set(told["reward_terms"].values()) == {torch.float64}
+    spec = info["episode_spec"]
+    if vector:
+        assert {key for key, kind in told.items() if kind == np.dtype("O")} == {*OBJECTS}
+        assert reward.dtype == torch.float64 and truncated.all() and not terminated.any()
+        assert dtypes(info["final_info"])["success"] == torch.bool
+        assert info["instruction"].tolist() == [each["instructions"][0] for each in spec]
+    else:
+        assert (type(reward), terminated, truncated) == (float, False, True)
+        assert info["instruction"] == spec["instructions"][0]
+        assert info["ended"]["kind"] == "close"
+    env.close()
+
+
+def test_a_single_world_in_gymnasiums_own_vector_keeps_its_types() -> None:
+    env = gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode="sync", **OPTIONS)
+    _, info = env.reset(seed=0)
+    assert info["success"].dtype == bool and info["robot_force"].dtype == np.float64
+    env.close()
+
+
+def test_the_autoreset_mode_is_an_attribute_as_in_gymnasiums_own_vectors() -> None:
+    for mode in AutoresetMode:
+        assert build(num_envs=1, autoreset=mode.name.lower()).autoreset_mode == mode
+
+
+def test_a_frameskip_is_refused_as_torchrl_understands_it() -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as refused:
+        gymnasium.make(ENV_ID, frameskip=2)
+    assert isinstance(refused.value, UsageError)
 
 
 def test_worlds_run_in_processes_of_their_own() -> None:

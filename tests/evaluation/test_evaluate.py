@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,14 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path
         ({"task": "set_tabel"}, "Did you mean 'set_table'"),
         ({"target": "024_bowl"}, "a target needs a subtask"),
         ({"episodes": 0}, "episodes must be at least 1, got 0"),
+        ({"episodes": 10**18}, "episodes must be at most 100,000,000, got 1000000000000000000"),
+        ({"episodes": "3"}, "episodes must be a whole number of at least 1, got '3'"),
+        ({"worlds": 10**6}, "worlds must be at most 65,536"),
+        ({"films": 10**6}, "films must be at most 10,000"),
+        ({"threads": True}, "threads must be a whole number"),
+        ({"seed": 2**63}, "seed must be at most"),
+        ({"horizon": 10**20}, "horizon must be at most"),
+        ({"frame_stack": 10**9}, "frame_stack must be at most 256"),
         ({"policy": "zero", "style": ("speed=0.5",)}, "only the policy expert has a style"),
         ({"policy": "nobody"}, "unknown policy 'nobody'"),
         ({"policy": object()}, "object has no reset and no act"),
@@ -113,6 +122,19 @@ def test_bad_input_leaves_nothing(
         mjhab.evaluate(**{"out": tmp_path / "run", "policy": "zero", **options})
     assert words in str(caught.value)
     assert not (tmp_path / "run").exists() and all(env.closed for env in stage.built)
+
+
+def test_episodes_take_memory_only_when_they_run(stage: Stage, tmp_path: Path) -> None:
+    """A list of the indices would take 200 MB."""
+    episodes = 5_000_000
+    for resume in (False, True):
+        stage.interrupt_at = 200
+        tracemalloc.start()
+        with pytest.raises(EvaluationInterrupted):
+            mjhab.evaluate("zero", episodes=episodes, films=0, out=tmp_path, resume=resume)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 60e6
 
 
 def test_ctrl_c_reports_and_goes_on_to_the_caller(stage: Stage, tmp_path: Path) -> None:

@@ -126,6 +126,13 @@ def test_ctrl_c_keeps_what_is_finished(built: list[dict[str, Any]], tmp_path: Pa
     assert 0 < made.summary["written"] < made.summary["kept"] == 20
 
 
+def test_there_are_never_more_workers_than_episodes(tmp_path: Path) -> None:
+    spec = GenerateSpec(out=tmp_path, policy="zero", subtask="close", episodes=3, workers=200)
+    assert make_job(spec).workers == 3
+    spec = GenerateSpec(out=tmp_path, policy="zero", subtask="close", per_target=10**9)
+    assert make_job(spec).episodes == 100_000_000
+
+
 def test_a_quota_that_is_not_filled_is_told(built: list[dict[str, Any]], tmp_path: Path) -> None:
     made = mjhab.generate(
         "random", episodes=4, per_target=3, keep="steps < 0", out=tmp_path / "set"
@@ -141,6 +148,9 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
         ({"per_target": 0}, "the number of episodes is missing"),
         ({"per_target": -1}, "per_target must be at least 0, got -1"),
         ({"episodes": 0}, "episodes must be at least 1, got 0"),
+        ({"episodes": 10**18}, "episodes must be at most 100,000,000"),
+        ({"per_target": 10**18}, "per_target must be at most 1,000,000,000"),
+        ({"workers": 10**6}, "workers must be at most 256"),
         ({"workers": -1}, "workers must be at least 0"),
         ({"worlds": 0}, "worlds must be at least 1"),
         ({"subtask": "pik"}, "Did you mean 'pick'"),

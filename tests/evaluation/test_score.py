@@ -23,6 +23,7 @@ from mjhab.evaluation.score.result import (
     Result,
     digest_of,
     manifest_of,
+    read_for_table,
     read_result,
     summary_of,
     write_result,
@@ -64,6 +65,8 @@ def test_a_score_is_made_of_the_episodes_of_the_manifest(result: tuple[Path, Res
     # Nothing is left to do: the second call reads what the first one left.
     again = score(ScoreSpec("random", "subtasks", "test", path.parent, worlds=2, threads=1))
     assert again.summary == summary
+    # The time is that of all starts, not that of the last one.
+    assert again.facts["seconds"] == scored.facts["seconds"] > 0.5
     assert [e.record for e in again.episodes] == [e.record for e in scored.episodes]
 
 
@@ -282,3 +285,40 @@ def test_the_command_checks_and_tabulates(
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (told["checked"], told["exact"], told["wrong"]) == (3, 3, 0)
     assert set(told) >= {"track", "score", "episodes", "digest"}
+
+
+def test_a_summary_makes_the_same_table_and_cannot_be_checked(
+    result: tuple[Path, Result], tmp_path: Path
+) -> None:
+    summary = result[0].with_name("summary.json")
+    assert leaderboard([read_for_table(summary)]) == leaderboard([read_for_table(result[0])])
+    with pytest.raises(UsageError, match=r"no episodes to verify; give the result\.json"):
+        read_result(summary)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (("version",), 9, "not a summary of version"),
+        (("facts",), 3, "is damaged"),
+        (("facts", "manifest"), "older", "cannot be compared"),
+        (("facts", "versions"), None, "facts.versions"),
+        (("summary", "score"), "high", "its summary is not that of a score"),
+        (("summary", "rows", 0, "interval"), [0.0], "its summary is not that of a score"),
+        (("summary", "rows", 0, "name"), "mine", "its summary is not that of a score"),
+        (("summary", "capabilities"), {}, "its summary is not that of a score"),
+    ],
+)
+def test_a_broken_summary_is_refused(
+    result: tuple[Path, Result], tmp_path: Path, place: tuple[Any, ...], value: Any, message: str
+) -> None:
+    content = json.loads(result[0].with_name("summary.json").read_text())
+    *way, last = place
+    part = content
+    for key in way:
+        part = part[key]
+    part[last] = value
+    broken = tmp_path / "summary.json"
+    broken.write_text(json.dumps(content))
+    with pytest.raises(UsageError, match=message):
+        read_for_table(broken)

@@ -59,6 +59,11 @@ def check_frame(data: LeRobotDataset, row: int, group: Any, t: int) -> None:
         camera = key.rpartition(".")[2]
         if key.startswith("observation.depth."):
             np.testing.assert_array_equal(item[key], image(group, camera, "depth", t))
+        if key.startswith("observation.segmentation."):
+            np.testing.assert_array_equal(item[key], image(group, camera, "seg", t))
+        if key.startswith("camera_pose."):
+            poses = group[f"obs/sensor_param/{camera}/cam2world_gl"]
+            np.testing.assert_array_equal(item[key], poses[t])
         if key.startswith("observation.images."):
             shown = item[key].numpy().transpose(1, 2, 0) * 255
             states = [t, *(t + by for by in OTHERS if 0 <= t + by < len(group["obs/state"]))]
@@ -80,7 +85,17 @@ def main(export: Path, shards: Path) -> None:
         assert length == group.attrs["steps"]
         for t in (0, length // 2, length - 1):
             check_frame(data, first + t, group, t)
+    kinds = (
+        "observation.images.",
+        "observation.depth.",
+        "observation.segmentation.",
+        "camera_pose.",
+    )
+    assert all(any(key.startswith(kind) for key in data.features) for kind in kinds)
+    names = json.loads((export / "meta/segments.json").read_text())
     item = data[0]
+    seen = np.unique(next(value for key, value in item.items() if "segmentation" in key))
+    assert len(seen) > 2 and seen.max() < len(names) and "floor" in names
     window = LeRobotDataset(
         "mjhab/check",
         root=export,

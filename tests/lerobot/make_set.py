@@ -28,7 +28,7 @@ def main(folder: Path, episodes: int) -> None:
             subtask=subtask,
             num_envs=WORLDS,
             autoreset="disabled",
-            obs_mode="rgbd",
+            obs_mode="rgbd+seg",
             camera_size=SIZE,
             seed=0,
         )

@@ -13,7 +13,7 @@ from mjhab.core.rotations import frame_from_axes
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.robots.kinematics import Chain, in_base, rotation_vector
+from mjhab.robots.kinematics import Chain, ChainRoot, in_base, rotation_vector
 
 REST = np.array(fetch.REST_QPOS)
 EXTRA = ("head_tilt_link", "torso_fixed_link", *fetch.FINGER_LINKS)
@@ -83,7 +83,10 @@ def test_batches_equal_single_evaluations():
 def test_unknown_links_and_joints_are_named():
     with pytest.raises(UsageError, match="gripper_link"):
         Chain.from_tree(
-            fetch.KINEMATIC_TREE, fetch.FETCH_JOINTS, tip="griper_link", root="base_link"
+            fetch.KINEMATIC_TREE,
+            fetch.FETCH_JOINTS,
+            tip="griper_link",
+            root=ChainRoot("base_link", 0.02),
         )
     with pytest.raises(UsageError, match="elbow_flex_joint"):
         CHAIN.columns_of(("elbow_joint",))

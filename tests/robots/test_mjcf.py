@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import MjhabError
-from mjhab.robots.kinematics import Chain
+from mjhab.robots.kinematics import Chain, ChainRoot
 from mjhab.robots.mjcf import MeshGeom, MjcfLinks, boxes_around
 
 ARM = """
@@ -45,9 +45,7 @@ def test_the_chain_agrees_with_mujoco(file: Path) -> None:
     links = MjcfLinks(file, "shoulder", zero=ZERO, flipped=("slide",))
     rows = links.tree("base", (0.0, 0.0, 0.3))
     order = ("turn", "lift", "slide")
-    chain = Chain.from_tree(
-        rows, order, tip="hand", root="base", root_height=0.0, moving_base=False
-    )
+    chain = Chain.from_tree(rows, order, tip="hand", root=ChainRoot("base", moves=False))
     assert rows[1].limits == pytest.approx((-2 - np.pi / 2, 0.5 - np.pi / 2))
     assert rows[2].limits == pytest.approx((0.0, 0.04))
     model = mujoco.MjModel.from_xml_string(ARM)

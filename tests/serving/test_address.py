@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from mjhab.cli.options.served import ServedOptions
 from mjhab.core.errors import UsageError
 from mjhab.serving.address import Address, with_options
 
@@ -13,6 +14,13 @@ def test_options_stand_behind_the_address() -> None:
     address = Address.parse(spec)
     assert address == Address("ws://host:8000", "behavior", execute=2, batch=True)
     assert Address.parse("wss://host:1/path").uri == "wss://host:1/path"
+    given = ServedOptions(timeout=2.0, first_timeout=5.0).served
+    assert Address.parse(with_options("ws://host:1", given)) == Address(
+        "ws://host:1", timeout=2.0, first_timeout=5.0
+    )
+    # Like the address itself, the option --timeout leaves the wait for the first answer as it is.
+    waits = Address.parse(with_options("ws://host:1", ServedOptions(timeout=2.0).served))
+    assert waits == Address.parse("ws://host:1?timeout=2")
 
 
 @pytest.mark.parametrize(

@@ -66,9 +66,13 @@ def test_a_batch_holds_all_worlds() -> None:
         connection = Connection(address(server.port, "behavior", batch=True))
         got = connection.ask([an_ask(), an_ask(), an_ask()], True)
         assert got.shape == (3, 4, 13)
+        # One world is left: what it is sent has the shape of a batch still.
         assert connection.ask([an_ask()], False).shape == (1, 4, 13)
         connection.close()
-    assert policy.seen[0]["robot_fetch::fetch_head::rgb"].shape == (3, 32, 32, 3)
+    for seen, worlds in zip(policy.seen, (3, 1), strict=True):
+        assert seen["robot_fetch::fetch_head::rgb"].shape == (worlds, 32, 32, 3)
+        assert seen["robot_fetch::proprio"].shape == (worlds, 42)
+        assert seen["prompt"] == ["pick up the bowl"] * worlds
 
 
 @pytest.mark.parametrize("spoken", sorted(DIALECTS))

@@ -74,6 +74,8 @@ def test_the_page_tells_what_the_shard_tells(page: Page, shard: Path) -> None:
     track = replay.load(replay.choices[0])
     replay.close()
     assert page.head["plan"][0]["name"] == track.describe(0)
+    assert (page.head["home"], page.head["instruction"]) == (track.home, track.instruction)
+    assert [actor["name"] for actor in page.head["actors"]] == ["random"]
     assert [event["step"] for event in page.head["events"]] == [step for step, _ in track.events]
     reward = page.array(page.head["series"]["reward"])
     np.testing.assert_allclose(reward, [m.reward for m in track.moments], rtol=1e-6)
@@ -122,9 +124,17 @@ def test_the_command_writes_a_page(
     assert main([*words, "--episode", "1", "--json"]) == 0
     told = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
     assert told == {"file": str(out), "bytes": out.stat().st_size, "frames": STEPS + 1}
-    assert main([*words, "--episode", "2"]) == 2
-    assert "there are 2 episodes" in capsys.readouterr().err
+    evaluation = tmp_path / "evaluation"
+    evaluation.mkdir()
+    (evaluation / "episodes.jsonl").touch()
     for wrong, why in (
+        (
+            [*words, "--episode", "2"],
+            "there are 2 episodes, counted from 0; the last is --episode 1",
+        ),
+        (["view", str(shard), "--episode", "9"], "--episode 9: there are 2 episodes"),
+        (["view", str(evaluation), "--export", str(out)], "keeps no states"),
+        (["view", str(shard), "--horizon", "9"], "--horizon is for running worlds"),
         (["view", "--export", str(out)], "give a shard"),
         (["view", str(shard), "--record", "a.h5"], "running worlds"),
         (["view", str(tmp_path)], "no shards"),

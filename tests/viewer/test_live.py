@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.cli.options.view import ViewOptions
+from mjhab.cli.view import _source
 from mjhab.data.store.reading import open_shard
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec
@@ -145,6 +147,31 @@ def test_human_from_the_first_step_and_an_early_end(tmp_path: Path) -> None:
         assert [take.run.policy for take in takes] == [HUMAN, HUMAN]
         assert all(take.attributes["ending"] in ("cut", "timeout") for take in takes)
         assert len({take.run.config_id for take in takes}) == 2
+        assert {take.run.config["env"]["horizon"] for take in takes} == {HORIZON}
+
+
+@pytest.mark.parametrize(
+    ("words", "env"),
+    [
+        ({"subtask": "pick"}, {"reward_mode": "dense"}),
+        ({}, {"reward_mode": "dense"}),
+        ({"subtask": "pick", "reward": "sparse"}, {"reward_mode": "sparse"}),
+        ({"policy": HUMAN, "horizon": 600}, {"reward_mode": "dense", "horizon": 600}),
+    ],
+)
+def test_running_worlds_show_reward_terms_and_last_as_long_as_asked(
+    words: dict[str, Any], env: dict[str, Any]
+) -> None:
+    source = _source(ViewOptions(**words))
+    assert isinstance(source, LiveSession)
+    assert source.spec.env == env
+
+
+def test_a_recorded_episode_is_chosen_by_its_position(shard: Path) -> None:
+    source = _source(ViewOptions(places=(shard,), episode=1))
+    source.start()
+    assert source.choice == source.choices[1]
+    source.close()
 
 
 def test_the_same_episode_of_a_policy_is_kept_once(tmp_path: Path) -> None:

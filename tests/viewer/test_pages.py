@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import collections
+import dataclasses
 import json
 import shutil
 import socket
@@ -9,6 +10,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +20,13 @@ import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.viewer.pages.app import Viewer
 from mjhab.viewer.pages.gateway import HAND_PATH
 from mjhab.viewer.pages.panels import Panels
+from mjhab.viewer.pages.timeline import actor_colors
 from mjhab.viewer.sources.replay import Replay
 from tests.viewer.conftest import STEPS
 
@@ -92,6 +96,99 @@ def test_panels_tell_of_the_state(viewer: Viewer) -> None:
     viewer.source.choose(other)
     viewer.frame(0.02)
     assert viewer.source.track is viewer.playhead.track is not track
+
+
+def test_the_page_tells_instruction_home_and_who_acts(viewer: Viewer) -> None:
+    viewer.source.choose(viewer.source.choices[0])
+    viewer.frame(0.02)
+    viewer.playhead.scrub(STEPS)
+    viewer.frame(0.02)
+    viewer._fill_panels()
+    track = viewer.source.track
+    assert track is not None and track.instruction
+    title = viewer.panels._title.content
+    assert escape(track.instruction) in title and f"home {track.home}" in title
+    (color,) = actor_colors(track).values()
+    assert f"background:{color}" in viewer.panels._actors.content
+    assert "random" in viewer.panels._actors.content
+    assert color in viewer.panels._line.content
+
+
+def test_next_shows_another_episode_from_its_beginning(viewer: Viewer) -> None:
+    viewer.source.choose(viewer.source.choices[0])
+    viewer.frame(0.02)
+    viewer.playhead.scrub(STEPS)
+    viewer.playhead.callbacks()["next"]()
+    viewer.frame(0.02)
+    viewer._fill_panels()
+    assert viewer.source.choice == viewer.source.choices[1] == viewer.panels._choice.value
+    assert viewer.playhead.playing and viewer.playhead.step == 0
+    viewer.playhead.callbacks()["next"]()
+    assert viewer.source.choice == viewer.source.choices[0]
+
+
+def test_the_time_line_ends_where_the_episode_does(viewer: Viewer) -> None:
+    track = viewer.source.track
+    assert track is not None
+    shorter = dataclasses.replace(track, moments=track.moments[:4])
+    for shown in (track, shorter, track):
+        viewer.panels.show(shown, shown.last)
+        assert (viewer.panels._slider.max, viewer.panels._slider.value) == (shown.last, shown.last)
+
+
+def test_the_expert_plans_in_recorded_states(viewer: Viewer) -> None:
+    source = viewer.source
+    source.choose(source.choices[0])
+    assert source.track is not None and source.plan_at(0) is None
+    source.show_expert_plan(True)
+    until(lambda: source.plan_at(STEPS) is not None or source.problem, 60.0)
+    plan = source.plan_at(0)
+    assert plan is not None, source.problem
+    base = source.sim.addresses.robot_q[:2]
+    np.testing.assert_allclose(plan.path[0], source.track.moments[0].qpos[base], atol=0.05)
+    assert plan.stance is not None and len(plan.hands)
+    source.show_expert_plan(False)
+    assert source.plan_at(0) is None
+
+
+def test_the_expert_plans_the_subtask_that_is_active(tmp_path: Path) -> None:
+    mjhab.generate(
+        "zero", task="set_table", episodes=1, worlds=1, horizon=4, threads=1, out=tmp_path
+    )
+    replay = Replay(tmp_path)
+    try:
+        replay.start()
+        track = replay.track
+        assert track is not None and track.plan[2].kind == "navigate"
+        # As if the first subtasks had been done by then: the robot is to drive to the bowl.
+        later = [dataclasses.replace(moment, active=2) for moment in track.moments[2:]]
+        track.moments[2:] = later
+        assert [track.begin_of(step) for step in (0, 1, 2, 4)] == [0, 0, 2, 2]
+        replay.show_expert_plan(True)
+        until(lambda: replay.plan_at(4) is not None or replay.problem, 60.0)
+        plan = replay.plan_at(3)
+        assert plan is not None, replay.problem
+        base = replay.sim.addresses.robot_q[:2]
+        np.testing.assert_allclose(plan.path[0], track.moments[2].qpos[base], atol=0.05)
+    finally:
+        replay.close()
+
+
+def test_a_plan_that_cannot_be_made_is_told(
+    viewer: Viewer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise UsageError("its pack is not here")
+
+    monkeypatch.setattr("mjhab.viewer.sources.advice.recorded_env", refuse)
+    replay = Replay(viewer.source._episodes[viewer.source.choice].shard.path)  # type: ignore[attr-defined]
+    replay.start()
+    replay.show_expert_plan(True)
+    until(lambda: replay.plan_at(0) is None and replay.problem)
+    assert replay.problem == "the expert cannot plan here: its pack is not here"
+    replay.show_expert_plan(False)
+    assert not replay.problem
+    replay.close()
 
 
 @pytest.fixture

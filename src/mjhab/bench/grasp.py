@@ -17,7 +17,7 @@ from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.core.names import copy_name
 from mjhab.core.seeding import stream
 from mjhab.core.timing import STEP_SECONDS, SUBSTEPS
-from mjhab.layout.contact_sensors import normal_force
+from mjhab.layout.contact_sensors import pair_force
 from mjhab.layout.layout import Layout, build_spec
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
@@ -152,9 +152,10 @@ class GraspBench:
         """Norms (2,) of the object's force on the [l, r] finger [N], and the grasp test."""
         norms = np.zeros(2)
         along = np.zeros(2)
+        touches = self.data.sensor(f"touch>{self.object}").data
         for i, finger in enumerate(self.robot.fingers):
             # The sensor gives the force of the finger on the object.
-            force = -normal_force(self.data.sensor(f"{finger.link}>{self.object}").data)
+            force = -pair_force(self.data.sensor(f"hand/{finger.link}").data, touches)[0]
             opening = self.data.body(finger.link).xmat.reshape(3, 3) @ finger.opens
             norms[i] = np.linalg.norm(force)
             along[i] = force @ opening

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import errno
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -65,7 +63,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return _end(FAILED, f"failed: not enough memory ({reason(error)}). Ask for less at a time.")
     except BrokenPipeError:
         # The reader has closed the pipe, as in `mjhab homes list | head`.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_unwritable_stdout()
         return BROKEN_PIPE
     except OSError as error:
         return _end(_code_of(error), f"failed: {described(error)}")
@@ -75,8 +73,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _end(code: int, message: str) -> int:
     """Print to stderr, if possible, why a command ended; returns ``code``."""
-    with contextlib.suppress(OSError):
-        print(f"mjhab: {message}", file=sys.stderr, flush=True)
+    print(f"mjhab: {message}", file=sys.stderr, flush=True)
     drop_unwritable_stdout()
     return code
 

@@ -6,19 +6,74 @@ import io
 import os
 import sys
 import warnings
-from typing import TextIO
+from typing import Any, TextIO, cast
 
 from mjhab.core.files.reading import reason
 from mjhab.core.registration.plugins import PluginWarning
 
 
+class SturdyStream:
+    """A text stream for messages: if the stream below cannot be written, it discards this text and all further text.
+
+    Messages never end the work: the reader of stderr may leave (``2>&1 | head -1``), or its disk may be full.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write ``text`` or discard it; returns its number of characters."""
+        try:
+            return self._stream.write(text)
+        except (OSError, ValueError):
+            _discard_output(self._stream)
+            return len(text)
+
+    def flush(self) -> None:
+        """Write what is buffered, or discard it."""
+        try:
+            self._stream.flush()
+        except (OSError, ValueError):
+            _discard_output(self._stream)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 def make_streams_sturdy() -> None:
-    """Make streams escape characters that they cannot encode, and replace closed streams by null devices."""
-    sys.stdout = sys.stdout or io.StringIO()
-    sys.stderr = sys.stderr or io.StringIO()
+    """Make stdout and stderr usable whatever they lead to.
+
+    Characters that they cannot encode are escaped, closed ones are replaced by null devices, and stderr discards what
+    cannot be written.
+    """
+    _open_closed_descriptors()
+    sys.stdout = sys.stdout or _null_device()
+    sys.stderr = sys.stderr or _null_device()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    if not isinstance(sys.stderr, SturdyStream):
+        sys.stderr = cast(TextIO, SturdyStream(sys.stderr))
+
+
+def _open_closed_descriptors() -> None:
+    """Open the null device as stdin, stdout or stderr where they are closed: the next file would get their number."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+
+
+def _null_device() -> TextIO:
+    return open(os.devnull, "w", encoding="utf-8")
+
+
+def _discard_output(stream: TextIO) -> None:
+    """Lead a stream that cannot be written to the null device, so that the interpreter exits without an error."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 def show_own_warnings_plainly() -> None:
@@ -46,8 +101,7 @@ def drop_unwritable_stdout() -> None:
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        _discard_output(sys.stdout)
 
 
 def described(error: OSError) -> str:

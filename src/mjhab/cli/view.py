@@ -14,6 +14,8 @@ from mjhab.data.select.query import read_filter
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import full_spec, inspect_policy
 from mjhab.serving.address import MAX_PORT
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS
 from mjhab.viewer import require_viser
 from mjhab.viewer.sources.hand import HUMAN
 
@@ -25,6 +27,7 @@ def run_view(options: ViewOptions) -> int:
     """Run the command; returns 0. A page is served until Ctrl-C or SIGTERM."""
     at_least("worlds", options.worlds, 1)
     at_least("episode", options.episode, 0)
+    at_least("horizon", options.horizon, 0)
     if not 0 <= options.port <= MAX_PORT:
         raise UsageError(f"--port must be from 0 to {MAX_PORT}, got {options.port}.")
     _check_choice(options)
@@ -39,8 +42,9 @@ def _check_choice(options: ViewOptions) -> None:
         raise UsageError("--record is for running worlds: leave out the shards to look at.")
     if options.export and not options.places:
         raise UsageError("--export writes a recorded episode: give a shard or a folder of shards.")
-    if options.places and options.policy != ViewOptions.policy:
-        raise UsageError("--policy is for running worlds: leave out the shards to look at.")
+    for name in ("policy", "horizon", "reward"):
+        if options.places and getattr(options, name) != getattr(ViewOptions, name):
+            raise UsageError(f"--{name} is for running worlds: leave out the shards to look at.")
 
 
 def _export(options: ViewOptions) -> int:
@@ -50,11 +54,7 @@ def _export(options: ViewOptions) -> int:
     assert options.export is not None
     replay = Replay(options.places, read_filter(options.where, options.preset))
     try:
-        if options.episode >= len(replay.choices):
-            raise UsageError(
-                f"--episode {options.episode}: there are {len(replay.choices)} episodes, counted from 0."
-            )
-        done = export_page(replay, replay.choices[options.episode], options.export)
+        done = export_page(replay, replay.choice_at(options.episode), options.export)
     finally:
         replay.close()
     if options.json:
@@ -91,7 +91,7 @@ def _source(options: ViewOptions) -> Source:
     if options.places:
         from mjhab.viewer.sources.replay import Replay
 
-        return Replay(options.places, read_filter(options.where, options.preset))
+        return Replay(options.places, read_filter(options.where, options.preset), options.episode)
     from mjhab.viewer.sources.live import LiveSession
     from mjhab.viewer.sources.pace import Pace
 
@@ -99,8 +99,9 @@ def _source(options: ViewOptions) -> Source:
         if spec != HUMAN:
             inspect_policy(full_spec(spec, options.task, options.subtask, options.target))
     env = profile_options(options)
-    if options.reward:
-        env["reward_mode"] = options.reward
+    env["reward_mode"] = options.reward or _reward_with_terms(options)
+    if options.horizon:
+        env["horizon"] = options.horizon
     spec = EvalSpec(
         policy=options.policy,
         task=options.task,
@@ -119,3 +120,9 @@ def _source(options: ViewOptions) -> Source:
     # Nobody drives before a page is open, and time would run out: the page begins with a pause.
     pace = Pace(playing=options.policy != HUMAN)
     return LiveSession(spec, options.episode, pace, policies=options.policies, shard=options.record)
+
+
+def _reward_with_terms(options: ViewOptions) -> str:
+    """The dense reward, whose terms the page shows; "" (that of an evaluation) where a subtask has none."""
+    kinds = (options.subtask,) if options.subtask else TASKS[options.task].subtasks
+    return "dense" if all(SUBTASKS[kind].reward is not None for kind in kinds) else ""

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
+from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.option_types import fitting
+from mjhab.core.typed.options import fitting
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
@@ -37,6 +38,16 @@ REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options whose value the profile determines."""
+WHOLE_NUMBERS = (
+    "num_envs",
+    "seed",
+    "threads",
+    "horizon",
+    "episode_pool",
+    "starts",
+    "frame_stack",
+)
+"""Options that are whole numbers, see `config.ranges`."""
 _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 
 
@@ -237,6 +248,11 @@ class EnvConfig:
                 raise UsageError(
                     f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
                 )
+        size = self.camera_size
+        for pixels in size if isinstance(size, tuple) else (size,):
+            whole_number("camera_size", pixels)
+        for name in WHOLE_NUMBERS:
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         if not 0.0 <= self.open_start <= 1.0:
             raise UsageError(
                 f"open_start is a share of resets between 0 and 1, got {self.open_start}"

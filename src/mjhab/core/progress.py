@@ -1,12 +1,19 @@
-"""Progress bars on stderr, shown where a person looks on."""
+"""What is said on stderr: lines of text, and progress bars where a person looks on."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+def say(text: str) -> None:
+    """Print one line on stderr. Where it cannot be written (closed pipe, full disk), the work goes on without it."""
+    with suppress(OSError, ValueError):
+        print(text, file=sys.stderr, flush=True)
 
 
 @contextmanager

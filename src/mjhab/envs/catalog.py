@@ -9,6 +9,7 @@ import gymnasium
 
 from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.envs.conversion import keep_what_is_no_number
 from mjhab.sim.backends import resolve
 from mjhab.tasks.household.registry import TASKS, task_with
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -21,6 +22,14 @@ if TYPE_CHECKING:
 
 SUBTASK_ID_ORDER = ("pick", "place", "open", "close", "navigate")
 """The ids of mjhab's own subtasks stand in this order; those of plugins follow."""
+
+
+NO_FRAMESKIP = "unexpected keyword argument 'frameskip': a control step is always 50 ms; repeat actions instead."
+"""torchrl's GymEnv passes ``frameskip`` to every environment; at a TypeError with these words it goes on without."""
+
+
+class UnexpectedArgument(UsageError, TypeError):
+    """Refusal of an argument that other libraries expect to be a TypeError."""
 
 
 def env_ids() -> dict[str, dict[str, Any]]:
@@ -113,6 +122,8 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
     """Build one world of a Gymnasium id as a plain `gymnasium.Env`; entry point of ``gymnasium.make``."""
     from mjhab.envs.single import SingleEnv
 
+    if "frameskip" in options:
+        raise UnexpectedArgument(NO_FRAMESKIP)
     fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
     for name, value in fixed.items():
         if options.get(name) not in (None, value):
@@ -140,6 +151,7 @@ def register_envs() -> None:
 
     Called when ``mjhab`` is imported, after the plugins; call it again after registering a subtask or a task by hand.
     """
+    keep_what_is_no_number()
     for env_id in env_ids():
         if env_id not in gymnasium.registry:
             gymnasium.register(

@@ -7,7 +7,7 @@ import subprocess
 from dataclasses import dataclass
 from typing import Any
 
-from mjhab.envs.parts.memory import Need, available_mb, device_need, host_need
+from mjhab.envs.parts.memory import Need, WorldPictures, available_mb, device_need, host_need
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ def rooms(obs_mode: str = "state", camera_size: int = 128) -> list[Room]:
     Raises:
         UsageError: unknown observation mode.
     """
-    pictures = (obs_mode, camera_size)
+    pictures = WorldPictures(obs_mode, camera_size)
     return [
-        Room("cpu", "this machine", host_need(*pictures), available_mb()),
-        Room("warp", "the first GPU", device_need(*pictures), gpu_free_mb()),
+        Room("cpu", "this machine", host_need(pictures), available_mb()),
+        Room("warp", "the first GPU", device_need(pictures), gpu_free_mb()),
     ]
 
 

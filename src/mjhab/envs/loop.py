@@ -119,6 +119,8 @@ class TaskLoop(VectorEnv, ABC):
         """Set the attributes that Gymnasium asks for; ``observation``: space of one world, with flat keys."""
         autoreset = AutoresetMode[self.config.autoreset.upper()]
         self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, **metadata}
+        # Gymnasium's own vector environments have this attribute, too; torchrl's GymWrapper looks at nothing else.
+        self.autoreset_mode = autoreset
         self.render_mode = self.config.render_mode or None
         self.single_observation_space = keyed_space(observation, self.config)
         self.observation_space = batched(self.single_observation_space, self.num_envs)

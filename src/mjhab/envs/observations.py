@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from mjhab.config.ranges import range_of
 from mjhab.core.arrays import Array, constant, count, device_of, empty, namespace, zeros
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_XY, BASE_YAW
@@ -332,14 +333,15 @@ def image_size(size: int | Sequence[int]) -> tuple[int, int]:
     """(height, width) [px] of a size that is one number or a pair.
 
     Raises:
-        UsageError: not whole numbers, not one or two of them, or below MIN_SIZE.
+        UsageError: not whole numbers, not one or two of them, below MIN_SIZE, or above the range of "camera_size".
     """
+    _, most = range_of("camera_size")
     sides = tuple(size) if isinstance(size, Sequence) else (size, size)
     if len(sides) != 2 or any(
-        not isinstance(side, int | np.integer) or side < MIN_SIZE for side in sides
+        not isinstance(side, int | np.integer) or not MIN_SIZE <= side <= most for side in sides
     ):
         raise UsageError(
-            f"camera size must be one whole number or (height, width), each >= {MIN_SIZE}; got {size!r}."
+            f"camera size must be one whole number or (height, width), each {MIN_SIZE} to {most}; got {size!r}."
         )
     return int(sides[0]), int(sides[1])
 

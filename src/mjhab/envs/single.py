@@ -17,11 +17,23 @@ from mjhab.robots.registry import robot_named
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
+OF_WORLDS = frozenset(
+    """
+    action_table adopt boxes controller count ctrl episode_of episode_spec episodes_now fail fallback focus follow
+    get_state grip homes info joint_start judged layout link_state make_episode nan_resets nav observer progress
+    render_world render_worlds reporter reward_terms rewarder seeds sensing set_state signals sim source starts state
+    state_digest success tables taint_names task_config teleports timed_methods tracker view
+    """.split()  # noqa: SIM905 - a list of names, one per line, would be a page long
+)
+"""Attributes of `SingleEnv.worlds` that the environment has, too. What Gymnasium gives a vector environment alone, such
+as ``num_envs``, is not among them: other libraries tell the two kinds apart by it."""
+
 
 class SingleEnv(gymnasium.Env):
     """A vector environment of one world without its leading axis. ``gymnasium.make(id)`` gives one.
 
-    Observations, actions and info are those of the vector environment at world 0. An episode ends by termination or
+    Observations, actions and info are those of the vector environment at world 0; truth values in info are arrays ()
+    bool. So are the attributes OF_WORLDS: action_table, get_state and so on. An episode ends by termination or
     truncation; then ``reset`` begins the next one, or the first one of a new ``seed``.
 
     The world is built when it is first used. Until then the environment is its configuration and can be copied and
@@ -55,10 +67,14 @@ class SingleEnv(gymnasium.Env):
         return self._opened
 
     def __getattr__(self, name: str) -> Any:
-        # Called for what Env lacks: action_table, taint_names, get_state and so on are those of the worlds.
-        if name.startswith("_") or name == "worlds":
-            raise AttributeError(name)
-        return getattr(self.worlds, name)
+        # Called for what Env lacks. A name that nobody has must not build the world: `hasattr` asks for such names.
+        if name in OF_WORLDS:
+            return getattr(self.worlds, name)
+        raise AttributeError(
+            f"{type(self).__name__!r} has no attribute {name!r}; its vector environment is `worlds`",
+            name=name,
+            obj=self,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         if self._opened is not None:
@@ -99,4 +115,6 @@ def _first(value: Any) -> Any:
     """World 0 of a nested dict of arrays (W, ...)."""
     if isinstance(value, dict):
         return {key: _first(entry) for key, entry in value.items()}
-    return value[0]
+    first = value[0]
+    # An array () instead of numpy's bool, which Gymnasium's wrappers take for an object of unknown type.
+    return np.asarray(first) if isinstance(first, np.bool_) else first

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
+from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.version import __version__
 from mjhab.evaluation.own_policy import (
@@ -118,16 +119,9 @@ class EvalSpec:
         Styles.parse(self.style)
         if self.target and not self.subtask:
             raise UsageError("a target needs a subtask: a whole task has its targets in its plan.")
-        for name, least in (
-            ("episodes", 1),
-            ("worlds", 1),
-            ("seed", 0),
-            ("threads", 0),
-            ("films", 0),
-        ):
-            value = getattr(self, name)
-            if value < least:
-                raise UsageError(f"{name} must be at least {least}, got {value}.")
+        for name in ("worlds", "seed", "threads", "films"):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
+        object.__setattr__(self, "episodes", whole_number("episodes", self.episodes, least=1))
         check_env_options(self.env)
         if isinstance(self.policy, str):
             object.__setattr__(
@@ -228,7 +222,8 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     alone = read_alone(spec.alone)
     if not _anything_left(path, spec):
         with RunFolder.open(path, config, resume=spec.resume) as folder:
-            return finish(folder, folder.earlier_seconds(), None, alone)
+            latency_ms = folder.earlier_latency_ms()
+            return finish(folder, folder.earlier_seconds(), None, alone, latency_ms)
     env = make_env(spec, env_options(spec, facts))
     policy = None
     try:
@@ -278,10 +273,16 @@ def close_policy(policy: Policy | None) -> None:
         close()
 
 
-def latency(policy: Policy) -> dict[str, float] | None:
-    """Median and 99th percentile of the duration of a policy's requests [ms]; None if it measured none."""
-    if not isinstance(policy, Timed) or not policy.latency_ms:
+def latency(policy: Policy) -> dict[str, float | None] | None:
+    """Median and 99th percentile of the duration of a policy's requests [ms].
+
+    Returns:
+        "p50" and "p99", both None if no request was answered; None for a policy that does not measure.
+    """
+    if not isinstance(policy, Timed):
         return None
+    if not policy.latency_ms:
+        return {"p50": None, "p99": None}
     p50, p99 = np.percentile(policy.latency_ms, [50, 99])
     return {"p50": round(float(p50), 3), "p99": round(float(p99), 3)}
 
@@ -406,7 +407,7 @@ def finish(
     seconds: float,
     film_problem: str | None,
     alone: AloneRates | None,
-    latency_ms: Mapping[str, float] | None = None,
+    latency_ms: Mapping[str, float | None] | None = None,
 ) -> Run:
     """Write summary.json and report.html from the records in the folder; ``latency_ms``: see `latency`."""
     records = folder.records

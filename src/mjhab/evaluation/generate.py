@@ -16,6 +16,7 @@ from typing import Any
 
 from mjhab.assets.sources import licence_of
 from mjhab.config.env import EnvConfig
+from mjhab.config.ranges import range_of, whole_number
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.data.record import generation
@@ -147,14 +148,14 @@ class GenerateSpec:
         if self.cameras is None:
             object.__setattr__(self, "cameras", robot.camera_names)
         for name in ("per_target", "per_label", "workers"):
-            value = getattr(self, name)
-            if value < 0:
-                raise UsageError(f"{name} must be at least 0, got {value}.")
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         if self.episodes is None and not self.per_target:
             raise UsageError(
                 "the number of episodes is missing: give per_target (episodes to keep per target) or episodes "
                 "(episodes to try)."
             )
+        if self.episodes is not None:
+            object.__setattr__(self, "episodes", whole_number("episodes", self.episodes, least=1))
         self.as_evaluation()
         self.filter()
         if self.stores_images:
@@ -173,7 +174,8 @@ class GenerateSpec:
         """Largest number of episodes to try."""
         if self.episodes is not None:
             return self.episodes
-        return TRIES_PER_EPISODE * MAX_TARGETS * self.per_target
+        _, most = range_of("episodes")
+        return min(most, TRIES_PER_EPISODE * MAX_TARGETS * self.per_target)
 
     def filter(self) -> Filter | None:
         """The filter of ``keep`` and ``preset``; None keeps every episode."""
@@ -300,7 +302,9 @@ def make_job(spec: GenerateSpec) -> Job:
         _check_sendable(spec.policy, facts.name)
     config = resolved_config(spec, facts)
     keep = spec.filter()
-    threads = spec.threads or max(1, cores() // max(1, spec.workers))
+    # A worker without an episode would only take memory.
+    workers = max(1, min(spec.workers, spec.max_tries))
+    threads = spec.threads or max(1, cores() // workers)
     worker = WorkerSpec(
         build=functools.partial(build_stage, dataclasses.replace(spec, threads=threads)),
         seed=spec.seed,
@@ -315,7 +319,7 @@ def make_job(spec: GenerateSpec) -> Job:
         config=config,
         out=spec.out,
         episodes=spec.max_tries,
-        workers=max(1, spec.workers),
+        workers=workers,
         chunk=chunk,
         per_target=spec.per_target,
         per_label=spec.per_label,

@@ -29,10 +29,7 @@ def to_rsl_rl(env: VectorEnv) -> Any:
         from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise UsageError("to_rsl_rl needs rsl_rl: pip install rsl-rl-lib") from error
-    if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
-        raise UsageError(
-            "rsl_rl needs an environment that resets itself; make it with autoreset='same_step'."
-        )
+    _require_own_resets(env)
     numpy = not env.metadata.get("tensors", False)
 
     class Worlds(VecEnv):
@@ -69,11 +66,25 @@ def to_rsl_rl(env: VectorEnv) -> Any:
             return self._obs, torch.as_tensor(reward).float(), done, extras
 
         def _grouped(self, obs: dict[str, Any]) -> Any:
-            groups = {"state": torch.as_tensor(obs["state"]).float()}
-            for key, value in obs.items():
-                if key.startswith("sensor_data/") and not key.endswith("pointcloud"):
-                    image = torch.as_tensor(value).float().movedim(-1, 1)
-                    groups[key.removeprefix("sensor_data/")] = image
+            groups = observation_groups(obs)
             return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
     return Worlds()
+
+
+def _require_own_resets(env: VectorEnv) -> None:
+    """Refuse environments whose worlds do not begin a new episode in the step that ends one."""
+    if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
+        raise UsageError(
+            "rsl_rl needs an environment that resets itself; make it with autoreset='same_step'."
+        )
+
+
+def observation_groups(obs: dict[str, Any]) -> dict[str, torch.Tensor]:
+    """Observations by group, float32: "state" (W, S), and every image as (W, channels, height, width)."""
+    groups = {"state": torch.as_tensor(obs["state"]).float()}
+    for key, value in obs.items():
+        if key.startswith("sensor_data/") and not key.endswith("pointcloud"):
+            image = torch.as_tensor(value).float().movedim(-1, 1)
+            groups[key.removeprefix("sensor_data/")] = image
+    return groups

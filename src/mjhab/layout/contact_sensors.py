@@ -7,6 +7,8 @@ that a force sensor here lists its contacts one by one and `normal_force` adds t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
@@ -14,34 +16,52 @@ _FIELD = mujoco.mjtConDataField
 _FOUND = int(_FIELD.mjCONDATA_FOUND)
 _FORCE = int(_FIELD.mjCONDATA_FORCE)
 _DIST = int(_FIELD.mjCONDATA_DIST)
+_POS = int(_FIELD.mjCONDATA_POS)
 _NORMAL = int(_FIELD.mjCONDATA_NORMAL)
 _MINDIST = 1
 _MAXFORCE = 2
-_NETFORCE = 3
 
-CONTACT_SLOTS = 8
-"""Contacts that a force sensor lists, the strongest first. A finger on an object makes up to 6 contacts per convex
-piece (4 of the pad's box, 2 of its rounded edge)."""
-SLOT_WIDTH = 7
-"""Numbers per contact: how many contacts match (0 in an empty slot), force in the contact frame (3), normal (3)."""
-FORCE_SENSOR_WIDTH = CONTACT_SLOTS * SLOT_WIDTH
-
-
-def add_force_sensor(spec: mujoco.MjSpec, name: str, body1: str, body2: str = "") -> None:
-    """Add a sensor of the contacts of ``body1`` with ``body2`` ("": with anything); read it with `normal_force`."""
-    _add_sensor(spec, name, body1, body2, (_FOUND, _FORCE, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
+CONTACT_SLOTS = 16
+"""Contacts that a sensor lists, the strongest first. A finger on an object makes up to 6 contacts per convex piece (4
+of the pad's box, 2 of its rounded edge)."""
+_FORCE_SLOT = 10
+"""Numbers per contact of a force sensor: how many contacts match (0 in an empty slot), force in the contact frame (3),
+position (3), normal (3)."""
+_TOUCH_SLOT = 4
+"""Numbers per contact of a touch sensor: how many contacts match (0 in an empty slot), position (3)."""
+FORCE_SENSOR_WIDTH = CONTACT_SLOTS * _FORCE_SLOT
+TOUCH_SENSOR_WIDTH = CONTACT_SLOTS * _TOUCH_SLOT
 
 
-def add_touch_sensor(
-    spec: mujoco.MjSpec, name: str, body1: str, body2: str, *, whole_subtree: bool
-) -> None:
-    """Add a sensor of one number: how many contacts ``body2`` has with ``body1``, or with all bodies from it down."""
-    _add_sensor(spec, name, body1, body2, (_FOUND,), _NETFORCE, 1, whole_subtree)
+@dataclass(frozen=True)
+class _Readings:
+    """What a contact sensor writes: the fields of its contacts, which contacts it keeps, and how many of them."""
+
+    fields: tuple[int, ...]
+    reduce: int
+    slots: int = 1
+
+
+def add_force_sensor(spec: mujoco.MjSpec, name: str, body: str) -> None:
+    """Add a sensor of the contacts of a body with anything; read it with `normal_force` and `pair_force`."""
+    readings = _Readings((_FOUND, _FORCE, _POS, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
+    _add_sensor(spec, name, body, "", readings)
+
+
+def add_touch_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) -> None:
+    """Add a sensor of the contacts of ``body`` with all bodies from ``subtree`` down; its first number is their count.
+
+    `pair_force` tells with it which contacts of a force sensor are with ``body``. One touch sensor per body takes the
+    place of a force sensor per pair of bodies: the engine passes all sensors in every substep, and passing a sensor
+    without contacts takes 70 ns. With 167 sensors that was 17 % of the time of a step.
+    """
+    readings = _Readings((_FOUND, _POS), _MAXFORCE, CONTACT_SLOTS)
+    _add_sensor(spec, name, subtree, body, readings, whole_subtree=True)
 
 
 def add_depth_sensor(spec: mujoco.MjSpec, name: str, subtree: str) -> None:
     """Add a sensor of one number: the least distance [m] of the contacts of the bodies from ``subtree`` down."""
-    _add_sensor(spec, name, subtree, "", (_DIST,), _MINDIST, 1, whole_subtree=True)
+    _add_sensor(spec, name, subtree, "", _Readings((_DIST,), _MINDIST), whole_subtree=True)
 
 
 def _add_sensor(
@@ -49,9 +69,7 @@ def _add_sensor(
     name: str,
     body1: str,
     body2: str,
-    fields: tuple[int, ...],
-    reduce: int,
-    slots: int,
+    readings: _Readings,
     whole_subtree: bool = False,
 ) -> None:
     # A reference of type XBODY on the first side stands for the whole subtree below that body.
@@ -62,7 +80,8 @@ def _add_sensor(
     if body2:
         sensor.reftype = mujoco.mjtObj.mjOBJ_BODY
         sensor.refname = body2
-    sensor.intprm = [sum(1 << f for f in fields), reduce, slots]
+    fields = sum(1 << field for field in readings.fields)
+    sensor.intprm = [fields, readings.reduce, readings.slots]
 
 
 def normal_force(readings: np.ndarray) -> np.ndarray:
@@ -72,10 +91,39 @@ def normal_force(readings: np.ndarray) -> np.ndarray:
         readings: (..., FORCE_SENSOR_WIDTH) data of force sensors.
 
     Returns:
-        (..., 3) force [N] of the sensor's first body on the other, world frame. A contact beyond the CONTACT_SLOTS
-        strongest is missing.
+        (..., 3) force [N] of the sensor's body on others, world frame. A contact beyond the CONTACT_SLOTS strongest is
+        missing.
     """
-    slots = readings.reshape(*readings.shape[:-1], CONTACT_SLOTS, SLOT_WIDTH)
-    magnitude = slots[..., 1:2]
-    normal = slots[..., 4:7]
-    return (magnitude * normal).sum(axis=-2)
+    return _normals(_slots(readings, _FORCE_SLOT)).sum(axis=-2)
+
+
+def pair_force(readings: np.ndarray, touches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum of normal force times normal over the contacts that a force sensor and a touch sensor both list.
+
+    A contact has the same position, to the last bit, in every sensor that lists it.
+
+    Args:
+        readings: (..., FORCE_SENSOR_WIDTH) data of force sensors.
+        touches: (..., TOUCH_SENSOR_WIDTH) data of touch sensors, each of a subtree that contains the body of the force
+            sensor.
+
+    Returns:
+        (..., 3) force [N] of the force sensor's body on that of the touch sensor, world frame; and (...) bool: they
+        have a contact.
+    """
+    listed = _slots(readings, _FORCE_SLOT)
+    touched = _slots(touches, _TOUCH_SLOT)
+    same = (listed[..., :, None, 4:7] == touched[..., None, :, 1:4]).all(axis=-1)
+    same &= (listed[..., :, None, 0] > 0) & (touched[..., None, :, 0] > 0)
+    common = same.any(axis=-1)
+    force = np.where(common[..., None], _normals(listed), 0.0).sum(axis=-2)
+    return force, common.any(axis=-1)
+
+
+def _slots(readings: np.ndarray, width: int) -> np.ndarray:
+    return readings.reshape(*readings.shape[:-1], CONTACT_SLOTS, width)
+
+
+def _normals(listed: np.ndarray) -> np.ndarray:
+    """Normal force times normal (..., CONTACT_SLOTS, 3) [N] of the contacts of force sensors."""
+    return listed[..., 1:2] * listed[..., 7:10]

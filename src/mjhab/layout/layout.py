@@ -322,19 +322,15 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
     targets = (*layout.object_names, *layout.link_ids)
     for link in robot.force_links:
         add_force_sensor(spec, f"force/{link}", link)
-    for finger in robot.finger_links:
-        for target in targets:
-            add_force_sensor(spec, f"{finger}>{target}", finger, target)
+    for link in (*robot.finger_links, robot.tcp):
+        add_force_sensor(spec, f"hand/{link}", link)
     for target in targets:
-        add_touch_sensor(spec, f"touch>{target}", robot.base_link, target, whole_subtree=True)
+        add_touch_sensor(spec, f"touch>{target}", robot.base_link, target)
     add_depth_sensor(spec, "robot_depth", robot.base_link)
     # Type XBODY is the origin of the link frame, not its centre of mass.
     linvel = mujoco.mjtSensor.mjSENS_FRAMELINVEL
     xbody = mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=robot.tcp)
-    for target in (*layout.object_names, *layout.link_ids):
-        # Of this link alone: the contacts of the fingers are known, and looking through a subtree costs more.
-        add_touch_sensor(spec, f"palm>{target}", robot.tcp, target, whole_subtree=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,8 +340,8 @@ class Addresses:
     ``robot``: whose joints they are; ``robot_q``, ``robot_v`` (J,): in the order of ``robot.joints``;
     ``object_q``, ``object_v`` (N,): first of 7 / 6;
     ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
-    sensor starts: ``link_force`` (K,) and ``finger_force`` (2, N + L) for [l, r] finger, each FORCE_SENSOR_WIDTH wide;
-    ``touch`` (N + L,), ``tcp_velocity``, ``palm`` (N + L,) contacts of the link of the tool centre.
+    sensor starts: ``link_force`` (K,) and ``hand_force`` (3,) of [l finger, r finger, link of the tool centre], each
+    FORCE_SENSOR_WIDTH wide; ``touch`` (N + L,), each TOUCH_SENSOR_WIDTH wide; ``tcp_velocity``.
     """
 
     robot: Robot
@@ -359,10 +355,9 @@ class Addresses:
     link_body: np.ndarray
     robot_body: dict[str, int]
     link_force: np.ndarray
-    finger_force: np.ndarray
+    hand_force: np.ndarray
     touch: np.ndarray
     tcp_velocity: int
-    palm: np.ndarray
 
 
 def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
@@ -392,8 +387,7 @@ def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
         link_body=np.array([model.body(n).id for n in layout.link_ids]),
         robot_body={n: model.body(n).id for n in robot.model_links},
         link_force=sensors([f"force/{n}" for n in robot.force_links]),
-        finger_force=np.array([sensors([f"{f}>{t}" for t in targets]) for f in robot.finger_links]),
+        hand_force=sensors([f"hand/{n}" for n in (*robot.finger_links, robot.tcp)]),
         touch=sensors([f"touch>{t}" for t in targets]),
         tcp_velocity=int(model.sensor("tcp_velocity").adr[0]),
-        palm=sensors([f"palm>{t}" for t in targets]),
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from mjhab.core.errors import UsageError, shown, unknown_name
-from mjhab.core.files.records import read_record
+from mjhab.core.typed.records import read_record
 
 BC = "bc"
 FLOW = "flow"
@@ -292,6 +292,17 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
                 first_prefix=50,
                 prefix_growth=35,
                 final_updates=1500,
+            ),
+        ),
+        "state": TrainConfig(
+            dataclasses.replace(STATE, demos=400, updates=10_000),
+            DaggerConfig(
+                rounds=5,
+                episodes=150,
+                updates=4000,
+                first_prefix=80,
+                prefix_growth=40,
+                final_updates=20_000,
             ),
         ),
         "flow": TrainConfig(FLOW_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),

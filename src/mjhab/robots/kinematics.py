@@ -100,6 +100,22 @@ class Frames:
         return self.pos[:, i], self.rot[:, i]
 
 
+@dataclass(frozen=True)
+class ChainRoot:
+    """The first link of a chain.
+
+    Attributes:
+        link: its name: the moving base, or the link whose frame everything is given in.
+        height: of its frame above the floor [m].
+        moves: it is a base with the columns x, y and yaw; False: it stands at the origin, and all columns are joints
+            of the tree.
+    """
+
+    link: str
+    height: float = 0.0
+    moves: bool = True
+
+
 @dataclass(frozen=True, eq=False)
 class Chain:
     """The links on the way from the root to a tip (and to any extra links), ready for batched evaluation.
@@ -126,32 +142,29 @@ class Chain:
         order: Sequence[str],
         *,
         tip: str,
+        root: ChainRoot,
         extra: Sequence[str] = (),
-        root: str,
-        root_height: float = 0.02,
-        moving_base: bool = True,
         groups: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Chain:
         """Pick from a joint table what leads to ``tip`` and to the ``extra`` links.
 
         Args:
-            tree: every link below ``root``, see `TreeRow`; links on the way must be parallel to their parents at zero.
+            tree: every link below that of ``root``, see `TreeRow`; links on the way must be parallel to their
+                parents at zero.
             order: names of the Q columns of ``q``; the first three are the base's x, y and yaw, which the tree lacks
-                (unless ``moving_base`` is False).
+                (unless the root does not move).
             tip: link whose pose is controlled: the tool centre.
+            root: the link that everything is given from.
             extra: more links whose frames are wanted.
-            root: the moving base, or the link whose frame everything is given in.
-            root_height: height of the root frame [m]: of the base above the floor.
-            moving_base: False: ``root`` stands at the origin and ``order`` holds joints of the tree only.
             groups: joints by group, for those who move some of them only.
 
         Raises:
             UsageError: a link or joint name that the tree does not hold, or an axis that is not x, y or z.
         """
         rows = {row.link: row for row in tree}
-        wanted = _base_joints(order, root) if moving_base else []
+        wanted = _base_joints(order, root.link) if root.moves else []
         for link in (tip, *extra):
-            _collect(link, rows, wanted, root)
+            _collect(link, rows, wanted, root.link)
         links = [wanted[0].parent, *(j.child for j in wanted)]
         column = tuple(_column(joint, order) for joint in wanted)
         limits = {row.joint: row.limits for row in tree if row.joint}
@@ -165,7 +178,7 @@ class Chain:
             tuple(order),
             bounds[:, 0],
             bounds[:, 1],
-            root_height,
+            root.height,
             dict(groups or {}),
         )
 
@@ -356,20 +369,35 @@ def _solve(square: Array, wanted: Array) -> Array:
     return both[..., -1]
 
 
+@dataclass(frozen=True, eq=False)
+class StepBounds:
+    """Bounds of a step: ``low``, ``high`` (N, D): room left to the limits of the columns; ``largest``: most that a
+    column changes, one number or (D,)."""
+
+    low: Array
+    high: Array
+    largest: Array | float
+
+
 def limited_step(
     error: Array,
     jac: Array,
     pull: Array,
-    low: Array,
-    high: Array,
-    largest: Array | float,
+    bounds: StepBounds,
     damping: float = DAMPING,
 ) -> Array:
-    """A damped step of at most ``largest`` (D,) per column that leaves what limited columns cannot do to the others.
+    """A damped step (N, D) within bounds that leaves what limited columns cannot do to the others.
 
-    ``low``, ``high`` (N, D): room left to the limits. A column that would run out of it goes to its limit, and the
-    step of the others is computed anew for the error that remains; clipping alone would stall at the limits.
+    A column that would pass its limit goes to its limit, and the step of the others is computed anew for the error
+    that remains; clipping alone would stall at the limits.
+
+    Args:
+        error, jac, pull: see `damped_step`.
+        bounds: of the step.
+        damping: see `damped_step`.
     """
+    low = bounds.low
+    high = bounds.high
     xp = namespace(error)
     stopped = xp.zeros_like(pull)
     free = xp.ones_like(pull)
@@ -377,7 +405,7 @@ def limited_step(
         remaining = error - xp.einsum("nij,nj->ni", jac, stopped)
         step = _bounded(
             stopped + damped_step(remaining, jac * free[:, None], pull * free, damping) * free,
-            largest,
+            bounds.largest,
         )
         over = (free > 0) & ((step < low) | (step > high))
         if last or not may_hold(over):

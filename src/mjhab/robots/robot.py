@@ -16,7 +16,7 @@ import numpy as np
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE, GROUPS, JointColumns
 from mjhab.robots.body_check import BodyNeeds, check_body
-from mjhab.robots.kinematics import Chain
+from mjhab.robots.kinematics import Chain, ChainRoot
 from mjhab.robots.parts import (
     ActionColumns,
     ActionLimits,
@@ -386,9 +386,8 @@ class Robot:
             self.body.tree,
             self.joints,
             tip=self.tcp,
+            root=ChainRoot(self.base_link, self.base_height),
             extra=tuple(links),
-            root=self.base_link,
-            root_height=self.base_height,
             groups=self.groups,
         )
 
@@ -399,9 +398,7 @@ class Robot:
             self.body.tree,
             self.group("arm"),
             tip=self.tcp,
-            root=self.arm_root,
-            root_height=0.0,
-            moving_base=False,
+            root=ChainRoot(self.arm_root, moves=False),
         )
 
     # -- cameras ---------------------------------------------------------------------------------------------------

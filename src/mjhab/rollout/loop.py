@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -17,6 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
+from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import Annotated, Fallible, Policy, RolloutEnv, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
 from mjhab.rollout.sinks import EnvT, Sink, StepView
@@ -25,7 +25,7 @@ from mjhab.rollout.sinks import EnvT, Sink, StepView
 def rollout(
     env: EnvT,
     policy: Policy,
-    episodes: Sequence[int],
+    episodes: Collection[int],
     seed: int,
     sinks: Sequence[Sink[EnvT]] = (),
     max_steps: int | None = None,
@@ -39,7 +39,7 @@ def rollout(
         env: vector env with autoreset disabled whose ``reset`` takes ``options={"episode": (n,) indices,
             "reset_mask": (W,) bool}`` with n = number of worlds in the mask.
         policy: acts in all W worlds; actions of idle worlds are replaced by zeros.
-        episodes: distinct episode indices, each >= 0.
+        episodes: distinct episode indices, each >= 0. A range or `IndicesLeft` takes no memory per episode.
         seed: run seed, given to every reset.
         sinks: listeners, called in order; closed on every way out, also on Ctrl-C.
         max_steps: cut episodes after this many control steps; None leaves the end to the env.
@@ -63,10 +63,13 @@ def rollout(
         return sorted(run.records, key=lambda record: record.index)
 
 
-def _check(episodes: Sequence[int], max_steps: int | None) -> None:
-    if any(index < 0 for index in episodes):
-        raise UsageError(f"episode indices must be >= 0, got {min(episodes)}.")
-    if len(set(episodes)) != len(episodes):
+def _check(episodes: Collection[int], max_steps: int | None) -> None:
+    # The indices of a range and of IndicesLeft are distinct, and there may be too many for a set.
+    lazy = isinstance(episodes, range | IndicesLeft)
+    named = episodes[:: len(episodes) - 1 or 1] if isinstance(episodes, range) else episodes
+    if not isinstance(episodes, IndicesLeft) and any(index < 0 for index in named):
+        raise UsageError(f"episode indices must be >= 0, got {min(named)}.")
+    if not lazy and len(set(episodes)) != len(episodes):
         raise UsageError("episode indices must be distinct; one is named twice.")
     if max_steps is not None and max_steps < 1:
         raise UsageError(f"max_steps must be >= 1, got {max_steps}.")
@@ -96,7 +99,7 @@ class _Run:
         self,
         env: RolloutEnv,
         policy: Policy,
-        episodes: Sequence[int],
+        episodes: Collection[int],
         seed: int,
         sinks: Sequence[Sink],
         max_steps: int | None,
@@ -106,7 +109,8 @@ class _Run:
         self.seed = seed
         self.sinks = sinks
         self.max_steps = np.inf if max_steps is None else max_steps
-        self.waiting = deque(int(index) for index in episodes)
+        self.waiting = iter(episodes)
+        self.left = len(episodes)
         self.active = np.zeros(env.num_envs, bool)
         self.steps = np.zeros(env.num_envs, np.int64)
         self.traces: list[_Trace | None] = [None] * env.num_envs
@@ -200,10 +204,11 @@ class _Run:
 
     def _fill(self) -> None:
         mask = np.zeros(self.env.num_envs, bool)
-        mask[np.flatnonzero(~self.active)[: len(self.waiting)]] = True
+        mask[np.flatnonzero(~self.active)[: self.left]] = True
         if not mask.any():
             return
-        indices = np.array([self.waiting.popleft() for _ in range(int(mask.sum()))], np.int64)
+        indices = np.array([next(self.waiting) for _ in range(int(mask.sum()))], np.int64)
+        self.left -= len(indices)
         self.obs, self.info = self.env.reset(
             seed=self.seed, options={"episode": indices, "reset_mask": mask}
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -41,7 +41,7 @@ class Sink(Generic[EnvT]):
     ``on_begin`` comes once; then the loop calls the others in this order for each episode.
     """
 
-    def on_begin(self, env: EnvT, episodes: Sequence[int]) -> None:
+    def on_begin(self, env: EnvT, episodes: Collection[int]) -> None:
         """The rollout begins; these episodes will be run. Called once, before all others."""
 
     def on_reset(self, env: EnvT, info: Mapping[str, Any], mask: np.ndarray) -> None:

@@ -21,6 +21,7 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.core.files.outputs import check_output
 from mjhab.core.files.reading import parse_json, read_json_object, reason
+from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
@@ -101,9 +102,9 @@ class RunFolder:
         """All finished episodes, of this start and of earlier ones, sorted by index."""
         return [self._records[index] for index in sorted(self._records)]
 
-    def missing(self, episodes: int) -> list[int]:
+    def missing(self, episodes: int) -> IndicesLeft:
         """Indices below ``episodes`` that have no record yet."""
-        return [index for index in range(episodes) if index not in self._records]
+        return IndicesLeft(episodes, self._records)
 
     def add(self, record: EpisodeRecord) -> None:
         """Append a record to episodes.jsonl, with the hash of the config, and flush it to the system."""
@@ -115,9 +116,21 @@ class RunFolder:
     def earlier_seconds(self) -> float:
         """Wall time [s] of the starts before this one, as far as they wrote a summary."""
         try:
-            return float(read_json_object(self.path / SUMMARY)["seconds"])
-        except (UsageError, KeyError, TypeError, ValueError):
+            return float(self._earlier_summary().get("seconds", 0.0))
+        except (TypeError, ValueError):
             return 0.0
+
+    def earlier_latency_ms(self) -> dict[str, float | None] | None:
+        """Entry "latency_ms" of the summary that the last start wrote; None without one."""
+        latency_ms = self._earlier_summary().get("latency_ms")
+        return latency_ms if isinstance(latency_ms, dict) else None
+
+    def _earlier_summary(self) -> dict[str, Any]:
+        """The summary of the last start; empty if there is none that can be read."""
+        try:
+            return read_json_object(self.path / SUMMARY)
+        except UsageError:
+            return {}
 
     def film_path(self, index: int) -> Path:
         """Where the film of an episode belongs."""

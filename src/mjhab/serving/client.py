@@ -112,7 +112,7 @@ class Connection:
             if self._dialect.begin_answered:
                 self._check_reset(self._receive(timeout))
         started = time.perf_counter()
-        socket.send(pack(self._dialect.request(asks, self.metadata)))
+        socket.send(pack(self._dialect.request(asks, self.metadata, address.batch)))
         message = self._receive(timeout)
         self._asked = True
         self.latency_ms.append(1e3 * (time.perf_counter() - started))

@@ -131,15 +131,15 @@ def test_worlds_that_do_not_fit_the_device_are_refused(monkeypatch: pytest.Monke
     with pytest.raises(
         UsageError, match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0"
     ) as told:
-        memory.check_device_memory(4096, "rgbd", 128)
+        memory.check_device_memory(4096, memory.WorldPictures("rgbd", 128))
     most = int(str(told.value).rpartition("num_envs=")[2].rstrip("."))
-    memory.check_device_memory(most, "rgbd", 128)
+    memory.check_device_memory(most, memory.WorldPictures("rgbd", 128))
     with pytest.raises(UsageError, match=f"num_envs={most}"):
-        memory.check_device_memory(most + 1, "rgbd", 128)
+        memory.check_device_memory(most + 1, memory.WorldPictures("rgbd", 128))
     # Larger pictures leave room for fewer; one camera takes half of two.
     with pytest.raises(UsageError):
-        memory.check_device_memory(most, "rgbd", (256, 128))
-    memory.check_device_memory(most, "rgbd", (256, 128), cameras=1)
+        memory.check_device_memory(most, memory.WorldPictures("rgbd", (256, 128)))
+    memory.check_device_memory(most, memory.WorldPictures("rgbd", (256, 128), cameras=1))
     probe.free_mb = lambda opened: 10.0
     with pytest.raises(UsageError, match="Not even one fits"):
         memory.check_device_memory(1)

@@ -6,12 +6,15 @@ import json
 import signal
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from mjhab.cli.main import main
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection
+from tests.serving.constant import Constant, serving
 
 
 def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
@@ -53,3 +56,38 @@ def test_bad_input_is_told(
 ) -> None:
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("server_of", "words", "error"),
+    [
+        (
+            {"delay_s": 2.0},
+            ["--timeout", "0.1", "--first-timeout", "0.3"],
+            "no answer within 0.3 s",
+        ),
+        ({"error": RuntimeError("no memory")}, [], "RuntimeError: no memory"),
+        ({}, [], ""),
+    ],
+    ids=["late", "error", "good"],
+)
+def test_json_has_latencies_whether_or_not_something_was_answered(
+    server_of: dict[str, Any],
+    words: list[str],
+    error: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with serving(Constant(**server_of)) as server:
+        command = ["eval", "--policy", f"ws://127.0.0.1:{server.port}", "--subtask", "close"]
+        command += ["--episodes", "1", "--films", "0", "--threads", "1", "--camera-size", "16"]
+        assert main([*command, *words, "--out", str(tmp_path / "run"), "--json"]) == 0
+        told = json.loads(capsys.readouterr().out.splitlines()[-1])
+        assert told["latency_ms"].keys() == {"p50", "p99"}
+        assert (told["latency_ms"]["p50"] is None) == ("no answer" in error)
+        # Nothing is left to do: the latencies are those of the run.
+        assert main([*command, *words, "--out", str(tmp_path / "run"), "--json", "--resume"]) == 0
+        again = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert again["latency_ms"] == told["latency_ms"]
+    record = json.loads((tmp_path / "run" / "episodes.jsonl").read_text())
+    assert error in record.get("error", "")

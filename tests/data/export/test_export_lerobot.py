@@ -8,16 +8,21 @@ from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.core.rotations import quat_rotate
+from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.lerobot.export import FPS, Choice, Exported
 from mjhab.data.export.lerobot.pieces import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
 from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.own_state import split_state
 from mjhab.data.select.query import Filter
+from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import Episode, episodes
 from mjhab.render.film import FilmWriter, join_films
 from tests.data.export.exporting import to_lerobot
@@ -205,6 +210,89 @@ def test_episodes_that_differ_are_refused(source: Path, tmp_path: Path) -> None:
             [source, tmp_path / "plain.h5"], tmp_path / "set", FilmTools(FilmWriter, join_films)
         )
     assert not list(tmp_path.glob(".*")) and not (tmp_path / "set").exists()
+
+
+SEG = "observation.segmentation.fetch_head"
+NAMES = ["background", "floor", "wall", "fridge/top_door"]
+
+
+@pytest.mark.parametrize("version", ["3.0", "2.1"])
+def test_segmentation_goes_along_with_its_names_and_the_pose_of_its_camera(
+    version: str, tmp_path: Path
+) -> None:
+    record(tmp_path / "a.h5", [1, 2], FakeEnv(images=True, segments=NAMES), images=ImageFormat())
+    done = export(tmp_path / "a.h5", tmp_path / "set", version)
+    assert set(done.images) == {RGB, DEPTH, SEG}
+    features = json.loads((tmp_path / "set/meta/info.json").read_text())["features"]
+    assert (features[SEG]["dtype"], features[SEG]["shape"]) == ("int32", [SIZE, SIZE])
+    assert json.loads((tmp_path / "set/meta/segments.json").read_text()) == NAMES
+    assert "fetch_head" in json.loads((tmp_path / "set/meta/cameras.json").read_text())
+    rows = pa.concat_tables(
+        pq.read_table(path) for path in sorted((tmp_path / "set/data").rglob("*.parquet"))
+    )
+    first = 0
+    for episode in episodes(tmp_path / "a.h5"):
+        count = episode.steps
+        own = rows.slice(first, count)
+        first += count
+        seen = np.array(own[SEG].to_pylist())
+        wanted = [episode.frame("fetch_head", "seg", t)[..., 0] for t in range(count)]
+        np.testing.assert_array_equal(seen, wanted)
+        assert len(np.unique(seen)) == len(NAMES)
+        poses = episode.array("obs/sensor_param/fetch_head/cam2world_gl")[:count]
+        np.testing.assert_array_equal(np.array(own["camera_pose.fetch_head"].to_pylist()), poses)
+    card = (tmp_path / "set/README.md").read_text()
+    assert all(words in card for words in ("w, x, y, z", "x right, y up", "meta/segments.json"))
+    conventions = json.loads((tmp_path / "set/meta/conventions.json").read_text())
+    assert conventions == CONVENTIONS and all(f"- {t}: " in card for t in ("camera", "mount"))
+
+
+def test_segmentation_is_left_out_on_demand(tmp_path: Path) -> None:
+    record(tmp_path / "a.h5", [1], FakeEnv(images=True, segments=NAMES), images=ImageFormat())
+    done = export(tmp_path / "a.h5", tmp_path / "set", choice=Choice(seg=False))
+    assert set(done.images) == {RGB, DEPTH} and not (tmp_path / "set/meta/segments.json").exists()
+
+
+def test_ids_that_mean_other_things_are_refused(tmp_path: Path) -> None:
+    for name, names in (("a", NAMES), ("b", NAMES[::-1])):
+        env = FakeEnv(images=True, segments=names)
+        record(tmp_path / f"{name}.h5", [len(name)], env, images=ImageFormat())
+    with pytest.raises(UsageError, match=r"b\.h5 mean other things.*--no-seg"):
+        export(tmp_path, tmp_path / "out/set")
+
+
+def test_pixels_of_the_floor_lie_on_the_floor_by_what_the_export_says(tmp_path: Path) -> None:
+    env = mjhab.make(
+        task="set_table",
+        subtask="pick",
+        home="builtin_m0_00",
+        num_envs=1,
+        threads=1,
+        obs_mode="depth+seg",
+        camera_size=24,
+        autoreset="disabled",
+    )
+    record(tmp_path / "a.h5", [0], env, images=ImageFormat(), max_steps=2)
+    export(tmp_path / "a.h5", tmp_path / "set")
+    rows = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet")
+    names = json.loads((tmp_path / "set/meta/segments.json").read_text())
+    camera = json.loads((tmp_path / "set/meta/cameras.json").read_text())["fetch_head"]
+    depth, seg, pose = (
+        np.array(rows[f"{key}.fetch_head"][1].as_py())
+        for key in ("observation.depth", "observation.segmentation", "camera_pose")
+    )
+    v, u = np.nonzero(seg == names.index("floor"))
+    assert len(v) > 20
+    z = depth[v, u] / 1000
+    (fx, _, cx), (_, fy, cy), _ = camera["intrinsic"]
+    points = np.stack([(u + 0.5 - cx) / fx * z, (v + 0.5 - cy) / fy * z, z])
+    points *= np.array([[1.0], [-1.0], [-1.0]])  # the axes of OpenCV to those of "camera"
+    world = pose[:3, :3] @ points + pose[:3, 3:]
+    np.testing.assert_allclose(world[2], 0.0, atol=0.005)
+    # The camera looks along its -z axis, which is the x axis of the link that carries it.
+    np.testing.assert_allclose(
+        quat_rotate(np.array(camera["quat"]), np.array([0.0, 0.0, -1.0])), [1, 0, 0], atol=1e-9
+    )
 
 
 def test_statistics_of_parts_are_those_of_the_whole() -> None:

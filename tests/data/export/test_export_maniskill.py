@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import Episode, episodes
 from mjhab.tasks.subtasks.pick import PICK
@@ -48,6 +49,7 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
     ]
     assert (done.episodes, done.without_depth) == (6, 3)
     said = json.loads((tmp_path / "out/set_table/pick/024_bowl.json").read_text())
+    assert said["conventions"] == CONVENTIONS
     assert said["source_type"] == "mjhab" and said["env_info"]["env_id"] == "PickSubtaskTrain-v0"
     with h5py.File(tmp_path / "out/set_table/pick/024_bowl.h5") as file:
         assert sorted(file) == ["traj_0", "traj_1", "traj_2"] and len(said["episodes"]) == 3

@@ -18,7 +18,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.imports.ms_hab_layout import ACTIONS, SCANNED_YAWS
 from mjhab.data.record.replay import verify
-from mjhab.data.select.dataset import WindowDataset
+from mjhab.data.select.dataset import Normalization, Window, WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select, stats
 from mjhab.data.store.checking import check
@@ -294,7 +294,9 @@ def test_filters_statistics_reports_and_windows_work_on_it(tmp_path: Path) -> No
     rules = "profile ms_hab, stillness published"
     assert f"{rules}; those of this data set are of {rules}." in page
     windows = WindowDataset(
-        shards, history=2, chunk=4, images=["fetch_head/depth"], normalize="spread"
+        shards,
+        Window(history=2, chunk=4, images=("fetch_head/depth",)),
+        normalization=Normalization("spread"),
     )
     assert (
         len(windows) == 18

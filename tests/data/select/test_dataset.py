@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import BatchSampler, DataLoader
 
 from mjhab.core.errors import UsageError
-from mjhab.data.select.dataset import SeededSampler, WindowDataset
+from mjhab.data.select.dataset import Normalization, SeededSampler, Window, WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.statistics import Statistics
 from mjhab.data.select.until import Until
@@ -35,7 +35,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_windows_hold_what_was_before_and_what_comes(source: Path) -> None:
-    data = WindowDataset(source, history=3, chunk=4, images=[DEPTH])
+    data = WindowDataset(source, Window(history=3, chunk=4, images=(DEPTH,)))
     lengths = [episode.steps for episode in episodes(source)]
     assert len(data) == sum(lengths)
     for k, episode in enumerate(episodes(source)):
@@ -63,7 +63,9 @@ def test_windows_hold_what_was_before_and_what_comes(source: Path) -> None:
 
 def test_normalized_numbers_have_mean_zero_and_come_back(source: Path, tmp_path: Path) -> None:
     plain = WindowDataset(source)
-    data = WindowDataset(source, normalize="spread", cache=tmp_path / "stats.npz")
+    data = WindowDataset(
+        source, normalization=Normalization("spread", cache=tmp_path / "stats.npz")
+    )
     actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
     np.testing.assert_allclose(actions.mean(axis=0), 0, atol=1e-5)
     np.testing.assert_allclose(actions.std(axis=0), 1, atol=1e-4)
@@ -76,14 +78,14 @@ def test_normalized_numbers_have_mean_zero_and_come_back(source: Path, tmp_path:
 
 def test_normalized_to_a_range(source: Path) -> None:
     plain = WindowDataset(source)
-    data = WindowDataset(source, normalize="range")
+    data = WindowDataset(source, normalization=Normalization("range"))
     actions = torch.cat([data[i]["action"] for i in range(len(data))]).numpy()
     np.testing.assert_allclose(actions.min(axis=0), -1, atol=1e-5)
     np.testing.assert_allclose(actions.max(axis=0), 1, atol=1e-5)
     back = data.statistics.restore("action", actions[7], "range")
     np.testing.assert_allclose(back, plain[7]["action"][0], atol=1e-5)
     with pytest.raises(UsageError, match=r"unknown way to normalize 'rang'\. Did you mean 'range'"):
-        WindowDataset(source, normalize="rang")
+        WindowDataset(source, normalization=Normalization("rang"))
 
 
 def test_images_of_a_shard_with_a_journal(
@@ -100,8 +102,8 @@ def test_images_of_a_shard_with_a_journal(
         patch.setattr(journal, "_apply", killed)
         record(path, range(1, 2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
     assert journal.journal_path(path).exists()
-    pending = WindowDataset(path, images=[DEPTH])
-    whole = WindowDataset(source, images=[DEPTH])
+    pending = WindowDataset(path, Window(images=(DEPTH,)))
+    whole = WindowDataset(source, Window(images=(DEPTH,)))
     assert len(pending) == 2 * len(whole) // 6
     for t in (0, len(pending) - 1):
         assert torch.equal(pending[t][DEPTH], whole[t][DEPTH])
@@ -110,7 +112,7 @@ def test_images_of_a_shard_with_a_journal(
 def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
     record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
-    data = WindowDataset(path, images=[DEPTH])
+    data = WindowDataset(path, Window(images=(DEPTH,)))
     path.write_bytes(bytes(path.stat().st_size))
     with pytest.raises(
         DamagedError, match=r"image 3 of fetch_head depth .* The file may have been replaced"
@@ -122,24 +124,26 @@ def test_statistics_are_computed_once_for_the_same_data(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cache = tmp_path / "stats.npz"
-    first = WindowDataset(source, cache=cache).statistics
+    first = WindowDataset(source, normalization=Normalization(cache=cache)).statistics
     monkeypatch.setattr(Statistics, "of", lambda *a, **k: pytest.fail("computed again"))
-    again = WindowDataset(source, cache=cache).statistics
+    again = WindowDataset(source, normalization=Normalization(cache=cache)).statistics
     np.testing.assert_array_equal(again.mean["action"], first.mean["action"])
     monkeypatch.undo()
-    other = WindowDataset(source, where=Filter("index < 2"), cache=cache).statistics
+    other = WindowDataset(
+        source, where=Filter("index < 2"), normalization=Normalization(cache=cache)
+    ).statistics
     assert (
         other.fingerprint != first.fingerprint
         and Statistics.load(cache).fingerprint == other.fingerprint
     )
-    assert WindowDataset(source, statistics=first).statistics is first
+    assert WindowDataset(source, normalization=Normalization(statistics=first)).statistics is first
     cache.write_bytes(b"no statistics")
     with pytest.raises(UsageError, match="Delete it"):
-        WindowDataset(source, cache=cache)
+        WindowDataset(source, normalization=Normalization(cache=cache))
 
 
 def test_workers_read_the_same(source: Path) -> None:
-    data = WindowDataset(source, history=2, images=[DEPTH], where=Filter("index < 4"))
+    data = WindowDataset(source, Window(history=2, images=(DEPTH,)), where=Filter("index < 4"))
     alone = [data[i] for i in range(len(data))]
     batches = list(DataLoader(data, batch_size=16, num_workers=2, multiprocessing_context="fork"))
     for key in ("state", "action", DEPTH):
@@ -167,15 +171,15 @@ def test_filter_and_bad_input(source: Path) -> None:
     with pytest.raises(UsageError, match="no episode passes"):
         WindowDataset(source, where=Filter("index > 99"))
     with pytest.raises(UsageError, match="replay --render"):
-        WindowDataset(source, images=["fetch_hand/rgb"])
+        WindowDataset(source, Window(images=("fetch_hand/rgb",)))
     with pytest.raises(UsageError, match="at least 1"):
-        WindowDataset(source, history=0)
+        WindowDataset(source, Window(history=0))
 
 
 @pytest.mark.parametrize("place", ["memory", "decode", "folder"])
 def test_a_batch_is_its_windows(source: Path, tmp_path: Path, place: str) -> None:
     frames = tmp_path if place == "folder" else place
-    data = WindowDataset(source, history=2, chunk=3, images=[DEPTH], frames=frames)
+    data = WindowDataset(source, Window(history=2, chunk=3, images=(DEPTH,)), frames=frames)
     order = [len(data) - 1, 0, 20, 21, 0]
     for _ in range(2):
         batch = data[order]
@@ -193,10 +197,10 @@ def test_a_batch_is_its_windows(source: Path, tmp_path: Path, place: str) -> Non
 def test_windows_end_some_steps_after_success(
     source: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = WindowDataset(source, images=[DEPTH])
+    whole = WindowDataset(source, Window(images=(DEPTH,)))
     kept = 7
     monkeypatch.setattr(Until, "steps", lambda self, ok: len(ok) if self.is_whole else kept)
-    data = WindowDataset(source, images=[DEPTH], until="success+2")
+    data = WindowDataset(source, Window(images=(DEPTH,)), until="success+2")
     assert len(data) == kept * len(list(episodes(source))) < len(whole)
     assert data.statistics.fingerprint != whole.statistics.fingerprint
     last = data[kept - 1]

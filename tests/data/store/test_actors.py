@@ -17,7 +17,7 @@ from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
 from mjhab.data.export.lerobot.pieces import FilmTools
 from mjhab.data.record.recorder import Recorder
-from mjhab.data.select.dataset import WindowDataset
+from mjhab.data.select.dataset import Normalization, Window, WindowDataset
 from mjhab.data.select.sets import merge
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import EpisodeData
@@ -178,8 +178,10 @@ def test_windows_take_either_actions_for_labels(source: Path, tmp_path: Path) ->
     record(tmp_path / "b.h5", range(6, 8), seed=3)
     places = [source, tmp_path / "b.h5"]
     cache = tmp_path / "stats.npz"
-    executed = WindowDataset(places, chunk=2, cache=cache)
-    intended = WindowDataset(places, chunk=2, labels="intended", cache=cache)
+    executed = WindowDataset(places, Window(chunk=2), normalization=Normalization(cache=cache))
+    intended = WindowDataset(
+        places, Window(chunk=2, labels="intended"), normalization=Normalization(cache=cache)
+    )
     assert executed.actors == intended.actors == ("student", "expert", "random")
     assert executed.statistics.fingerprint != intended.statistics.fingerprint
     seen = set()
@@ -192,7 +194,7 @@ def test_windows_take_either_actions_for_labels(source: Path, tmp_path: Path) ->
         seen |= set(a["actor"].tolist())
     assert seen == {0, 1, 2}
     with pytest.raises(UsageError, match="Did you mean 'intended'"):
-        WindowDataset(places, labels="intent")
+        WindowDataset(places, Window(labels="intent"))
 
 
 def test_exports_hold_both(source: Path, tmp_path: Path) -> None:

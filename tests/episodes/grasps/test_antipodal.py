@@ -10,7 +10,7 @@ import pytest
 from mjhab.core.rotations import frame_from_axes
 from mjhab.episodes.grasps import antipodal
 from mjhab.episodes.grasps.antipodal import Solid, surface_grasps
-from mjhab.episodes.grasps.candidates import grasp_candidates
+from mjhab.episodes.grasps.candidates import LyingObject, grasp_candidates
 from mjhab.episodes.grasps.pinches import SurfaceGrasps
 from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.episodes.grasps.stable import shape_of
@@ -111,7 +111,10 @@ def test_the_same_grasps_every_time_and_others_with_less_friction(on_bar: Surfac
 def test_nothing_to_hold_on_what_is_too_large() -> None:
     large = block(((0.1, 0.1, 0.1), (0.0, 0.0, 0.0)))
     assert len(surface_grasps(large, {})) == 0
-    assert len(grasp_candidates(shape_of(large, {}), np.zeros(3), UP, support_z=-0.1)) == 0
+    assert (
+        len(grasp_candidates(LyingObject.of(shape_of(large, {}), np.append(np.zeros(3), UP), -0.1)))
+        == 0
+    )
 
 
 UP = np.array([1.0, 0.0, 0.0, 0.0])
@@ -121,7 +124,9 @@ def test_candidates_of_a_mesh_turn_with_the_object() -> None:
     shape = shape_of(CUP, {})
     lying = np.array([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0])
     for quat in (UP, lying):
-        found = grasp_candidates(shape, np.array([1.0, 2.0, 0.5]), quat, support_z=0.45)
+        found = grasp_candidates(
+            LyingObject.of(shape, np.append(np.array([1.0, 2.0, 0.5]), quat), 0.45)
+        )
         assert len(found) > 5
         assert (found.rot[:, 2, 0] <= 0.05 + 1e-9).all()
         assert (np.linalg.norm(found.pos - [1.0, 2.0, 0.5], axis=1) < 0.12).all()

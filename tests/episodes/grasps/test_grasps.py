@@ -7,7 +7,7 @@ import pytest
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
-from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
 from mjhab.episodes.grasps.stable import StableGrasps, shape_of
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
@@ -27,7 +27,7 @@ def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
     pos = np.array([0.4, -0.2, 0.9])
     turn = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(0.7))
     floor = pos[2] - kind.half[2]
-    grasps = grasp_candidates(shape_of(kind, {}), pos, turn, support_z=floor)
+    grasps = grasp_candidates(LyingObject.of(shape_of(kind, {}), np.append(pos, turn), floor))
     assert len(grasps) > 0
     gripper = ROBOT.gripper
     assert (grasps.width < gripper.opening).all()
@@ -42,9 +42,11 @@ def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
 
 def test_neighbours_take_candidates_away():
     shape = ObjectShape("cylinder", (0.034, 0.034, 0.05))
-    alone = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-0.05)
+    alone = grasp_candidates(LyingObject.of(shape, np.append(np.zeros(3), UPRIGHT), -0.05))
     walls = Boxes.of([[0.075, 0, 0.0], [-0.075, 0, 0.0]], [0.02, 0.3, 0.05])
-    between = grasp_candidates(shape, np.zeros(3), UPRIGHT, support_z=-0.05, neighbours=walls)
+    between = grasp_candidates(
+        LyingObject.of(shape, np.append(np.zeros(3), UPRIGHT), -0.05), neighbours=walls
+    )
     assert 0 < len(between) < len(alone)
 
 

@@ -10,7 +10,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
-from mjhab.episodes.grasps.candidates import grasp_candidates
+from mjhab.episodes.grasps.candidates import LyingObject, grasp_candidates
 from mjhab.episodes.grasps.stable import MAX_GRASPS, MAX_OFFSET_M, StableGrasps, shape_of, spread
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
@@ -56,7 +56,7 @@ def test_grasps_are_many_and_come_from_everywhere(sim: CpuSimulator, kind: str):
 def test_spread_takes_the_best_first_and_then_what_is_different():
     shape = shape_of(open_pack("builtin").objects["005_tomato_soup_can"], {})
     candidates = grasp_candidates(
-        shape, np.zeros(3), np.array([1.0, 0, 0, 0]), support_z=-shape.half[2]
+        LyingObject.of(shape, np.append(np.zeros(3), np.array([1.0, 0, 0, 0])), -shape.half[2])
     )
     rows = list(spread(candidates, 16))
     assert rows[0] == 0 and len(set(rows)) == 16

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
-from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import Boxes
 from mjhab.experts.arm.ik_kernels import link_frames, tree_of
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.robots.kinematics import limited_step, rotation_vector
+from mjhab.robots.kinematics import StepBounds, limited_step, rotation_vector
 
 REST = np.array(fetch.REST_QPOS)
 CHAIN = ROBOT.chain
@@ -58,7 +58,7 @@ def test_a_compiled_step_is_that_of_the_batched_kinematics(far):
     high = (CHAIN.upper - q)[:, DOFS]
     bounds = ik.step_limits(CHAIN)[DOFS]
     pull = np.zeros_like(low)
-    wanted = limited_step(error, CHAIN.jacobian(q)[:, :, DOFS], pull, low, high, bounds)
+    wanted = limited_step(error, CHAIN.jacobian(q)[:, :, DOFS], pull, StepBounds(low, high, bounds))
     found = ik.servo(CHAIN, q, goal, rot, DOFS, rest=REST)
     np.testing.assert_allclose(found[:, DOFS], np.clip(wanted, low, high), atol=1e-9)
 
@@ -179,7 +179,7 @@ def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
         ) * np.sqrt(0.5)
         height = shape.half[1]
     center = np.array([0.3, -0.2, 0.7 + height])
-    found = grasp_candidates(shape, center, quat, support_z=0.7)
+    found = grasp_candidates(LyingObject.of(shape, np.append(center, quat), 0.7))
     assert len(found) >= 6
     assert (np.diff(found.score) <= 1e-12).all()
     assert (found.width < ROBOT.gripper.opening).all() and (found.opening > found.width).all()
@@ -199,9 +199,13 @@ def test_neighbours_and_robot_decide_what_comes_first():
     center = np.array([0.0, 0.0, 0.751])
     quat = np.array([1.0, 0, 0, 0])
     wall = Boxes.of(np.array([[0.08, 0.0, 0.9]]), [0.02, 0.5, 0.3])
-    free = grasp_candidates(CAN, center, quat, support_z=0.7, robot_xy=np.array([-1.0, 0]))
+    free = grasp_candidates(
+        LyingObject.of(CAN, np.append(center, quat), 0.7), robot_xy=np.array([-1.0, 0])
+    )
     tight = grasp_candidates(
-        CAN, center, quat, support_z=0.7, robot_xy=np.array([-1.0, 0]), neighbours=wall
+        LyingObject.of(CAN, np.append(center, quat), 0.7),
+        robot_xy=np.array([-1.0, 0]),
+        neighbours=wall,
     )
     assert free.rot[0, 0, 0] > 0.3
     assert 0 < len(tight) < len(free) and (tight.clear >= 0).all()
@@ -211,14 +215,19 @@ def test_what_cannot_be_grasped_gives_no_candidates_and_unknown_shapes_are_named
     slab = ObjectShape("box", (0.08, 0.10, 0.036))
     assert (
         len(
-            grasp_candidates(slab, np.array([0, 0, 0.036]), np.array([1.0, 0, 0, 0]), support_z=0.0)
+            grasp_candidates(
+                LyingObject.of(
+                    slab, np.append(np.array([0, 0, 0.036]), np.array([1.0, 0, 0, 0])), 0.0
+                )
+            )
         )
         == 0
     )
     with pytest.raises(UsageError, match="cylinder"):
         grasp_candidates(
-            ObjectShape(cast("Any", "cilinder"), (1, 1, 1)),
-            np.zeros(3),
-            np.array([1.0, 0, 0, 0]),
-            support_z=0.0,
+            LyingObject.of(
+                ObjectShape(cast("Any", "cilinder"), (1, 1, 1)),
+                np.append(np.zeros(3), np.array([1.0, 0, 0, 0])),
+                0.0,
+            )
         )

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.errors import UsageError
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.experts.base.navigation import Follower, Planner
+from mjhab.experts.base.navigation import FloorClearance, Follower, Planner
 from mjhab.robots.kinematics import wrap
 
 ORIGIN = np.array([-4.0, -3.0])
@@ -66,7 +66,7 @@ def drive(follower: Follower, pose: np.ndarray, steps: int = 900) -> tuple[int, 
 @given(st.integers(0, 10_000), st.floats(-3.1, 3.1), st.floats(-3.1, 3.1))
 def test_planned_ways_are_clear_and_driven_to_the_goal(seed, yaw, final):
     clearance = rooms(seed)
-    planner = Planner(ORIGIN, CELL, clearance)
+    planner = Planner(FloorClearance(ORIGIN, CELL, clearance))
     start, goal = free_points(clearance, seed, 2)
     path = planner.plan(start, goal)
     if path is None:
@@ -82,7 +82,7 @@ def test_planned_ways_are_clear_and_driven_to_the_goal(seed, yaw, final):
 
 
 def test_ways_lead_through_the_doorway_and_keep_to_its_middle():
-    planner = Planner(ORIGIN, CELL, clearances(_only_the_wall()))
+    planner = Planner(FloorClearance(ORIGIN, CELL, clearances(_only_the_wall())))
     path = planner.plan(np.array([-2.0, 2.0]), np.array([2.0, 2.0]))
     assert path is not None
     crossing = np.interp(0.025, path[:, 0], path[:, 1])
@@ -99,7 +99,7 @@ def _only_the_wall() -> np.ndarray:
 def test_closed_rooms_and_blocked_ends():
     free = np.ones((160, 120), dtype=bool)
     free[80] = False
-    planner = Planner(ORIGIN, CELL, clearances(free))
+    planner = Planner(FloorClearance(ORIGIN, CELL, clearances(free)))
     assert planner.plan(np.array([-2.0, 0.0]), np.array([2.0, 0.0])) is None
     assert np.isinf(planner.distance(np.array([-2.0, 0.0]), np.array([2.0, 0.0])))
     path = planner.plan(np.array([-0.1, 0.0]), np.array([-0.05, 1.0]))
@@ -107,7 +107,7 @@ def test_closed_rooms_and_blocked_ends():
     np.testing.assert_allclose(path[0], [-0.1, 0.0])
     assert planner.clearance_at(path[-1]) >= planner.radius
     with pytest.raises(UsageError, match="clearance"):
-        Planner(ORIGIN, CELL, np.full((5, 5), 0.1))
+        Planner(FloorClearance(ORIGIN, CELL, np.full((5, 5), 0.1)))
 
 
 @settings(max_examples=25, deadline=None)
@@ -131,17 +131,21 @@ def test_narrow_cells_are_passed_only_where_there_is_no_other_way():
     clearance[15, 3] = 0.28
     start = np.array([0.25, 1.95])
     goal = np.array([2.75, 1.95])
-    assert Planner((0.0, 0.0), 0.1, clearance, radius=0.29).plan(start, goal) is None
-    narrow = Planner((0.0, 0.0), 0.1, clearance, radius=0.29, narrow=0.27)
+    assert (
+        Planner(FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29).plan(start, goal) is None
+    )
+    narrow = Planner(FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29, narrow=0.27)
     path = narrow.plan(start, goal)
     assert path is not None and path[:, 1].min() == pytest.approx(0.35, abs=0.06)
     clearance[15, 29] = 0.3
-    path = Planner((0.0, 0.0), 0.1, clearance, radius=0.29, narrow=0.27).plan(start, goal)
+    path = Planner(FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29, narrow=0.27).plan(
+        start, goal
+    )
     assert path is not None and path[:, 1].min() > 1.8
 
 
 def test_costs_to_the_nearest_of_some_cells():
-    planner = Planner((0.0, 0.0), 0.1, np.full((30, 30), 1.0))
+    planner = Planner(FloorClearance((0.0, 0.0), 0.1, np.full((30, 30), 1.0)))
     goals = np.zeros((30, 30), bool)
     goals[2, 5] = goals[25, 5] = True
     cost = planner.costs_to(goals)

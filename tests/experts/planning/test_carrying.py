@@ -16,7 +16,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.episodes.grasps.candidates import ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import FIRM, Care
 from mjhab.experts.base.route import (
@@ -43,7 +43,7 @@ from mjhab.experts.planning.reach import (
     surroundings,
 )
 from mjhab.experts.skills.pick import LOW_SHELF_OPTIONS, SHELF_OPTIONS
-from mjhab.experts.skills.place import DROP_HEIGHTS_M, hand_goals, place
+from mjhab.experts.skills.place import DROP_HEIGHTS_M, Release, hand_goals, place
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.kinematics import wrap
 
@@ -212,7 +212,7 @@ def test_bases_are_only_where_something_can_be_reached():
     scene = Scene(
         near, near.take(np.zeros(0, np.int64)), float(goal[2]), ROBOT, held_spheres(view, obj)
     )
-    goals = hand_goals(view, obj, goal, shelf=False, any_side=False)
+    goals = hand_goals(view, obj, goal, Release(shelf=False, any_side=False))
     # Only what is put down half a metre further away counts.
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
@@ -236,10 +236,10 @@ def test_bases_are_only_where_something_can_be_reached():
 def test_place_looks_at_every_way_before_it_waits(monkeypatch: pytest.MonkeyPatch):
     view = place_env(1).view(0)
     asked = []
-    monkeypatch.setattr(place_module, "plan_place", lambda *args: asked.append(args[4:]))
+    monkeypatch.setattr(place_module, "plan_place", lambda *args: asked.append(args[3]))
     next(place(view))
     # In its place, then in a hurry and on any side, then from above.
-    assert asked == [
+    assert [(each.number, each.drop, each.hurry) for each in asked] == [
         (0, 0.0, False),
         (1, 0.0, True),
         (2, 0.0, True),
@@ -255,10 +255,7 @@ def test_a_bowl_under_a_shelf_is_taken_from_the_front():
     quat = np.array([1.0, 0.0, 0.0, 0.0])
     found = [
         grasp_candidates(
-            bowl,
-            pos,
-            quat,
-            support_z=0.0,
+            LyingObject.of(bowl, np.append(pos, quat), 0.0),
             neighbours=low,
             options=replace(options, inward=(1.0, 0.0)),
         )

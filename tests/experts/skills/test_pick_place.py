@@ -15,7 +15,7 @@ import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.episodes.grasps.candidates import ObjectShape, Options, grasp_candidates
+from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, Options, grasp_candidates
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.ik import rotate
@@ -31,7 +31,7 @@ from mjhab.experts.base.route import (
 from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
 from mjhab.experts.planning.reach import Scene, surroundings, way_out
 from mjhab.experts.skills.pick import FREE_OFFSET_M, balanced, height_below, plan_pick
-from mjhab.experts.skills.place import hand_goals
+from mjhab.experts.skills.place import Release, hand_goals
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import ANY
 
@@ -216,7 +216,8 @@ def test_grasps_on_a_shelf_come_from_its_open_side():
     pose = np.array([0.0, 0.0, 1.08])
     found = [
         grasp_candidates(
-            shape, pose, np.array([1.0, 0.0, 0.0, 0.0]), support_z=1.0, options=options
+            LyingObject.of(shape, np.append(pose, np.array([1.0, 0.0, 0.0, 0.0])), 1.0),
+            options=options,
         )
         for options in (Options(), Options(inward=(1.0, 0.0), shallower=(0.0, 0.02)))
     ]
@@ -229,7 +230,7 @@ def test_hand_goals_put_the_object_upright_at_the_goal():
     obj = the_object(view)
     assert view.subtask is not None
     goal = np.array(view.subtask.goal_pos)
-    goals = hand_goals(view, obj, goal, shelf=False, any_side=False)
+    goals = hand_goals(view, obj, goal, Release(shelf=False, any_side=False))
     tcp, rot = motion.tcp(view)
     offset = rot.T @ (view.object_pose(obj)[:3] - tcp)
     centres = goals.pos + goals.rot @ offset
@@ -269,7 +270,11 @@ def test_route_keeps_room_and_ends_at_the_goal():
 def test_grasps_beside_the_centre_come_last():
     centre = np.array([0.0, 0.0, 0.1])
     found = grasp_candidates(
-        ObjectShape("box", (0.1, 0.03, 0.1)), centre, np.array([1.0, 0.0, 0.0, 0.0]), support_z=0.0
+        LyingObject.of(
+            ObjectShape("box", (0.1, 0.03, 0.1)),
+            np.append(centre, np.array([1.0, 0.0, 0.0, 0.0])),
+            0.0,
+        )
     )
 
     ordered = balanced(found, centre)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
+from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, TOUCH_SENSOR_WIDTH, pair_force
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import FINGER_LINKS, REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
@@ -87,21 +87,35 @@ def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
         data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]] if i > 2 else 0.0
     data.ctrl[-2:] = -0.01
     mujoco.mj_step(model, data, 30)
+    # A second object against the outer side of the left finger: the contacts of one finger are told apart.
+    finger = data.body(FINGER_LINKS[0])
+    across = finger.xmat.reshape(3, 3)[:, 1]
+    outside = finger.xpos + 0.03 * across * np.sign(across @ (finger.xpos - tcp))
+    data.qpos[a.object_q[1] : a.object_q[1] + 3] = outside
     mujoco.mj_forward(model, data)
     for side, finger in enumerate(FINGER_LINKS):
-        want = np.zeros(3)
-        for c in range(data.ncon):
-            bodies = model.geom_bodyid[data.contact.geom[c]]
-            if set(bodies) == {a.robot_body[finger], a.object_body[0]}:
-                local = np.zeros(6)
-                mujoco.mj_contactForce(model, data, c, local)
-                # Normals alone: friction is no part of a contact force, as in the original's engine.
-                force = data.contact.frame[c][:3] * local[0]
-                want += force if bodies[1] == a.robot_body[finger] else -force
-        adr = a.finger_force[side, 0]
-        got = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
-        np.testing.assert_allclose(got, want, atol=1e-6)
-        assert np.linalg.norm(want) > 5.0
+        for slot in range(2):
+            want = np.zeros(3)
+            for c in range(data.ncon):
+                bodies = model.geom_bodyid[data.contact.geom[c]]
+                if set(bodies) == {a.robot_body[finger], a.object_body[slot]}:
+                    local = np.zeros(6)
+                    mujoco.mj_contactForce(model, data, c, local)
+                    # Normals alone: friction is no part of a contact force, as in the original's engine.
+                    force = data.contact.frame[c][:3] * local[0]
+                    want += force if bodies[1] == a.robot_body[finger] else -force
+            force, touching = pair_force(
+                _sensor(data, a.hand_force[side], FORCE_SENSOR_WIDTH),
+                _sensor(data, a.touch[slot], TOUCH_SENSOR_WIDTH),
+            )
+            np.testing.assert_allclose(-force, want, atol=1e-6)
+            pressed = slot == 0 or side == 0
+            assert bool(touching) is pressed
+            assert bool(np.linalg.norm(want) > 1.0) is pressed
+
+
+def _sensor(data: mujoco.MjData, start: int, width: int) -> np.ndarray:
+    return data.sensordata[start : start + width]
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
-from mjhab.envs.parts.memory import check_device_memory
+from mjhab.envs.parts.memory import WorldPictures, check_device_memory
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.backends import open_simulator, resolve
 
@@ -87,7 +87,8 @@ class InteractBench:
         if backend == "warp":
             # Pictures are looked at, not kept as observations.
             mode = "rgbd" if render else "state"
-            check_device_memory(worlds, mode, CAMERA_SIZE, device, copies=0, world_mb=WORLD_MB)
+            pictures = WorldPictures(mode, CAMERA_SIZE)
+            check_device_memory(worlds, pictures, device, copies=0, world_mb=WORLD_MB)
         controller = make_controller(CONTROL_MODE, 1)
         self.sim: Any = open_simulator(
             backend, scene.layout, worlds, threads=threads, device=device, drives=controller.drives

@@ -72,7 +72,9 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         raise UsageError(
             f"LeRobot data sets need pyarrow; install it with: {pip_install('data')}"
         ) from error
-    choice = lerobot.Choice(not options.no_rgb, not options.no_depth, options.until)
+    choice = lerobot.Choice(
+        not options.no_rgb, not options.no_depth, not options.no_seg, options.until
+    )
     films = FilmTools(
         functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES),
         join_films,

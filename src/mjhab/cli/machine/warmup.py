@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING
 
 from mjhab.cli.options.gpu import WarmupOptions
 from mjhab.cli.output import print_json, print_table
@@ -13,7 +14,11 @@ from mjhab.config.profile_choice import profile_options
 from mjhab.sim.backends import resolve
 from mjhab.tasks.household.registry import TASKS
 
+if TYPE_CHECKING:
+    from mjhab.sim.mujoco.cpu import CpuSimulator
+
 WORLDS = 2
+"""Worlds of the environment that compiles the kernels of the device."""
 
 
 def run_warmup(options: WarmupOptions) -> int:
@@ -30,69 +35,87 @@ def run_warmup(options: WarmupOptions) -> int:
 
 def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
     """Compile homes and kernels for a task; returns the duration of each part [s]. Progress goes to stderr."""
-    from mjhab.config.env import EnvConfig, task_config
-    from mjhab.episodes.rosters import roster
-    from mjhab.episodes.starts import StartMaker
-    from mjhab.layout.layout import Layout
-    from mjhab.scenes.packs import open_pack
-    from mjhab.sim.mujoco.cpu import CpuSimulator
+    work = _Work(options)
+    parts: dict[str, Callable[[], None]] = {
+        f"{len(work.layout.pack.homes)} homes": work.compile_homes,
+        "rasterizer": work.compile_rasterizer,
+        "planning of the experts": work.compile_experts,
+    }
+    if work.config.spawn_rule == "published":
+        parts["arms that hold objects"] = work.find_holding_arms
+    if backend == "warp":
+        parts["MuJoCo Warp (minutes the first time)"] = work.compile_warp
+    return {name.split(" (")[0]: _timed(name, part) for name, part in parts.items()}
 
-    config = EnvConfig(task=options.task, assets=options.assets, **profile_options(options))
-    layout = Layout(open_pack(options.assets), roster(options.task))
-    homes = [home.name for home in layout.pack.homes]
-    simulators: list[Any] = []
 
-    def compile_homes() -> None:
-        sim = CpuSimulator(layout, 1, 1)
-        for home in homes:
-            sim.model(home)
-        simulators.append(sim)
+class _Work:
+    """The parts of a warm-up, on the layout of one task."""
 
-    def rasterizer() -> None:
+    def __init__(self, options: WarmupOptions) -> None:
+        from mjhab.config.env import EnvConfig
+        from mjhab.episodes.rosters import roster
+        from mjhab.layout.layout import Layout
+        from mjhab.scenes.packs import open_pack
+
+        self.options = options
+        self.config = EnvConfig(
+            task=options.task, assets=options.assets, **profile_options(options)
+        )
+        self.layout = Layout(open_pack(options.assets), roster(options.task))
+
+    @functools.cached_property
+    def simulator(self) -> CpuSimulator:
+        """One world; its making compiles the first home, so that the first part that asks for it pays."""
+        from mjhab.sim.mujoco.cpu import CpuSimulator
+
+        return CpuSimulator(self.layout, 1, 1)
+
+    def compile_homes(self) -> None:
+        for home in self.layout.pack.homes:
+            self.simulator.model(home.name)
+
+    def compile_rasterizer(self) -> None:
+        """Draw one small picture of every kind in the first home."""
         from mjhab.envs.observations import CAMERA_OUTPUTS
         from mjhab.render.home_scene import HomeRenderer
 
-        sim = simulators[0]
-        HomeRenderer(sim, 1).robot_views(sim.state(), homes[:1], 16, CAMERA_OUTPUTS)
+        first = self.layout.pack.homes[0].name
+        renderer = HomeRenderer(self.simulator, 1)
+        renderer.robot_views(self.simulator.state(), [first], 16, CAMERA_OUTPUTS)
 
-    def experts() -> None:
+    def compile_experts(self) -> None:
         from mjhab.experts.warmup import compile_kernels
 
         compile_kernels()
 
-    def warp() -> None:
+    def find_holding_arms(self) -> None:
+        """Find the arm configurations in which the robot begins with each object of the roster in its hand."""
+        from mjhab.config.env import task_config
+        from mjhab.episodes.starts import StartMaker
+
+        task = task_config(self.config, self.layout.robot)
+        starts = StartMaker(self.simulator, self.config, task)
+        for kind in sorted(set(self.layout.roster)):
+            starts.arms.arms(kind)
+
+    def compile_warp(self) -> None:
+        """Make a small environment on the device, reset it and take one step."""
         from mjhab.envs import make_train
 
         env = make_train(
-            task=options.task,
+            task=self.options.task,
             subtask="pick",
             backend="warp",
-            device=options.device,
+            device=self.options.device,
             num_envs=WORLDS,
             starts=WORLDS,
-            assets=options.assets,
+            assets=self.options.assets,
             obs_mode="rgbd+seg",
             camera_size=16,
-            **profile_options(options),
+            **profile_options(self.options),
         )
         env.reset()
         env.step(env.sim.qpos.new_zeros(env.action_space.shape))
-
-    def arms() -> None:
-        starts = StartMaker(simulators[0], config, task_config(config, layout.robot))
-        for kind in sorted(set(layout.roster)):
-            starts.arms.arms(kind)
-
-    parts: dict[str, Callable[[], None]] = {
-        f"{len(homes)} homes": compile_homes,
-        "rasterizer": rasterizer,
-        "planning of the experts": experts,
-    }
-    if config.spawn_rule == "published":
-        parts["arms that hold objects"] = arms
-    if backend == "warp":
-        parts["MuJoCo Warp (minutes the first time)"] = warp
-    return {name.split(" (")[0]: _timed(name, work) for name, work in parts.items()}
 
 
 def _timed(name: str, work: Callable[[], None]) -> float:

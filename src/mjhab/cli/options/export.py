@@ -19,7 +19,7 @@ class ExportLerobotOptions:
 
     `mjhab export lerobot runs/pick --preset pick_paper --out exported/pick`
 
-    Colour images become videos, depth images become columns in millimetres. Needs the extra `data` (pyarrow).
+    Colour images become videos, depth images [mm] and segmentation become columns. Needs the extra `data` (pyarrow).
     """
 
     places: Places
@@ -38,6 +38,8 @@ class ExportLerobotOptions:
     """Leave out colour images."""
     no_depth: bool = False
     """Leave out depth images, which are by far the largest part."""
+    no_seg: bool = False
+    """Leave out segmentation."""
     quality: Annotated[int, tyro.conf.arg(metavar="N")] = 18
     """Constant rate factor of videos: 0 (lossless) to 51 (smallest)."""
     overwrite: bool = False

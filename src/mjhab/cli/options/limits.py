@@ -1,4 +1,5 @@
-"""Ranges of options by type and name, checked for every command before it starts."""
+"""Limits of options by type and name, checked for every command before it starts. Commands check narrower ones
+themselves."""
 
 from __future__ import annotations
 
@@ -7,29 +8,14 @@ import math
 from pathlib import Path
 from typing import Any
 
+from mjhab.config.ranges import MAX_NUMBER, check_range, range_of
 from mjhab.core.errors import UsageError
 from mjhab.core.files.outputs import check_output
 
-MAX_NUMBER = 10**9
 MAX_TEXT_CHARACTERS = 1000
 MAX_FILTER_CHARACTERS = 10_000
 FILTERS = ("where", "keep")
 MAX_PATH_CHARACTERS = 4096
-INT_RANGES: dict[str, tuple[int, int]] = {
-    "seed": (0, 2**63 - 1),
-    "worlds": (1, 65_536),
-    "num_envs": (1, 10_000_000),
-    "workers": (0, 256),
-    "threads": (0, 1024),
-    "episodes": (0, 100_000_000),
-    "films": (0, 10_000),
-    "width": (0, 8192),
-    "height": (0, 8192),
-    "camera_size": (1, 4096),
-    "max_message_mb": (0, 4096),
-}
-"""Least and largest value of integer options by name; other options range from 0 to `MAX_NUMBER`. Commands check
-narrower ranges themselves."""
 OUTPUTS = ("out", "page", "export", "log", "record")
 """Options that name output files or folders."""
 
@@ -55,24 +41,16 @@ def _check(name: str, value: Any) -> None:
     if isinstance(value, bool) or value is None:
         return
     if isinstance(value, int):
-        least, most = INT_RANGES.get(name, (0, MAX_NUMBER))
-        _check_range(name, value, least, most)
+        check_range(_shown(name), value, *range_of(name))
     elif isinstance(value, float):
         if math.isnan(value):
             raise UsageError(f"{_shown(name)} must be a number, got {value}.")
-        _check_range(name, value, 0, MAX_NUMBER)
+        check_range(_shown(name), value, 0, MAX_NUMBER)
     elif isinstance(value, str | Path):
         most = MAX_PATH_CHARACTERS if isinstance(value, Path) else MAX_TEXT_CHARACTERS
         if name in FILTERS:
             most = MAX_FILTER_CHARACTERS
         _check_text(name, str(value), most)
-
-
-def _check_range(name: str, value: float, least: int, most: int) -> None:
-    if value < least:
-        raise UsageError(f"{_shown(name)} must be at least {least:,}, got {value}.")
-    if value > most:
-        raise UsageError(f"{_shown(name)} must be at most {most:,}, got {value}.")
 
 
 def _check_text(name: str, text: str, most: int) -> None:

@@ -46,7 +46,7 @@ class ScoreOptions(ServedOptions):
     check_seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """With --check: seed of the choice of episodes, to repeat a check; another one every time if absent."""
     table: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE ...")] = ()
-    """Make a table of these result files instead."""
+    """Make a table of these result files, or of the summary.json beside them, instead."""
     page: Annotated[Path | None, tyro.conf.arg(metavar="FILE.md")] = None
     """With --table: write it to this file instead of printing it."""
     starts: bool = False

@@ -22,7 +22,10 @@ class ServedOptions:
     prompt: Annotated[str | None, tyro.conf.arg(metavar="subtask|task")] = None
     """With --policy ws://host:port: instruction in requests: of the active subtask (default) or of the whole task."""
     timeout: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """With --policy ws://host:port: longest wait for an answer; 30 s if absent, 300 s for the first one."""
+    """With --policy ws://host:port: longest wait for an answer; 30 s if absent."""
+    first_timeout: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """With --policy ws://host:port: longest wait for the first answer over a connection, before which servers compile;
+    300 s if absent. Never shorter than --timeout."""
     batch: bool = False
     """With --policy ws://host:port and the dialect behavior: one request for all worlds."""
 
@@ -35,8 +38,7 @@ class ServedOptions:
             "actions": self.actions,
             "prompt": self.prompt,
             "timeout": self.timeout,
+            "first_timeout": self.first_timeout,
             "batch": "yes" if self.batch else None,
         }
-        if self.timeout is not None:
-            given["first_timeout"] = max(self.timeout, 300.0)
         return {name: value for name, value in given.items() if value is not None}

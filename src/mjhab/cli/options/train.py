@@ -195,7 +195,7 @@ class TrainDaggerOptions(TrainOptions):
     `mjhab train dagger --task set_table --subtask close --target kitchen_counter/drawer3 --preset quick
     --budget-minutes 20 --out runs/close`
 
-    Presets: small, quick, flow, act. Every round is kept in --out as an ordinary data set.
+    Presets: small, quick, state (no images), flow, act. Every round is kept in --out as an ordinary data set.
     """
 
     rounds: MaybeNumber = None

@@ -57,7 +57,8 @@ class ViewOptions(PolicyProfileOptions):
     worlds: Number = 1
     """Number of running worlds; the page shows one of them."""
     episode: Number = 0
-    """Index of the first episode; with --export, position of the episode to write, from 0."""
+    """Index of the first episode of running worlds; with recorded episodes, position of the one to show, or to write
+    with --export, from 0."""
     seed: Number = 0
     """Seed of the episodes."""
     split: Name = "train"
@@ -67,7 +68,10 @@ class ViewOptions(PolicyProfileOptions):
     navigate: Annotated[str, tyro.conf.arg(metavar="teleport|drive")] = "teleport"
     """Execution of Navigate subtasks in a chain, as in `mjhab eval`."""
     reward: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    """Reward to show: dense, normalized_dense or sparse; that of an evaluation if absent."""
+    """Reward of running worlds: dense (with its terms, if absent), normalized_dense or sparse."""
+    horizon: Number = 0
+    """Control steps of 50 ms after which a subtask of running worlds ends, for instance to drive by hand for longer;
+    0 for those of the task."""
     assets: Assets = "builtin"
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -117,7 +117,7 @@ class ProgressSink(Sink[RolloutEnv]):
         self._done = 0
         self._won = 0
 
-    def on_begin(self, env: RolloutEnv, episodes: Sequence[int]) -> None:
+    def on_begin(self, env: RolloutEnv, episodes: Collection[int]) -> None:
         """Show the bar; it starts after the episodes that a resumed run already has."""
         self._started = time.perf_counter()
         self._bar.start()
@@ -173,8 +173,8 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
         f"{summary['episodes']} episodes: success once {100 * summary['success_once']:.1f} %, at end "
         f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
     )
-    if "latency_ms" in summary:
-        latency = summary["latency_ms"]
+    latency = summary.get("latency_ms", {"p50": None})
+    if latency["p50"] is not None:
         print(f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms")
     print(f"report: {run.report}")
 

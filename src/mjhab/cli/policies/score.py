@@ -15,8 +15,8 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.evaluation.evaluate import EvaluationInterrupted
 from mjhab.evaluation.score.leaderboard import leaderboard
-from mjhab.evaluation.score.result import Result, read_result
-from mjhab.evaluation.score.run import CHECKED_EPISODES, ScoreSpec, check, score
+from mjhab.evaluation.score.result import Result, read_for_table, read_result
+from mjhab.evaluation.score.run import CHECKED_EPISODES, RESULT_FILE, ScoreSpec, check, score
 from mjhab.evaluation.score.starts import write_starts
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.serving.address import with_options
@@ -108,7 +108,7 @@ def _tell(result: Result, out: Path) -> None:
         print(
             f"incomplete: episodes are missing, or have another start than in the manifest ({summary['other_starts']})"
         )
-    print(f"result: {out / 'result.json'}")
+    print(f"result: {out / RESULT_FILE}")
 
 
 def _check(path: Path, options: ScoreOptions) -> int:
@@ -138,7 +138,7 @@ def _check(path: Path, options: ScoreOptions) -> int:
 
 
 def _table(options: ScoreOptions) -> int:
-    results = [read_result(path) for path in options.table]
+    results = [read_for_table(path) for path in options.table]
     text = leaderboard(results)
     page = options.page
     if page is None:

@@ -7,12 +7,12 @@ import contextlib
 import os
 import secrets
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.progress import say
 
 CACHE_VARIABLE = "MJHAB_CACHE"
 """Environment variable with the folder of cached files."""
@@ -79,11 +79,9 @@ def _temporary_dir(wanted: Path, error: Exception) -> Path:
     cause = f"the cache {wanted} cannot be written ({reason})"
     if wanted.is_relative_to(_NO_HOME):
         cause = "this user has no home folder for the cache"
-    print(
+    say(
         f"mjhab: {cause}; what is compiled now is lost when this process ends. "
-        f"${CACHE_VARIABLE} chooses another folder.",
-        file=sys.stderr,
-        flush=True,
+        f"${CACHE_VARIABLE} chooses another folder."
     )
     # Processes that this one starts share the folder.
     os.environ[CACHE_VARIABLE] = str(folder)

@@ -5,7 +5,6 @@ Imported only by modules that hold kernels, because numba takes a while to load.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -15,6 +14,7 @@ from numba.core import event
 
 from mjhab.core.files.cache import cache_dir
 from mjhab.core.files.code_digest import code_digest
+from mjhab.core.progress import say
 
 Decorator = Callable[[Callable[..., Any]], Any]
 
@@ -28,11 +28,9 @@ class _Announcer(event.Listener):
     def on_start(self, event: event.Event) -> None:
         if not self._said:
             self._said = True
-            print(
+            say(
                 "mjhab: compiling kernels for the processor. About a minute the first time, "
-                "later they are on disk (`mjhab warmup` does it beforehand).",
-                file=sys.stderr,
-                flush=True,
+                "later they are on disk (`mjhab warmup` does it beforehand)."
             )
 
     def on_end(self, event: event.Event) -> None:

@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 
 from mjhab.core.names import below
+from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.imports.ms_hab_layout import (
@@ -162,6 +163,7 @@ class _File:
             "commit_info": {"mjhab": [run["commit"] for run in self._runs.values()]},
             "source_type": SOURCE_TYPE,
             "source_desc": "recorded by mjhab (MuJoCo), not by ManiSkill",
+            "conventions": CONVENTIONS,
             "runs": self._runs,
             "episodes": self._episodes,
         }

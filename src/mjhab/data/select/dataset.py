@@ -8,6 +8,7 @@ from __future__ import annotations
 import bisect
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,49 @@ MEMORY_SHARE = 0.5
 """Fraction of the free memory that "auto" uses for decoded images."""
 
 
+@dataclass(frozen=True)
+class Window:
+    """What a window holds.
+
+    Attributes:
+        history: number of observations.
+        chunk: number of actions.
+        labels: "executed" for the actions that moved the robot, "intended" for those without the expert's noise.
+        images: camera images, such as "fetch_head/depth".
+
+    Raises:
+        UsageError: ``history`` or ``chunk`` is less than 1, or ``labels`` is unknown.
+    """
+
+    history: int = 1
+    chunk: int = 1
+    labels: str = EXECUTED
+    images: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        if self.history < 1 or self.chunk < 1:
+            raise UsageError(
+                f"history and chunk must be at least 1, got {self.history} and {self.chunk}."
+            )
+        if self.labels not in LABELS:
+            raise unknown_name("labels", self.labels, LABELS)
+
+
+@dataclass(frozen=True, eq=False)
+class Normalization:
+    """How states and actions are normalized.
+
+    Attributes:
+        kind: "spread" to mean 0 and standard deviation 1, "range" to [-1, 1]; "" leaves them unchanged.
+        statistics: of other data, e.g. of the training set; None takes those of the data set itself.
+        cache: file for the statistics; it is read if it belongs to the data, else written.
+    """
+
+    kind: str = ""
+    statistics: Statistics | None = None
+    cache: Path | None = None
+
+
 class WindowDataset(Dataset[dict[str, Any]]):
     """One window per control step t of every episode.
 
@@ -60,48 +104,35 @@ class WindowDataset(Dataset[dict[str, Any]]):
 
     Args:
         places: shards, or folders of shards.
-        history: number of observations in a window.
-        chunk: number of actions in a window.
-        labels: "executed" for the actions that moved the robot, "intended" for those without the expert's noise.
-        images: camera images, such as "fetch_head/depth".
+        window: what a window holds.
         where: filter on the episodes; None takes all.
         until: "success+N" ends every episode N control steps after its first success, see `Until.parse`.
-        normalize: "spread" normalizes states and actions to mean 0 and standard deviation 1, "range" to [-1, 1]; ""
-            leaves them unchanged.
-        statistics: for the normalization, e.g. of the training set; None takes those of this data set.
-        cache: file for the statistics; it is read if it belongs to this data, else written.
+        normalization: of states and actions.
         frames: storage of decoded images. "memory" keeps them in memory; "decode" decodes on every access; a folder
             keeps them in an unnamed file there, which may be larger than the memory; "auto" is "memory" if they take
             less than MEMORY_SHARE of the free memory, else "decode".
 
     Raises:
-        UsageError: no episode passes the filter, episodes differ in their sizes or lack an image, ``labels`` is
-            unknown, or there is no room for the images.
+        UsageError: no episode passes the filter, episodes differ in their sizes or lack an image, the kind of
+            normalization is unknown, or there is no room for the images.
     """
 
     def __init__(
         self,
         places: Path | Sequence[Path],
+        window: Window | None = None,
         *,
-        history: int = 1,
-        chunk: int = 1,
-        labels: str = EXECUTED,
-        images: Sequence[str] = (),
         where: Filter | None = None,
         until: str = "",
-        normalize: str = "",
-        statistics: Statistics | None = None,
-        cache: Path | None = None,
+        normalization: Normalization | None = None,
         frames: str | Path = AUTO,
     ) -> None:
-        if history < 1 or chunk < 1:
-            raise UsageError(f"history and chunk must be at least 1, got {history} and {chunk}.")
-        if labels not in LABELS:
-            raise unknown_name("labels", labels, LABELS)
-        self.history = history
-        self.chunk = chunk
-        self.images = tuple(images)
-        self.labels = labels
+        window = window or Window()
+        normalization = normalization or Normalization()
+        self.history = window.history
+        self.chunk = window.chunk
+        self.images = tuple(window.images)
+        self.labels = window.labels
         self.actors: tuple[str, ...] = ()
         self._until = Until.parse(until)
         self._members = select(places, where).matched
@@ -113,13 +144,14 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self._actor: list[np.ndarray] = []
         mark = self._read()
         self._starts: list[int] = np.cumsum([0, *map(len, self._actions)]).tolist()
-        self.statistics = statistics or self._statistics(mark, cache)
-        if normalize:
+        self.statistics = normalization.statistics or self._statistics(mark, normalization.cache)
+        kind = normalization.kind
+        if kind:
             self._states = [
-                self.statistics.normalize(STATE, values, normalize) for values in self._states
+                self.statistics.normalize(STATE, values, kind) for values in self._states
             ]
             self._actions = [
-                self.statistics.normalize(ACTION, values, normalize) for values in self._actions
+                self.statistics.normalize(ACTION, values, kind) for values in self._actions
             ]
         self._firsts = np.array(self._starts)
         self._all_states = np.concatenate(self._states)

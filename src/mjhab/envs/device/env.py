@@ -21,7 +21,7 @@ from mjhab.envs.device.notes import DeviceNotes, DeviceStepNotes
 from mjhab.envs.device.observing import DeviceObserver
 from mjhab.envs.device.pool import StartPool, pool_size
 from mjhab.envs.loop import TaskLoop
-from mjhab.envs.parts.memory import check_device_memory
+from mjhab.envs.parts.memory import WorldPictures, check_device_memory
 from mjhab.envs.parts.plan_tables import Rows
 from mjhab.envs.parts.reporting import describe_episode
 from mjhab.envs.parts.rewarding import RewardInputs
@@ -65,7 +65,9 @@ class DeviceEnv(TaskLoop):
                 "backend 'warp' gives no human views; leave render_mode empty, or use backend='cpu'"
             )
         check_device_memory(
-            config.num_envs, config.obs_mode, config.camera_size, config.device, len(config.cameras)
+            config.num_envs,
+            WorldPictures(config.obs_mode, config.camera_size, len(config.cameras)),
+            config.device,
         )
         setting = open_setting(config)
         drives = make_controller(

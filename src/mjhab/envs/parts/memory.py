@@ -53,57 +53,66 @@ class Need:
         return max(0, int((free_mb - self.base_mb) / self.world_mb))
 
 
-def host_need(
-    obs_mode: str = "state", camera_size: int | tuple[int, int] = 128, cameras: int = CAMERAS
-) -> Need:
+@dataclass(frozen=True)
+class WorldPictures:
+    """What the cameras of a world draw: ``obs_mode`` and ``camera_size`` [px] as in `EnvConfig`, number of cameras."""
+
+    obs_mode: str = "state"
+    camera_size: int | tuple[int, int] = 128
+    cameras: int = CAMERAS
+
+    def size(self) -> tuple[int, float]:
+        """Pixels of a world, and what one set of observations has of them [MB].
+
+        Raises:
+            UsageError: unknown observation mode.
+        """
+        outputs = mode_outputs(self.obs_mode)
+        size = self.camera_size
+        height, width = (size, size) if isinstance(size, int) else size
+        pixels = self.cameras * height * width if outputs else 0
+        return pixels, sum(PIXEL_BYTES[name] for name in outputs) * pixels / 2**20
+
+
+def host_need(pictures: WorldPictures | None = None) -> Need:
     """What the worlds of backend cpu take of the machine's memory.
 
     Raises:
         UsageError: unknown observation mode.
     """
-    pixels, images = _pictures(obs_mode, camera_size, cameras)
+    pixels, images = (pictures or WorldPictures()).size()
     return Need(BASE_MB, WORLD_MB + OBS_COPIES * images + RASTER_BYTES * pixels / 2**20)
 
 
 def device_need(
-    obs_mode: str = "state",
-    camera_size: int | tuple[int, int] = 128,
-    cameras: int = CAMERAS,
+    pictures: WorldPictures,
     copies: int = WARP_OBS_COPIES,
     world_mb: float = WARP_WORLD_MB,
 ) -> Need:
     """What the worlds of backend warp take of the device's memory.
 
     Args:
-        obs_mode, camera_size, cameras: of the pictures.
+        pictures: of one world.
         copies: of the pictures that are kept as observations.
         world_mb: a world without pictures [MB].
 
     Raises:
         UsageError: unknown observation mode.
     """
-    pixels, images = _pictures(obs_mode, camera_size, cameras)
+    pixels, images = pictures.size()
     if not pixels:
         return Need(WARP_BASE_MB, world_mb)
-    wanted = mode_outputs(obs_mode)
+    wanted = mode_outputs(pictures.obs_mode)
     drawn = [
         size for name, size in WARP_PIXEL_BYTES.items() if name in wanted or "pointcloud" in wanted
     ]
     # Scratch of a world: lists of what moves per tile of 16 x 16 pixels; with colours light by pixel and by 4 x 4 cell.
     scratch = pixels / 256 * (4 + 2 * WARP_MOVERS) + pixels * (8 + 12 / 16)
-    poses = 48 * (WARP_MOVERS + cameras)
+    poses = 48 * (WARP_MOVERS + pictures.cameras)
     return Need(
         WARP_BASE_MB + WARP_SCENE_MB + WARP_DRAWN_AT_ONCE * scratch / 2**20,
         world_mb + copies * images + (sum(drawn) * pixels + poses) / 2**20,
     )
-
-
-def _pictures(obs_mode: str, camera_size: int | tuple[int, int], cameras: int) -> tuple[int, float]:
-    """Pixels of a world, and what one set of observations has of them [MB]."""
-    outputs = mode_outputs(obs_mode)
-    height, width = (camera_size, camera_size) if isinstance(camera_size, int) else camera_size
-    pixels = cameras * height * width if outputs else 0
-    return pixels, sum(PIXEL_BYTES[name] for name in outputs) * pixels / 2**20
 
 
 def check_memory(num_envs: int) -> None:
@@ -117,17 +126,16 @@ def check_memory(num_envs: int) -> None:
 
 def check_device_memory(
     num_envs: int,
-    obs_mode: str = "state",
-    camera_size: int | tuple[int, int] = 128,
+    pictures: WorldPictures | None = None,
     device: str = "",
-    cameras: int = CAMERAS,
     copies: int = WARP_OBS_COPIES,
     world_mb: float = WARP_WORLD_MB,
 ) -> None:
     """Refuse a number of worlds of backend warp that does not fit into the device's memory; imports Warp.
 
     Args:
-        num_envs: worlds. obs_mode, camera_size: as in `EnvConfig`. cameras: their number.
+        num_envs: worlds.
+        pictures: of one world; none if not given.
         device: a Warp device, "" for the first GPU. For "cpu" the memory of this machine counts.
         copies, world_mb: see `device_need`.
 
@@ -139,7 +147,7 @@ def check_device_memory(
     opened = open_device(device)
     free = free_mb(opened) if opened.is_cuda else available_mb()
     _check(
-        device_need(obs_mode, camera_size, cameras, copies, world_mb),
+        device_need(pictures or WorldPictures(), copies, world_mb),
         num_envs,
         free,
         f"on {opened}",

@@ -57,12 +57,25 @@ class Grasps:
         return Grasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
+@dataclass(frozen=True, eq=False)
+class LyingObject:
+    """An object as it lies: ``pos`` (3,) and ``rot`` (3, 3): its pose; ``support_z``: height of what it rests on."""
+
+    shape: ObjectShape
+    pos: Array
+    rot: Array
+    support_z: float
+
+    @classmethod
+    def of(cls, shape: ObjectShape, pose: Array, support_z: float) -> LyingObject:
+        """An object at a pose (7,): position and quaternion wxyz."""
+        pose = np.asarray(pose, dtype=np.float64)
+        return cls(shape, pose[:3], mat_from_quat(pose[3:]), support_z)
+
+
 def grasp_candidates(
-    shape: ObjectShape,
-    pos: Array,
-    quat: Array,
+    obj: LyingObject,
     *,
-    support_z: float,
     neighbours: Boxes | None = None,
     robot_xy: Array | None = None,
     gripper: Gripper | None = None,
@@ -71,9 +84,7 @@ def grasp_candidates(
     """All sensible grasps of one object, best first; none when it cannot be grasped as it lies.
 
     Args:
-        shape: the object.
-        pos, quat: (3,) and (4,) pose of the object; it may lie in any way.
-        support_z: height of the surface it rests on; the gripper stays above it.
+        obj: the object; it may lie in any way. The gripper stays above the surface it rests on.
         neighbours: boxes (other objects, drawer walls, shelves above) the gripper must not touch on its way.
         robot_xy: (2,) where the robot is: approaches away from it score higher.
         gripper: sizes of the hand; those of the default robot if not given. options: weights.
@@ -83,10 +94,8 @@ def grasp_candidates(
     """
     gripper = gripper or robot_named().gripper
     options = options or Options()
-    pos = np.asarray(pos, dtype=np.float64)
-    rot = mat_from_quat(np.asarray(quat, dtype=np.float64))
-    pinches = pinches_of(shape, pos, rot, gripper, options)
-    parts = [_place(pinch, shape, pos, rot, support_z, gripper, options) for pinch in pinches]
+    pinches = pinches_of(obj.shape, obj.pos, obj.rot, gripper, options)
+    parts = [_place(pinch, obj, gripper, options) for pinch in pinches]
     if not any(len(part[0]) for part in parts):
         return _empty()
     tcp, turn, width, opening, quality = (
@@ -101,7 +110,7 @@ def grasp_candidates(
     opening = np.tile(opening, 2)
     pre = tcp - options.retreat * turn[:, :, 0]
     clear = approach_clearance(tcp, turn, opening, pre, neighbours, gripper)
-    kind, score = _score(pos, turn, quality, clear, robot_xy, options)
+    kind, score = _score(obj.pos, turn, quality, clear, robot_xy, options)
     found = Grasps(tcp, turn, pre, width, opening, clear, kind, score)
     order = np.argsort(-score, kind="stable")
     return found.take(order[clear[order] >= options.least_clear_m])
@@ -158,13 +167,7 @@ def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
 
 
 def _place(
-    pinch: Pinch,
-    shape: ObjectShape,
-    pos: Array,
-    rot: Array,
-    support_z: float,
-    gripper: Gripper,
-    options: Options,
+    pinch: Pinch, obj: LyingObject, gripper: Gripper, options: Options
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Tool centres for one way of closing, those that are possible: positions, rotations, widths, openings with which
     to approach, qualities."""
@@ -178,12 +181,12 @@ def _place(
     turn = frame_from_axes(approach, np.broadcast_to(pinch.closing, approach.shape))
     opening = min(pinch.width + options.spread, pinch.most_open, gripper.opening)
     lowest = _lowest(turn, opening, gripper)
-    room = support_z + options.floor_gap - lowest
+    room = obj.support_z + options.floor_gap - lowest
     if pinch.at is None:
-        reach = _extent(shape, rot, approach)
-        across = _extent(shape, rot, turn[:, :, 2])
+        reach = _extent(obj.shape, obj.rot, approach)
+        across = _extent(obj.shape, obj.rot, turn[:, :, 2])
         shifts = np.maximum(across - 0.015, 0.0)[:, None] * np.array([0.0, -0.5, 0.5, -0.95, 0.95])
-        at = pos + shifts[..., None] * turn[:, None, :, 2]
+        at = obj.pos + shifts[..., None] * turn[:, None, :, 2]
         deepest = -reach - gripper.palm_x[1] - options.palm_gap
         fall = np.maximum(-approach[:, 2], 1e-9)[:, None]
         floor = np.where(fall > 0.05, (at[..., 2] - room[:, None]) / fall, np.inf)
@@ -195,7 +198,7 @@ def _place(
         room = np.repeat(room, count)
     else:
         at = pinch.at
-    held, off = _overlap(pinch, pos, at, turn, gripper)
+    held, off = _overlap(pinch, obj.pos, at, turn, gripper)
     keep = (at[:, 2] >= room - 1e-6) & (held >= pinch.least)
     # Narrow things forgive errors of the approach: at the widest the pads pass with 3 mm to spare on each side.
     quality = (

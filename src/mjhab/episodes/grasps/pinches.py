@@ -173,6 +173,17 @@ def _box_pinches(
         yield Pinch(rot[:, i], fan, face, width, least=0.014, measure=size, planar=True)
 
 
+@dataclass(frozen=True, eq=False)
+class _Can:
+    """A cylinder as it lies: radius and half of its length [m], centre (3,), unit axis (3,), points (P, 3) along it."""
+
+    radius: float
+    half: float
+    pos: Array
+    axis: Array
+    line: Array
+
+
 def _cylinder_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
@@ -180,6 +191,7 @@ def _cylinder_pinches(
     half = shape.half[2]
     axis = rot[:, 2]
     line = pos + np.linspace(-half, half, 81)[:, None] * axis
+    can = _Can(radius, half, pos, axis, line)
     for angle in np.arange(12) * np.pi / 12:
         closing = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         if 2 * radius <= gripper.usable:
@@ -187,8 +199,8 @@ def _cylinder_pinches(
                 closing, _fan(closing, axis, options.fan), line, 2 * radius, measure=2 * half
             )
         else:
-            yield from _chord_pinches(radius, half, pos, axis, closing, line, gripper)
-            yield from _tip_pinches(radius, half, pos, axis, closing, line, gripper)
+            yield from _chord_pinches(can, closing, gripper)
+            yield from _tip_pinches(can, closing, gripper)
     if 2 * half <= gripper.usable:
         u, v = np.meshgrid(np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius)
         disk = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -205,15 +217,7 @@ def _cylinder_pinches(
         )
 
 
-def _chord_pinches(
-    radius: float,
-    half: float,
-    pos: Array,
-    axis: Array,
-    closing: Array,
-    line: Array,
-    gripper: Gripper,
-) -> Iterator[Pinch]:
+def _chord_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinch]:
     """A can too wide to go around: coming along its axis, the pads' edges meet it on a chord beside the axis.
 
     The normals lean from the closing line by asin(offset / radius), 21 degrees for the widest can of the benchmark;
@@ -221,45 +225,45 @@ def _chord_pinches(
     along the pads its normals lean more: the chord is as wide as the hand opens but for CHORD_PLAY_M.
     """
     width = gripper.opening - 2 * CHORD_PLAY_M
-    if width / 2 >= radius or radius - width / 2 > 0.012:
+    if width / 2 >= can.radius or can.radius - width / 2 > 0.012:
         return
-    offset = float(np.sqrt(radius**2 - (width / 2) ** 2))
-    across = np.cross(axis, closing)
+    offset = float(np.sqrt(can.radius**2 - (width / 2) ** 2))
+    across = np.cross(can.axis, closing)
     for side in (-1.0, 1.0):
-        chord = line + side * offset * across
-        for down in (-axis, axis):
-            deep = min(half, gripper.finger[0] + 0.027)
+        chord = can.line + side * offset * across
+        for down in (-can.axis, can.axis):
+            deep = min(can.half, gripper.finger[0] + 0.027)
             at = (
-                pos
-                - down * (half - deep + gripper.finger[0])
+                can.pos
+                - down * (can.half - deep + gripper.finger[0])
                 + side * (offset + gripper.finger[1]) * across
             )
-            yield Pinch(closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * half)
+            yield Pinch(
+                closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * can.half
+            )
 
 
-def _tip_pinches(
-    radius: float,
-    half: float,
-    pos: Array,
-    axis: Array,
-    closing: Array,
-    line: Array,
-    gripper: Gripper,
-) -> Iterator[Pinch]:
+def _tip_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinch]:
     """A can a little too wide to go around: coming from the side, the round edges of the fingertips hold it on a chord
     before the axis, as far back as the open hand gets. The more the tips miss the axis, the sooner it is lost."""
     width = gripper.opening - 2 * gripper.play
-    if not 0.0 < radius - width / 2 < 0.004:
+    if not 0.0 < can.radius - width / 2 < 0.004:
         return
-    offset = float(np.sqrt(radius**2 - (width / 2) ** 2))
+    offset = float(np.sqrt(can.radius**2 - (width / 2) ** 2))
     tip = gripper.finger[0]
-    heights = np.linspace(-1.0, 1.0, 7)[:, None] * max(half - gripper.finger[1], 0.0) * axis
+    heights = np.linspace(-1.0, 1.0, 7)[:, None] * max(can.half - gripper.finger[1], 0.0) * can.axis
     for side in (-1.0, 1.0):
-        approach = side * np.cross(axis, closing)
-        at = pos + heights - (offset + tip) * approach
-        chord = line - (offset + 1e-4) * approach
+        approach = side * np.cross(can.axis, closing)
+        at = can.pos + heights - (offset + tip) * approach
+        chord = can.line - (offset + 1e-4) * approach
         yield Pinch(
-            closing, np.tile(approach, (len(at), 1)), chord, width, at, bonus=-0.6, measure=2 * half
+            closing,
+            np.tile(approach, (len(at), 1)),
+            chord,
+            width,
+            at,
+            bonus=-0.6,
+            measure=2 * can.half,
         )
 
 

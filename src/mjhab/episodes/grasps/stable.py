@@ -20,7 +20,7 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
-from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.candidates import Grasps, LyingObject, ObjectShape, grasp_candidates
 from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.layout.compile import home_hash
 from mjhab.robots.parts import Gripper
@@ -243,7 +243,7 @@ class StableGrasps:
         pack = self.layout.pack
         shape = shape_of(pack.objects[kind], pack.meshes, self.robot.gripper)
         candidates = grasp_candidates(
-            shape, np.zeros(3), _UPRIGHT, support_z=-shape.half[2], gripper=self.robot.gripper
+            LyingObject(shape, np.zeros(3), np.eye(3), -shape.half[2]), gripper=self.robot.gripper
         )
         steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_APPROACH_SLANT_RAD)
         if steep.any():

@@ -1,4 +1,7 @@
-"""The result file of a score: it holds all records and actions, so that its numbers can be verified."""
+"""The result file of a score: it holds all records and actions, so that its numbers can be verified.
+
+Beside it lies its summary: what tables show, without the episodes.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.records import EpisodeRecord
 
 FORMAT = "mjhab-score"
+SUMMARY_FORMAT = "mjhab-score-summary"
 VERSION = 1
 MAX_FILE_BYTES = 1 << 30
 
@@ -38,7 +42,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Result:
-    """Content of a result file.
+    """Content of a result file, or of its summary, which has no episodes.
 
     facts: policy, track, versions and hardware, as JSON data. summary: see `summary_of`. digest: see `digest_of`.
     """
@@ -142,6 +146,68 @@ def write_result(path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored
     return read_result(path)
 
 
+def write_summary(path: Path, result: Result) -> None:
+    """Write what tables show of a result: facts, numbers, and the digest of the result file."""
+    content = {
+        "format": SUMMARY_FORMAT,
+        "version": VERSION,
+        "facts": dict(result.facts),
+        "summary": dict(result.summary),
+        "digest": result.digest,
+    }
+    text = json.dumps(content, indent=1) + "\n"
+    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def read_for_table(path: Path) -> Result:
+    """Read a result file, or its summary, whose numbers cannot be verified; the episodes of the latter are left out.
+
+    Raises:
+        UsageError: see `read_result`.
+    """
+    content = _read_json(path)
+    if content.get("format") != SUMMARY_FORMAT:
+        return read_result(path)
+    if content.get("version") != VERSION:
+        raise UsageError(
+            f"{path} is not a summary of version {VERSION}; `mjhab score` writes them."
+        )
+    try:
+        result = Result(
+            dict(content["facts"]), dict(content["summary"]), (), str(content["digest"])
+        )
+        asked = result.manifest
+        made_for = result.facts["manifest"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise UsageError(f"{path} is damaged: {error!r}.") from error
+    _check_facts(path, result.facts, asked)
+    _check_manifest(path, made_for, asked)
+    # Without episodes the numbers cannot be computed again, but their places are known.
+    empty = json.loads(json.dumps(summary_of(asked, ())))
+    if not _is_like({**result.summary, "labels": {}}, empty):
+        raise UsageError(f"{path} is damaged: its summary is not that of a score.")
+    return result
+
+
+def _is_like(value: object, example: object) -> bool:
+    """Whether JSON data have the same keys, lengths and texts as an example, and numbers where it has some."""
+    if isinstance(example, dict):
+        return (
+            isinstance(value, dict)
+            and value.keys() == example.keys()
+            and all(_is_like(value[key], example[key]) for key in example)
+        )
+    if isinstance(example, list):
+        return (
+            isinstance(value, list)
+            and len(value) == len(example)
+            and all(_is_like(*pair) for pair in zip(value, example, strict=True))
+        )
+    if isinstance(example, str):
+        return value == example
+    return isinstance(value, int | float) or (value is None and example is None)
+
+
 def digest_of(content: Mapping[str, Any]) -> str:
     """SHA-256 over the content of a result file without its digest."""
     rest = {key: value for key, value in content.items() if key != "digest"}
@@ -156,6 +222,10 @@ def read_result(path: Path) -> Result:
         UsageError: it is not a result file, it was edited, or its numbers do not follow from its episodes.
     """
     content = _read_json(path)
+    if content.get("format") == SUMMARY_FORMAT:
+        raise UsageError(
+            f"{path} is a summary, which has no episodes to verify; give the result.json beside it."
+        )
     if content.get("format") != FORMAT or content.get("version") != VERSION:
         raise UsageError(
             f"{path} is not a result file of version {VERSION}; `mjhab score` writes them."
@@ -184,11 +254,7 @@ def read_result(path: Path) -> Result:
     lacking = sorted({episode.row for episode in episodes} - set(result.facts["policies"]))
     if lacking:
         raise UsageError(f"{path} was edited: facts.policies lacks {', '.join(lacking)}.")
-    if made_for != asked.digest:
-        raise UsageError(
-            f"{path} was made with the manifest {made_for}, and this version of mjhab has {asked.digest}: such scores "
-            "cannot be compared. Score the policy again."
-        )
+    _check_manifest(path, made_for, asked)
     if json.loads(json.dumps(summary_of(asked, episodes))) != result.summary:
         raise UsageError(f"{path} was edited: its numbers do not follow from its episodes.")
     return result
@@ -228,6 +294,14 @@ def _check_facts(path: Path, facts: Mapping[str, Any], asked: Manifest) -> None:
             about.get("env_options") if isinstance(about, dict) else None, dict
         ):
             raise UsageError(f"{path} was edited: facts.policies[{row.name!r}] has no env_options.")
+
+
+def _check_manifest(path: Path, made_for: object, asked: Manifest) -> None:
+    if made_for != asked.digest:
+        raise UsageError(
+            f"{path} was made with the manifest {made_for}, and this version of mjhab has {asked.digest}: such scores "
+            "cannot be compared. Score the policy again."
+        )
 
 
 def _check_names(path: Path, asked: Manifest, episodes: Sequence[Scored]) -> None:

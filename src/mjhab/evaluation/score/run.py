@@ -7,7 +7,6 @@ import os
 import platform
 import secrets
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +27,7 @@ from mjhab.evaluation.score.actions import (
 )
 from mjhab.evaluation.score.capabilities import capabilities_of
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
-from mjhab.evaluation.score.result import Result, Scored, write_result
+from mjhab.evaluation.score.result import Result, Scored, write_result, write_summary
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.records import EpisodeRecord
@@ -39,6 +38,7 @@ FREE_OPTIONS = frozenset(
 )
 """Environment options that a policy may choose: observations, control and robot. The benchmark fixes all others."""
 RESULT_FILE = "result.json"
+SUMMARY_FILE = "summary.json"
 CHECKED_EPISODES = 100
 """Largest number of episodes that a check replays."""
 
@@ -88,7 +88,7 @@ class Checked:
 
 
 def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda _: ()) -> Result:
-    """Run the missing episodes of a score and write its result file, ``out/result.json``.
+    """Run the missing episodes of a score and write ``out/result.json``, and what tables show of it as summary.json.
 
     Args:
         spec: the score.
@@ -98,7 +98,7 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         UsageError: a name is unknown; the policy needs other rules; or the folder holds another run.
     """
     asked = manifest(spec.track, spec.split, spec.robot)
-    started = time.perf_counter()
+    seconds = 0.0
     episodes: list[Scored] = []
     policies: dict[str, Any] = {}
     for row in asked.rows:
@@ -118,11 +118,15 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         evaluation = evaluation_of(spec, asked, row, options)
         kept = spec.out / "actions" / row.name
         run = run_evaluation(evaluation, [ActionKeeper(kept), *sinks(evaluation)])
+        # The summary of a run counts its earlier starts, too.
+        seconds += run.summary["seconds"]
         episodes += [_scored(row, record, kept) for record in _wanted(run, evaluation)]
     if not policies:
         raise UsageError(f"{spec.policy} has no policy for any row of the track {spec.track}.")
-    seconds = time.perf_counter() - started
-    return write_result(spec.out / RESULT_FILE, facts_of(spec, asked, policies, seconds), episodes)
+    facts = facts_of(spec, asked, policies, seconds)
+    result = write_result(spec.out / RESULT_FILE, facts, episodes)
+    write_summary(spec.out / SUMMARY_FILE, result)
+    return result
 
 
 def evaluation_of(
@@ -198,7 +202,7 @@ def scored_options(facts: PolicyFacts) -> dict[str, Any]:
 def facts_of(
     spec: ScoreSpec, asked: Manifest, policies: Mapping[str, Any], seconds: float
 ) -> dict[str, Any]:
-    """Facts of a result file: policy, track, versions, hardware and time."""
+    """Facts of a result file: policy, track, versions, hardware, and wall time of all starts [s]."""
     first = next(iter(policies.values()))
     return {
         "track": asked.track,

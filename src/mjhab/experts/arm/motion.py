@@ -19,7 +19,7 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.base.navigation import Follower, Planner
+from mjhab.experts.base.navigation import FloorClearance, Follower, Planner
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
@@ -67,9 +67,7 @@ def planner(home: HomeShapes) -> Planner:
 def _planner(home: HomeShapes) -> Planner:
     # There is little time: a base that knows its way needs no wide berth.
     return Planner(
-        home.map_origin,
-        home.map_cell,
-        home.map_clearance,
+        FloorClearance(home.map_origin, home.map_cell, home.map_clearance),
         radius=home.robot.footprint.wide,
         comfort=0.12,
         caution=2.0,

@@ -26,13 +26,21 @@ NARROW_FACTOR = 20.0
 """Factor on the cost of a metre where the clearance is less than ``radius``: larger than any detour through a home."""
 
 
+@dataclass(frozen=True, eq=False)
+class FloorClearance:
+    """A map of a floor: ``origin`` (2,): world xy [m] of the corner of cell (0, 0); ``cell``: edge length [m];
+    ``clearance`` (nx, ny): distance of each cell's centre to the nearest obstacle [m]."""
+
+    origin: Sequence[float] | Array
+    cell: float
+    clearance: Array
+
+
 class Planner:
     """Shortest ways over one map; build it once per home, it holds the graph of the free cells.
 
     Args:
-        origin: (2,) world xy of the corner of cell (0, 0).
-        cell: edge length of a cell.
-        clearance: (nx, ny) distance of each cell's centre to the nearest obstacle.
+        floor: the map.
         radius: clearance the base should have.
         narrow: clearance it can do with where there is no other way; as ``radius`` if not given.
         comfort: clearance beyond ``radius`` that is worth a detour; a cell at ``radius`` costs ``1 + caution`` times
@@ -42,20 +50,18 @@ class Planner:
 
     def __init__(
         self,
-        origin: Sequence[float] | Array,
-        cell: float,
-        clearance: Array,
+        floor: FloorClearance,
         radius: float = 0.3,
         comfort: float = 0.25,
         caution: float = 4.0,
         narrow: float | None = None,
     ) -> None:
-        self.origin = np.asarray(origin, dtype=np.float64)
-        self.cell = float(cell)
+        self.origin = np.asarray(floor.origin, dtype=np.float64)
+        self.cell = float(floor.cell)
         self.radius = float(radius)
         self.comfort = float(comfort)
         self.caution = caution
-        self.clearance = np.asarray(clearance, dtype=np.float64)
+        self.clearance = np.asarray(floor.clearance, dtype=np.float64)
         self.free = self.clearance >= radius
         if not self.free.any():
             raise UsageError(

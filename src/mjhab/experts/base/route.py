@@ -16,7 +16,7 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care, eased
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.navigation import Planner
+from mjhab.experts.base.navigation import FloorClearance, Planner
 from mjhab.experts.base.pilot import MAX_SPEED_M_S, Pilot, simulate
 from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
@@ -78,9 +78,7 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     gap = nearest_box_distance(cells, flat).reshape(nx, ny) + OVERHANG_M
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
     return Planner(
-        plain.origin,
-        plain.cell,
-        clearance,
+        FloorClearance(plain.origin, plain.cell, clearance),
         plain.radius,
         plain.comfort,
         plain.caution,

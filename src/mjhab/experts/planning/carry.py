@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,24 +73,26 @@ def inside_depth(view: WorldView, point: Array) -> float:
     return 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class ReachIn:
+    """An arm stretched out into furniture: configuration ``q`` (J,), pose ``pos`` (3,), ``rot`` (3, 3) of the hand."""
+
+    q: Array
+    pos: Array
+    rot: Array
+
+
 def drive_in(
-    view: WorldView,
-    goal: Array,
-    pos: Array,
-    rot: Array,
-    boxes: Boxes,
-    *,
-    gripper: float,
-    hasty: bool = False,
+    view: WorldView, reach: ReachIn, boxes: Boxes, *, gripper: float, hasty: bool = False
 ) -> Motion:
-    """Drive straight on about to the base pose of the configuration ``goal`` (J,), the arm stretched out so that the
-    hand comes to ``pos`` (3,), ``rot`` (3, 3). Returns whether it got there; not when it is stuck.
+    """Drive straight on about to the base pose of a configuration, with the arm already stretched out. Returns whether
+    it got there; not when it is stuck.
 
     Small errors of the base sideways stay, steering would sweep the arm: where the arm would come too near to
     ``boxes``, it makes up for them before.
     """
     near, slow = HASTY_END_M if hasty else (0.02, 0.006)
-    goal = _lined_up(view, goal, pos, rot, boxes)
+    goal = _lined_up(view, reach, boxes)
     yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
     heading = float(goal[2])
     pressed = 0
@@ -139,9 +142,10 @@ def drive_out(
     return False
 
 
-def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes) -> Array:
-    """``goal`` (J,) with the base where straight on from here leads; where the arm so comes too near to something and
-    with a small change does not, such that the hand is at ``pos``, ``rot`` there all the same."""
+def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> Array:
+    """The configuration (J,) with the base where straight on from here leads. Where the arm so comes too near to the
+    boxes and with a small change does not, the arm brings the hand to its pose all the same."""
+    goal = reach.q
     q = view.q
     robot = view.robot.chain
     ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
@@ -151,7 +155,12 @@ def _lined_up(view: WorldView, goal: Array, pos: Array, rot: Array, boxes: Boxes
     if _room_in(view.robot, end, way, boxes) > IN_CLEARANCE_M:
         return end
     found = ik.solve(
-        robot, pos[None], rot[None], end[None, None], ik.columns(robot, torso=False), rest=goal
+        robot,
+        reach.pos[None],
+        reach.rot[None],
+        end[None, None],
+        ik.columns(robot, torso=False),
+        rest=goal,
     )
     near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MAX_CORRECTION_RAD
     better = near and _room_in(view.robot, found.q[0, 0], way, boxes) > _room_in(

@@ -175,46 +175,80 @@ def track(
     Returns:
         The stances that reach every way point, for each base path the one the arm gets to soonest from rest.
     """
-    robot = body.chain
-    dofs = ik.columns(robot)
-    rest = body.rest.copy()
-    start = np.repeat(seeds(body, tries)[None], len(base), axis=0)
-    start[:, :, BASE] = base[:, None, 0]
-    found = ik.solve(robot, pos[:, 0], rot[:, 0], start, dofs, rest=rest, mode=mode)
-    path = [ik.unwind(robot, found.q, rest).reshape(-1, robot.size)]
-    row = np.repeat(np.arange(len(base)), tries)
-    path[0][:, BASE] = base[row, 0]
-    ok = found.ok.reshape(-1)
-    path = [path[0][ok]]
-    row = row[ok]
-    travel = ik.travel_steps(robot, rest, path[0], dofs)
-    path, row = _drop(path, row, _quickest(row, travel, SEEDS_FOLLOWED))
-    path, row = _drop(path, row, _clear(body, path[0], boxes[0] if boxes else None))
+    paths = _HandPaths(base, pos, rot, mode)
+    first, row = _first_configurations(body, paths, tries)
+    path, row = _drop([first], row, _clear(body, first, boxes[0] if boxes else None))
     for k in range(1, base.shape[1]):
         if not len(row):
             break
-        now = path[-1].copy()
-        now[:, BASE] = base[row, k]
-        step = ik.solve(
-            robot,
-            pos[row, k],
-            rot[row, k],
-            now[:, None],
-            dofs,
-            rest=rest,
-            mode=mode,
-            options=ik.Options(iterations=15, rest_gain=0.0),
-        )
-        near = (
-            np.abs(step.q[:, 0, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0)
-            < MAX_JUMP_RAD
-        )
-        path, row = _drop([*path, step.q[:, 0]], row, step.ok[:, 0] & near)
+        following, reached = _next_configurations(body, paths, k, path[-1], row)
+        path, row = _drop([*path, following], row, reached)
         path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None))
     if not len(row):
-        return Stances(np.zeros((0, base.shape[1], robot.size)), np.zeros(0), np.zeros(0))
-    travel = ik.travel_steps(robot, rest, path[0], dofs)
-    back = ik.travel_steps(robot, rest, path[-1], dofs)
+        return Stances(np.zeros((0, base.shape[1], body.chain.size)), np.zeros(0), np.zeros(0))
+    return _soonest(body, path, row)
+
+
+@dataclass(frozen=True, eq=False)
+class _HandPaths:
+    """N paths of the hand with the base below it: ``base`` (N, K, 3), ``pos`` (N, K, 3) and ``rot`` (N, K, 3, 3) in
+    the plan frame; ``mode``: what part of the orientation counts."""
+
+    base: Array
+    pos: Array
+    rot: Array
+    mode: ik.Mode
+
+
+def _first_configurations(body: Robot, paths: _HandPaths, tries: int) -> tuple[Array, Array]:
+    """Configurations (R, Q) at the first way point, the `SEEDS_FOLLOWED` soonest reached ones of every path, and the
+    path (R,) that each belongs to."""
+    robot = body.chain
+    dofs = ik.columns(robot)
+    rest = body.rest.copy()
+    start = np.repeat(seeds(body, tries)[None], len(paths.base), axis=0)
+    start[:, :, BASE] = paths.base[:, None, 0]
+    found = ik.solve(
+        robot, paths.pos[:, 0], paths.rot[:, 0], start, dofs, rest=rest, mode=paths.mode
+    )
+    q = ik.unwind(robot, found.q, rest).reshape(-1, robot.size)
+    row = np.repeat(np.arange(len(paths.base)), tries)
+    q[:, BASE] = paths.base[row, 0]
+    ok = found.ok.reshape(-1)
+    q = q[ok]
+    row = row[ok]
+    keep = _quickest(row, ik.travel_steps(robot, rest, q, dofs), SEEDS_FOLLOWED)
+    return q[keep], row[keep]
+
+
+def _next_configurations(
+    body: Robot, paths: _HandPaths, k: int, before: Array, row: Array
+) -> tuple[Array, Array]:
+    """Configurations (R, Q) at way point ``k``, from those at the way point before it, and whether (R,) each reaches
+    it without a jump."""
+    now = before.copy()
+    now[:, BASE] = paths.base[row, k]
+    step = ik.solve(
+        body.chain,
+        paths.pos[row, k],
+        paths.rot[row, k],
+        now[:, None],
+        ik.columns(body.chain),
+        rest=body.rest.copy(),
+        mode=paths.mode,
+        options=ik.Options(iterations=15, rest_gain=0.0),
+    )
+    q = step.q[:, 0]
+    jump = np.abs(q[:, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0)
+    return q, step.ok[:, 0] & (jump < MAX_JUMP_RAD)
+
+
+def _soonest(body: Robot, path: list[Array], row: Array) -> Stances:
+    """Of every path the stance (K times (R, Q)) with the least steps from and to rest."""
+    robot = body.chain
+    dofs = ik.columns(robot)
+    travel = ik.travel_steps(robot, body.rest, path[0], dofs)
+    back = ik.travel_steps(robot, body.rest, path[-1], dofs)
     order = np.lexsort((travel + back, row))
     _, first = np.unique(row[order], return_index=True)
     chosen = order[first]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -120,24 +121,32 @@ def _level(yaw: Array) -> Array:
     return stances.hand(forward, np.stack([-forward[:, 1], forward[:, 0], 0.0 * yaw], axis=-1))
 
 
+@dataclass(frozen=True, eq=False)
+class _HandPath:
+    """Hand poses ``pos`` (K, 3), ``rot`` (K, 3, 3) in the plan frame at K angles (K,) of a door [rad]."""
+
+    pos: Array
+    rot: Array
+    angles: Array
+
+
 def _search(
     robot: Robot,
     link: JointedLink,
     base: Array,
-    pos: Array,
-    rot: Array,
-    angles: Array,
+    hands: _HandPath,
     tries: int,
     mode: ik.Mode = "pose",
 ) -> Stances:
-    base = base[_in_reach(robot, base, pos)]
+    """Stances along one path of the hand, for those of the base paths (N, K, 3) from which the arm may reach it."""
+    base = base[_in_reach(robot, base, hands.pos)]
     n = len(base)
     return stances.track(
         robot,
         base,
-        np.broadcast_to(pos, (n, *pos.shape)),
-        np.broadcast_to(rot, (n, *rot.shape)),
-        [_with_door(link, float(a)) for a in angles],
+        np.broadcast_to(hands.pos, (n, *hands.pos.shape)),
+        np.broadcast_to(hands.rot, (n, *hands.rot.shape)),
+        [_with_door(link, float(a)) for a in hands.angles],
         tries=tries,
         mode=mode,
     )
@@ -159,7 +168,7 @@ def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stanc
         yaw = m * (first + (last - first) * share)
         pos = grip.copy()
         pos[0] += PRE_GRASP_M * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
-        found.append(_search(robot, link, base, pos, _level(yaw), angles, tries=5))
+        found.append(_search(robot, link, base, _HandPath(pos, _level(yaw), angles), tries=5))
     return Stances.join(found)
 
 
@@ -196,18 +205,8 @@ def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
             at, bar, out = link.handle_pose(float(angle))
             across = np.array([-out[1], out[0], 0.0])
             pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR_M) * bar)
+        hands = _HandPath(np.array(pos), _level(m * yaw), angles)
         # Few stances reach behind a wide open door: a finer search there.
         tries = 5 if half else 8
-        found.append(
-            _search(
-                robot,
-                link,
-                base,
-                np.array(pos),
-                _level(m * yaw),
-                angles,
-                tries=tries,
-                mode="approach",
-            )
-        )
+        found.append(_search(robot, link, base, hands, tries=tries, mode="approach"))
     return Stances.join(found)

@@ -210,7 +210,8 @@ def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
     handles = [link.handle_pose(max(float(value), 0.0))[0] for value in values]
     pos = np.stack([handles[0] + PRE_GRASP_M * out, *handles[1:]])
     boxes = [link.boxes(max(float(value), 0.0)) for value in values]
-    base = _square(handles[0], np.arange(0.86, 1.03, 0.04), np.linspace(-0.24, 0.24, 9))
+    # Wide to both sides: a near stance needs less turning on the way, which is hard to imitate.
+    base = _square(handles[0], np.arange(0.78, 1.03, 0.04), np.linspace(-0.54, 0.54, 19))
     opened = np.clip(values, 0.0, None)
     found = []
     for way in ARM_WAYS_M:

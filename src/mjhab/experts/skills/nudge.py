@@ -23,7 +23,7 @@ from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
-from mjhab.experts.planning.carry import drive_in
+from mjhab.experts.planning.carry import ReachIn, drive_in
 from mjhab.experts.planning.reach import (
     CLEARANCES_M,
     HandGoals,
@@ -291,30 +291,36 @@ def nudge(view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Grasp
     arrived = yield from follow(view, stance.route, gripper=motion.OPEN)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE_N:
         return False
+    reach = ReachIn(stance.pre, pre, rot)
     if plan.depth and not (
-        yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=motion.OPEN, hasty=True)
+        yield from drive_in(view, reach, boxes, gripper=motion.OPEN, hasty=True)
     ):
         return False
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     rest = stance.at if joints is None else joints[1]
-    return (yield from _push(view, obj, plan, rot, float(pos[2]), rest, graspable))
+    hand = _PushingHand(rot, float(pos[2]), rest)
+    return (yield from _push(view, obj, plan, hand, graspable))
+
+
+@dataclass(frozen=True, eq=False)
+class _PushingHand:
+    """How the hand pushes: rotation ``rot`` (3, 3) and ``height`` [m] of the tool centre; preferred posture ``rest``
+    (J,)."""
+
+    rot: Array
+    height: float
+    rest: Array
 
 
 def _push(
-    view: WorldView,
-    obj: str,
-    plan: Nudge,
-    rot: Array,
-    height: float,
-    rest: Array,
-    graspable: Graspable,
+    view: WorldView, obj: str, plan: Nudge, hand: _PushingHand, graspable: Graspable
 ) -> Motion:
-    """Push inwards at a ``height``, keeping to the end of the box as it turns; ``rest`` (J,): preferred posture."""
+    """Push inwards, keeping to the end of the box as it turns."""
     start = mat_from_quat(view.object_pose(obj)[3:])
     half = view.object_type(obj).half
     front, along = sorted(_level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward)))
     robot = view.robot.chain
-    corner = _corner(view.robot.gripper, rot, plan.inward)[:2]
+    corner = _corner(view.robot.gripper, hand.rot, plan.inward)[:2]
     turn = 0.0
     to_front = -np.sign(start[:2, front] @ plan.inward) * half[front]
     to_end = np.sign(start[:2, along] @ plan.outer) * (half[along] - INSET_M)
@@ -325,11 +331,16 @@ def _push(
         here, here_rot = motion.tcp(view)
         aside = np.clip((end - here[:2] - corner) @ plan.outer, -MAX_ASIDE_M, MAX_ASIDE_M)
         aim = np.array(
-            [*(here[:2] + PUSH_SPEED_M_S * STEP_SECONDS * plan.inward + aside * plan.outer), height]
+            [
+                *(here[:2] + PUSH_SPEED_M_S * STEP_SECONDS * plan.inward + aside * plan.outer),
+                hand.height,
+            ]
         )
-        aim_rot = ik.straight_line(here[None], aim[None], here_rot[None], rot[None], 1.0, 0.05)[1]
+        aim_rot = ik.straight_line(
+            here[None], aim[None], here_rot[None], hand.rot[None], 1.0, 0.05
+        )[1]
         delta = ik.servo(
-            robot, view.q, aim[None], aim_rot, ik.columns(robot, torso=False), rest=rest
+            robot, view.q, aim[None], aim_rot, ik.columns(robot, torso=False), rest=hand.rest
         )[0]
         yield motion.action(view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.OPEN)
         pose = view.object_pose(obj)

@@ -11,7 +11,13 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.candidates import Grasps, ObjectShape, Options, grasp_candidates
+from mjhab.episodes.grasps.candidates import (
+    Grasps,
+    LyingObject,
+    ObjectShape,
+    Options,
+    grasp_candidates,
+)
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow, holds
@@ -19,6 +25,7 @@ from mjhab.experts.planning.carry import (
     HASTY_SPEED_M_S,
     OUT_SPEED_M_S,
     SHELF_DEPTH_M,
+    ReachIn,
     drive_in,
     drive_out,
     go_home,
@@ -192,10 +199,7 @@ def plan_pick(
         every = _shelf_grasps(shape, pose, scene, _inward(view, pose), around, _CLEAR[-1][0])
     else:
         every = grasp_candidates(
-            shape,
-            pose[:3],
-            pose[3:],
-            support_z=scene.support_z,
+            LyingObject.of(shape, pose, scene.support_z),
             neighbours=around,
             gripper=view.robot.gripper,
             options=OPTIONS,
@@ -243,10 +247,7 @@ def _shelf_grasps(
     gripper = replace(hand, usable=hand.shelf_usable, blunt=SHELF_BLUNT_M)
     for options in (SHELF_OPTIONS, LOW_SHELF_OPTIONS):
         found = grasp_candidates(
-            shape,
-            pose[:3],
-            pose[3:],
-            support_z=scene.support_z,
+            LyingObject.of(shape, pose, scene.support_z),
             neighbours=around,
             options=replace(options, inward=inward, least_clear_m=clear),
             gripper=gripper,
@@ -402,7 +403,11 @@ def _take(
         hasty = hasty or view.steps_left < LATE_IN_STEPS
         if not (
             yield from drive_in(
-                view, stance.pre, goal.pre[0], goal.rot[0], boxes, gripper=opening, hasty=hasty
+                view,
+                ReachIn(stance.pre, goal.pre[0], goal.rot[0]),
+                boxes,
+                gripper=opening,
+                hasty=hasty,
             )
         ):
             return False

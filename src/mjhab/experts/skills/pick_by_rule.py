@@ -6,7 +6,7 @@ import numpy as np
 
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.grasps.candidates import grasp_candidates
+from mjhab.episodes.grasps.candidates import LyingObject, grasp_candidates
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.planning.carry import inside_depth
@@ -100,10 +100,7 @@ def plan(view: WorldView, obj: str) -> tuple[Stance, Array, Array] | None:
         return None
     scene = search.scene_of(view, obj)
     every = grasp_candidates(
-        view.object_shape(obj),
-        pose[:3],
-        pose[3:],
-        support_z=scene.support_z,
+        LyingObject.of(view.object_shape(obj), pose, scene.support_z),
         neighbours=scene.beside.near(pose[:3], 0.5),
         gripper=view.robot.gripper,
         options=search.OPTIONS,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,14 @@ from mjhab.experts.arm.release import (
     tipped,
 )
 from mjhab.experts.base.route import follow, holds
-from mjhab.experts.planning.carry import drive_in, go_home, grip, held_spheres, inside_depth
+from mjhab.experts.planning.carry import (
+    ReachIn,
+    drive_in,
+    go_home,
+    grip,
+    held_spheres,
+    inside_depth,
+)
 from mjhab.experts.planning.reach import (
     CLEARANCES_M,
     Blocked,
@@ -133,9 +140,10 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
             if style.release == DROP_IT
             else DROP_HEIGHTS_M[nothing % len(DROP_HEIGHTS_M)]
         )
-        found = plan_place(view, obj, goal, failed, attempt, drop, hurry)
+        tried = Attempt(attempt, failed, drop, hurry)
+        found = plan_place(view, obj, goal, tried)
         if found is None and style.release == DROP_IT:
-            found = plan_place(view, obj, goal, failed, attempt, hurry=hurry)
+            found = plan_place(view, obj, goal, replace(tried, drop=0.0))
         if found is not None and (best is None or _worth(view, found) > _worth(view, best)):
             best = found
         if attempt < 2 and (best is None or _worth(view, best) < (True, MAX_DEFICIT_M)):
@@ -176,20 +184,40 @@ def _rest(view: WorldView) -> Motion:
     return False
 
 
-def plan_place(
-    view: WorldView,
-    obj: str,
-    goal: Array,
-    failed: Array,
-    attempt: int = 0,
-    drop: float = 0.0,
-    hurry: bool = False,
-) -> Found | None:
-    """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`.
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One try to put an object to its goal.
 
-    ``drop``: how high above its place in the open it is let go [m]. ``hurry``: drive faster and no farther than needed,
-    where the time or the room on the way would not do.
+    Attributes:
+        number: of the tries before it.
+        failed: (N, 3) base poses from which it did not come off.
+        drop: height above its place in the open in which the hand lets go [m].
+        hurry: drive faster and no farther than needed, where the time or the room on the way would not do.
     """
+
+    number: int
+    failed: Array
+    drop: float = 0.0
+    hurry: bool = False
+
+
+@dataclass(frozen=True)
+class Release:
+    """How the hand may let go of an object.
+
+    Attributes:
+        shelf: something is above: lean the hand forwards too, and begin lower.
+        any_side: the object may come to lie on any of its sides.
+        drop: height that it falls [m].
+    """
+
+    shelf: bool
+    any_side: bool
+    drop: float = 0.0
+
+
+def plan_place(view: WorldView, obj: str, goal: Array, attempt: Attempt) -> Found | None:
+    """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`."""
     near, _ = surroundings(view, obj, goal)
     support = float(goal[2]) - view.object_type(obj).half[2]
     scene = Scene(
@@ -198,44 +226,36 @@ def plan_place(
         support,
         view.robot,
         held_spheres(view, obj),
-        care_for(view, hurry),
+        care_for(view, attempt.hurry),
     )
     depth = inside_depth(view, goal)
-    goals = roomy(
-        view, obj, goal, near, shelf=depth > 0.0, attempt=attempt, drop=0.0 if depth else drop
-    )
+    # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
+    late = attempt.number > 1
+    inside = depth > 0.0
+    release = Release(inside, inside or late, 0.0 if depth else attempt.drop)
+    goals = roomy(view, obj, goal, near, release)
     if not len(goals) and not depth:
         # A board above leaves no room to come from above, though nothing calls the place a shelf.
-        goals = roomy(view, obj, goal, near, shelf=True, attempt=attempt)
+        goals = roomy(view, obj, goal, near, Release(shelf=True, any_side=True))
     blocked: list[Blocked] = []
     work = Work(
         point=goal,
         goals=goals,
         scene=scene,
         drive_in=depth,
-        avoid=failed,
-        room=CLEARANCES_M[min(attempt, 2)],
+        avoid=attempt.failed,
+        room=CLEARANCES_M[min(attempt.number, 2)],
         nearer=HAND_NEARER_M,
-        far=hurry,
+        far=attempt.hurry,
         home=HOME_WEIGHT,
     )
     found = stances(view, work, blocked)
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
-def roomy(
-    view: WorldView,
-    obj: str,
-    goal: Array,
-    near: Boxes,
-    *,
-    shelf: bool,
-    attempt: int,
-    drop: float = 0.0,
-) -> HandGoals:
+def roomy(view: WorldView, obj: str, goal: Array, near: Boxes, release: Release) -> HandGoals:
     """`hand_goals` with room for the hand among the boxes ``near``."""
-    # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
-    goals = hand_goals(view, obj, goal, shelf=shelf, any_side=shelf or attempt > 1, drop=drop)
+    goals = hand_goals(view, obj, goal, release)
     return goals.take(
         np.flatnonzero(
             hand_room(view.robot.gripper, goals, near.near(goal, 0.8)) > HAND_CLEARANCE_M
@@ -243,16 +263,11 @@ def roomy(
     )
 
 
-def hand_goals(
-    view: WorldView, obj: str, goal: Array, *, shelf: bool, any_side: bool, drop: float = 0.0
-) -> HandGoals:
-    """Hand poses that put the object, as it sits in the hand, upright near ``goal`` (3,).
-
-    Args:
-        shelf: something is above: lean the hand forwards too, and begin lower.
-        any_side: let it lie on any of its sides, too.
-        drop: let it fall from so high [m].
-    """
+def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> HandGoals:
+    """Hand poses that put the object, as it sits in the hand, upright near ``goal`` (3,)."""
+    shelf = release.shelf
+    any_side = release.any_side
+    drop = release.drop
     shape = view.object_shape(obj)
     tcp, hand = motion.tcp(view)
     pose = view.object_pose(obj)
@@ -329,7 +344,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         return False
     if depth:
         boxes, _ = surroundings(view, obj, pos)
-        yield from drive_in(view, stance.pre, pre, rot, boxes, gripper=closed)
+        yield from drive_in(view, ReachIn(stance.pre, pre, rot), boxes, gripper=closed)
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     if joints is None:
         # Out of reach from here: as planned then, beside its place by as much as the base is.

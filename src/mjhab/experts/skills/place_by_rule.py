@@ -86,7 +86,7 @@ def plan(view: WorldView, obj: str, goal: Array) -> tuple[Stance, Funnel] | None
     if inside_depth(view, goal):
         return None
     near, _ = surroundings(view, obj, goal)
-    goals = search.roomy(view, obj, goal, near, shelf=False, attempt=0)
+    goals = search.roomy(view, obj, goal, near, search.Release(shelf=False, any_side=False))
     support = float(goal[2]) - view.object_type(obj).half[2]
     nothing = near.take(np.zeros(0, np.int64))
     scene = Scene(near, nothing, support, view.robot, held_spheres(view, obj))

@@ -80,6 +80,15 @@ class Cameras:
     level_error: float = LEVEL_ERROR
 
 
+class _Picture(NamedTuple):
+    """Size of a picture [px], whether lamps cast shadows, and samples per pixel side of its colours."""
+
+    height: int
+    width: int
+    shadows: bool
+    samples: int
+
+
 class _Shot(NamedTuple):
     """What one picture shows: home and bodies of a world, and a camera."""
 
@@ -169,9 +178,8 @@ class Rasterizer:
         )
         if quality == "nice" or samples > 1:
             jobs = [(w, c) for w in range(len(home)) for c in range(cam_pos.shape[1])]
-            self._each(
-                lambda job: self._draw(views, *job, height, width, quality == "nice", samples), jobs
-            )
+            picture = _Picture(height, width, quality == "nice", samples)
+            self._each(lambda job: self._draw(views, *job, picture), jobs)
         else:
             self._each(
                 lambda job: self._draw_fast(views, *job, height, width), self._portions(len(home))
@@ -215,10 +223,11 @@ class Rasterizer:
         if width < 1 or height < 1:
             raise UsageError(f"width and height must be positive; got {width} x {height}.")
 
-    def _draw(
-        self, views: Views, w: int, c: int, height: int, width: int, nice: bool, samples: int
-    ) -> None:
-        """Draw one camera of one world with shadows (``nice``), its colours from samples x samples per pixel."""
+    def _draw(self, views: Views, w: int, c: int, picture: _Picture) -> None:
+        """Draw one camera of one world."""
+        height = picture.height
+        width = picture.width
+        samples = picture.samples
         bodies = Bodies(views.body_pos[w], views.body_mat[w])
         lens = Lens(
             views.cam_pos[w, c],
@@ -233,7 +242,7 @@ class Rasterizer:
             room = self._room(height * samples, width * samples, 2 * samples)
             large = shot._replace(lens=lens._replace(focal=lens.focal * samples))
             self._trace(large, room)
-            self._shade(large, room, views.rgb[w, c], nice, samples)
+            self._shade(large, room, views.rgb[w, c], picture)
         room = self._room(height, width, 2)
         if views.depth.shape[1] or views.seg.shape[1] or not fine:
             self._trace(shot, room)
@@ -242,7 +251,7 @@ class Rasterizer:
         if views.seg.shape[1]:
             read_segments(room.inverse, room.ids, self._scenery.seg, views.seg[w, c])
         if views.rgb.shape[1] and not fine:
-            self._shade(shot, room, views.rgb[w, c], nice, samples)
+            self._shade(shot, room, views.rgb[w, c], picture)
 
     def _room(self, height: int, width: int, cell: int) -> Room:
         """This thread's buffers for pictures of a size."""
@@ -286,15 +295,15 @@ class Rasterizer:
             room.draw,
         )
 
-    def _shade(self, shot: _Shot, room: Room, rgb: np.ndarray, nice: bool, samples: int) -> None:
+    def _shade(self, shot: _Shot, room: Room, rgb: np.ndarray, picture: _Picture) -> None:
         s = self._scenery
         lens = shot.lens
-        cell = 2 * samples
+        cell = 2 * picture.samples
         lamps = s.lamps
-        stride = FAST_STRIDE * samples
+        stride = FAST_STRIDE * picture.samples
         openness = Openness(room.share, room.depths, 1.0 / cell)
         ambient_occlusion(room.inverse, cell, lens.focal, room.raw, room.share, room.depths)
-        if nice:
+        if picture.shadows:
             drawn = room.draw.drawn.copy()
             lamps = lamps._replace(shadow=self._lamp_maps(shot, room))
             stride = 1

@@ -266,6 +266,8 @@ def _fill_plain(line, left, count, r, g, b, p, d):
         line[2, x] = b0 + t * b1
 
 
+# One long function with many parameters: what it computes stays in registers, and the order of its sums, which
+# ``fastmath`` may change with the shape of the code, decides the last bit of a colour.
 @color_inline
 def _shade_run(
     surface, poses, lamps, home, lens, openness, room, i, face, row, start, stop, inverse, stride

@@ -133,20 +133,12 @@ def _to_view(scratch, i, k, lens):
 
 
 @inline
-def _box_in_sight(geometry, mesh, k, lens, width, height, scratch):
-    """Whether the box of a mesh with ``to_view[k]`` can cover the centre of a pixel.
-
-    Fills ``nearest[k]``, its smallest depth [m], 0 if it crosses the near plane; ``rect[k]``: first and last + 1 of
-    columns and rows, the whole image if it crosses; else ``corners[k]``: column, row, inverse depth of its corners.
-    """
+def _corners_in_view(geometry, mesh, k, scratch):
+    """Fill ``corners[k]`` (3, 8) with the corners of a mesh's box in the view frame [m]; returns their least depth."""
     view = scratch.to_view
     out = scratch.corners
-    rect = scratch.rect
     middle = geometry.mesh_middle
     half = geometry.mesh_half
-    cx = 0.5 * width
-    cy = 0.5 * height
-    focal = lens.focal
     for r in range(3):
         at = (
             view[k, r, 0] * middle[mesh, 0]
@@ -164,27 +156,44 @@ def _box_in_sight(geometry, mesh, k, lens, width, height, scratch):
     nearest = out[k, 2, 0]
     for corner in range(1, 8):
         nearest = min(nearest, out[k, 2, corner])
-    if nearest < lens.near:
-        left = 0
-        right = 0
-        top = 0
-        bottom = 0
-        behind = 0
-        for corner in range(8):
-            x = focal * out[k, 0, corner]
-            y = focal * out[k, 1, corner]
-            z = out[k, 2, corner]
-            left += x < -cx * z
-            right += x > cx * z
-            top += y < -cy * z
-            bottom += y > cy * z
-            behind += z < lens.near
-        scratch.nearest[k] = 0.0
-        rect[k, 0] = 0
-        rect[k, 1] = width
-        rect[k, 2] = 0
-        rect[k, 3] = height
-        return max(left, right, top, bottom, behind) < 8
+    return nearest
+
+
+@inline
+def _crosses_the_view(k, lens, width, height, scratch):
+    """False if all corners ``corners[k]`` [m] lie beyond one side of the picture, or before the near plane."""
+    out = scratch.corners
+    cx = 0.5 * width
+    cy = 0.5 * height
+    focal = lens.focal
+    left = 0
+    right = 0
+    top = 0
+    bottom = 0
+    behind = 0
+    for corner in range(8):
+        x = focal * out[k, 0, corner]
+        y = focal * out[k, 1, corner]
+        z = out[k, 2, corner]
+        left += x < -cx * z
+        right += x > cx * z
+        top += y < -cy * z
+        bottom += y > cy * z
+        behind += z < lens.near
+    return max(left, right, top, bottom, behind) < 8
+
+
+@inline
+def _project_corners(k, lens, width, height, scratch):
+    """Project ``corners[k]`` from metres to column, row [px] and inverse depth [1/m]; fills ``rect[k]``.
+
+    Returns whether the rectangle holds the centre of a pixel.
+    """
+    out = scratch.corners
+    rect = scratch.rect
+    cx = 0.5 * width
+    cy = 0.5 * height
+    focal = lens.focal
     x0 = np.inf
     x1 = -np.inf
     y0 = np.inf
@@ -200,12 +209,31 @@ def _box_in_sight(geometry, mesh, k, lens, width, height, scratch):
         x1 = max(x1, x)
         y0 = min(y0, y)
         y1 = max(y1, y)
-    scratch.nearest[k] = nearest
     rect[k, 0] = int(min(max(x0, 0.0), width) + (0.5 - RECT_SLACK))
     rect[k, 1] = int(min(max(x1, 0.0), width) + (0.5 + RECT_SLACK))
     rect[k, 2] = int(min(max(y0, 0.0), height) + (0.5 - RECT_SLACK))
     rect[k, 3] = int(min(max(y1, 0.0), height) + (0.5 + RECT_SLACK))
     return rect[k, 0] < rect[k, 1] and rect[k, 2] < rect[k, 3]
+
+
+@inline
+def _box_in_sight(geometry, mesh, k, lens, width, height, scratch):
+    """Whether the box of a mesh with ``to_view[k]`` can cover the centre of a pixel.
+
+    Fills ``nearest[k]``, its smallest depth [m], 0 if it crosses the near plane; ``rect[k]``: first and last + 1 of
+    columns and rows, the whole image if it crosses; else ``corners[k]``: column, row, inverse depth of its corners.
+    """
+    nearest = _corners_in_view(geometry, mesh, k, scratch)
+    if nearest < lens.near:
+        rect = scratch.rect
+        scratch.nearest[k] = 0.0
+        rect[k, 0] = 0
+        rect[k, 1] = width
+        rect[k, 2] = 0
+        rect[k, 3] = height
+        return _crosses_the_view(k, lens, width, height, scratch)
+    scratch.nearest[k] = nearest
+    return _project_corners(k, lens, width, height, scratch)
 
 
 @kernel

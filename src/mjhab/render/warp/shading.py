@@ -352,61 +352,122 @@ def _picture(looks: Looks, m: int, face: int, p: wp.vec4, grow: float, pixel: fl
     return wp.cw_mul(looks.color[m], _linear(_sample(looks, texture, level, s, t)))
 
 
+@wp.struct
+class Shown:
+    """Face that a pixel shows: its instance in the render scene, its number there, and the instance's world pose.
+
+    scale: of the instance's mesh along its axes.
+    """
+
+    instance: int
+    face: int
+    pos: wp.vec3
+    rot: wp.mat33
+    scale: wp.vec3
+
+
 @wp.func
-def _surface(
-    looks: Looks,
-    cells: Cells,
-    frame: Frame,
-    home: int,
-    i: int,
-    face: int,
-    pos: wp.vec3,
-    rot: wp.mat33,
-    scale: wp.vec3,
-    k: int,
-    c: int,
-    pixel: int,
-    eye: wp.vec3,
-    ray: wp.vec3,
-):
-    """Linear colour of a pixel that shows ``face`` of instance ``i`` at the pose ``pos``, ``rot``."""
-    depth = 1.0 / frame.inverse[k, c, pixel]
-    point = eye + ray * depth
-    q = wp.transpose(rot) * (point - pos)
-    on_mesh = wp.cw_div(q, scale)
-    p = wp.vec4(on_mesh[0], on_mesh[1], on_mesh[2], 1.0)
+def _shown(stills: Stills, movers: Movers, worlds: Worlds, world: int, home: int, tag: int):
+    """The face that an entry of ``Frame.ids`` stands for."""
+    shown = Shown()
+    if tag >= 0:
+        still = still_of(stills, home, tag)
+        shown.instance = still[0]
+        shown.face = still[1]
+        shown.pos = stills.pos[home, shown.instance]
+        shown.rot = stills.mat[home, shown.instance]
+    else:
+        mover = mover_of(movers, tag)
+        shown.instance = movers.instance[mover[0]]
+        shown.face = mover[1]
+        shown.pos = worlds.pos[world, mover[0]]
+        shown.rot = worlds.mat[world, mover[0]]
+    shown.scale = stills.scale[home, shown.instance]
+    return shown
+
+
+@wp.struct
+class Facing:
+    """A surface point in sight of a camera.
+
+    depth: along the ray [m]. q, n: point [m] and unit normal in the axes of the instance. on_mesh: point in the frame
+    of its mesh, and 1. point, normal: the same in the world; the normal of a flat face points to the camera. to_eye:
+    unit vector. cosine: of the angle between normal and line of sight.
+    """
+
+    depth: float
+    q: wp.vec3
+    n: wp.vec3
+    on_mesh: wp.vec4
+    point: wp.vec3
+    normal: wp.vec3
+    to_eye: wp.vec3
+    cosine: float
+
+
+@wp.func
+def _facing(looks: Looks, shown: Shown, eye: wp.vec3, ray: wp.vec3, depth: float):
+    """The point of a face at a depth [m] along a ray."""
+    at = Facing()
+    at.depth = depth
+    at.point = eye + ray * depth
+    at.q = wp.transpose(shown.rot) * (at.point - shown.pos)
+    on_mesh = wp.cw_div(at.q, shown.scale)
+    at.on_mesh = wp.vec4(on_mesh[0], on_mesh[1], on_mesh[2], 1.0)
     rows = wp.mat33(0.0)
     n = wp.vec3(0.0)
     for r in range(3):
-        row = looks.face_normal[face, r]
-        n[r] = wp.dot(row, p) / scale[r]
+        row = looks.face_normal[shown.face, r]
+        n[r] = wp.dot(row, at.on_mesh) / shown.scale[r]
         rows[r] = wp.vec3(row[0], row[1], row[2])
-    n = n / wp.sqrt(wp.dot(n, n) + 1.0e-30)
-    normal = rot * n
-    to_eye = -wp.normalize(ray)
-    facing = wp.dot(normal, to_eye)
-    if facing < 0.0 and wp.ddot(rows, rows) == 0.0:
-        normal = -normal
-        facing = -facing
-    m = looks.instance_material[home, i]
+    at.n = n / wp.sqrt(wp.dot(n, n) + 1.0e-30)
+    at.normal = shown.rot * at.n
+    at.to_eye = -wp.normalize(ray)
+    at.cosine = wp.dot(at.normal, at.to_eye)
+    if at.cosine < 0.0 and wp.ddot(rows, rows) == 0.0:
+        at.normal = -at.normal
+        at.cosine = -at.cosine
+    return at
+
+
+@wp.func
+def _open_share(cells: Cells, frame: Frame, k: int, c: int, pixel: int, depth: float):
+    """Openness at a pixel of a depth [m]."""
+    row = (float(pixel // frame.width) + 0.5) / float(cells.cell)
+    column = (float(pixel % frame.width) + 0.5) / float(cells.cell)
+    return _openness(cells, k, c, row, column, depth)
+
+
+@wp.func
+def _surface(looks: Looks, home: int, shown: Shown, at: Facing, focal: float, open_share: float):
+    """Linear colour of a surface point seen by a camera with the focal length ``focal`` [px]."""
+    m = looks.instance_material[home, shown.instance]
     if m < 0:
-        m = looks.face_material[face]
-    row_in_cells = (float(pixel // frame.width) + 0.5) / float(cells.cell)
-    column_in_cells = (float(pixel % frame.width) + 0.5) / float(cells.cell)
-    open_share = _openness(cells, k, c, row_in_cells, column_in_cells, depth)
-    light, shine = _light(looks, home, point, normal, to_eye, looks.gloss[m], open_share)
+        m = looks.face_material[shown.face]
+    light, shine = _light(looks, home, at.point, at.normal, at.to_eye, looks.gloss[m], open_share)
     color = looks.color[m]
     if looks.texture[m] >= 0:
-        size = depth / (frame.focal[c] * wp.sqrt(wp.max(facing, 0.05)))
+        size = at.depth / (focal * wp.sqrt(wp.max(at.cosine, 0.05)))
         if looks.pattern[m] != 0:
-            color = _pattern(looks, m, i, q, n, scale, size)
+            color = _pattern(looks, m, shown.instance, at.q, at.n, shown.scale, size)
         else:
-            grow = 1.0 / wp.min(wp.abs(scale))
-            color = _picture(looks, m, face, p, grow, size)
+            grow = 1.0 / wp.min(wp.abs(shown.scale))
+            color = _picture(looks, m, shown.face, at.on_mesh, grow, size)
     return wp.cw_mul(color, light) + shine
 
 
-# One long kernel, because every part uses intermediate results that are still in registers.
+@wp.func
+def _toned(looks: Looks, light: wp.vec3):
+    """The 8-bit sRGB colour of linear light."""
+    top = looks.tone.shape[0] - 1
+    out = wp.vec3ub()
+    for channel in range(3):
+        level = wp.clamp(light[channel] * (float(top) / TONE_TOP), 0.0, float(top))
+        out[channel] = looks.tone[int(level)]
+    return out
+
+
+# One kernel from ray to colour, because every part uses intermediate results that are still in registers.
 @wp.kernel
 def shade(
     looks: Looks,
@@ -429,56 +490,14 @@ def shade(
         rgb[world, c, y, x] = wp.vec3ub(wp.uint8(0), wp.uint8(0), wp.uint8(0))
         return
     slopes = pixel_slopes(frame, c, pixel)
-    home = worlds.home[world]
-    eye = worlds.cam_pos[world, c]
     ray = worlds.cam_mat[world, c] * wp.vec3(slopes[0], slopes[1], -1.0)
-    light = wp.vec3(0.0)
-    tag = frame.ids[k, c, pixel]
     if frame.inverse[k, c, pixel] <= 0.0:
-        light = _sky(ray)
-    elif tag >= 0:
-        still = still_of(stills, home, tag)
-        i = still[0]
-        face = still[1]
-        light = _surface(
-            looks,
-            cells,
-            frame,
-            home,
-            i,
-            face,
-            stills.pos[home, i],
-            stills.mat[home, i],
-            stills.scale[home, i],
-            k,
-            c,
-            pixel,
-            eye,
-            ray,
-        )
-    else:
-        mover = mover_of(movers, tag)
-        d = mover[0]
-        part = movers.instance[mover[0]]
-        light = _surface(
-            looks,
-            cells,
-            frame,
-            home,
-            part,
-            mover[1],
-            worlds.pos[world, d],
-            worlds.mat[world, d],
-            stills.scale[home, part],
-            k,
-            c,
-            pixel,
-            eye,
-            ray,
-        )
-    top = looks.tone.shape[0] - 1
-    out = wp.vec3ub()
-    for channel in range(3):
-        level = wp.clamp(light[channel] * (float(top) / TONE_TOP), 0.0, float(top))
-        out[channel] = looks.tone[int(level)]
-    rgb[world, c, y, x] = out
+        rgb[world, c, y, x] = _toned(looks, _sky(ray))
+        return
+    home = worlds.home[world]
+    depth = 1.0 / frame.inverse[k, c, pixel]
+    shown = _shown(stills, movers, worlds, world, home, frame.ids[k, c, pixel])
+    at = _facing(looks, shown, worlds.cam_pos[world, c], ray, depth)
+    open_share = _open_share(cells, frame, k, c, pixel, depth)
+    light = _surface(looks, home, shown, at, frame.focal[c], open_share)
+    rgb[world, c, y, x] = _toned(looks, light)

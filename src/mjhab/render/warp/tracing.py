@@ -286,6 +286,17 @@ def _cast(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, near: float, far: float
     return hit
 
 
+@wp.func
+def _passes_ball(center: wp.vec3, radius: float, ray: wp.vec3, far: float):
+    """Whether a ray from the origin hits no point of a ball before the depth ``far``."""
+    length2 = wp.dot(ray, ray)
+    along = wp.dot(center, ray) / length2
+    off = center - ray * along
+    room = radius * radius - wp.dot(off, off)
+    return room < 0.0 or along - wp.sqrt(room / length2) > far
+
+
+# One kernel from ray to nearest hit: every part reads the ray and the best depth so far from registers.
 @wp.kernel
 def trace(
     stills: Stills,
@@ -325,7 +336,6 @@ def trace(
             best = hit.depth
             tag = hit.face
             segment = instance_seg[still_of(stills, home, tag)[0]]
-        length2 = wp.dot(ray, ray)
         for n in range(frame.listed[k, c, tile]):
             d = int(frame.movers[k, c, tile, n])
             far = wp.where(best > 0.0, best, REACH)
@@ -335,11 +345,7 @@ def trace(
             center = worlds.pos[world, d] + rot * wp.cw_mul(
                 scale, wp.vec3(ball[0], ball[1], ball[2])
             )
-            radius = ball[3] * wp.max(wp.abs(scale))
-            along = wp.dot(center - eye, ray) / length2
-            off = center - eye - ray * along
-            room = radius * radius - wp.dot(off, off)
-            if room < 0.0 or along - wp.sqrt(room / length2) > far:
+            if _passes_ball(center - eye, ball[3] * wp.max(wp.abs(scale)), ray, far):
                 continue
             turned = wp.transpose(rot)
             start = wp.cw_div(turned * (eye - worlds.pos[world, d]), scale)

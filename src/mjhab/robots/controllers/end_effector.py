@@ -9,7 +9,7 @@ import numpy as np
 from mjhab.core.arrays import Array, between, constant, namespace, zeros
 from mjhab.robots.controllers.arm import ArmRequest, CommandedArm
 from mjhab.robots.controllers.table import ActionEntry
-from mjhab.robots.kinematics import Chain, limited_step, rotate, rotation_vector
+from mjhab.robots.kinematics import Chain, StepBounds, limited_step, rotate, rotation_vector
 
 Start = Literal["measured", "target", "absolute"]
 """What a command counts from: the measured pose, the previous target, or the frame of the torso."""
@@ -92,9 +92,8 @@ class EndEffector(CommandedArm):
                 spin = rotation_vector(rot @ frames.rot[:, self._chain.tip_index].swapaxes(1, 2))
                 error = xp.concat([error, LEVER * spin], axis=1)
                 jac = jac * constant(_WEIGHTS, jac)[:, None]
-            low = self.low - q
-            high = self.high - q
-            step = limited_step(error, jac, zeros(q.shape, q), low, high, LARGEST_STEP, DAMPING)
+            bounds = StepBounds(self.low - q, self.high - q, LARGEST_STEP)
+            step = limited_step(error, jac, zeros(q.shape, q), bounds, DAMPING)
             q = between(q + step, self.low, self.high)
         return q
 

@@ -181,12 +181,12 @@ def _fronts(
     x: float,
     y: tuple[float, float],
     z: tuple[float, float],
-    rows: int,
-    columns: int,
+    grid: tuple[int, int],
     material: str,
     knob: str,
 ) -> list[Geom]:
-    """Door or drawer fronts drawn on a closed box, with small knobs."""
+    """Door or drawer fronts drawn on a closed box, in a grid of rows and columns, with small knobs."""
+    rows, columns = grid
     geoms = []
     dy = (y[1] - y[0]) / columns
     dz = (z[1] - z[0]) / rows
@@ -220,28 +220,28 @@ def _fronts(
 def _cabinet() -> Prop:
     """A wardrobe, 0.55 x 1.00 x 1.95 m."""
     geoms = [box((0.0, 0.0, 0.975), (0.55, 1.00, 1.95), "birch")]
-    geoms += _fronts(0.275, (-0.49, 0.49), (0.06, 1.93), 1, 2, "white_lacquer", "brass")
+    geoms += _fronts(0.275, (-0.49, 0.49), (0.06, 1.93), (1, 2), "white_lacquer", "brass")
     return Prop("cabinet", tuple(geoms))
 
 
 def _chest_of_drawers() -> Prop:
     """A chest of drawers, 0.45 x 0.90 x 0.85 m; it stays shut."""
     geoms = [box((0.0, 0.0, 0.425), (0.45, 0.90, 0.85), "walnut")]
-    geoms += _fronts(0.225, (-0.43, 0.43), (0.05, 0.82), 3, 2, "oak", "brass")
+    geoms += _fronts(0.225, (-0.43, 0.43), (0.05, 0.82), (3, 2), "oak", "brass")
     return Prop("chest_of_drawers", tuple(geoms))
 
 
 def _cupboard() -> Prop:
     """A tall kitchen cupboard, 0.40 x 0.80 x 2.00 m; it stays shut."""
     geoms = [box((0.0, 0.0, 1.0), (0.40, 0.80, 2.0), "cabinet_carcass")]
-    geoms += _fronts(0.20, (-0.39, 0.39), (0.08, 1.98), 2, 2, "cabinet_front", "brass")
+    geoms += _fronts(0.20, (-0.39, 0.39), (0.08, 1.98), (2, 2), "cabinet_front", "brass")
     return Prop("kitchen_cupboard_01", tuple(geoms))
 
 
 def _sideboard() -> Prop:
     """A low cabinet, 0.40 x 1.20 x 0.70 m."""
     geoms = [box((0.0, 0.0, 0.36), (0.40, 1.20, 0.68), "white_lacquer")]
-    geoms += _fronts(0.20, (-0.58, 0.58), (0.06, 0.66), 1, 3, "oak", "black_metal")
+    geoms += _fronts(0.20, (-0.58, 0.58), (0.06, 0.66), (1, 3), "oak", "black_metal")
     geoms.append(box((0.0, 0.0, 0.705), (0.42, 1.22, 0.02), "oak", collide=False))
     return Prop("wall_cabinet_01", tuple(geoms))
 

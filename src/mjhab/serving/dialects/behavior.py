@@ -33,8 +33,9 @@ class Behavior:
     def begin(self, session: str) -> dict[str, Any] | None:
         return {"reset": True}
 
-    def request(self, asks: Sequence[Ask], metadata: Mapping[str, Any]) -> dict[str, Any]:
-        batch = len(asks) > 1
+    def request(
+        self, asks: Sequence[Ask], metadata: Mapping[str, Any], batch: bool
+    ) -> dict[str, Any]:
         images = {
             "robot_fetch::fetch_head::rgb": stacked([ask.external for ask in asks], batch),
             "robot_fetch::fetch_hand::rgb": stacked([ask.wrist for ask in asks], batch),

@@ -68,8 +68,15 @@ class Dialect(Protocol):
         """Whether the server answers the message that begins an episode."""
         ...
 
-    def request(self, asks: Sequence[Ask], metadata: Mapping[str, Any]) -> dict[str, Any]:
-        """The request for actions of one world or of a batch of worlds."""
+    def request(
+        self, asks: Sequence[Ask], metadata: Mapping[str, Any], batch: bool
+    ) -> dict[str, Any]:
+        """The request for actions.
+
+        Args:
+            asks: one per world. metadata: the greeting of the server.
+            batch: arrays have the worlds in front, also when one world is left; else there is one world.
+        """
         ...
 
     def actions(self, answer: Any, batch: int) -> np.ndarray:

@@ -28,7 +28,9 @@ class OpenPi:
     def begin(self, session: str) -> dict[str, Any] | None:
         return None
 
-    def request(self, asks: Sequence[Ask], metadata: Mapping[str, Any]) -> dict[str, Any]:
+    def request(
+        self, asks: Sequence[Ask], metadata: Mapping[str, Any], batch: bool
+    ) -> dict[str, Any]:
         (ask,) = asks
         images = {"observation/image": ask.external, "observation/wrist_image": ask.wrist}
         return present(images) | {

@@ -38,7 +38,9 @@ class RoboArena:
     def begin(self, session: str) -> dict[str, Any] | None:
         return {"endpoint": "reset", "session_id": session}
 
-    def request(self, asks: Sequence[Ask], metadata: Mapping[str, Any]) -> dict[str, Any]:
+    def request(
+        self, asks: Sequence[Ask], metadata: Mapping[str, Any], batch: bool
+    ) -> dict[str, Any]:
         (ask,) = asks
         images: dict[str, Any] = {}
         if metadata.get("n_external_cameras", 1):

@@ -13,7 +13,12 @@ from mujoco.batch import Batch
 
 from mjhab.core.errors import UsageError
 from mjhab.core.timing import SUBSTEPS
-from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
+from mjhab.layout.contact_sensors import (
+    FORCE_SENSOR_WIDTH,
+    TOUCH_SENSOR_WIDTH,
+    normal_force,
+    pair_force,
+)
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout, addresses
 from mjhab.robots.parts import Drives
@@ -81,12 +86,12 @@ class CpuSimulator:
         # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
         self._object_q = _rows(a.object_q, 7)
         self._object_v = _rows(a.object_v, 6)
-        self._touch_cols = _rows(a.touch, 1)
-        self._palm_cols = _rows(a.palm, 1)
-        # Force sensors: those of the links, then of the left and the right finger with every target. The first number
-        # of each is how many contacts it has.
-        self._force_starts = np.concatenate([a.link_force, a.finger_force.ravel()])
+        # The first number of every contact sensor is how many contacts it has.
+        self._link_starts = a.link_force
+        self._hand_starts = a.hand_force
+        self._touch_starts = a.touch
         self._force_block = np.arange(FORCE_SENSOR_WIDTH)
+        self._touch_block = np.arange(TOUCH_SENSOR_WIDTH)
         self._depth_col = int(first.sensor("robot_depth").adr[0])
         self._taint = np.zeros(num_worlds, np.uint8)
         self._broken = np.zeros(num_worlds, bool)
@@ -192,10 +197,10 @@ class CpuSimulator:
         a = self.addresses
         qpos = self._qpos
         worlds = self.num_worlds
-        touched = self._sensors[:, self._force_starts] > 0
-        force = self._normal_forces(touched)
-        links = len(a.link_force)
-        squared = force[:, :links] * force[:, :links]
+        touch = self._sensors[:, self._touch_starts] > 0
+        hand_force, hand_touch = self._hand_forces(touch)
+        force = self._link_forces()
+        squared = force * force
         return SimState(
             robot_q=qpos[:, a.robot_q],
             robot_qd=self._qvel[:, a.robot_v],
@@ -205,28 +210,45 @@ class CpuSimulator:
             link_q=qpos[:, a.link_q],
             link_qd=self._qvel[:, a.link_v],
             link_force=np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2]),
-            finger_force=force[:, links:].reshape(worlds, 2, -1, 3),
-            touch=self._sensors[:, self._touch_cols] > 0,
-            ee_contact=(self._sensors[:, self._palm_cols] > 0)
-            | touched[:, links:].reshape(worlds, 2, -1).any(axis=1),
+            finger_force=hand_force[:, :2],
+            touch=touch,
+            ee_contact=hand_touch.any(axis=1),
             body_pos=self._xpos,
             body_mat=self._xmat,
             body_quat=self._xquat,
         )
 
-    def _normal_forces(self, touched: np.ndarray) -> np.ndarray:
-        """(W, sensors, 3) force [N] on the body of every force sensor, world frame.
+    def _link_forces(self) -> np.ndarray:
+        """(W, K, 3) force [N] of each robot link on anything, world frame."""
+        force = np.zeros((self.num_worlds, len(self._link_starts), 3))
+        # Few sensors have a contact: only these are read.
+        world, link = (self._sensors[:, self._link_starts] > 0).nonzero()
+        force[world, link] = normal_force(
+            self._read(world, self._link_starts[link], self._force_block)
+        )
+        return force
+
+    def _hand_forces(self, touch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(W, 3, N + L, 3) force [N] of every target on the left finger, the right finger and the link of the tool
+        centre, world frame; and (W, 3, N + L) bool: they have a contact.
 
         Args:
-            touched: (W, sensors) bool: the sensor has a contact.
+            touch: (W, N + L) bool: the robot touches the target.
         """
-        force = np.zeros((self.num_worlds, len(self._force_starts), 3))
-        # Few sensors have a contact: only these are read.
-        world, sensor = touched.nonzero()
-        columns = self._force_starts[sensor, None] + self._force_block
+        pressed = self._sensors[:, self._hand_starts] > 0
+        contact = pressed[:, :, None] & touch[:, None]
+        force = np.zeros((*contact.shape, 3))
+        world, link, target = contact.nonzero()
+        listed = self._read(world, self._hand_starts[link], self._force_block)
+        touches = self._read(world, self._touch_starts[target], self._touch_block)
+        pushed, contact[world, link, target] = pair_force(listed, touches)
         # The sensor gives the force of its body on others; what is wanted is the opposite.
-        force[world, sensor] = -normal_force(self._sensors[world[:, None], columns])
-        return force
+        force[world, link, target] = -pushed
+        return force, contact
+
+    def _read(self, world: np.ndarray, start: np.ndarray, block: np.ndarray) -> np.ndarray:
+        """(n, len(block)) data of a sensor that begins at ``start`` (n,), each in its ``world`` (n,)."""
+        return self._sensors[world[:, None], start[:, None] + block]
 
     def add_taint(self, world: int, mask: int) -> None:
         """Mark a world with the bits of ``mask``."""

@@ -16,7 +16,7 @@ from mjhab.core.joints import BASE_YAW
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.timing import SUBSTEPS
-from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, normal_force
+from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, TOUCH_SENSOR_WIDTH, pair_force
 from mjhab.layout.home_models import model_bytes
 from mjhab.robots.model import apply_drives
 from mjhab.robots.parts import Drives
@@ -229,9 +229,13 @@ class Scratch:
 
     def _grasped(self, data: mujoco.MjData, slot: int, min_force: float, max_angle: float) -> bool:
         a = self.sim.addresses
+        touch = a.touch[slot]
+        touches = data.sensordata[touch : touch + TOUCH_SENSOR_WIDTH]
         for side, finger in enumerate(self._robot.fingers):
-            adr = a.finger_force[side, slot]
-            force = -normal_force(data.sensordata[adr : adr + FORCE_SENSOR_WIDTH])
+            listed = a.hand_force[side]
+            readings = data.sensordata[listed : listed + FORCE_SENSOR_WIDTH]
+            # The sensor gives the force of the finger on the object.
+            force = -pair_force(readings, touches)[0]
             size = np.linalg.norm(force)
             opening = data.xmat[a.robot_body[finger.link]].reshape(3, 3) @ np.array(finger.opens)
             if size < min_force or force @ opening < np.cos(max_angle) * size:

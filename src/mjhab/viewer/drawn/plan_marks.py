@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.experts.base.driving import Trip
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning.reach import HandGoals, Stance
 
@@ -36,6 +37,9 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
     held = list(_held(script))
     stance = next((value for value in held if isinstance(value, Stance)), None)
     goals = next((value for value in held if isinstance(value, HandGoals)), None)
+    trip = next((value for value in held if isinstance(value, Trip)), None)
+    if trip is not None and len(trip.poses):
+        return PlanMarks(trip.poses[:, :2].copy(), trip.poses[-1].copy(), _hand_poses(None), None)
     routes = [value for value in held if isinstance(value, Route)]
     route = routes[0] if routes else stance.route if stance is not None else None
     if route is None and stance is None and goals is None:

@@ -266,7 +266,7 @@ function timeLine(canvas, head, actor, now) {
     g.save(); g.beginPath(); g.rect(x(start), 18, x(end + 1) - x(start), 24); g.clip();
     g.fillStyle = "white"; g.fillText(head.plan[index].name, x(start) + 5, 34); g.restore();
   }
-  if (head.actors.length > 1) actor.forEach((a, t) => { g.fillStyle = ["#cbd5e1", "#f472b6", "#38bdf8", "#a3e635"][a % 4]; g.fillRect(x(t), 44, Math.max(x(1), 1), 6); });
+  actor.forEach((a, t) => { g.fillStyle = head.actors[a].color; g.fillRect(x(t), 44, Math.max(x(1), 1), 6); });
   for (const event of head.events) {
     const at = x(event.step);
     g.fillStyle = event.color; g.beginPath(); g.moveTo(at, 17); g.lineTo(at - 5, 6); g.lineTo(at + 5, 6); g.fill();
@@ -294,6 +294,9 @@ async function main() {
     return { urls, image };
   }) : [];
   $("over").textContent = head.over ? `Ended: ${head.over}` : "";
+  $("instruction").textContent = head.instruction ? `“${head.instruction}”` : "";
+  $("home").textContent = `home ${head.home}`;
+  head.actors.forEach(({ name, color }) => { const item = document.createElement("span"), mark = document.createElement("i"); mark.style.background = color; item.append(mark, name); $("actors").append(item); });
   head.plan.forEach((entry) => { const item = document.createElement("li"); item.style.borderColor = entry.color; $("plan").append(item); });
   head.checks.forEach((name) => { const item = document.createElement("span"); item.className = "check"; item.textContent = name.replaceAll("_", " "); $("checks").append(item); });
   head.terms.forEach((name) => { const row = document.createElement("div"); row.className = "term"; row.innerHTML = "<span></span><span><i></i></span><b></b>"; row.firstChild.textContent = name; $("terms").append(row); });
@@ -305,8 +308,10 @@ async function main() {
     head.plan.forEach((entry, k) => {
       const item = $("plan").children[k];
       item.className = k < active ? "done" : k === active ? "active" : "";
+      item.title = entry.instruction;
       item.textContent = `${k < active ? "✓" : k === active ? "▶" : "·"} ${entry.name}${k <= active && entry.ended ? ` (${entry.ended.replaceAll("_", " ")})` : ""}`;
     });
+    [...$("actors").children].forEach((item, k) => item.classList.toggle("acts", step > 0 && actor[step - 1] === k));
     [...$("checks").children].forEach((item, k) => item.classList.toggle("on", !!checks[step * head.checks.length + k]));
     const row = head.terms.map((_, k) => terms[step * head.terms.length + k]), most = Math.max(1e-9, ...row.map(Math.abs));
     [...$("terms").children].forEach((item, k) => {

@@ -32,7 +32,7 @@ from mjhab.reports.plots import kind_color
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
 from mjhab.viewer.drawn.posing import Poser, base_of
-from mjhab.viewer.pages.timeline import TONE_COLORS, subtask_spans
+from mjhab.viewer.pages.timeline import TONE_COLORS, actor_colors, subtask_spans
 from mjhab.viewer.sources.replay import Replay
 from mjhab.viewer.sources.track import Track
 
@@ -143,10 +143,12 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
         "active": [m.active for m in moments],
     }
     told = {name: block.add(np.array(values, np.float32)) for name, values in series.items()}
-    actors = list(dict.fromkeys(m.actor for m in moments[1:]))
+    actors = actor_colors(track)
+    places = {name: place for place, name in enumerate(actors)}
     return {
         "title": track.title,
         "home": track.home,
+        "instruction": track.instruction,
         "over": track.over,
         "step": STEP_SECONDS,
         "frames": len(moments),
@@ -155,6 +157,7 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
                 "name": track.describe(index),
                 "color": kind_color(entry.kind),
                 "ended": track.ended.get(index, ""),
+                "instruction": "".join(track.instructions[index : index + 1]),
             }
             for index, entry in enumerate(track.plan)
         ],
@@ -163,8 +166,8 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
             {"step": step, "name": name, "color": TONE_COLORS[event_tone(name)]}
             for step, name in track.events
         ],
-        "actors": actors,
-        "actor": block.add(np.array([actors.index(m.actor) for m in moments[1:]], np.uint8)),
+        "actors": [{"name": name, "color": color} for name, color in actors.items()],
+        "actor": block.add(np.array([places[m.actor] for m in moments[1:]], np.uint8)),
         "series": told,
         "terms": terms,
         "term": block.add(

@@ -194,7 +194,7 @@ class Viewer:
         moment = track.moments[step]
         tcp = pose.pos[sim.addresses.robot_body[sim.layout.robot.tcp]]
         self.stage.mark_grasp(tcp if moment.checks[_GRASPED] else None)
-        self.stage.mark_plan(self.source.expert_plan)
+        self.stage.mark_plan(self.source.plan_at(step))
         goal = track.plan[moment.active].goal if moment.active < len(track.plan) else None
         point = np.asarray(goal, float) if goal is not None else np.zeros(0)
         self.stage.mark_goal(point if point.shape == (3,) and point.any() else None)
@@ -209,6 +209,7 @@ class Viewer:
         self.panels.show_playing(self.playhead.playing)
         self.panels.show_hand(self.source.hand_drives, self.source.recording)
         self._tell_hand(self.source.hand_drives)
+        self.panels.show_choice(self.source.choice)
         track = self.playhead.track
         if track is not None and track.last >= 0:
             self.panels.show(track, self.playhead.step)

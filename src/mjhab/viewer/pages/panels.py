@@ -13,7 +13,15 @@ from viser import uplot
 
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.schema import CHECKS
-from mjhab.viewer.pages.timeline import TONE_COLORS, gauge_html, plan_html, terms_html, timeline_svg
+from mjhab.viewer.pages.timeline import (
+    TONE_COLORS,
+    about_html,
+    actors_html,
+    gauge_html,
+    plan_html,
+    terms_html,
+    timeline_svg,
+)
 from mjhab.viewer.sources.track import Track
 
 SPEEDS = {
@@ -73,8 +81,8 @@ class Panels:
         gui = self._gui
         self._problem = gui.add_html("", visible=False)
         self._title = gui.add_html('<i style="padding:0 8px">The home is being made ready.</i>')
-        choice = gui.add_dropdown("World" if self._live else "Episode", tuple(choices))
-        _when_changed(choice, self._on["choose"])
+        self._choice = gui.add_dropdown("World" if self._live else "Episode", tuple(choices))
+        _when_changed(self._choice, self._on["choose"])
         if policies:
             self._policy = gui.add_dropdown("Policy", tuple(policies))
             _when_changed(self._policy, self._on["policy"])
@@ -97,8 +105,6 @@ class Panels:
         speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1×")
         _when_changed(speed, lambda name: self._on["speed"](SPEEDS[name]))
         self._follow = gui.add_checkbox("Follow", False, hint="the camera follows the robot")
-        if not policies:
-            return
         gui.add_button("Again", icon=viser.Icon.REFRESH).on_click(lambda _: self._on["restart"]())
         gui.add_button("Next episode", icon=viser.Icon.ARROW_RIGHT).on_click(
             lambda _: self._on["next"]()
@@ -107,7 +113,8 @@ class Panels:
             "Expert plan", False, hint="way, stance and grasps that the expert plans"
         )
         _when_changed(plan, self._on["expert_plan"])
-        self._build_hand()
+        if self._live:
+            self._build_hand()
 
     def _take_policy(self, spec: str) -> None:
         """Let a policy act that was typed in, and offer it from then on."""
@@ -158,6 +165,7 @@ class Panels:
         panel = self._gui.add_panel()
         with panel.add_tab("Time line", viser.Icon.TIMELINE):
             self._line = self._gui.add_html("")
+            self._actors = self._gui.add_html("")
             self._slider = self._gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
             self._slider.on_update(self._scrub)
             self._events = self._gui.add_html("")
@@ -203,6 +211,11 @@ class Panels:
             self._play.label = name
             self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
+    def show_choice(self, choice: str) -> None:
+        """Name what is watched."""
+        if choice and self._choice.value != choice:
+            self._choice.value = choice
+
     def show_hand(self, driving: bool, recording: str) -> None:
         """Say whether the hand drives, and what becomes of the episode."""
         if not self._live:
@@ -227,7 +240,8 @@ class Panels:
         if int(self._slider.value) != step:
             self._slider.value = step
         _fill(self._line, timeline_svg(track, step))
-        _fill(self._title, f'<b style="padding:0 8px">{escape(track.title)}</b>')
+        _fill(self._actors, actors_html(track, step))
+        _fill(self._title, about_html(track, step))
         _fill(self._plan, f'<div style="padding:0 8px">{plan_html(track, step)}</div>')
         forces = gauge_html("robot force", moment.robot_force, math.inf, "N")
         forces += gauge_html(

@@ -47,6 +47,8 @@ class Playhead:
         """Move on by ``seconds`` of real time."""
         track = self._source.track
         if track is not self._track:
+            # Another recorded episode begins by itself, also after one that was played to its end.
+            self._playing = self._playing or self._track is not None
             self._track = track
             self.now = 0.0
             self.following = self._source.is_live

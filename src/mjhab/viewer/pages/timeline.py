@@ -27,6 +27,7 @@ def timeline_svg(track: Track, now: float) -> str:
     """The time line as SVG, with a line at control step ``now``.
 
     Above stand the events, in the middle the subtasks, below who acted; each tells more when pointed at.
+    `actors_html` is the legend of the latter.
     """
     scale = WIDTH / max(track.last, 1)
     parts = [
@@ -79,22 +80,50 @@ def _subtasks(track: Track, scale: float) -> list[str]:
     return parts
 
 
+def actor_colors(track: Track) -> dict[str, str]:
+    """Name of each actor of an episode to its colour in the time line."""
+    names = track.actors()
+    return {name: ACTOR_COLORS[k % len(ACTOR_COLORS)] for k, name in enumerate(names)}
+
+
 def _actors(track: Track, scale: float) -> list[str]:
-    names = [moment.actor for moment in track.moments[1:]]
-    known = list(dict.fromkeys(names))
-    if len(known) < 2:
-        return []
+    colors = actor_colors(track)
     parts = []
     start = 0
-    for name, run in groupby(names):
+    for name, run in groupby(moment.actor for moment in track.moments[1:]):
         count = sum(1 for _ in run)
-        color = ACTOR_COLORS[known.index(name) % len(ACTOR_COLORS)]
+        color = colors[name]
         parts.append(
             f'<rect x="{start * scale:.1f}" y="{EVENT_HEIGHT + BAR_HEIGHT}" width="{count * scale:.1f}" '
             f'height="{ACTOR_HEIGHT}" fill="{color}"><title>{escape(name)} acts</title></rect>'
         )
         start += count
     return parts
+
+
+def actors_html(track: Track, step: int) -> str:
+    """The legend of the actors: their colours in the time line; who led to a state stands out."""
+    acted = track.moments[step].actor
+    marks = []
+    for name, color in actor_colors(track).items():
+        weight = "700" if name == acted else "400"
+        marks.append(
+            f'<span style="font-weight:{weight};margin-right:10px"><i style="display:inline-block;width:10px;'
+            f'height:10px;border-radius:2px;background:{color};margin-right:4px"></i>{escape(name)}</span>'
+        )
+    return f'<div style="font-size:12px;padding:0 8px">{"".join(marks)}</div>'
+
+
+def about_html(track: Track, step: int) -> str:
+    """What the episode is: its name, what it asks for, what the active subtask asks for, and its home."""
+    active = track.moments[step].active
+    lines = [f"<b>{escape(track.title)}</b>"]
+    if track.instruction:
+        lines.append(f"“{escape(track.instruction)}”")
+    if active < len(track.instructions) and track.instructions[active] != track.instruction:
+        lines.append(f"now: “{escape(track.instructions[active])}”")
+    lines.append(f"<small>home {escape(track.home)}</small>")
+    return f'<div style="padding:0 8px">{"<br>".join(lines)}</div>'
 
 
 def plan_html(track: Track, step: int) -> str:
@@ -132,7 +161,8 @@ def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
 def terms_html(terms: dict[str, float], total: float) -> str:
     """Reward terms of a step as bars around zero."""
     if not terms:
-        return f'<p style="font-size:12px;margin:2px 0">reward {total:.3f}; this reward has no terms</p>'
+        told = f"reward {total:.3f}; this reward has no terms (--reward dense has)"
+        return f'<p style="font-size:12px;margin:2px 0">{told}</p>'
     most = max(1e-9, *(abs(value) for value in terms.values()))
     rows = [f'<p style="font-size:12px;margin:2px 0">reward <b>{total:.3f}</b></p>']
     for name, value in terms.items():

@@ -136,6 +136,15 @@ class LiveSession:
         return self.tracks[self.watched]
 
     @property
+    def choice(self) -> str:
+        """The watched world, of ``choices``."""
+        return self.choices[self.watched]
+
+    def plan_at(self, step: int) -> PlanMarks | None:
+        """``expert_plan``: running worlds have that of the present state only."""
+        return self.expert_plan
+
+    @property
     def hand_drives(self) -> bool:
         """Whether a person drives the watched world."""
         return self.switch is not None and self.switch.hand_world == self.watched
@@ -259,10 +268,12 @@ class LiveSession:
                 self._adviser = ExpertPolicy(self.env)
             token = self.env.view(world).token
             if token != self._plan_token:
-                mask = np.arange(self.env.num_envs) == world
-                self._adviser.reset(mask)
-                self._adviser.act_in({}, {}, mask)
+                self._adviser.reset(np.arange(self.env.num_envs) == world)
+                self.expert_plan = None
             self._plan_token = token
+            # Some scripts plan only after their first steps.
+            if self.expert_plan is None:
+                self._adviser.act_in({}, {}, np.arange(self.env.num_envs) == world)
             script = self._adviser.script(world)
         self.expert_plan = plan_marks(script) if script is not None else None
 
@@ -442,8 +453,15 @@ def _new_track(env: SequentialTaskEnv, episode: Mapping[str, Any]) -> Track:
     )
     what = episode["subtask"] or episode["task"]
     title = f"{what}, episode {episode['index']} of seed {episode['seed']}"
-    limits = force_limits(plan, env.task_config)
-    return Track(title, str(episode["home"]), int(episode["index"]), plan, limits)
+    return Track(
+        title,
+        str(episode["home"]),
+        int(episode["index"]),
+        plan,
+        force_limits(plan, env.task_config),
+        str(episode["instruction"]),
+        tuple(episode["instructions"]),
+    )
 
 
 def _moment(

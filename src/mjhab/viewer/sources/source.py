@@ -11,7 +11,7 @@ from mjhab.viewer.sources.track import Track
 
 
 class Source(Protocol):
-    """Episodes to show. Only running worlds can be driven by hand, restarted or given another policy."""
+    """Episodes to show. Only running worlds can be driven by hand or given another policy."""
 
     @property
     def is_live(self) -> bool:
@@ -26,6 +26,11 @@ class Source(Protocol):
     @property
     def choices(self) -> tuple[str, ...]:
         """Names of what can be watched."""
+        ...
+
+    @property
+    def choice(self) -> str:
+        """The name, of ``choices``, of what is watched; "" while nothing is."""
         ...
 
     @property
@@ -58,9 +63,8 @@ class Source(Protocol):
         """What becomes of the episode that runs, in words; empty if it is not kept."""
         ...
 
-    @property
-    def expert_plan(self) -> PlanMarks | None:
-        """What the expert plans in the watched world, if it was asked for."""
+    def plan_at(self, step: int) -> PlanMarks | None:
+        """What the expert plans in a state of the track, if it was asked for and is known."""
         ...
 
     def start(self) -> None:
@@ -80,7 +84,7 @@ class Source(Protocol):
         ...
 
     def restart(self) -> None:
-        """Begin the watched episode again."""
+        """Begin the watched episode again; a recorded one is shown from its first state."""
         ...
 
     def next_episode(self) -> None:
@@ -88,7 +92,7 @@ class Source(Protocol):
         ...
 
     def show_expert_plan(self, shown: bool) -> None:
-        """Ask for `expert_plan`, or not any more."""
+        """Ask for `plan_at`, or not any more."""
         ...
 
     def set_hand(self, driving: bool) -> None:

@@ -39,7 +39,8 @@ class Track:
     """An episode, growing while it runs.
 
     title: names it for people. index: its number among the episodes of its seed. plan: its subtasks; force_limits: of
-    each [N x control steps], infinite without one.
+    each [N x control steps], infinite without one. instruction: what the episode asks for, instructions: the same for
+    each subtask; empty in recordings of older versions.
     moments: state 0 is that after the reset. events: (control step, name). ended: how each finished subtask ended.
     """
 
@@ -48,6 +49,8 @@ class Track:
     index: int
     plan: tuple[PlanEntry, ...]
     force_limits: tuple[float, ...]
+    instruction: str = ""
+    instructions: tuple[str, ...] = ()
     moments: list[Moment] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     ended: dict[int, str] = field(default_factory=dict)
@@ -67,6 +70,17 @@ class Track:
         """Limit of the cumulative force [N x control steps] in force in a state."""
         active = self.moments[step].active
         return self.force_limits[active] if active < len(self.force_limits) else math.inf
+
+    def begin_of(self, step: int) -> int:
+        """Index of the first state in which the subtask was active that is active in a state."""
+        active = self.moments[step].active
+        while step > 0 and self.moments[step - 1].active == active:
+            step -= 1
+        return step
+
+    def actors(self) -> list[str]:
+        """Names of those who acted, in the order of their first action."""
+        return list(dict.fromkeys(moment.actor for moment in self.moments[1:]))
 
     def describe(self, index: int) -> str:
         """Name of a subtask of the plan."""
@@ -123,6 +137,8 @@ def recorded_track(episode: Episode, config: TaskConfig) -> Track:
         record.index,
         record.plan,
         force_limits(record.plan, config),
+        record.instruction,
+        record.instructions,
         moments,
         list(record.events),
         ended,

@@ -1,8 +1,8 @@
 """Export to a LeRobot data set, v3.0 or v2.1: tables in parquet, videos in mp4, metadata in meta.
 
 A row holds the observation before an action, the action, and its reward and termination: N rows for N actions. The
-state after the last action has no row. Depth is stored as a column of integers [mm] as in the shard, not as video,
-because LeRobot up to 0.4 cannot store it in a video without loss.
+state after the last action has no row. Depth and segmentation are stored as columns of integers as in the shard, not as
+video, because LeRobot up to 0.4 cannot store them in a video without loss.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.timing import STEP_SECONDS
+from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
 from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
@@ -43,6 +44,20 @@ ENVIRONMENT_STATE = "observation.environment_state"
 TELEPORTED = "is_teleported"
 CAMERAS = "meta/cameras.json"
 """Calibration of the cameras, see `ObservedRows.calibration`. LeRobot does not read it."""
+SEGMENTS = "meta/segments.json"
+"""Names of the segmentation ids: the id is the place in the list. LeRobot does not read it."""
+ABOUT = "meta/conventions.json"
+"""CONVENTIONS. LeRobot does not read it."""
+IMAGES = {
+    "rgb": "observation.images",
+    "depth": "observation.depth",
+    "seg": "observation.segmentation",
+}
+"""Image output of an episode to the features that hold it, one per camera."""
+MAPS = {"depth": "int16", "seg": "int32"}
+"""Image output to its type, of those that are stored in columns (N, H, W)."""
+CAMERA_POSE = "camera_pose"
+"""Poses (N, 4, 4) of a camera, see CONVENTIONS. Not "observation.", because LeRobot takes such features for state."""
 ACTION = "action"
 INTENDED = "intended_action"
 """Not "action.intended", because LeRobot treats every feature whose name starts with "action" as policy output."""
@@ -61,13 +76,14 @@ class Exported:
 
 @dataclass(frozen=True)
 class Choice:
-    """Which parts of an episode to export: rgb images as videos, depth images as columns, both if recorded.
+    """Which parts of an episode to export: rgb images as videos, depth images and segmentation as columns, if recorded.
 
     until: end of the exported part, see `Until.parse`.
     """
 
     rgb: bool = True
     depth: bool = True
+    seg: bool = True
     until: str = ""
 
 
@@ -140,6 +156,7 @@ class _Export:
         self._features: Features = {}
         self._robot = OLDER_ROBOT
         self._cameras: Mapping[str, Any] = {}
+        self._segments: Sequence[str] = ()
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
         self._actors: dict[str, int] = {}
@@ -158,12 +175,25 @@ class _Export:
                 self._features = self._features or features
                 self._robot = episode.run.robot
                 self._cameras = self._cameras or episode.run.layout.get("cameras", {})
+                self._name_segments(episode)
                 if features != self._features:
                     raise _differs(episode, self._features, features)
                 made = made or self._make(number, episode)
         self._count(made)
         self._made.append(made)
         self._frames += made.steps
+
+    def _name_segments(self, episode: Episode) -> None:
+        """Take the names of segmentation ids from the first episode; refuse an episode with other ones."""
+        if not any(key.startswith(IMAGES["seg"]) for key in self._features):
+            return
+        names = list(episode.run.layout.get("segments", ()))
+        self._segments = self._segments or names
+        if names != self._segments:
+            raise UsageError(
+                f"segmentation ids of episode {episode.name} of {episode.shard.path} mean other things than in those "
+                "before it: it was recorded with other assets. Choose with --where, or leave them out with --no-seg."
+            )
 
     def _count(self, made: Made) -> _Numbers:
         """Indices of the names in an episode; new names get the next free index."""
@@ -222,12 +252,13 @@ class _Export:
         }
         if state.task:
             columns[ENVIRONMENT_STATE] = np.concatenate(list(state.task.values()), axis=1)[:count]
-        for key, feature in self._features.items():
-            if key.startswith("observation.depth."):
-                frames = [
-                    episode.frame(key.rpartition(".")[2], "depth", t)[..., 0] for t in range(count)
-                ]
-                columns[key] = np.stack(frames).astype(feature["dtype"])
+        for camera, output in episode.images:
+            key = f"{IMAGES[output]}.{camera}"
+            if output in MAPS and key in self._features:
+                frames = [episode.frame(camera, output, t)[..., 0] for t in range(count)]
+                columns[key] = np.stack(frames).astype(MAPS[output])
+        for camera, path in _camera_poses(episode).items():
+            columns[f"{CAMERA_POSE}.{camera}"] = episode.array(path)[:count]
         return columns
 
     def finish(self) -> Exported:
@@ -254,14 +285,13 @@ class _Export:
         write_json(self._root / "meta/info.json", info)
         if self._cameras:
             write_json(self._root / CAMERAS, dict(self._cameras))
+        if self._segments:
+            write_json(self._root / SEGMENTS, list(self._segments))
+        write_json(self._root / ABOUT, CONVENTIONS)
         (self._root / "README.md").write_text(
-            _card(self._robot, self._made, self._until), encoding="utf-8"
+            _card(self._robot, self._made, self._until, self._features), encoding="utf-8"
         )
-        images = [
-            key
-            for key in self._features
-            if key.startswith(("observation.images.", "observation.depth."))
-        ]
+        images = [key for key in self._features if key.startswith(tuple(IMAGES.values()))]
         return Exported(len(self._made), self._frames, tuple(images))
 
 
@@ -291,13 +321,26 @@ def describe(episode: Episode, choice: Choice) -> Features:
         features[ENVIRONMENT_STATE] = _state_feature(state.task, episode)
     for camera, output in episode.images:
         height, width = episode.frame(camera, output, 0).shape[:2]
-        if output == "depth" and choice.depth:
-            features[f"observation.depth.{camera}"] = _feature(
-                "int16", (height, width), ["height", "width"]
-            )
-        if output == "rgb" and choice.rgb:
-            features[f"observation.images.{camera}"] = _film_feature(height, width)
+        key = f"{IMAGES[output]}.{camera}"
+        if not getattr(choice, output):
+            continue
+        if output in MAPS:
+            features[key] = _feature(MAPS[output], (height, width), ["height", "width"])
+        else:
+            features[key] = _film_feature(height, width)
+    for camera in _camera_poses(episode):
+        features[f"{CAMERA_POSE}.{camera}"] = _feature("float32", (4, 4), ["row", "column"])
     return features
+
+
+def _camera_poses(episode: Episode) -> dict[str, str]:
+    """Camera to the path of its recorded poses (N+1, 4, 4)."""
+    found = {}
+    for camera in dict.fromkeys(camera for camera, _ in episode.images):
+        path = f"obs/sensor_param/{camera}/cam2world_gl"
+        if path in episode.paths:
+            found[camera] = path
+    return found
 
 
 def _feature(
@@ -371,11 +414,11 @@ def _differs(episode: Episode, first: Features, other: Features) -> UsageError:
     names = [key for key in {**first, **other} if first.get(key) != other.get(key)]
     return UsageError(
         f"episode {episode.name} of {episode.shard.path} differs from the ones before it in {', '.join(names)}; a data "
-        "set needs the same in all. Choose with --where, or leave images out with --no-rgb and --no-depth."
+        "set needs the same in all. Choose with --where, or leave images out with --no-rgb, --no-depth and --no-seg."
     )
 
 
-def _card(robot: str, made: Sequence[Made], until: Until) -> str:
+def _card(robot: str, made: Sequence[Made], until: Until, features: Features) -> str:
     licences = dict.fromkeys(each.licence for each in made)
     frames = sum(each.steps for each in made)
     teleported = sum(each.row["navigation"] == "teleport" for each in made)
@@ -383,6 +426,7 @@ def _card(robot: str, made: Sequence[Made], until: Until) -> str:
         f"`{STATE}` is proprioception (joints, velocity of the base, tcp pose); `{ENVIRONMENT_STATE}` is privileged "
         "state of the simulation (object, goal, grasp)."
     ]
+    about.append(_card_cameras(features))
     if teleported:
         about.append(
             f"In {teleported} of {len(made)} episodes the environment teleported the robot to every goal. "
@@ -404,8 +448,18 @@ def _card(robot: str, made: Sequence[Made], until: Until) -> str:
         f"{len(made)} episodes, {frames} frames at {FPS} Hz of a simulated "
         f"robot ({robot}) in furnished homes, recorded by mjhab.",
         "",
-        *(line for text in about for line in (text, "")),
+        *(line for text in about if text for line in (text, "")),
         "Assets: " + "; ".join(licences),
         "",
     ]
     return "\n".join(lines)
+
+
+def _card_cameras(features: Features) -> str:
+    """What a user of the images has to know; "" without images."""
+    if not any(key.startswith(tuple(IMAGES.values())) for key in features):
+        return ""
+    topics = ("camera", "camera_pose", "mount", "intrinsic", "depth", "segmentation", "quaternion")
+    lines = [f"- {topic}: {CONVENTIONS[topic]}" for topic in topics]
+    files = f"Calibration of the cameras: `{CAMERAS}`; names of segmentation ids: `{SEGMENTS}`. Conventions:"
+    return "\n".join([files, "", *lines])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import torch
 
+from mjhab.experts import make_expert
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession, demonstration_env
@@ -40,37 +42,58 @@ def collect_demonstrations(
     Raises:
         OutOfTime: the rest of the time budget is needed for the evaluations.
     """
-    from mjhab.experts import make_expert
-
     began = time.perf_counter()
-    worlds_count = min(DEMONSTRATION_WORLDS, episodes)
-    buffer = make(worlds_count)
-    env = demonstration_env(
-        session.request.scene,
-        session.config.inputs,
-        worlds_count,
-        session.request.threads,
-        DEMONSTRATION_SEED + session.seed,
-    )
-    sight = Sight(env, session.layout, session.config.privileged_critic)
-    expert = make_expert(env, Styles.parse(style))
-    obs, info = env.reset(seed=DEMONSTRATION_SEED + session.seed)
-    every = torch.ones(worlds_count, dtype=torch.bool)
-    expert.reset(every.numpy())
-    still = torch.zeros(worlds_count, len(session.layout.actions))
-    sight.begin(every, info)
-    seen = sight.see(obs, info, still, every)
-    finished = 0
-    device = session.worlds.device
-    rounds = -(-episodes // worlds_count)
+    play = _Play(session, min(DEMONSTRATION_WORLDS, episodes), Styles.parse(style))
+    buffer = make(play.worlds)
+    rounds = -(-episodes // play.worlds)
     for number in range(rounds):
-        ended = torch.zeros(worlds_count, dtype=torch.bool)
+        play.record_round(buffer)
+        finished = (number + 1) * play.worlds
+        session.estimate_evaluation((time.perf_counter() - began) / finished)
+        # Several processes decide together, and only their numbers of rounds are the same.
+        session.check_time()
+        tell(min(finished, episodes))
+    return buffer
+
+
+class _Play:
+    """The expert in an environment of its own, with a run's observations.
+
+    Args:
+        session: of the run. worlds: number of parallel worlds. styles: of the expert.
+    """
+
+    def __init__(self, session: ReinforcementSession, worlds: int, styles: Styles) -> None:
+        self.worlds = worlds
+        self._session = session
+        self._env = demonstration_env(
+            session.request.scene,
+            session.config.inputs,
+            worlds,
+            session.request.threads,
+            DEMONSTRATION_SEED + session.seed,
+        )
+        self._sight = Sight(self._env, session.layout, session.config.privileged_critic)
+        self._expert = make_expert(self._env, styles)
+        self._every = torch.ones(worlds, dtype=torch.bool)
+        self._begun = False
+
+    def record_round(self, buffer: ReplayBuffer) -> None:
+        """Play one episode in every world and add its steps to a buffer.
+
+        Raises:
+            OutOfTime: the rest of the time budget is needed for the evaluations.
+        """
+        device = self._session.worlds.device
+        obs, info = self._begin_episodes()
+        still = torch.zeros(self.worlds, len(self._session.layout.actions))
+        seen = self._sight.see(obs, info, still, self._every)
+        ended = torch.zeros(self.worlds, dtype=torch.bool)
         while not bool(ended.all()):
-            executed = torch.from_numpy(expert.act(obs, info))
-            intended = torch.from_numpy(expert.notes().intended)
-            obs, reward, terminated, truncated, info = env.step(executed.numpy())
-            over = torch.from_numpy(terminated | truncated)
-            following = sight.see(obs, info, executed, ~every)
+            executed = torch.from_numpy(self._expert.act(obs, info))
+            intended = torch.from_numpy(self._expert.notes().intended)
+            obs, reward, terminated, truncated, info = self._env.step(executed.numpy())
+            following = self._sight.see(obs, info, executed, ~self._every)
             buffer.add(
                 seen.to(device),
                 intended.to(device),
@@ -78,18 +101,17 @@ def collect_demonstrations(
                 torch.from_numpy(terminated).to(device),
             )
             seen = following
-            ended = ended | over
+            ended = ended | torch.from_numpy(terminated | truncated)
             if distributed.processes() == 1:
-                session.check_time()
-        buffer.close(torch.arange(worlds_count, device=device), seen.to(device))
-        finished += worlds_count
-        session.estimate_evaluation((time.perf_counter() - began) / finished)
-        # Several processes decide together, and only their numbers of rounds are the same.
-        session.check_time()
-        tell(min(finished, episodes))
-        if number + 1 < rounds:
-            obs, info = env.reset()
-            expert.reset(every.numpy())
-            sight.begin(every, info)
-            seen = sight.see(obs, info, still, every)
-    return buffer
+                self._session.check_time()
+        buffer.close(torch.arange(self.worlds, device=device), seen.to(device))
+
+    def _begin_episodes(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """First observations and info of the next episode of every world."""
+        # Only the first reset names the seed: later ones go on to new episodes.
+        seed = None if self._begun else DEMONSTRATION_SEED + self._session.seed
+        obs, info = self._env.reset(seed=seed)
+        self._begun = True
+        self._expert.reset(self._every.numpy())
+        self._sight.begin(self._every, info)
+        return obs, info

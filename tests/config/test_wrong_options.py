@@ -150,3 +150,20 @@ def test_registering_functions_say_what_they_expect(register: str, value: Any):
 def test_a_plain_gymnasium_env_is_one_world(option: dict[str, Any]):
     with pytest.raises(UsageError, match=r"plain gymnasium\.Env has .*make_vec takes others"):
         gymnasium.make("mjhab/SetTable-v1", **option)
+
+
+SPEC_FIELDS = {"out": (3.5, [], object(), b"x"), "style": ("x", 3, [3]), "subtask": ([], 3),
+               "target": ([], 3), "env": (3, "x", [1], {3: 4}), "resume": ("no", 2)}  # fmt: skip
+
+
+@pytest.mark.parametrize("run", [mjhab.evaluate, mjhab.generate])
+def test_evaluations_and_data_sets_refuse_other_types_before_anything_is_written(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    for name, values in SPEC_FIELDS.items():
+        for value in values:
+            options = {"out": tmp_path / "run", "subtask": "close", "episodes": 1, name: value}
+            with pytest.raises(UsageError, match=f"{name} must be"):
+                run("zero", **options)
+    assert not list(tmp_path.iterdir())

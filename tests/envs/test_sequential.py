@@ -233,7 +233,7 @@ def test_fixed_home_and_splits():
         ({"task": "set_tabel"}, "set_table"),
         ({"subtask": "pik"}, "pick"),
         ({"task": "tidy_house", "subtask": "open"}, "set_table"),
-        ({"num_envs": 0}, "from 1 to"),
+        ({"num_envs": 0}, "at least 1"),
         ({"home": "builtin_m0_99"}, "builtin_m0_0"),
         ({"subtask": "pick", "target": "024_bow"}, "024_bowl"),
         ({"target": "024_bowl"}, "needs a subtask"),

@@ -70,7 +70,7 @@ def test_without_collision_meshes_the_hulls_of_what_is_seen_collide(tmp_path: Pa
     ("options", "message"),
     [
         ({"mass": 0.0}, "mass of thing: 0 is out of the range"),
-        ({"mass": float("nan")}, "mass of thing: nan is out of the range"),
+        ({"mass": float("nan")}, "mass of .thing. must be a finite number"),
         ({"mass": 0.1, "scale": 100.0}, "the object measures 10 x 10 x 10 m; expected"),
         ({"mass": 0.1, "scale": 0.001}, "Files are read in metres; `scale` converts"),
         ({"mass": 0.1, "name": "a mug"}, "name of the object: 'a mug' is no name"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any, ClassVar
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.option_types import fitting
+from mjhab.core.typed.options import take_types
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
@@ -138,7 +137,12 @@ class EnvConfig:
     buffers: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._take_types()
+        if isinstance(self.starts, str):
+            raise UsageError(
+                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
+                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
+            )
+        take_types(self)
         if self.target == "all":
             object.__setattr__(self, "target", "")
         self._take_home_file()
@@ -172,28 +176,6 @@ class EnvConfig:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""
         names = profile_named(self.profile).options(self.subtask, trains=self.trains)
         return {name: getattr(self, name) for name in ("profile", *names)}
-
-    def _take_types(self) -> None:
-        """Put defaults in place of None, and plain values in place of paths, lists and numbers of numpy.
-
-        Raises:
-            UsageError: an option has a value of another type, or a number out of its range.
-        """
-        if isinstance(self.starts, str):
-            raise UsageError(
-                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
-                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
-            )
-        hints = typing.get_type_hints(type(self))
-        for option in dataclasses.fields(self):
-            value = getattr(self, option.name)
-            if value is None and option.default is not dataclasses.MISSING:
-                value = option.default
-            elif value is None:
-                value = {}
-            if value is not None:
-                value = fitting(option.name, hints[option.name], value)
-            object.__setattr__(self, option.name, value)
 
     def _take_home_file(self) -> None:
         """Turn a home that is a file into the pack of that file, all homes of which are used.
@@ -248,6 +230,9 @@ class EnvConfig:
                 raise UsageError(
                     f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
                 )
+        size = self.camera_size
+        for pixels in size if isinstance(size, tuple) else (size,):
+            whole_number("camera_size", pixels)
         for name in WHOLE_NUMBERS:
             whole_number(name, getattr(self, name))
         if not 0.0 <= self.open_start <= 1.0:

@@ -25,9 +25,9 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json
-from mjhab.core.files.records import read_record
 from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
+from mjhab.core.typed.records import read_record
 from mjhab.core.version import __version__
 from mjhab.episodes.generator import Episode
 from mjhab.layout.compile import home_hash

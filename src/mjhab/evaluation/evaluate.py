@@ -19,6 +19,7 @@ import numpy as np
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.options import take_types
 from mjhab.core.version import __version__
 from mjhab.evaluation.own_policy import (
     check_methods,
@@ -59,6 +60,10 @@ NOT_IN_CONFIG = frozenset({"policy", "style", "env", "out", "resume", "overwrite
 """Fields of `EvalSpec` that a run's configuration stores in another form, or not at all."""
 FIXED_ENV_OPTIONS = frozenset({"num_envs", "autoreset", "backend", "device", "starts", "buffers"})
 """Environment options that an evaluation sets itself."""
+
+
+CHECKED_APART = frozenset({"policy", "assets", "episodes", "worlds", "seed", "threads", "films"})
+"""Fields of `EvalSpec` and `GenerateSpec` whose types other functions check."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,7 @@ class EvalSpec:
     alone: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
+        take_types(self, CHECKED_APART)
         TASKS.check(self.task)
         if self.subtask:
             SUBTASKS.check(self.subtask)

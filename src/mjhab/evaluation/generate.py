@@ -19,6 +19,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.config.ranges import range_of, whole_number
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
+from mjhab.core.typed.options import take_types
 from mjhab.data.record import generation
 from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.record.generation import Job, Standing
@@ -30,6 +31,7 @@ from mjhab.data.store.reading import episodes as recorded_episodes
 from mjhab.envs.observations.modes import camera_names, image_size, mode_outputs
 from mjhab.episodes.starts import valid_targets
 from mjhab.evaluation.evaluate import (
+    CHECKED_APART,
     EvalSpec,
     PolicyLike,
     check_env_options,
@@ -134,6 +136,7 @@ class GenerateSpec:
     resume: bool = False
 
     def __post_init__(self) -> None:
+        take_types(self, CHECKED_APART | {"per_target", "per_label", "workers", "camera_size"})
         object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         if isinstance(self.policy, str):
             object.__setattr__(

@@ -19,8 +19,8 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import beside, is_file, read_json_object
-from mjhab.core.files.records import read_record
 from mjhab.core.names import kind_of
+from mjhab.core.typed.records import read_record
 from mjhab.evaluation.resolve import (
     EXPERT,
     NAMED_POLICIES,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from mjhab.core.errors import UsageError, shown, unknown_name
-from mjhab.core.files.records import read_record
+from mjhab.core.typed.records import read_record
 
 BC = "bc"
 FLOW = "flow"

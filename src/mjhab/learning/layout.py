@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
 from mjhab.core.errors import UsageError, shown, unknown_name
-from mjhab.core.files.records import read_record
+from mjhab.core.typed.records import read_record
 from mjhab.learning.configs import InputConfig
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.tasks.subtasks.registry import SUBTASKS

@@ -17,10 +17,10 @@ from typing import Any, Literal
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.reading import read_bytes, read_json
-from mjhab.core.files.records import read_record
 from mjhab.core.names import check_name
-from mjhab.core.option_types import fitting
 from mjhab.core.registration.plugins import raised_text
+from mjhab.core.typed.options import fitting
+from mjhab.core.typed.records import read_record
 from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
 from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes

@@ -10,7 +10,7 @@ from scipy.spatial import QhullError
 
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.names import check_name
-from mjhab.core.option_types import fitting
+from mjhab.core.typed.options import fitting
 from mjhab.scenes.formats.gltf import TO_Z_UP, Primitive, read_glb
 from mjhab.scenes.objects import ObjectModel
 from mjhab.scenes.pack_check import MAX_MASS_KG, MIN_MASS_KG, check_range

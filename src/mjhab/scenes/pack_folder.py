@@ -11,7 +11,7 @@ import numpy as np
 from mjhab.core.errors import UsageError
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.reading import read_json_object
-from mjhab.core.files.records import read_record
+from mjhab.core.typed.records import read_record
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.roles import check_roles, present_roles

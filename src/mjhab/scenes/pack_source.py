@@ -12,8 +12,8 @@ from typing import Any
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.files.reading import beside
 from mjhab.core.names import check_name
-from mjhab.core.option_types import fitting
 from mjhab.core.registration.registry import Registry, check_item
+from mjhab.core.typed.options import fitting
 from mjhab.scenes.spec import Pack
 
 

@@ -6,14 +6,44 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from numbers import Integral, Real
 from os import PathLike, fspath
+from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError, shown
 
 MAX_TEXT_CHARACTERS = 4096
+
+
+def take_types(options: Any, apart: Collection[str] = ()) -> None:
+    """Put defaults in place of None, and plain values in place of paths, lists and numbers of numpy, in a dataclass.
+
+    Args:
+        options: a frozen dataclass that is being made; it is changed in place.
+        apart: fields that are checked elsewhere.
+
+    Raises:
+        UsageError: see `fitting`.
+    """
+    hints = typing.get_type_hints(type(options))
+    for option in dataclasses.fields(options):
+        if option.name in apart:
+            continue
+        value = getattr(options, option.name)
+        if value is None:
+            value = _default(option)
+        # Some defaults are None themselves: something else determines them later.
+        if value is not None or option.default is dataclasses.MISSING:
+            value = fitting(option.name, hints[option.name], value)
+        object.__setattr__(options, option.name, value)
+
+
+def _default(option: dataclasses.Field[Any]) -> Any:
+    if option.default_factory is not dataclasses.MISSING:
+        return option.default_factory()
+    return None if option.default is dataclasses.MISSING else option.default
 
 
 def fitting(name: str, hint: Any, value: Any) -> Any:
@@ -43,6 +73,7 @@ _WORDS: dict[Any, str] = {
     int: "a whole number",
     float: "a finite number",
     bool: "True or False",
+    Path: "a path",
     tuple: "a tuple",
     Mapping: "a mapping with texts as keys",
     types.NoneType: "None",
@@ -63,6 +94,9 @@ def _read(name: str, kind: Any, value: Any) -> Any:
         return bool(value) if is_bool else _UNFIT
     if origin is str and isinstance(value, str | PathLike):
         return _text(name, fspath(value))
+    if origin is Path and isinstance(value, str | PathLike):
+        text = _text(name, fspath(value))
+        return _UNFIT if text is _UNFIT else Path(text)
     if origin is int and isinstance(value, Integral) and not is_bool:
         return int(value)
     if origin is float and isinstance(value, Real) and not is_bool:

@@ -1,0 +1,1 @@
+"""Values of others, checked against the annotations of fields."""

@@ -113,6 +113,17 @@ def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) ->
     assert again.tried == 12 and len((tmp_path / TRIED).read_text().splitlines()) == 12
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["null", "[]", "{}", '{"index":"1","target":"all","label":"","passes":true}', "9" * 5000],
+)
+def test_tried_episodes_that_are_none_are_refused(tmp_path: Path, line: str) -> None:
+    generate(job(tmp_path, "steps > 10000", episodes=2), InlineCrew())
+    (tmp_path / TRIED).write_text(f"{line}\n")
+    with pytest.raises(UsageError, match=r"tried.jsonl is damaged"):
+        generate(job(tmp_path, "steps > 10000", episodes=2), InlineCrew(), resume=True)
+
+
 def test_processes_killed_at_random_lose_and_double_nothing(
     tmp_path: Path, reference: dict[int, str]
 ) -> None:

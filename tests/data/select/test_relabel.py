@@ -16,7 +16,7 @@ from mjhab.data.select.relabel import relabel
 from mjhab.data.store.checking import check
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.reading import episodes, open_shard
-from mjhab.data.store.schema import CHECKS
+from mjhab.data.store.schema import CHECKS, DamagedError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.subtasks.registry import spec_of
@@ -95,7 +95,9 @@ def test_a_record_that_does_not_fit_its_signals_is_refused(tmp_path: Path) -> No
             old = episode.record
             wrong = dataclasses.replace(old.subtasks[1], index=4)
             episode.__dict__["record"] = dataclasses.replace(old, subtasks=(old.subtasks[0], wrong))
-            with pytest.raises(ValueError, match="signals are of subtask 1, the record of 4"):
+            with pytest.raises(
+                DamagedError, match=r"has subtask 4, and its signals are \d+ states of subtask 1"
+            ):
                 relabel(episode)
             return
     raise AssertionError("no episode got beyond its first subtask")

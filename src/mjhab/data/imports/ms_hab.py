@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.files.reading import parse_json
+from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.core.rotations import quat_canonical
 from mjhab.data.imports.ms_hab_layout import (
     ACTIONS,
@@ -28,13 +28,16 @@ from mjhab.data.imports.ms_hab_layout import (
     SCANNED_YAWS,
     SOURCE_TYPE,
     TRAJECTORY,
+    check_episode,
+    check_file,
     from_verbose,
 )
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
-from mjhab.data.store.hdf5 import dataset, dataset_paths, group
+from mjhab.data.store.hdf5 import content, dataset, dataset_paths, group, read_attributes
 from mjhab.data.store.images import ImageFormat, encode
 from mjhab.data.store.object_axes import from_scan_axes, shown_objects
 from mjhab.data.store.older import OBJECT_POSE
+from mjhab.data.store.reading import UNREADABLE
 from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.data.store.schema import FORMAT
 from mjhab.data.store.shard import ShardWriter
@@ -56,8 +59,6 @@ ABSENT = (
 ARRAYS = ("actions", "terminated", "truncated", "success", "fail", "rewards")
 GROUPS = ("obs/agent", "obs/extra")
 """Datasets and groups that every trajectory must hold."""
-EPISODE_KEYS = ("episode_id", "elapsed_steps", "label", "events_verbose")
-"""Keys that the JSON file must have for every trajectory."""
 SPLITS = ("train", "val", "test")
 LINKS = {"fridge": "fridge/top_door", "kitchen_counter": "kitchen_counter/drawer3"}
 """The link of each piece of furniture that MS-HAB opens and closes (mshab/utils/gen/gen_task_plans.py)."""
@@ -131,8 +132,8 @@ def import_ms_hab(
                     frames += data.record.steps
                 if after is not None:
                     after()
-    except (OSError, KeyError, ValueError) as error:
-        raise UsageError(f"{path} cannot be read as data of MS-HAB: {error}") from error
+    except UNREADABLE as error:
+        raise UsageError(f"{path} cannot be read as data of MS-HAB: {reason(error)}") from error
     return Imported(written, frames, present, shard)
 
 
@@ -156,7 +157,7 @@ class _Source:
             raise UsageError(
                 f"{path} has no {beside.name} beside it, which describes its trajectories."
             )
-        text = beside.read_bytes()
+        text = read_bytes(beside)
         try:
             said = parse_json(text)
         except ValueError as error:
@@ -166,13 +167,12 @@ class _Source:
                 f"{beside} has no list 'episodes'; give a file as MS-HAB's generator writes it."
             )
         told = said["episodes"]
-        for number, each in enumerate(told):
-            missing = [key for key in EPISODE_KEYS if key not in each]
-            if missing:
-                raise UsageError(
-                    f"{beside}: episode {number} has no {', '.join(missing)}. Record with labels (label_episode=True), "
-                    "as mshab/utils/gen/gen_data.py does."
-                )
+        try:
+            check_file(said)
+            for number, each in enumerate(told):
+                check_episode(number, each)
+        except ValueError as error:
+            raise UsageError(f"{beside}: {error}") from error
         subtask = _subtask(path, said)
         return cls(
             path,
@@ -191,7 +191,7 @@ class _Source:
 
     def run(self) -> RunInfo:
         """Description of the run that made the episodes, as far as the file has it."""
-        made = next(iter(self.said.get("runs", {}).values()), {})
+        made = next(iter(self._runs()), {})
         name = made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
         policy = name or f"ms_hab {self.said.get('source_type', '')}".strip().lower()
         place = f"{self.task}/{self.subtask}/{self.path.stem}"
@@ -282,7 +282,8 @@ class _Source:
                 f"{self.path}: {name} has actions of {arrays['actions'].shape[1]} numbers; {self._control_mode()} has "
                 f"{len(names)} ({', '.join(names)}). Give data of the robot Fetch."
             )
-        record = self._record(told, index, arrays)
+        # What the file says is checked as it is where a shard is read: names become parts of paths.
+        record = EpisodeRecord.from_dict(self._record(told, index, arrays).to_dict())
         ending = str(told.get("ending") or _ending(trajectory))
         actors = tuple(str(actor) for actor in told.get("actors", ()))
         return EpisodeData(record, run, "", ending, arrays, columns, actors)
@@ -356,9 +357,9 @@ def _check_file(path: Path) -> None:
     try:
         with h5py.File(path, "r") as file:
             names = list(file)
-            is_shard = file.attrs.get("format") in (FORMAT, FORMAT.encode())
-    except OSError as error:
-        raise UsageError(f"{path} is not an HDF5 file: {error}") from error
+            is_shard = str(read_attributes(file).get("format")) == FORMAT
+    except UNREADABLE as error:
+        raise UsageError(f"{path} is not an HDF5 file: {reason(error)}") from error
     if is_shard:
         raise UsageError(f"{path} is a shard of mjhab already; there is nothing to import.")
     if not any(name.startswith(TRAJECTORY) for name in names):
@@ -405,7 +406,7 @@ def _arrays(
 
     scan_yaw: heading [rad] of the scan in whose axes the pose of the object is.
     """
-    actions = dataset(trajectory, "actions")[()].astype(np.float32)
+    actions = _rows(trajectory, "actions").astype(np.float32)
     steps = len(actions)
     parts = _state_parts(trajectory)
     if OBJECT_POSE in parts:
@@ -415,14 +416,14 @@ def _arrays(
         "subtasks/active": np.zeros(steps + 1, np.int16),
         "subtasks/step": np.zeros(1, np.int32),
         "subtasks/index": np.zeros(1, np.int16),
-        "reward/total": dataset(trajectory, "rewards")[()].astype(np.float64),
-        "reward/success": dataset(trajectory, "success")[()].astype(np.uint8),
-        "reward/fail": dataset(trajectory, "fail")[()].astype(np.uint8),
+        "reward/total": _rows(trajectory, "rewards").astype(np.float64),
+        "reward/success": _rows(trajectory, "success").astype(np.uint8),
+        "reward/fail": _rows(trajectory, "fail").astype(np.uint8),
         "obs/state": np.concatenate(list(parts.values()), axis=1),
     }
     # MS-HAB executes the policy's actions without noise, so the intended actions equal the executed ones.
     told = {
-        name: dataset(trajectory, name)[()]
+        name: _rows(trajectory, name)
         for name in ("actions_intended", "actor")
         if name in trajectory
     }
@@ -441,7 +442,7 @@ def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
     for folder in ("agent", "extra"):
         members = group(trajectory, f"obs/{folder}")
         for name in members:
-            values = dataset(members, str(name))[()].astype(np.float32)
+            values = _rows(members, str(name)).astype(np.float32)
             values = values.reshape(len(values), -1)
             if POSE.search(str(name)) and values.shape[1] == 7:
                 values[:, 3:] = quat_canonical(values[:, 3:])
@@ -456,11 +457,11 @@ def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
     for path in dataset_paths(obs):
         folder, _, rest = path.partition("/")
         if folder == _PARAMETERS:
-            arrays[f"obs/{path}"] = dataset(obs, path)[()]
+            arrays[f"obs/{path}"] = _rows(obs, path)
         if folder != _CAMERAS:
             continue
         output = rest.rpartition("/")[2]
-        files = [encode(frame, output, ImageFormat()) for frame in dataset(obs, path)[()]]
+        files = [encode(frame, output, ImageFormat()) for frame in _rows(obs, path)]
         arrays[f"images/{rest}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
         arrays[f"images/{rest}/ends"] = np.cumsum([len(file) for file in files], dtype=np.int64)
     return arrays
@@ -468,6 +469,14 @@ def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
 
 def _ending(trajectory: h5py.Group) -> str:
     """How an episode ended. MS-HAB's "fail" means too much force or an object that left its goal."""
-    if not dataset(trajectory, "terminated")[()][-1]:
+    if not _rows(trajectory, "terminated")[-1]:
         return "timeout"
-    return "success" if dataset(trajectory, "success")[()][-1] else "force_exceeded"
+    return "success" if _rows(trajectory, "success")[-1] else "force_exceeded"
+
+
+def _rows(parent: h5py.Group, path: str) -> np.ndarray:
+    """A dataset of a trajectory, which has at least one row."""
+    array = content(dataset(parent, path))
+    if not array.ndim or array.dtype.kind not in "biuf":
+        raise ValueError(f"{path} must be rows of numbers, not {array.dtype} {array.shape}")
+    return array

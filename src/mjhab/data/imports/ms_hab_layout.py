@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from mjhab.rollout.records import Event
+from mjhab.data.store.run_entries import check_entries
+from mjhab.rollout.records import MAX_COUNT, Event
 from mjhab.tasks.labelling.legacy import extend
 from mjhab.tasks.subtasks.registry import number_of
 
@@ -63,6 +64,66 @@ _THEIRS = {
 _OURS = {theirs: ours for ours, theirs in _THEIRS.items()}
 
 
+EPISODE_KEYS = ("episode_id", "elapsed_steps", "label", "events_verbose")
+"""Keys that the JSON file must have for every trajectory."""
+_COUNTS = ("episode_id", "elapsed_steps", "episode_index")
+_TEXTS = (
+    "label",
+    "legacy_label",
+    "control_mode",
+    "articulation_type",
+    "target",
+    "home",
+    "split",
+    "object_axes",
+    "ending",
+)
+
+
+def check_file(said: Mapping[str, Any]) -> None:
+    """Check what a JSON file says of all trajectories.
+
+    Raises:
+        ValueError: an entry has another type than MS-HAB and mjhab write.
+    """
+    runs = said.get("runs", {})
+    if not isinstance(runs, Mapping):
+        raise ValueError("'runs' must be an object")
+    for run in runs.values():
+        check_entries(run)
+    info = said.get("env_info")
+    if info is not None and not isinstance(info, Mapping):
+        raise ValueError("'env_info' must be an object")
+
+
+def check_episode(number: int, told: Any) -> None:
+    """Check what a JSON file says of a trajectory.
+
+    Raises:
+        ValueError: an entry is missing, or has another type than MS-HAB and mjhab write.
+    """
+    if not isinstance(told, Mapping):
+        raise ValueError(f"episode {number} is no object")
+    missing = [key for key in EPISODE_KEYS if key not in told]
+    if missing:
+        raise ValueError(
+            f"episode {number} has no {', '.join(missing)}. Record with labels (label_episode=True), as "
+            "mshab/utils/gen/gen_data.py does."
+        )
+    seeds = told.get("episode_seed", 0)
+    numbers = [told[key] for key in _COUNTS if key in told]
+    numbers += seeds if isinstance(seeds, list) else [seeds]
+    for value in numbers:
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
+            raise ValueError(f"episode {number}: {str(value)[:60]!r} is no whole number from 0")
+    for key in _TEXTS:
+        if told.get(key) is not None and not isinstance(told[key], str):
+            raise ValueError(f"episode {number}: {key} must be a text, not {str(told[key])[:60]!r}")
+    for key in ("events_verbose", "actors"):
+        if not isinstance(told.get(key, []), list):
+            raise ValueError(f"episode {number}: {key} must be a list")
+
+
 def to_events(kind: str, events: Iterable[Event]) -> list[str]:
     """The "events" of an episode of one subtask: those that determine its label, without immediate repeats."""
     counted: list[str] = []
@@ -104,5 +165,7 @@ def from_verbose(
             events.append((int(step) + 1, _OURS.get(str(name), str(name))))
             continue
         for at, value in zip(step, values, strict=True):
+            if not 0 <= at < steps:
+                raise ValueError(f"a force in step {at} of {steps}")
             force[int(at)] = float(value)
     return tuple(events), tuple(force)

@@ -395,6 +395,6 @@ def _read_tried(path: Path) -> list[Outcome]:
     if whole != lines:
         write_atomic(path, lambda temporary: temporary.write_text("".join(whole), encoding="utf-8"))
     try:
-        return [Outcome(**parse_json(line)) for line in whole]
+        return [Outcome.from_dict(parse_json(line)) for line in whole]
     except (ValueError, TypeError) as error:
         raise UsageError(f"{path} is damaged ({reason(error)}); choose another --out.") from error

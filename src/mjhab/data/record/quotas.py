@@ -11,6 +11,7 @@ from bisect import bisect_left, insort
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from mjhab.core.errors import UsageError
 
@@ -25,6 +26,19 @@ class Outcome:
     target: str
     label: str
     passes: bool
+
+    @classmethod
+    def from_dict(cls, told: Any) -> Outcome:
+        """Read JSON data.
+
+        Raises:
+            ValueError: it is no outcome.
+        """
+        types = {"index": int, "target": str, "label": str, "passes": bool}
+        fits = isinstance(told, dict) and told.keys() == types.keys()
+        if not fits or any(type(told[name]) is not kind for name, kind in types.items()):
+            raise ValueError(f"no outcome of an episode: {str(told)[:60]!r}")
+        return cls(**told)
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import reason
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import describe_views, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.reading import Episode, open_shard, shard_paths
+from mjhab.data.store.reading import UNREADABLE, Episode, open_shard, shard_paths
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter
 
@@ -142,6 +143,20 @@ class _Comparison:
     def steps(self) -> int:
         return len(self.actions)
 
+    def refuse_other_shapes(self, episode: Episode, width: int) -> None:
+        """Refuse actions that are not (N, ``width``), and states that are not N+1 rows.
+
+        Raises:
+            DamagedError: names the episode.
+        """
+        rows = [len(values) for values in self.states or ()]
+        if self.actions.shape != (self.steps, width) or set(rows) - {self.steps + 1}:
+            raise DamagedError(
+                f"episode {episode.name} of {episode.shard.path} has actions {self.actions.shape} and {rows} states; "
+                f"its environment takes actions (N, {width}), and N of them lead to N+1 states. See what is wrong "
+                f"with: mjhab data check {episode.shard.path}"
+            )
+
     def begins_with(self, state: Mapping[str, np.ndarray]) -> bool:
         """Whether a state equals the recorded first state."""
         return all(_same_bits(state[name], self.first[name]) for name in ("qpos", "qvel"))
@@ -177,6 +192,8 @@ def _verify_batch(env: RecordedEnv, batch: list[Episode]) -> list[tuple[Episode,
         Per episode: itself, what is wrong ("" if nothing), the largest difference, and whether its start state differs.
     """
     compared = [_Comparison(episode) for episode in batch]
+    for episode, one in zip(batch, compared, strict=True):
+        one.refuse_other_shapes(episode, len(env.action_table))
     moved = _begin(env, batch, compared)
     longest = max(one.steps for one in compared)
     actions = np.zeros((env.num_envs, compared[0].actions.shape[1]), np.float32)
@@ -205,8 +222,8 @@ def _begin(env: RecordedEnv, batch: list[Episode], compared: list[_Comparison]) 
         if moved[world]:
             try:
                 env.set_state(world, episode.initial())
-            except UsageError as error:
-                one.problem = f"it cannot begin here: {error}"
+            except (UsageError, *UNREADABLE) as error:
+                one.problem = f"it cannot begin here: {reason(error)}"
     return moved
 
 
@@ -267,7 +284,14 @@ def _draw(
     env: RecordedEnv, episode: Episode, follow: bool, images: ImageFormat
 ) -> dict[str, np.ndarray]:
     """Datasets of an episode's images and of observations that the observer derives from them, by path."""
+    episode.refuse_damage()
     qpos = episode.array("states/qpos")
+    width = len(env.sim.get_world(0)["qpos"])
+    if qpos.shape[1] != width:
+        raise DamagedError(
+            f"episode {episode.name} of {episode.shard.path} has {qpos.shape[1]} positions in a state, and its "
+            f"environment has {width} here."
+        )
     home = episode.record.home
     files: dict[str, list[bytes]] = {}
     rows: dict[str, list[np.ndarray]] = {}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.data.store.reading import Episode
+from mjhab.data.store.schema import DamagedError
 from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
 from mjhab.tasks.labelling.events import event_names, step_events
 from mjhab.tasks.labelling.labels import label_history, label_names
@@ -30,6 +31,9 @@ def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
     """The record of an episode with labels and events by the current rules, and its changes.
 
     Subtasks that had not ended when the episode was cut keep having no label.
+
+    Raises:
+        DamagedError: its signals are not those of its record.
     """
     record = episode.record
     changes = []
@@ -37,9 +41,11 @@ def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
     events = [e for e in record.events if e[0] > _last_end(record)]
     for k, old in reversed(list(enumerate(record.subtasks))):
         index, history = episode.history(k)
-        if index != old.index:
-            raise ValueError(
-                f"episode {episode.name}: the signals are of subtask {index}, the record of {old.index}"
+        if index != old.index or len(history.success) < 2:
+            raise DamagedError(
+                f"episode {episode.name} of {episode.shard.path}: its record has subtask {old.index}, and its signals "
+                f"are {len(history.success)} states of subtask {index}. See what is wrong with: mjhab data check "
+                f"{episode.shard.path}"
             )
         new = relabel_subtask(old, history)
         subtasks.insert(0, new)

@@ -13,7 +13,7 @@ import numpy as np
 from mjhab.core.files.reading import parse_json
 from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.run_entries import check_entries
-from mjhab.data.store.schema import VERSION, column_widths, problems
+from mjhab.data.store.schema import ENDINGS, VERSION, column_widths, problems
 from mjhab.rollout.records import EpisodeRecord
 
 _ARRAY = "__array__"
@@ -115,6 +115,8 @@ class EpisodeData:
         )
         wrong = wrong or unnamed_actors(arrays, self.actors)
         wrong += record_problems(self.record)
+        if self.ending not in ENDINGS:
+            wrong.append(f"it ended by {self.ending[:60]!r}; endings are {', '.join(ENDINGS)}")
         if wrong:
             raise ValueError(
                 f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}"
@@ -195,7 +197,9 @@ def from_bytes(data: np.ndarray) -> Any:
     Raises:
         ValueError: the bytes are not JSON.
     """
-    return parse_json(np.asarray(data, np.uint8).tobytes(), _restore)
+    if data.dtype != np.uint8:
+        raise ValueError(f"JSON data are bytes, not {data.dtype}")
+    return parse_json(data.tobytes(), _restore)
 
 
 def _plain(value: Any) -> Any:

@@ -18,6 +18,8 @@ from mjhab.core.files.reading import reason
 RGB_FORMATS = ("png", "jpeg")
 MAX_SIDE = 4096
 """Largest side of a picture that is read [px]; an encoded picture of a few bytes may claim any size."""
+MAX_FRAME_BYTES = 4 * MAX_SIDE**2
+"""Largest encoded picture that is read [bytes]."""
 _INTEGER_MODES = ("I;16", "I")
 _MODES = {"rgb": ("RGB",)}
 """Pillow's names of the pixels that ``encode`` writes, by output; others than rgb have integers of 16 bits."""

@@ -37,7 +37,7 @@ from mjhab.data.store.hdf5 import (
     read_arrays,
     read_attributes,
 )
-from mjhab.data.store.images import check_frame, decode
+from mjhab.data.store.images import MAX_FRAME_BYTES, check_frame, decode
 from mjhab.data.store.journal import Overlay, committed_length, read_journal
 from mjhab.data.store.locking import quiet
 from mjhab.data.store.older import POSES, STAND_INS, canonical_poses, stand_in
@@ -314,10 +314,13 @@ class Episode:
             if place not in self._group:
                 raise self._no_images(camera, output)
             ends = dataset(self._group, f"{place}/ends")
+            if ends.dtype.kind != "i":
+                raise ValueError(f"{place}/ends is {ends.dtype}, not int64")
             start = int(ends[t - 1]) if t else 0
-            return decode(
-                dataset(self._group, f"{place}/bytes")[start : int(ends[t])].tobytes(), output
-            )
+            end = int(ends[t])
+            if not 0 <= start < end <= start + MAX_FRAME_BYTES:
+                raise ValueError(f"frame {t} of {place} is from byte {start} to {end}")
+            return decode(dataset(self._group, f"{place}/bytes")[start:end].tobytes(), output)
 
     def _no_images(self, camera: str, output: str) -> UsageError:
         had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"

@@ -29,6 +29,7 @@ from torchrl.objectives.value import GAE  # pyright: ignore[reportMissingImports
 
 import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.integrations.torchrl import to_torchrl
 from tests.docs.pages import ROOT, blocks
 
@@ -99,6 +100,11 @@ DEPTH = {"num_envs": 2, "autoreset": "disabled", "obs_mode": "depth", "camera_si
 )
 def test_gym_wrapper_takes_environments(make: Callable[..., Any], keys: str) -> None:
     check_env_specs(GymWrapper(make(obs_keys=keys)))
+
+
+def test_gym_wrapper_takes_our_observation_wrappers() -> None:
+    stacked = FrameStack(mjhab.make_train(**OPTIONS, obs_mode="depth", camera_size=16), 3)
+    check_env_specs(GymWrapper(FlattenStatePixels(stacked)))
 
 
 def test_gym_wrapper_resets_the_worlds_of_a_vector_environment_itself() -> None:

@@ -26,7 +26,7 @@ from mjhab.envs.observations.state import BASE_VELOCITY_KEY, state_dim
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.envs.single import OF_WORLDS, SingleEnv
 from mjhab.envs.spaces import nested
-from mjhab.envs.wrappers import FrameStack
+from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 
 ENV_ID = "mjhab/CloseSubtaskTrain-v1"
 TARGET = "kitchen_counter/drawer3"
@@ -127,7 +127,9 @@ def test_a_single_world_in_gymnasiums_own_vector_keeps_its_types() -> None:
 
 def test_the_autoreset_mode_is_an_attribute_as_in_gymnasiums_own_vectors() -> None:
     for mode in AutoresetMode:
-        assert build(num_envs=1, autoreset=mode.name.lower()).autoreset_mode == mode
+        env = build(num_envs=1, autoreset=mode.name.lower(), obs_mode="depth", camera_size=16)
+        assert env.autoreset_mode == FrameStack(env, 2).autoreset_mode == mode
+        assert FlattenStatePixels(env).autoreset_mode == mode
 
 
 def test_a_frameskip_is_refused_as_torchrl_understands_it() -> None:

@@ -40,6 +40,8 @@ class FrameStack(VectorWrapper):
         self, env: VectorEnv, num_stack: int | None = None, keys: Sequence[str] | None = None
     ) -> None:
         super().__init__(env)
+        # torchrl's GymWrapper looks for it; Gymnasium's wrappers do not pass it on.
+        self.autoreset_mode = env.metadata["autoreset_mode"]
         num_stack = _frames_of(env, num_stack)
         if num_stack < 1:
             raise UsageError(f"FrameStack: num_stack must be at least 1, got {num_stack}")

@@ -43,7 +43,7 @@ SMALL: dict[str, str] = {
     "threads": "1",
 }
 """Option to the value that makes it quick; only options that a command has, and that are not off, are set."""
-ALWAYS = {"score": ("--episodes", "1")}
+ALWAYS = {"score": ("--episodes", "1"), "train": ("--budget-minutes", "0.3")}
 """What is added to a command whatever it says."""
 LASTING = ("serve", "view")
 """Commands that go on until they are ended."""

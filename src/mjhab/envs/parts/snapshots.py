@@ -14,6 +14,23 @@ from mjhab.sim.protocol import SimState
 from mjhab.tasks.progress import Progress
 from mjhab.tasks.signals import Signals
 
+_ORDER = (
+    "episode",
+    "next",
+    "sim",
+    "progress",
+    "signals",
+    "tracker",
+    "controller",
+    "rewarder",
+    "flags",
+    "joint_start",
+    "grip",
+    "pending",
+    "taint",
+)
+"""Order of the entries of a snapshot; those of other parts follow. The bytes of recorded episodes depend on it."""
+
 
 class Restorable(Protocol):
     """A part of an environment that holds state of its own for every world."""
@@ -73,7 +90,7 @@ def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
     episode = env.episodes_now[world]
     if episode is None or env.signals is None:
         raise UsageError(f"world {world} has no state yet: call reset first")
-    return {
+    found = {
         "episode": {"seed": episode.seed, "index": episode.index, "home": episode.home},
         "sim": env.sim.get_world(world),
         "taint": int(env.sim.taint()[world]),
@@ -82,6 +99,7 @@ def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
         **{key: part.get_state(world) for key, part in env.restorable_parts().items()},
         **env.get_columns(world),
     }
+    return {key: found[key] for key in _ORDER} | found
 
 
 def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:

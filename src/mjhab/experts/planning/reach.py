@@ -40,10 +40,13 @@ _KEPT = 50
 
 
 def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -> list[Stance]:
-    """Ways to bring the hand to its work, quickest first, at most MAX_STANCES; empty when there is none.
+    """At most `MAX_STANCES` ways to bring the hand to one of the requested poses, quickest first.
 
     Args:
-        blocked: what lacks nothing but a clear way is added here, for `sampled.roomier`.
+        view: world to plan in.
+        work: the request.
+        blocked: if given, hand poses that can be reached but have no collision-free route are appended, for
+            `sampled.roomier`.
     """
     bases, drive = base_poses(view, work)
     if not len(bases):
@@ -72,7 +75,10 @@ def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -
 
 
 def clear_ones(q: Array, scene: Scene, room: float) -> Array:
-    """The first few (indices) of the configurations (N, J) that touch nothing; the hand is looked at elsewhere."""
+    """Indices of at most `_KEPT` of the configurations ``q`` (N, J), in order, that keep a clearance of ``room`` [m].
+
+    Arm and held object are checked. The hand is not, see `hand_room`.
+    """
     whole = motion.spheres(scene.body)
     hand_links = scene.body.hand_links
     arm = whole.only([n for n in whole.chain.links if n not in hand_links])
@@ -91,7 +97,7 @@ def clear_ones(q: Array, scene: Scene, room: float) -> Array:
 
 
 def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> Array:
-    """Clearance (G,) of the hand and of the wrist behind it on the straight way to the goals."""
+    """Clearance (G,) [m] of hand and wrist from boxes on the straight approach to the goals."""
     hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes, gripper)
     back = 0.05 * goals.rot[:, :, 0]
     wrist = approach_clearance(
@@ -103,13 +109,17 @@ def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> Arra
 def _pairs(
     robot: Robot, bases: Array, point: Array, goals: HandGoals
 ) -> tuple[Array, Array, Array]:
-    """For every base the hand poses that suit it best: base index (N,), goal index (N,), score (N,)."""
+    """Pairs of base poses (B, 3) and the `_PER_BASE` hand poses that suit each best.
+
+    Returns:
+        (N,) index of the base pose, (N,) index of the hand pose, (N,) score.
+    """
     toward = point[:2] - bases[:, :2]
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
     over = overreach(robot.reach, bases, goals)
     score = np.where(over < MAX_OVERREACH_M, score - 20.0 * np.maximum(over, 0.0), -np.inf)
-    # Among equals every base tries others.
+    # Among equal hand poses every base pose tries different ones.
     score = score + 0.05 * np.random.default_rng(1).random(score.shape)
     best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
     base = np.repeat(np.arange(len(bases)), best.shape[1])
@@ -129,9 +139,17 @@ def _seeds(robot: Robot) -> Array:
 def _configurations(
     view: WorldView, work: Work, bases: Array, goal: Array, price: Array
 ) -> tuple[Array, Array]:
-    """Configurations (N, J) that reach hand poses ``goal`` (P,) from ``bases`` (P, 3), and their goal (N,).
+    """Configurations that reach hand poses from base poses, cheapest first.
 
-    The quickest come first; ``price`` (P,): control steps to drive there, less the worth of the hand pose.
+    Args:
+        view: world to plan in.
+        work: the request.
+        bases: (P, 3) base poses.
+        goal: (P,) index of the hand pose of every base pose.
+        price: (P,) control steps to drive there, minus the value of the hand pose.
+
+    Returns:
+        (N, J) configurations, and (N,) the index of the hand pose of each.
     """
     body = view.robot
     now = view.q
@@ -150,7 +168,7 @@ def _configurations(
     cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
     if work.home:
         cost = cost + work.home * motion.steps_home(body, q)
-    # A stretched arm cannot make up for a base that stands a little wrong.
+    # A stretched arm cannot correct an error of the base pose.
     cost = cost + _STRETCHED_PRICE * np.maximum(0.0, 0.9 - np.abs(q[..., body.elbow_column]))
     cost = np.where(found.ok, cost, np.inf).ravel()
     order = np.argsort(cost, kind="stable")[:300]
@@ -163,9 +181,9 @@ def _configurations(
 
 
 def _before(q: Array, goal: Array, work: Work) -> tuple[Array, Array]:
-    """Configurations (N, J) at the start of the straight approach, and where they and the way in are clear (N,).
+    """Configurations (N, J) at the start of the straight approach, and whether (N,) they and the drive in are clear.
 
-    The torso is at its final height already: it is too slow for fine work.
+    The torso is already at its final height, because it follows small changes too slowly.
     """
     if not len(q):
         return q, np.zeros(0, bool)
@@ -203,7 +221,10 @@ def _before(q: Array, goal: Array, work: Work) -> tuple[Array, Array]:
 
 
 def _routed(view: WorldView, work: Work, q: Array, pre: Array, goal: Array) -> list[Stance]:
-    """Stances with routes that are clear; ``q`` (N, J) come cheapest first."""
+    """Stances with collision-free routes to ``pre`` (N, J); if there are none, the one with the most clearance.
+
+    ``q`` (N, J), ``goal`` (N,): configurations at the hand poses, cheapest first, and indices of the hand poses.
+    """
     scene = work.scene
     robot = scene.robot()
     boxes = scene.all
@@ -233,10 +254,18 @@ def _routed(view: WorldView, work: Work, q: Array, pre: Array, goal: Array) -> l
 
 
 def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:
-    """Configurations (M, J) for hand positions (M, 3) from where the base really stands; one torso height for all,
-    the planned one if possible.
+    """Configurations for hand positions from the actual base pose, which differs from the planned one.
 
-    None when one of them is out of reach from here.
+    All have the same torso height, the planned one if possible.
+
+    Args:
+        view: world to act in.
+        stance: planned configurations.
+        pos: (M, 3) hand positions.
+        rot: (3, 3) rotation of the hand.
+
+    Returns:
+        (M, J); None if a position is out of reach.
     """
     robot = view.robot.chain
     torso = list(view.robot.torso_columns)

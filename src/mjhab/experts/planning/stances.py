@@ -1,8 +1,8 @@
 """Base poses and arm configurations for a drawer or door, searched once per piece of furniture and kept in the cache.
 
-Everything here lives in the furniture's own frame ("plan frame"): origin on the floor below the link's origin at joint
-0, +x outward. Furniture is the same in every home, so that what a search finds is kept; a home only decides which of
-the stances have free floor. Letters: N stances, K way points, Q joint columns.
+All poses are in the frame of the furniture ("plan frame"): origin on the floor below the link's origin at joint
+position 0, +x outward. Furniture is the same in every home, so that the results of a search can be kept; a home only
+decides which of the stances are on free floor. Letters: N stances, K way points, Q joint columns, R configurations.
 """
 
 from __future__ import annotations
@@ -41,8 +41,13 @@ SEEDS_FOLLOWED = 3
 
 @dataclass(frozen=True, eq=False)
 class Stances:
-    """N ways to do one job. ``q`` (N, K, Q): configurations at the K way points, base columns in the plan frame;
-    ``steps``, ``back`` (N,): control steps the arm needs from rest to the first one and from the last one to rest."""
+    """N alternative motions of base and arm that open or close a link.
+
+    Attributes:
+        q: (N, K, Q) configurations at the K way points, base columns in the plan frame.
+        steps: (N,) control steps that the arm needs from rest to the first way point.
+        back: (N,) control steps that it needs from the last way point to rest.
+    """
 
     q: Array
     steps: Array
@@ -53,13 +58,13 @@ class Stances:
 
     @staticmethod
     def join(parts: Sequence[Stances]) -> Stances:
-        """All of several sets with the same number of way points."""
+        """The stances of several sets with the same number of way points."""
         return Stances(
             *(np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "steps", "back"))
         )
 
     def shifted(self, along: float) -> Stances:
-        """The same ways for something that has moved outward [m]."""
+        """The same motions for furniture that is displaced outward by ``along`` [m]."""
         moved = self.q.copy()
         moved[:, :, 0] += along
         return Stances(moved, self.steps, self.back)

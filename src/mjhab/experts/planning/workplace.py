@@ -1,4 +1,4 @@
-"""What is asked for where the hand works, and what is around: hand poses, obstacles, and the ways that were found.
+"""Requests and results of the search for stances: hand poses, obstacles around them, base poses and routes.
 
 Lengths [m], angles [rad], world frame. Letters: G hand poses, A avoided base poses, N configurations, J joints.
 """
@@ -27,8 +27,14 @@ attempts."""
 
 @dataclass(frozen=True, eq=False)
 class HandGoals:
-    """Hand poses, any of which will do: ``pos`` (G, 3), ``rot`` (G, 3, 3), where to come from ``pre`` (G, 3), finger
-    ``opening`` (G,) and ``score`` (G,), higher is better, worth about half a second each point."""
+    """Alternative hand poses, of which one is to be reached.
+
+    Attributes:
+        pos, rot: (G, 3) and (G, 3, 3) poses of the tool centre.
+        pre: (G, 3) where the straight approach begins; the rotation is the same.
+        opening: (G,) distance between the pads during the approach [m].
+        score: (G,) preference, higher is better; 1 is worth about half a second (10 control steps).
+    """
 
     pos: Array
     rot: Array
@@ -40,7 +46,7 @@ class HandGoals:
         return len(self.pos)
 
     def take(self, rows: Array) -> HandGoals:
-        """Some of them, by index."""
+        """The hand poses with the indices ``rows``."""
         return HandGoals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
@@ -62,7 +68,7 @@ class Scene:
 
     @property
     def all(self) -> Boxes:
-        """Every box."""
+        """The boxes of ``near`` and of ``target``."""
         return Boxes.join([self.near, self.target])
 
     @property
@@ -81,7 +87,13 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """A way to reach hand pose ``goal`` (index): drive ``route``, then configurations ``pre`` and ``at`` (J,)."""
+    """A way to reach one of several hand poses.
+
+    Attributes:
+        goal: index of the hand pose in its `HandGoals`.
+        pre, at: (J,) configurations at the start of the straight approach and at the hand pose.
+        route: of base and arm to ``pre``, before the straight drive if there is one.
+    """
 
     goal: int
     pre: Array

@@ -10,10 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name
+from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 
 _FORMAT = "mjhab-statistics-1"
+MAX_FILE_MB = 64
+"""Largest file of statistics, unpacked; a real one has some kB."""
 SPREAD = "spread"
 RANGE = "range"
 NORMALS = (SPREAD, RANGE)
@@ -100,20 +103,17 @@ class Statistics:
         Raises:
             UsageError: the file does not exist or has another format.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                head = json.loads(file["head"].tobytes())
-                if head["format"] != _FORMAT:
-                    raise ValueError(f"its format is {head['format']!r}")
-                parts: dict[str, dict[str, np.ndarray]] = {part: {} for part in _PARTS}
-                for key in file.files:
-                    part, _, name = key.partition("/")
-                    if name:
-                        parts[part][name] = file[key]
-        except (OSError, ValueError, KeyError) as error:
-            what = f"{path} cannot be read as statistics of mjhab: {error}"
-            raise UsageError(f"{what}. Delete it to compute them again.") from error
-        return cls(**parts, fingerprint=head["of"])
+        parts: dict[str, dict[str, np.ndarray]] = {part: {} for part in _PARTS}
+        with open_arrays(path, "statistics of mjhab", MAX_FILE_MB) as file:
+            head = json.loads(file["head"].tobytes())
+            if not isinstance(head, dict) or head.get("format") != _FORMAT:
+                raise ValueError("its format is another one")
+            fingerprint = str(head["of"])
+            for key in file:
+                part, _, name = key.partition("/")
+                if name:
+                    parts[part][name] = file[key]
+        return cls(**parts, fingerprint=fingerprint)
 
 
 _PARTS = ("mean", "std", "low", "high")

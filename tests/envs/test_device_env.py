@@ -424,7 +424,7 @@ def test_bad_configurations_are_told(options: dict[str, Any], message: str) -> N
 
 
 def test_a_plain_gymnasium_env_runs_on_the_cpu_backend() -> None:
-    with pytest.raises(UsageError, match=r"plain gymnasium\.Env runs on backend 'cpu'"):
+    with pytest.raises(UsageError, match=r"plain gymnasium\.Env has backend 'cpu'"):
         gymnasium.make("mjhab/PickSubtaskTrain-v1", backend="warp")
 
 

@@ -64,7 +64,8 @@ class EnvConfig:
     or a home file. assets: a pack by name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the
     episodes. threads: 0 takes all cores. extra_objects: types of further objects, one slot each behind those of the
     task's roster; a target that is another object of the pack gets a slot, too. obs_mode: "state", or images too, see
-    `observing.OBS_MODES`. cameras: of which of the robot's cameras; camera_size: pixels, one number or (height, width).
+    `observing.OBS_MODES`. cameras: names of the robot's cameras, or one name; camera_size: pixels, one number or
+    (height, width).
     obs_keys: "flat" as in ``obs["extra/is_grasped"]``, or "nested" as in ``obs["extra"]["is_grasped"]``; wrappers and
     recorders take flat keys. frame_stack: frames that `wrappers.FrameStack` stacks; 1 leaves the number to the
     wrapper's argument. control_mode, base, stationary: see `controllers.make_controller`. reward_mode: one of
@@ -142,6 +143,8 @@ class EnvConfig:
                 f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
                 f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
             )
+        if isinstance(self.cameras, str):
+            object.__setattr__(self, "cameras", (self.cameras,))
         take_types(self)
         if self.target == "all":
             object.__setattr__(self, "target", "")

@@ -28,7 +28,7 @@ LINK_STATE = (
 """Entries of the optional inputs, see `InputConfig`."""
 MAX_STATE_WIDTH = 10_000
 MAX_ACTIONS = 1000
-"""Limits of layouts that a file describes; that of Fetch has 42 numbers and 13 actions."""
+"""Limits of layouts that a file describes; a mobile manipulator has some 40 numbers and 13 actions."""
 Entry = tuple[str, int]
 """Name and width of a part of a vector."""
 

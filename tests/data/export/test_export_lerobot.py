@@ -254,9 +254,9 @@ def test_segmentation_is_left_out_on_demand(tmp_path: Path) -> None:
 
 
 def test_ids_that_mean_other_things_are_refused(tmp_path: Path) -> None:
-    for name, names in (("a", NAMES), ("b", NAMES[::-1])):
+    for index, (name, names) in enumerate((("a", NAMES), ("b", NAMES[::-1]))):
         env = FakeEnv(images=True, segments=names)
-        record(tmp_path / f"{name}.h5", [len(name)], env, images=ImageFormat())
+        record(tmp_path / f"{name}.h5", [index], env, images=ImageFormat())
     with pytest.raises(UsageError, match=r"b\.h5 mean other things.*--no-seg"):
         export(tmp_path, tmp_path / "out/set")
 

@@ -138,7 +138,7 @@ def test_statistics_are_computed_once_for_the_same_data(
     )
     assert WindowDataset(source, normalization=Normalization(statistics=first)).statistics is first
     cache.write_bytes(b"no statistics")
-    with pytest.raises(UsageError, match="Delete it"):
+    with pytest.raises(UsageError, match="delete it"):
         WindowDataset(source, normalization=Normalization(cache=cache))
 
 

@@ -28,7 +28,7 @@ def test_statistics_are_read_as_written(tmp_path: Path):
 def test_another_head_is_refused(tmp_path: Path, head: object):
     path = tmp_path / "s.npz"
     np.savez(path, head=np.frombuffer(json.dumps(head).encode(), np.uint8))
-    with pytest.raises(UsageError, match="statistics of mjhab"):
+    with pytest.raises(UsageError, match="file of statistics"):
         Statistics.load(path)
 
 
@@ -36,5 +36,5 @@ def test_another_head_is_refused(tmp_path: Path, head: object):
 def test_a_cut_file_is_refused(tmp_path: Path, keep: int):
     path = saved(tmp_path / "s.npz")
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(UsageError, match="statistics of mjhab"):
+    with pytest.raises(UsageError, match="file of statistics"):
         Statistics.load(path)

@@ -414,7 +414,7 @@ def test_truncated_packs_are_refused(tmp_path: Path) -> None:
     save_pack(_pack(), tmp_path)
     whole = (tmp_path / "meshes.npz").read_bytes()
     (tmp_path / "meshes.npz").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(UsageError, match=r"meshes\.npz: cannot be read"):
+    with pytest.raises(UsageError, match=r"meshes\.npz is no file of the meshes of a pack"):
         load_pack(tmp_path)
     text = (tmp_path / "pack.json").read_text()
     (tmp_path / "pack.json").write_text(text[: len(text) // 2])

@@ -85,13 +85,16 @@ def _check_size(name: str, stream: IO[bytes], size: int) -> None:
 
 
 @contextmanager
-def open_arrays(path: Path, what: str, most_mb: float) -> Iterator[Arrays]:
+def open_arrays(
+    path: Path, what: str, most_mb: float, remedy: str = "make it again"
+) -> Iterator[Arrays]:
     """Open a file for reading its arrays.
 
     Args:
         path: the file.
         what: what it is, for the message: "spawn set".
         most_mb: of all arrays that are read together [MB], unpacked.
+        remedy: what to do with a damaged file, for the message.
 
     Raises:
         UsageError: it is no such file, it is damaged or too large; also for what is read within this context.
@@ -104,5 +107,5 @@ def open_arrays(path: Path, what: str, most_mb: float) -> Iterator[Arrays]:
         raise UsageError(f"{path}: array {error} is missing; this is no {what}.") from error
     except _DAMAGE as error:
         raise UsageError(
-            f"{path} is no {what}, or is damaged ({reason(error)}); make it again."
+            f"{path} is no {what}, or is damaged ({reason(error)}); {remedy}."
         ) from error

@@ -104,7 +104,8 @@ class Statistics:
             UsageError: the file does not exist or has another format.
         """
         parts: dict[str, dict[str, np.ndarray]] = {part: {} for part in _PARTS}
-        with open_arrays(path, "statistics of mjhab", MAX_FILE_MB) as file:
+        remedy = "delete it to compute them again"
+        with open_arrays(path, "file of statistics", MAX_FILE_MB, remedy) as file:
             head = json.loads(file["head"].tobytes())
             if not isinstance(head, dict) or head.get("format") != _FORMAT:
                 raise ValueError("its format is another one")

@@ -7,9 +7,7 @@ as many draws of every kind of file, and prints what ended in a traceback.
 from __future__ import annotations
 
 import contextlib
-import copy
 import io
-import json
 import random
 import shutil
 import sys
@@ -37,29 +35,9 @@ from mjhab.evaluation import evaluate
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
+from tests.hostile.mutations import changed_json
 from tests.rollout.fake_env import FakeEnv as RolloutEnv
 
-VALUES: tuple[Any, ...] = (
-    None,
-    [],
-    {},
-    True,
-    -1,
-    0,
-    0.5,
-    10**30,
-    2**63,
-    1e300,
-    float("nan"),
-    "",
-    "null",
-    "x" * 5000,
-    "../../x",
-    "\0",
-    [[]],
-    [1e300] * 3,
-    {"a": 1},
-)
 SLOW_SECONDS = 5.0
 
 
@@ -75,44 +53,15 @@ class Subject:
 # -- changes -----------------------------------------------------------------------------------------------------------
 
 
-def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Paths of all parts of JSON data except the whole."""
-    entries: Any = ()
-    if isinstance(value, dict):
-        entries = value.items()
-    elif isinstance(value, list):
-        entries = enumerate(value[:3])
-    for key, entry in entries:
-        yield (*path, key)
-        yield from places(entry, (*path, key))
-
-
-def changed_json(text: str, draw: random.Random) -> str:
-    """JSON data with one part replaced or removed, or, rarely, replaced as a whole."""
-    body = json.loads(text)
-    paths = list(places(body))
-    if not paths or draw.random() < 0.03:
-        return json.dumps(draw.choice(VALUES))
-    *above, last = draw.choice(paths)
-    place = body
-    for key in above:
-        place = place[key]
-    if isinstance(place, dict) and draw.random() < 0.15:
-        del place[last]
-    else:
-        place[last] = copy.deepcopy(draw.choice(VALUES))
-    return json.dumps(body)
-
-
 def change_json_file(path: Path, draw: random.Random) -> None:
-    path.write_text(changed_json(path.read_text(), draw))
+    path.write_bytes(changed_json(path.read_bytes(), draw))
 
 
 def change_json_line(path: Path, draw: random.Random) -> None:
-    lines = path.read_text().splitlines()
+    lines = path.read_bytes().splitlines()
     number = draw.randrange(len(lines))
     lines[number] = changed_json(lines[number], draw)
-    path.write_text("".join(f"{line}\n" for line in lines))
+    path.write_bytes(b"".join(line + b"\n" for line in lines))
 
 
 ARRAYS: tuple[Callable[[np.ndarray], Any], ...] = (
@@ -180,7 +129,7 @@ def _texts(datasets: list[h5py.Dataset]) -> list[h5py.Dataset]:
 
 def _change_json_dataset(item: h5py.Dataset, draw: random.Random) -> None:
     try:
-        text = changed_json(bytes(item[()]).decode(), draw)
+        text = changed_json(bytes(item[()]), draw).decode()
     except (ValueError, TypeError):
         _replace(item, draw)
         return

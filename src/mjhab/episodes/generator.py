@@ -214,7 +214,7 @@ class EpisodeMaker:
             int(stream(seed, "home", self.task, self.split, index).integers(len(self.homes)))
         ]
 
-    # -- where things go -------------------------------------------------------------------------------------------
+    # -- placement -------------------------------------------------------------------------------------------------
 
     def _slot(self, name: str) -> int:
         return self.layout.object_names.index(name)
@@ -371,7 +371,7 @@ class EpisodeMaker:
             in_shelf += draw.on_shelf(put)
         return True
 
-    # -- memory ----------------------------------------------------------------------------------------------------
+    # -- cache -----------------------------------------------------------------------------------------------------
 
     @cached_property
     def digest(self) -> str:

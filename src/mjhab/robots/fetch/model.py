@@ -85,7 +85,7 @@ KINEMATIC_TREE: tuple[TreeLink, ...] = (
         True, (0.0, 0.05),
     ),
 )  # fmt: skip
-"""Every link below base_link, parents first. The "right" finger sits at +y of the gripper, as in the original."""
+"""Every link below base_link, parents first. The "right" finger is at +y of the gripper, as in ManiSkill."""
 
 LINKS: tuple[str, ...] = tuple(COLLISION)
 """Links that are bodies of the model: all those with collision shapes. Others merge into their parents."""

@@ -21,7 +21,7 @@ class PlacedReceptacle:
         id: ``<thing>/<receptacle>``, where the thing is a prop slot or an articulation.
         name: name of the receptacle in its template.
         template: name of the prop or articulation that it belongs to.
-        kind: "open" for a free surface, see `Receptacle.kind`.
+        kind: "open" (free surface), "drawer" or "shelf".
         link: id of the moving link that carries it, "" if none does.
         pos: centre of the rectangle, world frame [m].
         yaw: heading of the rectangle's x axis, world frame [rad].

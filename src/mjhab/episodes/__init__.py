@@ -1,1 +1,1 @@
-"""Where worlds start: arrangements of objects, and where the robot begins."""
+"""Episodes: poses of objects, goals, and the state in which a world starts, with the robot's spawn."""

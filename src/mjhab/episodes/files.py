@@ -1,4 +1,4 @@
-"""Files of generated episodes in the HAB format: made in parallel, continued after an interruption, with a manifest."""
+"""Make files of episodes in the HAB format with several processes; an interrupted run is resumed."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 
 FORMAT = "mjhab-episodes-1"
 COUNTS = {"train": 10_000, "val": 1_000, "test": 1_000}
-"""Episodes per task and split, as in the benchmark."""
+"""Episodes per task by split, as in MS-HAB."""
 _STATE_FIELDS = ("scene_id", "rigid_objs", "ao_states", "targets")
 _CHUNK = 4
-"""Episodes a worker makes between reports."""
+"""Episodes that a worker process makes per job."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a file holds: episodes ``first`` to ``first + count - 1`` of (task, split, seed) in an asset pack."""
+    """Content of a file: episodes ``first`` to ``first + count - 1`` of (task, split, seed) in an asset pack."""
 
     task: str
     split: str
@@ -45,7 +45,15 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Row:
-    """One finished episode: ``rejected`` draws before it, ``digest`` of its start, the episode as ``text``."""
+    """One finished episode.
+
+    Attributes:
+        index: index of the episode.
+        home: name of its home.
+        rejected: draws rejected before it, because objects did not come to rest.
+        digest: `state_hash` of the episode.
+        text: the episode as JSON text.
+    """
 
     index: int
     home: str
@@ -55,24 +63,28 @@ class Row:
 
 
 def state_hash(episode: HabEpisode) -> str:
-    """Hash of scene, object poses, joints and goals as a file states them, to compare starts between machines."""
+    """Return the hash of scene, object poses, joint positions and goals of an episode, to compare machines."""
     row = to_json(episode)
     stated = json.dumps({name: row[name] for name in _STATE_FIELDS}, sort_keys=True)
     return hashlib.sha256(stated.encode()).hexdigest()[:16]
 
 
 def partial_path(out: Path) -> Path:
-    """Where finished episodes wait until the file is whole."""
+    """Return the path of the log of finished episodes, which exists until the file is complete."""
     return out.with_name(out.name + ".partial")
 
 
 def manifest_path(out: Path) -> Path:
-    """List of the episodes of a file, beside it."""
+    """Return the path of a file's manifest, which lists its episodes; it is in the same folder."""
     return out.with_name(out.name.removesuffix(".gz").removesuffix(".json") + ".manifest.json")
 
 
 class Factory:
-    """Makes the rows of a recipe, one world at a time."""
+    """Makes the rows of a recipe in a simulator with one world.
+
+    Args:
+        recipe: content of the file.
+    """
 
     def __init__(self, recipe: Recipe) -> None:
         self.recipe = recipe
@@ -104,20 +116,20 @@ def make_file(
     tell: Callable[[int, int], None],
     overwrite: bool = False,
 ) -> dict[str, int]:
-    """Make the episodes of a recipe and write them; finished ones survive an interruption.
+    """Make the episodes of a recipe and write them to a file; an interrupted run of the same recipe is resumed.
 
     Args:
-        recipe: what to make.
-        out: ``*.json`` or ``*.json.gz``; the manifest is written beside it.
-        workers: processes; 1 makes them here.
-        tell: called with finished episodes and rejected draws so far.
-        overwrite: replace ``out``, and drop what an interrupted run of another recipe left.
+        recipe: content of the file.
+        out: ``*.json`` or ``*.json.gz``; the manifest is written to the same folder.
+        workers: number of processes; 1 uses the calling process.
+        tell: called with the number of finished episodes and of rejected draws so far.
+        overwrite: replace ``out``, and delete the partial file of an interrupted run of another recipe.
 
     Returns:
-        ``episodes`` and ``rejected`` (draws that did not come to rest), over all of the file.
+        Totals of the file: ``episodes``, and ``rejected`` (draws whose objects did not come to rest).
 
     Raises:
-        UsageError: ``out`` exists, or an interrupted run of another recipe is in the way.
+        UsageError: ``out`` exists, or there is a partial file of another recipe.
     """
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
@@ -153,17 +165,17 @@ def _write_manifest(out: Path, header: dict[str, Any], rows: list[Row]) -> None:
 
 
 def _resume(partial: Path, header: dict[str, Any], overwrite: bool) -> list[Row]:
-    """The rows an interrupted run of this recipe left, in order; starts ``partial`` when there are none.
+    """Return the rows that an interrupted run of this recipe wrote to ``partial``; creates the file if there is none.
 
     Raises:
-        UsageError: it was left by another recipe, and ``overwrite`` is not set.
+        UsageError: ``partial`` is of another recipe, and ``overwrite`` is not set.
     """
     lines = partial.read_text(encoding="utf-8").splitlines() if partial.exists() else []
     rows: list[Row] = []
     if lines and _parsed(lines[0]) == header:
         for line in lines[1:]:
             found = _parsed(line)
-            # A line that was cut off ends what can be used.
+            # The last line may be incomplete: rows before it are used.
             if found is None or found.get("index") != header["first"] + len(rows):
                 break
             rows.append(Row(**found))
@@ -187,7 +199,7 @@ def _parsed(line: str) -> dict[str, Any] | None:
 
 
 def _rows(factory: Factory, indices: range, workers: int) -> Iterator[Row]:
-    """Rows in order of index; the same rows whatever the number of workers."""
+    """Yield rows in the order of ``indices``; they do not depend on the number of workers."""
     if workers == 1 or len(indices) <= _CHUNK:
         yield from map(factory.row, indices)
         return
@@ -200,11 +212,11 @@ def _rows(factory: Factory, indices: range, workers: int) -> Iterator[Row]:
 
 
 _factories: list[Factory] = []
-"""The factory of a worker process."""
+"""The `Factory` of a worker process, once `_start_worker` has run."""
 
 
 def _start_worker(recipe: Recipe) -> None:
-    # Ctrl-C is for the parent, which keeps what is finished.
+    # Ctrl-C is handled by the parent process, which keeps finished episodes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _factories.append(Factory(recipe))
 

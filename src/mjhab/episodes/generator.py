@@ -1,6 +1,6 @@
-"""Episodes of the HAB tasks, each made from (task, split, seed, index) alone.
+"""Generate episodes of household tasks; (task, split, seed, index) determine an episode on a layout.
 
-Which objects start where and go where says the `TaskSpec` of the task, by roles of furniture (`scenes.roles`).
+The `TaskSpec` of a task defines where objects start and where their goals are, by furniture roles (`scenes.roles`).
 """
 
 from __future__ import annotations
@@ -40,21 +40,35 @@ from mjhab.tasks.plan import Target
 
 BOWL_DRAWER = "kitchen_counter/drawer3"
 FRIDGE_DOOR = "fridge/top_door"
-"""Links with the roles "kitchen_drawer" and "fridge_door" in the built-in pack and in ReplicaCAD."""
+"""BOWL_DRAWER and FRIDGE_DOOR have the roles "kitchen_drawer" and "fridge_door" in the built-in pack and ReplicaCAD."""
 GAP = 0.03
-"""Free space [m] between the bounding circles of neighbours; a finger is 14 mm thick."""
+"""Least gap [m] between the bounding circles of clutter and its neighbours; a finger is 14 mm thick."""
 TARGET_GAP = 0.06
+"""The same for targets and goals."""
 SHELF_GAP = 0.02
+"""The same for targets and goals on the fridge shelf."""
 MAX_DRIFT = 0.02
-"""An object that settles further than this [m] from where it was put makes the draw invalid."""
+"""A draw is rejected if an object moves farther than this [m] while it settles."""
 MAX_SPEED = 0.05
+"""A draw is rejected if an object is faster than this [m/s or rad/s] after settling."""
 _ATTEMPTS = 200
 _VERSION = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """A settled start and what to do. ``object_pose`` (N, 7) world; ``link_q`` (L,); ``targets`` in plan order."""
+    """Settled objects of an episode and its targets; the robot's spawn is not part of it.
+
+    Attributes:
+        task: household task.
+        split: split of its home.
+        seed: seed of the episode.
+        index: index of the episode.
+        home: name of its home.
+        object_pose: (N, 7) pose of every object slot, world frame [m, wxyz].
+        link_q: (L,) joint positions of drawers and doors [m or rad].
+        targets: targets in the order of the plan.
+    """
 
     task: str
     split: str
@@ -68,7 +82,10 @@ class Episode:
 
 @dataclass
 class _Draw:
-    """Objects put so far: slot to (position, radius), in one home."""
+    """A draw of object poses in one home.
+
+    ``placed``: (centre (3,), radius) [m] of the bounding circle by slot; goals have negative keys. ``pose``: (N, 7).
+    """
 
     home: Home
     roles: Roles
@@ -77,29 +94,31 @@ class _Draw:
     pose: np.ndarray
 
     def places(self, *names: str) -> list[PlacedReceptacle]:
-        """The receptacles of the home that play one of some roles."""
+        """Return the receptacles of the home that have one of the roles ``names``."""
         return with_role(self.receptacles, self.roles, *names)
 
     def on_shelf(self, place: PlacedReceptacle) -> bool:
-        """Whether a receptacle is the fridge shelf, where there is little room."""
+        """Return whether a receptacle is the fridge shelf."""
         return bool(with_role((place,), self.roles, FRIDGE_SHELF))
 
     def target_gap(self, place: PlacedReceptacle) -> float:
-        """Free space [m] between the bounding circles of a target and of its neighbours on a receptacle."""
+        """Return the least gap [m] between the bounding circles of a target and its neighbours on a receptacle."""
         return SHELF_GAP if self.on_shelf(place) else TARGET_GAP
 
 
 class EpisodeMaker:
-    """Makes and remembers the episodes of one task on one layout.
+    """Generates the episodes of one task on one layout, and caches them on disk.
 
     Args:
-        sim: the simulator whose compiled homes are used for settling.
-        task: HAB task name.
-        split: homes to draw from.
-        home: name of one home to use always; or a pattern such as ``v3_sc0_staging_0?``, whose homes take turns:
-            episode i is in the i-th of them, counted on from the start after the last; or "" to draw one of ``split``
-            per episode.
-        target: object type that must be among the targets, or "".
+        sim: CPU simulator of the layout; its compiled models are used to settle objects.
+        task: name of the household task.
+        split: split of homes to draw from.
+        home: name of a home, or a pattern such as ``v3_sc0_staging_0?``: episode i is in home i modulo the number of
+            homes that fit; "" to draw a home of ``split`` per episode.
+        target: object type that must be among the targets; "" for any.
+
+    Raises:
+        UsageError: there is no such task or home, a home lacks furniture of the task, or the roster an object.
     """
 
     def __init__(
@@ -119,7 +138,7 @@ class EpisodeMaker:
         self._require_objects()
 
     def _require_objects(self) -> None:
-        """Check that the roster has the objects that the rules of the task name.
+        """Check that the roster has the objects that the target rules of the task name.
 
         Raises:
             UsageError: it lacks one; the message names the rule.
@@ -133,10 +152,10 @@ class EpisodeMaker:
                 )
 
     def episode(self, seed: int, index: int) -> Episode:
-        """The episode named by (seed, index); the same for everyone who asks.
+        """Return the episode of (seed, index), from the cache if it was made before.
 
         Raises:
-            MjhabError: when no stable arrangement is found in a bounded number of draws.
+            MjhabError: no draw of ``_ATTEMPTS`` came to rest.
         """
         path = self._path(seed, index)
         if path.exists():
@@ -146,10 +165,10 @@ class EpisodeMaker:
         return episode
 
     def make(self, seed: int, index: int) -> tuple[Episode, int]:
-        """The episode named by (seed, index), made now, and how many draws were rejected before it.
+        """Generate the episode of (seed, index) without the cache; also return the number of rejected draws.
 
         Raises:
-            MjhabError: when no stable arrangement is found in a bounded number of draws.
+            MjhabError: no draw of ``_ATTEMPTS`` came to rest.
         """
         for attempt in range(_ATTEMPTS):
             episode = self._draw(seed, index, attempt)
@@ -160,7 +179,7 @@ class EpisodeMaker:
         )
 
     def _draw(self, seed: int, index: int, attempt: int) -> Episode | None:
-        # The home is drawn apart from the attempts: a home where placing is hard stays as likely as the others.
+        # The home does not depend on the attempt, so that homes in which draws often fail are as frequent as others.
         home = self._home(seed, index)
         rng = stream(seed, "episode", self.task, self.split, index, attempt)
         receptacles = placed_receptacles(self.layout, home)
@@ -195,7 +214,7 @@ class EpisodeMaker:
             int(stream(seed, "home", self.task, self.split, index).integers(len(self.homes)))
         ]
 
-    # -- where things go -------------------------------------------------------------------------------------------
+    # -- placement -------------------------------------------------------------------------------------------------
 
     def _slot(self, name: str) -> int:
         return self.layout.object_names.index(name)
@@ -208,7 +227,7 @@ class EpisodeMaker:
         return self._targets(rng, draw, wanted)
 
     def _slots(self, rng: np.random.Generator) -> list[int]:
-        """Slots of the targets: where a rule names no object, at random; a wanted object type is then among them."""
+        """Return the slot of each target: that of the rule's object, or a random one, see `_drawn`."""
         rules = self.spec.targets
         named = {rule.object for rule in rules if rule.object}
         last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
@@ -218,7 +237,7 @@ class EpisodeMaker:
         return [last[rule.object] if rule.object else drawn.pop(0) for rule in rules]
 
     def _drawn(self, rng: np.random.Generator, free: list[int], count: int) -> list[int]:
-        """``count`` different slots of ``free``; with a wanted object type, one of them is of that type."""
+        """Draw ``count`` different slots of ``free``; one is of object type ``target`` if that is given and free."""
         slots = [free[int(i)] for i in rng.choice(len(free), count, replace=False)]
         wanted = [slot for slot in free if self.layout.roster[slot] == self.target]
         if wanted and not any(self.layout.roster[s] == self.target for s in slots):
@@ -245,7 +264,7 @@ class EpisodeMaker:
                 return None
             where, pos = goal
             goals.append((pos, self._radius(slot)))
-            # Goals stay free: clutter keeps away from them as from an object.
+            # Clutter keeps the same distance from goals as from objects.
             draw.placed[-len(goals)] = goals[-1]
             targets.append(self._target(draw, slot, rule, (start, where), pos))
         return tuple(targets)
@@ -258,7 +277,7 @@ class EpisodeMaker:
         places: tuple[PlacedReceptacle, PlacedReceptacle],
         goal: np.ndarray,
     ) -> Target:
-        """The target that starts on the first of the places, and whose ``goal`` (3,) [m] is on the second."""
+        """Make the target that starts on ``places[0]``, and whose ``goal`` (3,) [m] is on ``places[1]``."""
         start_link, goal_link = (link_to_open(place, draw.roles) for place in places)
         link = goal_link if rule.opens == "goal" else start_link
         return Target(
@@ -352,14 +371,14 @@ class EpisodeMaker:
             in_shelf += draw.on_shelf(put)
         return True
 
-    # -- memory ----------------------------------------------------------------------------------------------------
+    # -- cache -----------------------------------------------------------------------------------------------------
 
     @cached_property
     def digest(self) -> str:
-        """Hash of everything an episode depends on besides its name: homes, objects, code that compiles them."""
+        """Hash of what an episode depends on besides (task, split, seed, index): homes, objects and compiling code."""
         shared = home_hash(self.layout, self.homes[0])
         parts: tuple[object, ...] = (_VERSION, shared, self.homes, self._in_turn)
-        # The rules of a task from a plugin change without any change of ours.
+        # A plugin can change the rules of its task while the code of mjhab stays the same.
         own = source_digest(TASKS.source(self.task))
         return hashlib.sha256(repr((*parts, own) if own else parts).encode()).hexdigest()[:16]
 
@@ -368,7 +387,7 @@ class EpisodeMaker:
         return below(cache_dir() / "episodes" / self.digest, name)
 
     def _save(self, path: Path, episode: Episode) -> None:
-        # JSON keeps every bit of a float, and is read ten times as quickly as an archive of small arrays.
+        # JSON keeps floats exactly, and reads ten times as fast as an npz of small arrays.
         content = {
             "home": episode.home,
             "object_pose": episode.object_pose.tolist(),
@@ -386,13 +405,13 @@ class EpisodeMaker:
 
 
 def _target(entry: dict[str, Any]) -> Target:
-    """A target of an episode's file."""
+    """Make a target from an entry of a cached episode."""
     points = {name: _point(entry[name]) for name in ("goal_pos", "start_pos", "handle_pos")}
     return Target(**{**entry, **points})
 
 
 def homes_of(pack: Pack, split: str) -> list[Home]:
-    """Homes of a split.
+    """Return the homes of a split.
 
     Raises:
         UsageError: there is none.
@@ -404,7 +423,7 @@ def homes_of(pack: Pack, split: str) -> list[Home]:
 
 
 def homes_named(pack: Pack, pattern: str) -> list[Home]:
-    """Homes whose name is ``pattern``, or fits it as file names fit ``*``, ``?`` and ``[...]``.
+    """Return the homes whose name matches ``pattern`` with the wildcards ``*``, ``?`` and ``[...]``.
 
     Raises:
         UsageError: there is none.
@@ -416,10 +435,10 @@ def homes_named(pack: Pack, pattern: str) -> list[Home]:
 
 
 def require_furniture(pack: Pack, homes: Iterable[Home], task: str) -> None:
-    """Refuse homes of a pack that lack furniture a task needs.
+    """Check that homes have the furniture that a task needs.
 
     Raises:
-        UsageError: names the role of the furniture, and the homes that lack it.
+        UsageError: a home lacks some; names the role of the furniture and the homes.
     """
     require_roles(pack, homes, TASKS[task].roles, f"task {task!r}")
 

@@ -1,4 +1,4 @@
-"""The instructions of an episode: where things lie and belong in its home, and the words for it."""
+"""Language instructions of an episode, from the receptacles that its objects start on and go to."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ from mjhab.tasks.plan import GOAL_OF, Subtask, TaskPlan
 
 
 class Narrator:
-    """Puts the plans of episodes on a layout into words."""
+    """Makes the language instructions of episodes of a layout.
+
+    Args:
+        layout: gives receptacles and object names.
+    """
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
@@ -26,12 +30,12 @@ class Narrator:
         self._receptacles = cache(self._receptacles_of)
 
     def instructions(self, episode: Episode, plan: TaskPlan, alone: bool) -> Instructions:
-        """The sentences of an episode: a function of the episode, its plan and ``alone`` only.
+        """Return the instructions of an episode; the same arguments give the same words.
 
         Args:
-            episode: whose seed and index draw the wordings.
-            plan: the subtasks that it asks for.
-            alone: one subtask is done alone.
+            episode: its seed and index draw the wordings.
+            plan: subtasks to describe.
+            alone: the plan is a single subtask instead of a chain.
         """
         spots = cache(partial(_spot, self._receptacles(episode.home)))
         requests = [self._request(episode, subtask, spots) for subtask in plan.subtasks]

@@ -1,4 +1,4 @@
-"""Which objects there are in the episodes of a task: one type per object slot."""
+"""Object rosters: the object type of every object slot in the episodes of a task."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mjhab.tasks.household.registry import TASKS
 
 
 def roster(task: str) -> tuple[str, ...]:
-    """Object type of every slot that a task's generated episodes use, in slot order: clutter, then its own objects.
+    """Return the object type of every slot of a task's generated episodes: clutter first, then the task's own objects.
 
     HAB's counts: 30 objects in TidyHouse and PrepareGroceries; SetTable has 27 clutter objects, a bowl and an apple.
 
@@ -22,11 +22,11 @@ def roster(task: str) -> tuple[str, ...]:
 
 
 def object_roster(config: EnvConfig, pack: Pack) -> tuple[str, ...]:
-    """Object type of every slot of an environment: those of its task, ``extra_objects``, and a target in neither.
+    """Return the object type of every slot of an environment: task, ``extra_objects``, then a target in neither.
 
     Args:
         config: names task, target and extra objects.
-        pack: has the objects; a target that it does not have is no object (a link), and adds nothing.
+        pack: asset pack; a target that is not one of its objects is a link and adds no slot.
 
     Raises:
         UsageError: there is no such task.

@@ -1,4 +1,4 @@
-"""The episodes of a configuration: where they take place, which one a name means, and how a world begins it."""
+"""Episodes of an `EnvConfig`: its layout, the episode of a (seed, index), and the state in which a world starts it."""
 
 from __future__ import annotations
 
@@ -25,9 +25,11 @@ from mjhab.tasks.thresholds import TaskConfig
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """Where the episodes of a configuration take place.
+    """Layout and episode file of a configuration.
 
-    ``layout``: homes and objects; ``file``: the episode file that `EnvConfig.episodes_file` names, None without one.
+    Attributes:
+        layout: homes, robot and object slots.
+        file: content of `EnvConfig.episodes_file`; None if it names none.
     """
 
     layout: Layout
@@ -35,10 +37,10 @@ class Setting:
 
 
 def open_setting(config: EnvConfig) -> Setting:
-    """Open the pack and the episode file of a configuration.
+    """Open the asset pack and the episode file of a configuration.
 
     Raises:
-        UsageError: no such pack, file or target, or they do not fit each other.
+        UsageError: there is no such pack, file or target, or they do not fit each other.
     """
     pack = open_pack(config.assets)
     file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
@@ -49,20 +51,21 @@ def open_setting(config: EnvConfig) -> Setting:
 
 
 class EpisodeSource:
-    """Makes the episodes of a configuration and the states in which worlds begin them. Threads may share it.
+    """Makes the episodes of a configuration and their start states. Several threads may use it.
 
     Args:
-        sim: on the CPU, of the setting's layout; its compiled homes are used, its worlds are left alone.
-        config, task_config: what is to be done.
-        file: the setting's episode file.
+        sim: CPU simulator of the layout; its compiled models are used, its worlds are not changed.
+        config: configuration of the environment.
+        task_config: thresholds of success.
+        file: episode file, see `Setting`; None to generate episodes.
 
     Attributes:
-        layout: of ``sim``.
-        starts: places the robot.
+        layout: layout of ``sim``.
+        starts: makes start states.
         plan_length: number of subtasks of an episode.
 
     Raises:
-        UsageError: a home, file or spawn set that does not fit the configuration.
+        UsageError: a home, episode file or spawn set does not fit the configuration.
     """
 
     def __init__(
@@ -83,16 +86,16 @@ class EpisodeSource:
         )
         self.starts = StartMaker(sim, config, task_config)
         self.plan_length = 1 if config.subtask else TASKS[config.task].length
-        # Settling an arrangement takes longer than a whole episode of control steps: training draws from a few.
+        # Settling the objects takes longer than all control steps of an episode: training draws from a pool of them.
         given = file is not None or self.starts.spawn_set is not None
         self._pool_size = config.episode_pool if config.trains and not given else 0
         self._pool = MemoryCache("episodes")
 
     def episode(self, seed: int, index: int) -> Episode:
-        """The episode named by (seed, index).
+        """Return the episode of (seed, index).
 
-        In training only the arrangement of objects comes from a pool of `EnvConfig.episode_pool`. Where the robot
-        starts, which target is meant and how far links stand open is drawn anew for every name.
+        In training its home and object poses come from a pool of `EnvConfig.episode_pool` episodes. Spawn, target and
+        opening of links are still drawn for each (seed, index).
         """
         if not self._pool_size:
             return (self.starts.spawn_set or self._arrangements).episode(seed, index)
@@ -101,7 +104,7 @@ class EpisodeSource:
         return dataclasses.replace(found, seed=seed, index=index)
 
     def start(self, episode: Episode) -> Start:
-        """How a world begins an episode, with place zones where the goal type asks for them."""
+        """Return plan and start state of an episode; with goal type "zone", the plan has place zones."""
         start = self.starts.start(episode)
         if self.task_config.goal_type != "zone":
             return start

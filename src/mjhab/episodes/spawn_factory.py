@@ -1,4 +1,4 @@
-"""Makes sets of starts in parallel; a run that was interrupted goes on where it stopped."""
+"""Make spawn sets (files of precomputed starts) with several threads; an interrupted run is resumed."""
 
 from __future__ import annotations
 
@@ -33,14 +33,17 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 CHUNK = 32
-"""Starts between saves."""
+"""Starts per partial file: at most so many are lost when a run is interrupted."""
 
 
 class SpawnFactory:
-    """Makes the starts of a recipe. Threads may share it.
+    """Makes the starts of a recipe. Several threads may use it.
+
+    Args:
+        recipe: content of the spawn set.
 
     Raises:
-        UsageError: the recipe asks for something that the task or the pack does not have.
+        UsageError: the recipe names a task, subtask, target or home that does not exist.
     """
 
     def __init__(self, recipe: SpawnRecipe) -> None:
@@ -66,7 +69,7 @@ class SpawnFactory:
         )
 
     def episode(self, index: int) -> Episode:
-        """The episode of start ``index``."""
+        """Return the episode of start ``index``."""
         recipe = self.recipe
         arrangement = self.episodes.episode(
             recipe.seed, index % recipe.pool if recipe.pool else index
@@ -74,7 +77,7 @@ class SpawnFactory:
         return dataclasses.replace(arrangement, index=index)
 
     def row(self, index: int) -> SpawnRow:
-        """Make one start.
+        """Make start ``index``.
 
         Raises:
             MjhabError: no stable arrangement was found.
@@ -85,18 +88,18 @@ class SpawnFactory:
 
     @property
     def _may_hold(self) -> bool:
-        """Whether robots may begin with an object in their hand."""
+        """Whether the robot may start with an object in its gripper."""
         return bool(self.recipe.subtask) and SUBTASKS[self.recipe.subtask].may_hold
 
     def header(self) -> dict[str, Any]:
-        """What the file will say about itself."""
+        """Return the header of the file, see `spawn_sets.header_of`."""
         kinds = sorted(set(self.layout.roster)) if self._may_hold else []
         library = self.starts.arms if self.starts.published else self.starts.held
         return header_of(self.recipe, self.layout, {kind: library.digest(kind) for kind in kinds})
 
 
 def partial_folder(out: Path) -> Path:
-    """Where finished starts wait until the set is whole."""
+    """Return the folder of the partial files, which exists until the set is complete."""
     return out.with_name(out.name + ".partial")
 
 
@@ -107,17 +110,17 @@ def make_set(
     tell: Callable[[int, int], None],
     overwrite: bool = False,
 ) -> SpawnSet:
-    """Make the starts of a recipe and write them; finished ones survive an interruption.
+    """Make the starts of a recipe and write them to a file; an interrupted run of the same recipe is resumed.
 
     Args:
-        recipe: what to make.
+        recipe: content of the spawn set.
         out: ``*.npz``.
         threads: at least 1; the set does not depend on it.
-        tell: called with finished starts and fallbacks so far.
-        overwrite: replace ``out``, and drop what an interrupted run of another recipe left.
+        tell: called with the number of finished starts and of fallbacks so far.
+        overwrite: replace ``out``, and delete the partial files of an interrupted run of another recipe.
 
     Raises:
-        UsageError: ``out`` exists or has another ending, or an interrupted run of another recipe is in the way.
+        UsageError: ``out`` exists or does not end with ``.npz``, or there are partial files of another recipe.
     """
     if out.suffix != SUFFIX:
         raise UsageError(f"a spawn set ends with {SUFFIX}, got {out}.")
@@ -145,10 +148,10 @@ def make_set(
 
 
 def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
-    """Keep what an interrupted run of the same recipe left; else begin with nothing.
+    """Prepare the folder of partial files: keep those of the same recipe, delete others.
 
     Raises:
-        UsageError: it was left by another recipe, and ``overwrite`` is not set.
+        UsageError: the files are of another recipe, and ``overwrite`` is not set.
     """
     note = folder / "header.json"
     text = json.dumps(header, sort_keys=True)
@@ -164,7 +167,7 @@ def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
 
 
 def _clear(folder: Path) -> None:
-    """Delete what `make_set` writes into its folder, and the folder if that is all there was."""
+    """Delete the partial files in a folder, and the folder itself if it is then empty."""
     for file in (*folder.glob(f"[0-9]*{SUFFIX}"), folder / "header.json"):
         file.unlink(missing_ok=True)
     if not any(folder.iterdir()):

@@ -1,10 +1,17 @@
-"""Files of precomputed starts: made once, used by many runs, bound to the layout they were made for.
+"""Spawn sets: files of precomputed starts, valid for the layout they were made for.
 
-A file is an ``.npz`` without pickles: a header in JSON and one row per start, with everything an environment needs, so
-that nothing has to be settled or searched again. Rows: ``home`` (n,), ``qpos`` (n, nq), ``object_pose`` (n, N, 7) and
-``link_q`` (n, L) of the arrangement, ``position`` (n,) of the subtask in its chain, ``fallback`` (n,) bool, ``tries``
-(n,), ``targets`` (n, T, 3) names (object, link it starts behind, link of its goal), ``points`` (n, T, 3, 3) goal, start
-and handle.
+A file is an ``.npz`` without pickles: a JSON header and columns with one row per start, which hold everything that an
+environment needs to start without settling objects or searching spawns. Columns of n starts with T targets:
+
+- ``home`` (n,): name of the home
+- ``qpos`` (n, nq): start state
+- ``object_pose`` (n, N, 7): object poses of the episode, world frame [m, wxyz]
+- ``link_q`` (n, L): joint positions of drawers and doors of the episode [m or rad]
+- ``position`` (n,): position of the subtask in its chain
+- ``fallback`` (n,) bool: the spawn is that of `SpawnSampler.fallback`
+- ``tries`` (n,): sampled spawns
+- ``targets`` (n, T, 3): names of the object, of the link it starts behind, of the link of its goal
+- ``points`` (n, T, 3, 3): world positions of goal, start and handle [m]
 """
 
 from __future__ import annotations
@@ -38,7 +45,7 @@ from mjhab.tasks.plan import Target
 
 FORMAT = "mjhab-spawns-1"
 MAX_SET_MB = 2048
-"""Largest set [MB], unpacked: about half a million starts."""
+"""Largest unpacked size of a set [MB]: about half a million starts."""
 _HEADER = {
     "recipe": dict[str, Any],
     "pack": str,
@@ -62,9 +69,9 @@ _COLUMNS = (
 )
 
 _DIMENSIONS = {"qpos": 2, "object_pose": 3, "link_q": 2, "targets": 3, "points": 4}
-"""Dimensions of the columns; the others have one."""
+"""Number of dimensions by column; 1 for all others."""
 _LAST_AXES = {"object_pose": (7,), "targets": (3,), "points": (3, 3)}
-"""Sizes of the last axes of the columns; the others have any."""
+"""Required sizes of the last axes by column."""
 _KINDS = {
     "home": "U",
     "qpos": "f",
@@ -74,16 +81,25 @@ _KINDS = {
     "targets": "U",
     "points": "f",
 }
-"""Kinds of the columns as numpy names them; the others hold whole numbers."""
+"""``dtype.kind`` by column; all others hold integers."""
 
 
 @dataclass(frozen=True)
 class SpawnRecipe:
-    """What a set holds: start i is that of episode (seed, i) of a subtask ("" for whole chains) and target.
+    """Content of a spawn set: start i is that of episode (seed, i).
 
-    ``pool``: 0 gives every start an arrangement of objects of its own; n lets start i have arrangement i modulo n.
-    ``harvested``: placing begins with the grasps, too, that were added on this machine. ``spawn_rule``: see
-    `profiles.Profile`.
+    Attributes:
+        task: household task.
+        subtask: subtask of the starts; "" for whole chains.
+        target: object type, object or link of the subtask; "" for any.
+        split: split of homes.
+        seed: seed of the episodes.
+        count: number of starts.
+        assets: asset pack.
+        home: name or pattern of homes; "" for all of the split.
+        pool: with n > 0, start i has the home and object poses of episode i modulo n; with 0, of episode i.
+        harvested: starts with a held object also use the grasps that were added on this machine.
+        spawn_rule: see `profiles.Profile`.
     """
 
     task: str
@@ -101,7 +117,7 @@ class SpawnRecipe:
 
 @dataclass(frozen=True, eq=False)
 class SpawnRow:
-    """One start: the episode it belongs to, the state (nq,), and how it was found (see `starts.Start`)."""
+    """One start: its episode, the state (nq,), and how the spawn was found (fields as in `starts.Start`)."""
 
     episode: Episode
     qpos: np.ndarray
@@ -111,13 +127,13 @@ class SpawnRow:
 
 
 def layout_digest(layout: Layout) -> str:
-    """Hash of all homes, objects and the code that compiles them: equal when a state means the same."""
+    """Return the hash of a layout's homes, objects, robot and compiling code; starts are valid where it is equal."""
     homes = layout.pack.homes
     return hashlib.sha256(repr((home_hash(layout, homes[0]), homes)).encode()).hexdigest()[:16]
 
 
 def header_of(recipe: SpawnRecipe, layout: Layout, grasps: dict[str, str]) -> dict[str, Any]:
-    """What a file says about itself. ``grasps``: object type to hash of the grasps its starts were drawn from."""
+    """Return the header of a file. ``grasps``: hash of the grasps that starts were drawn from, by object type."""
     made_by = {"mjhab": __version__, **{name: version(name) for name in ("mujoco", "numpy")}}
     return {
         "format": FORMAT,
@@ -130,7 +146,7 @@ def header_of(recipe: SpawnRecipe, layout: Layout, grasps: dict[str, str]) -> di
 
 
 def pack_rows(rows: Sequence[SpawnRow]) -> dict[str, np.ndarray]:
-    """The columns of a file from at least one start."""
+    """Return the columns of a file, see the module, from at least one start."""
     targets = [row.episode.targets for row in rows]
     return {
         "home": np.array([row.episode.home for row in rows]),
@@ -148,12 +164,12 @@ def pack_rows(rows: Sequence[SpawnRow]) -> dict[str, np.ndarray]:
 
 
 def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Columns of several files in one."""
+    """Concatenate the columns of several files."""
     return {name: np.concatenate([part[name] for part in parts]) for name in _COLUMNS}
 
 
 def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) -> SpawnSet:
-    """Write a set atomically and return it."""
+    """Add the digest to the header, write the set atomically and return it."""
     header = {**header, "digest": content_digest(header, columns)}
     text = np.array(json.dumps(header))
     write_atomic(
@@ -166,8 +182,10 @@ def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) ->
 
 
 def content_digest(header: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
-    """Hash of the content of a set. It does not depend on the paths of the file and of the assets, whose hash is in the
-    header."""
+    """Return the hash of header and columns.
+
+    The path of the assets is left out; the header has a hash of their content.
+    """
     recipe = {name: value for name, value in header["recipe"].items() if name != "assets"}
     digest = hashlib.sha256(json.dumps({**header, "recipe": recipe}, sort_keys=True).encode())
     for name in _COLUMNS:
@@ -179,10 +197,10 @@ def content_digest(header: dict[str, Any], columns: dict[str, np.ndarray]) -> st
 
 
 def _read_header(text: str) -> dict[str, Any]:
-    """The header of a set.
+    """Parse and check the header of a set.
 
     Raises:
-        ValueError: a field is missing or does not fit; the message names it.
+        ValueError: a field is missing or has the wrong type; the message names it.
     """
     header = parse_json(text)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
@@ -208,8 +226,7 @@ def _read_header(text: str) -> dict[str, Any]:
 
 
 def _check_content(columns: dict[str, np.ndarray]) -> None:
-    """Refuse invalid names and columns that do not fit together. The digest does not exclude them: anyone can
-    compute it.
+    """Check names, shapes, types and ranges of the columns. The digest does not ensure them: anyone can compute it.
 
     Raises:
         ValueError: the message names the column.
@@ -243,7 +260,7 @@ def _check_content(columns: dict[str, np.ndarray]) -> None:
 
 
 def _misfit(columns: dict[str, np.ndarray], layout: Layout) -> str:
-    """What in columns a layout does not have although its digest is the same, which anyone can write; "" if nothing."""
+    """Return how columns do not fit a layout (sizes, names), "" if they fit; the file's digest may be forged."""
     objects = len(layout.roster)
     links = len(layout.links)
     numbers = {
@@ -268,7 +285,7 @@ def _misfit(columns: dict[str, np.ndarray], layout: Layout) -> str:
 
 
 class SpawnSet:
-    """Starts from a file. ``header``: what `header_of` says, and ``digest``; ``columns``: the rows, see above."""
+    """A spawn set. ``header``: fields of `header_of`, and ``digest``; ``columns``: arrays by name, see the module."""
 
     def __init__(self, path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) -> None:
         self.path = path
@@ -277,10 +294,10 @@ class SpawnSet:
 
     @classmethod
     def read(cls, path: Path) -> SpawnSet:
-        """Read a file, whatever layout it was made for.
+        """Read a file without checking its layout.
 
         Raises:
-            UsageError: there is no such file, or it is no spawn set, or it is damaged.
+            UsageError: there is no such file, it is not a spawn set, or it is damaged.
         """
         if not path.is_file():
             raise UsageError(
@@ -300,10 +317,10 @@ class SpawnSet:
 
     @classmethod
     def load(cls, path: Path, layout: Layout) -> SpawnSet:
-        """Read a file for use with a layout.
+        """Read a file and check that it was made for a layout.
 
         Raises:
-            UsageError: as `read`, or it was made for another layout.
+            UsageError: as in `read`, or it was made for another layout.
         """
         found = cls.read(path)
         here = layout_digest(layout)
@@ -326,12 +343,12 @@ class SpawnSet:
 
     @property
     def digest(self) -> str:
-        """Hash of header and starts, for manifests: equal sets give equal runs."""
+        """Hash of header and starts, for manifests."""
         return self.header["digest"]
 
     @cached_property
     def recipe(self) -> SpawnRecipe:
-        """What the set was made from."""
+        """The recipe that the set was made from."""
         known = {field.name for field in fields(SpawnRecipe)}
         return SpawnRecipe(
             **{name: value for name, value in self.header["recipe"].items() if name in known}
@@ -339,16 +356,16 @@ class SpawnSet:
 
     @property
     def homes(self) -> tuple[str, ...]:
-        """Names of the homes that occur."""
+        """Sorted names of the homes of the starts."""
         return tuple(sorted(set(self.columns["home"].tolist())))
 
     @property
     def fallbacks(self) -> int:
-        """How many starts are places taken for want of a better one."""
+        """Number of starts whose spawn is a fallback."""
         return int(self.columns["fallback"].sum())
 
     def describe(self) -> dict[str, Any]:
-        """Numbers and names for a table or a manifest."""
+        """Return a summary of the set for a table or a manifest."""
         return {
             "file": str(self.path),
             **asdict(self.recipe),
@@ -362,10 +379,10 @@ class SpawnSet:
         }
 
     def check(self, config: EnvConfig) -> None:
-        """Refuse an environment that is to do something else than what the starts are for.
+        """Check that the set was made for the task, subtask, target, split, home and spawn rule of a configuration.
 
         Raises:
-            UsageError: names what differs.
+            UsageError: one differs; the message names it.
         """
         for name in ("task", "subtask", "target", "split", "home", "spawn_rule"):
             made = getattr(self.recipe, name)
@@ -377,7 +394,7 @@ class SpawnSet:
                 )
 
     def number(self, index: int) -> int:
-        """The row of episode ``index``: the same number while there are rows, else one drawn by the index."""
+        """Return the row of episode ``index``: the same number if there is one, else a random one seeded by it."""
         return (
             index
             if index < len(self)
@@ -385,7 +402,7 @@ class SpawnSet:
         )
 
     def row(self, index: int, seed: int | None = None) -> SpawnRow:
-        """The start of episode ``index``; its episode is named by (``seed``, index), by default the set's seed."""
+        """Return the start of episode (``seed``, ``index``); None is the set's seed."""
         k = self.number(index)
         rows = self.columns
         episode = Episode(
@@ -408,7 +425,7 @@ class SpawnSet:
         )
 
     def episode(self, seed: int, index: int) -> Episode:
-        """The episode that start ``index`` belongs to, as `EpisodeMaker.episode` would name it."""
+        """Return the episode of start ``index`` with the given seed, as `EpisodeMaker.episode` does."""
         return self.row(index, seed).episode
 
     def _targets(self, k: int) -> tuple[Target, ...]:

@@ -1,9 +1,9 @@
-"""Robot starts near a target: navigable, facing it, collision-free by simulation.
+"""Sample robot spawns near a goal: on free floor, facing the goal, and free of collisions in simulation.
 
 Numbers are those of mshab/utils/gen/gen_spawn_positions.py: base noise N(0, 0.1) clipped at 0.2 m, yaw noise
-N(0, 0.25) clipped at 0.5 rad, arm noise N(0, 0.1) clipped at 0.2 rad, within 2 m of objects and goals, and for
-articulations within an area in front of them. Ours keeps the robot within these after the noise, and in sight of its
-goal past the walls; the published rule does not (`SpawnGoal.published`).
+N(0, 0.25) clipped at 0.5 rad, arm noise N(0, 0.1) clipped at 0.2 rad; within 2 m of objects and goals, or within an
+area in front of articulations. By default the robot must be within these also after the noise, with no wall between it
+and the goal; the published rule of MS-HAB requires neither (`SpawnGoal.published`).
 """
 
 from __future__ import annotations
@@ -22,27 +22,40 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch
 
 XY_NOISE = (0.1, 0.2)
+"""Noise of the base position: (standard deviation, clip) [m]."""
 YAW_NOISE = (0.25, 0.5)
+"""Noise of the base yaw: (standard deviation, clip) [rad]."""
 ARM_NOISE = (0.1, 0.2)
-"""(standard deviation, clip) in m, rad, rad."""
+"""Noise of the arm joints: (standard deviation, clip) [rad]."""
 MAX_DISTANCE = 2.0
+"""Largest distance [m] of the base from an object or goal, seen from above."""
 TELEPORT_DISTANCE = 1.8
+"""The same for the published teleports (mshab/evaluate.py)."""
 TELEPORT_YAW_NOISE = (0.1, 0.5)
-"""Distance [m] and (standard deviation, clip) [rad] of the published teleports (mshab/evaluate.py)."""
+"""Yaw noise of the published teleports: (standard deviation, clip) [rad]."""
 EYE_HEIGHT = 1.0
-"""Height [m] at which a wall between robot and goal counts; doorways are open there."""
+"""Height [m] at which the line from base to goal is tested for walls; doorways are open there."""
 MAX_TRIES = 100
+"""Most random tries of a spawn before the fallback."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpawnGoal:
-    """Where to spawn, in the world frame [m, rad].
+    """Constraints of a spawn, in the world frame [m, rad].
 
-    face: (2,) the point the robot faces; None: its heading is drawn from ``yaw`` (low, high).
-    area: stand in this box (x_min, x_max, y_min, y_max); else within ``reach`` of ``near`` (2,), which is ``face`` if
-    None; without any of them, anywhere. turn: how far it may be turned away from ``face`` at most. yaw_noise: standard
-    deviation and clip of the heading. slack: how far the noise may move the base out of ``area`` or ``reach``.
-    published: the noise moves the base after it was turned to ``face``, and a wall may stand in between.
+    The base is sampled in ``area`` if it is given, else within ``reach`` of `center`, else anywhere.
+
+    Attributes:
+        face: (2,) point that the robot faces; None: its heading is drawn from ``yaw``.
+        area: (4,) floor box x_min, x_max, y_min, y_max.
+        near: (2,) point to be near to; None for ``face``.
+        reach: largest distance from `center`.
+        yaw: range (low, high) of the heading if ``face`` is None.
+        turn: largest angle between the heading and the direction to ``face``.
+        yaw_noise: (standard deviation, clip) of the heading.
+        slack: how far the position noise may move the base out of ``area`` or ``reach``.
+        published: rule of MS-HAB: position noise is added after the robot was turned to ``face``, and a wall may be
+            between robot and goal.
     """
 
     face: np.ndarray | None
@@ -57,11 +70,11 @@ class SpawnGoal:
 
     @property
     def center(self) -> np.ndarray | None:
-        """(2,) what the robot shall be near to, None if it may be anywhere."""
+        """(2,) point that the robot must be near to; None if it may be anywhere."""
         return self.face if self.near is None else self.near
 
     def allows(self, xy: np.ndarray, slack: float = 0.0) -> np.ndarray:
-        """(...,) bool: whether bases at ``xy`` (..., 2) are where they shall be, or ``slack`` [m] beyond."""
+        """Return (...,) bool: bases at ``xy`` (..., 2) are in ``area`` or ``reach``, extended by ``slack`` [m]."""
         if self.area is not None:
             x_min, x_max, y_min, y_max = self.area
             inside = (xy[..., 0] >= x_min - slack) & (xy[..., 0] <= x_max + slack)
@@ -75,9 +88,12 @@ class SpawnGoal:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """An object in the gripper: its slot and its pose (7,) in the frame of the tool centre.
+    """An object in the gripper.
 
-    With ``grip``, a start counts only if the object passes this grasp test: see `Scratch.collision_free`.
+    Attributes:
+        slot: slot of the object.
+        pose: (7,) its pose in the tcp frame [m, wxyz].
+        grip: grasp test that a valid spawn must pass, see `Scratch.collision_free`; None for no test.
     """
 
     slot: int
@@ -86,7 +102,11 @@ class Held:
 
 
 class SpawnSampler:
-    """Draws starts; single tries too, so that a hard one never holds up the other worlds. Threads may share it."""
+    """Samples robot spawns. Several threads may use it.
+
+    Args:
+        sim: gives layout and compiled models; its worlds are not changed.
+    """
 
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
@@ -98,15 +118,15 @@ class SpawnSampler:
         self._walls: dict[str, Boxes] = {}
 
     def map(self, home: str) -> FreeMap:
-        """Free-space map of a home."""
+        """Return the free-space map of a home."""
         return shared_map(self._homes[home], self.sim.layout.pack)
 
     def walkable(self, home: str, radius: float | None = None) -> np.ndarray:
-        """(P, 2) centres [m] of the cells where a robot of a ``radius`` [m], if None its own, can stand."""
+        """Return (P, 2) centres [m] of the floor cells where a disc of ``radius`` [m] fits; None: `Footprint.spawn`."""
         return self.map(home).places(self._radius if radius is None else radius)
 
     def roomiest(self, home: str) -> np.ndarray:
-        """(2,) the cell [m] of the floor that is farthest from everything."""
+        """Return the centre (2,) [m] of the floor cell with the largest clearance."""
         return self._roomiest(home, self.walkable(home))
 
     def try_once(
@@ -117,7 +137,7 @@ class SpawnSampler:
         rng: np.random.Generator,
         held: Held | None = None,
     ) -> np.ndarray | None:
-        """One random try: the new state (nq,) when it is valid, else None. See `search`."""
+        """Make one random try: return the new state (nq,) if it is valid, else None. Arguments as in `search`."""
         return self.search(home, qpos, goal, (rng,), held)[0]
 
     def search(
@@ -128,17 +148,17 @@ class SpawnSampler:
         rngs: Iterable[np.random.Generator],
         held: Held | None = None,
     ) -> tuple[np.ndarray | None, int]:
-        """Random tries, one from each of ``rngs``, until one is valid.
+        """Sample spawns, one from each of ``rngs``, until one is valid.
 
         Args:
-            home: home of the world.
-            qpos: (nq,) its present state; objects and joints stay, robot and held object move.
-            goal: where to stand.
-            rngs: streams of the tries.
-            held: what the gripper carries.
+            home: name of the home.
+            qpos: (nq,) state; only robot and held object are changed.
+            goal: constraints of the spawn.
+            rngs: one random generator per try.
+            held: object in the gripper; the arm then starts from its posture in ``qpos``, else from rest.
 
         Returns:
-            The new state (nq,), None if no try was valid, and the number of tries.
+            The new state (nq,), or None if no try was valid; and the number of tries.
         """
         candidates = self._candidates(home, goal)
         tries = 0
@@ -156,7 +176,7 @@ class SpawnSampler:
     def at(
         self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal, held: Held | None = None
     ) -> np.ndarray | None:
-        """The state with the robot at ``xy`` (2,) in its rest pose, facing the goal; None when it touches something."""
+        """Return the state (nq,) with the robot at ``xy`` (2,) [m], facing the goal; None if it collides."""
         return self._apply(
             home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(len(self._arm)), held
         )
@@ -164,7 +184,11 @@ class SpawnSampler:
     def fallback(
         self, home: str, qpos: np.ndarray, goal: SpawnGoal, held: Held | None = None
     ) -> np.ndarray:
-        """Without noise: the nearest valid start, else the roomiest place near the goal (the caller flags it)."""
+        """Return a spawn (nq,) without noise for a goal whose random tries failed.
+
+        It is the valid one nearest to the goal; if none is valid, the place with the largest clearance near the goal,
+        where the robot may collide.
+        """
         cells = self.walkable(home)
         close = goal.allows(cells, slack=1.0)
         cells = cells[close] if close.any() else cells
@@ -185,7 +209,7 @@ class SpawnSampler:
 
     @staticmethod
     def _heading(xy: np.ndarray, goal: SpawnGoal) -> float:
-        """Towards what is to be faced; without it the middle of the range of headings."""
+        """Return the heading [rad] from ``xy`` to ``goal.face``; without it the middle of ``goal.yaw``."""
         if goal.face is None:
             return 0.5 * (goal.yaw[0] + goal.yaw[1])
         return float(np.arctan2(goal.face[1] - xy[1], goal.face[0] - xy[0]))
@@ -224,7 +248,7 @@ class SpawnSampler:
         return np.array([*xy, self._heading(xy, goal) + turn])
 
     def _behind_wall(self, home: str, xy: np.ndarray, face: np.ndarray) -> bool:
-        """Whether a wall stands between a base and its goal: two metres through a wall are a long way round."""
+        """Return whether a wall intersects the line from base position to goal at EYE_HEIGHT."""
         if home not in self._walls:
             walls = [g for g in self._homes[home].walls if g.collide and g.shape == "box"]
             rot = mat_from_quat(np.array([g.quat for g in walls]).reshape(-1, 4))

@@ -1,4 +1,4 @@
-"""Place zones: with goal type "zone", an object may lie anywhere on the receptacle of its goal."""
+"""Place zones: with goal type "zone", Place succeeds anywhere on the receptacle of the goal."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.subtasks.registry import spec_of
 
 _ABOVE = 0.35
-"""A goal lies at most so far [m] above the surface that carries it: half the height of the tallest objects and room."""
+"""Largest height [m] of a goal above the surface that carries it: half of the tallest objects, with a margin."""
 
 
 def with_zones(plan: TaskPlan, layout: Layout, home: Home, tolerance: float) -> TaskPlan:
-    """The plan with the zone of every object that goes to a goal: the rectangle of the receptacle under its goal.
+    """Return a plan whose subtasks that bring an object to a goal have a place zone.
 
-    Where no receptacle is under a goal (imported episodes may leave them out), the zone is a square that reaches
-    ``tolerance`` [m] from the goal.
+    Args:
+        plan: the plan.
+        layout: layout of the home.
+        home: home of the episode.
+        tolerance: half side [m] of the square zone of a goal without a receptacle below it.
     """
     receptacles = placed_receptacles(layout, home)
     return dataclasses.replace(
@@ -36,7 +39,17 @@ def with_zones(plan: TaskPlan, layout: Layout, home: Home, tolerance: float) -> 
 def zone(
     goal: tuple[float, float, float], receptacles: Sequence[PlacedReceptacle], tolerance: float
 ) -> tuple[tuple[float, float], ...]:
-    """Four corners (x, y) [m, world], in order around the rectangle, of the zone of a goal."""
+    """Return the zone of a goal: the rectangle of the receptacle below it.
+
+    Args:
+        goal: world position [m].
+        receptacles: receptacles of the home.
+        tolerance: half side [m] of the square around the goal that is its zone if there is no receptacle below it
+            (imported episodes may lack them).
+
+    Returns:
+        Four corners (x, y) [m], world frame, in order around the rectangle.
+    """
     best = receptacle_below(goal, receptacles)
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     if best is None:
@@ -48,12 +61,12 @@ def zone(
 def receptacle_below(
     point: tuple[float, float, float], receptacles: Sequence[PlacedReceptacle]
 ) -> PlacedReceptacle | None:
-    """The receptacle with the nearest surface below a point [m, world], None if there is none."""
+    """Return the receptacle with the nearest surface below a world point [m]; None if none is within ``_ABOVE``."""
     best = None
     gap = _ABOVE
     for r in receptacles:
         above = point[2] - r.pos[2]
-        # Few surfaces are at the right height: that is asked first.
+        # Few surfaces are at the right height, so that the cheap height test is first.
         if -0.02 <= above < gap and r.holds(point[0], point[1]):
             best = r
             gap = above

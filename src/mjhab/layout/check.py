@@ -1,4 +1,4 @@
-"""Whether the homes of a pack work: they compile into one layout, a robot gets everywhere, doors and drawers open."""
+"""Checks of the homes of a pack: they compile into one layout, the floor is connected, receptacles are in reach."""
 
 from __future__ import annotations
 
@@ -20,11 +20,19 @@ from mjhab.scenes.spec import Home
 
 @dataclass
 class HomesReport:
-    """What a check found.
+    """Result of `check_homes`.
 
-    ``failed``: (home, why) of homes that cannot be used. ``remarks``: (home, what) of places that a robot cannot get
-    at; tasks draw their places from the others. ``layout``: hash of names, order and sizes, the same for all homes.
-    ``compile_s``: time for all models [s], of which ``cold`` were not in the cache. ``model_bytes``: their memory.
+    Attributes:
+        homes: number of homes checked.
+        ok: number of homes that can be used.
+        failed: (home, reason) of the others.
+        remarks: (home, remark) of floor, receptacles, doors and drawers that a robot cannot use in a usable home.
+        layout: `layout_hash` of the first home that compiled; all others must have the same.
+        ngeom: geoms of a model.
+        nv: dofs of a model.
+        compile_s: time to compile or load all models [s].
+        cold: models that were not in the cache.
+        model_bytes: memory of all models [bytes].
     """
 
     homes: int = 0
@@ -40,7 +48,7 @@ class HomesReport:
 
 
 def layout_hash(model: mujoco.MjModel) -> str:
-    """Hash of what all homes of a layout share: names, order, kinds and sizes, but no poses."""
+    """Return the hash of the model data that all homes of a layout share: names, order, types and sizes, no poses."""
     names = model.names.split(b"\0", 1)[1]  # the first is the name of the home
     digest = hashlib.sha256(names)
     for array in (
@@ -58,12 +66,12 @@ def layout_hash(model: mujoco.MjModel) -> str:
 def check_homes(
     layout: Layout, homes: Sequence[Home], tell: Callable[[Home], object] = lambda home: None
 ) -> HomesReport:
-    """Compile and examine homes of a layout.
+    """Compile and check homes of a layout.
 
     Args:
         layout: the layout of the whole pack.
-        homes: the homes to look at.
-        tell: called after each home.
+        homes: the homes to check.
+        tell: called with each home after its check, for progress messages.
     """
     report = HomesReport(homes=len(homes))
     for home in homes:
@@ -78,7 +86,7 @@ def check_homes(
 
 
 def _compile(layout: Layout, home: Home, report: HomesReport) -> str:
-    """Compile one home and add it to the report; why it failed, or nothing."""
+    """Compile one home and add it to the report; return why it failed, or ""."""
     report.cold += not model_path(layout, home).exists()
     start = time.perf_counter()
     try:
@@ -110,7 +118,7 @@ def _floor(layout: Layout, home: Home) -> str:
 
 
 def remarks(layout: Layout, home: Home) -> list[str]:
-    """Nooks, receptacles out of reach, and doors and drawers that do not open as far as they should."""
+    """Return remarks on a home: unconnected floor, receptacles out of reach, links that do not open far enough."""
     free = free_map(home, layout.pack)
     share = free.navigable().sum() / (free.clearance >= NAVMESH_BASE_RADIUS_M).sum()
     found = (

@@ -15,7 +15,10 @@ from mjhab.scenes.spec import Home
 
 
 def home_hash(layout: Layout, home: Home) -> str:
-    """Hash of a home in its layout: equal when the compiled model would be equal."""
+    """Return a hash of everything that the compiled model of a home depends on; equal hashes mean equal models.
+
+    It covers home, layout, robot, assets, MuJoCo's version and the source of the code that builds models.
+    """
     pack = layout.pack
     digest = hashlib.sha256(
         mujoco.__version__.encode() + code_digest("scenes", "robots.model", "layout")
@@ -33,12 +36,12 @@ def home_hash(layout: Layout, home: Home) -> str:
 
 
 def model_path(layout: Layout, home: Home) -> Path:
-    """File in the cache that holds, or will hold, the model of a home."""
+    """Return the path in the disk cache of a home's compiled model, whether it exists or not."""
     return below(cache_dir() / "models", f"{home.name}-{home_hash(layout, home)}.mjb")
 
 
 def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
-    """The MjModel of a home, read from the cache if it was compiled before.
+    """Return the MjModel of a home; reads it from the disk cache, or compiles and caches it.
 
     Raises:
         ValueError: MuJoCo refuses the home; the message names it.
@@ -51,5 +54,5 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
             reason = ", ".join(str(error).splitlines())
             raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
         path = write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None))
-    # A freshly compiled model has a signature that saving drops. Loading it from the file makes all models equal.
+    # Saving drops the signature of a freshly compiled model: loading from the file makes all models equal.
     return mujoco.MjModel.from_binary_path(str(path))

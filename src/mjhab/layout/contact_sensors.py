@@ -1,8 +1,8 @@
-"""Contact sensors of a model: which contacts they list, and the sum of contact normals that forces are made of.
+"""Contact sensors of a model, and normal contact forces computed from their data.
 
-The original's engine reports contact forces as sums of normals times their magnitude, without friction (PhysX: SAPIEN's
-``physx_system.cu`` and ``physx_system.cpp`` add ``normal * impulse``). MuJoCo's net-force sensors include friction, so
-that a force sensor here lists its contacts one by one and `normal_force` adds their normals.
+MS-HAB's contact forces are sums of normal forces without friction (PhysX: SAPIEN's ``physx_system.cu`` and
+``physx_system.cpp`` add ``normal * impulse``). MuJoCo's net-force sensors include friction. So a force sensor here
+lists its contacts one by one, and `normal_force` sums their normal forces.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _MINDIST = 1
 _MAXFORCE = 2
 
 CONTACT_SLOTS = 16
-"""Contacts that a sensor lists, the strongest first. A finger on an object makes up to 6 contacts per convex piece (4
-of the pad's box, 2 of its rounded edge)."""
+"""Contacts that a sensor lists, those with the largest force first. A finger on an object makes up to 6 contacts per
+convex piece (4 of the pad's box, 2 of its rounded edge)."""
 _FORCE_SLOT = 10
 """Numbers per contact of a force sensor: how many contacts match (0 in an empty slot), force in the contact frame (3),
 position (3), normal (3)."""
@@ -35,7 +35,7 @@ TOUCH_SENSOR_WIDTH = CONTACT_SLOTS * _TOUCH_SLOT
 
 @dataclass(frozen=True)
 class _Readings:
-    """What a contact sensor writes: the fields of its contacts, which contacts it keeps, and how many of them."""
+    """Data of a contact sensor: fields per contact, MuJoCo's ``reduce`` criterion, and number of contacts kept."""
 
     fields: tuple[int, ...]
     reduce: int
@@ -43,24 +43,24 @@ class _Readings:
 
 
 def add_force_sensor(spec: mujoco.MjSpec, name: str, body: str) -> None:
-    """Add a sensor of the contacts of a body with anything; read it with `normal_force` and `pair_force`."""
+    """Add a sensor that lists all contacts of ``body``; `normal_force` and `pair_force` read its data."""
     readings = _Readings((_FOUND, _FORCE, _POS, _NORMAL), _MAXFORCE, CONTACT_SLOTS)
     _add_sensor(spec, name, body, "", readings)
 
 
 def add_touch_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) -> None:
-    """Add a sensor of the contacts of ``body`` with all bodies from ``subtree`` down; its first number is their count.
+    """Add a sensor that lists the contacts of ``body`` with ``subtree`` and its descendants.
 
-    `pair_force` tells with it which contacts of a force sensor are with ``body``. One touch sensor per body takes the
-    place of a force sensor per pair of bodies: the engine passes all sensors in every substep, and passing a sensor
-    without contacts takes 70 ns. With 167 sensors that was 17 % of the time of a step.
+    The first number is the count of contacts. `pair_force` uses it to select the contacts of a force sensor that are
+    with ``body``. This replaces a force sensor per pair of bodies: the engine evaluates every sensor in every substep,
+    70 ns each even without contacts.
     """
     readings = _Readings((_FOUND, _POS), _MAXFORCE, CONTACT_SLOTS)
     _add_sensor(spec, name, subtree, body, readings, whole_subtree=True)
 
 
 def add_depth_sensor(spec: mujoco.MjSpec, name: str, subtree: str) -> None:
-    """Add a sensor of one number: the least distance [m] of the contacts of the bodies from ``subtree`` down."""
+    """Add a sensor of one number: the least contact distance [m] of ``subtree`` and its descendants."""
     _add_sensor(spec, name, subtree, "", _Readings((_DIST,), _MINDIST), whole_subtree=True)
 
 
@@ -85,22 +85,22 @@ def _add_sensor(
 
 
 def normal_force(readings: np.ndarray) -> np.ndarray:
-    """Sum of normal force times normal over the contacts that force sensors list.
+    """Return the net normal force over the contacts that force sensors list.
 
     Args:
         readings: (..., FORCE_SENSOR_WIDTH) data of force sensors.
 
     Returns:
-        (..., 3) force [N] of the sensor's body on others, world frame. A contact beyond the CONTACT_SLOTS strongest is
-        missing.
+        (..., 3) force [N] of the sensor's body on others, world frame. Contacts beyond the CONTACT_SLOTS strongest are
+        not in it.
     """
     return _normals(_slots(readings, _FORCE_SLOT)).sum(axis=-2)
 
 
 def pair_force(readings: np.ndarray, touches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum of normal force times normal over the contacts that a force sensor and a touch sensor both list.
+    """Return the net normal force over the contacts that a force sensor and a touch sensor both list.
 
-    A contact has the same position, to the last bit, in every sensor that lists it.
+    Contacts are matched by position, which is bitwise the same in every sensor that lists a contact.
 
     Args:
         readings: (..., FORCE_SENSOR_WIDTH) data of force sensors.
@@ -125,5 +125,5 @@ def _slots(readings: np.ndarray, width: int) -> np.ndarray:
 
 
 def _normals(listed: np.ndarray) -> np.ndarray:
-    """Normal force times normal (..., CONTACT_SLOTS, 3) [N] of the contacts of force sensors."""
+    """Return (..., CONTACT_SLOTS, 3): normal force vectors [N] of the contacts of force sensors, world frame."""
     return listed[..., 1:2] * listed[..., 7:10]

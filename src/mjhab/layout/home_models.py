@@ -1,4 +1,4 @@
-"""The compiled models of a layout's homes, with the servos of a simulator."""
+"""Compiled models of a layout's homes with the servos of a control mode, cached in memory."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from mjhab.robots.parts import Drives
 
 
 def model_bytes(model: mujoco.MjModel) -> int:
-    """Memory of a compiled model [bytes]. Its Python wrapper takes about as much as the model: the heap grew by 13.9 MB
-    for 20 models of 0.34 MB each."""
+    """Return the memory of a compiled model [bytes].
+
+    Twice MuJoCo's own size, because the Python wrapper takes as much again: 20 models of 0.34 MB took 13.9 MB.
+    """
     return 2 * int(mujoco.mj_sizeModel(model))
 
 
@@ -22,13 +24,13 @@ _MODELS = MemoryCache("models", size=model_bytes)
 
 
 class HomeModels:
-    """A model per home, made when it is first asked for; simulators with the same layout and servos share it.
+    """Returns the compiled model of each home; compiles on the first call.
 
-    Who wants to change a model makes a copy.
+    Simulators with the same layout and servos share a model: copy it before changing it.
 
     Args:
-        layout: what all homes share.
-        drives: servos of the robot.
+        layout: names, order and sizes shared by all homes.
+        drives: changes to the robot's servos.
     """
 
     def __init__(self, layout: Layout, drives: Drives) -> None:
@@ -38,7 +40,7 @@ class HomeModels:
         self._hashes: dict[str, str] = {}
 
     def __call__(self, home: str) -> mujoco.MjModel:
-        """The compiled model of a home of the pack.
+        """Return the compiled model of a home of the pack, by name.
 
         Raises:
             UsageError: the pack has no such home.

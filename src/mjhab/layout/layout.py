@@ -1,8 +1,8 @@
 """One layout for all homes of a pack, one MjModel per home.
 
-Every home compiles to a model of identical sizes and order: the union of all furniture, walls and the object
-roster, absent pieces parked below the floor. Homes differ in static poses and wall sizes only, so any world of a
-batch can hold any home.
+Every home compiles to a model of the same sizes and order: the union of all furniture and walls of the pack's homes,
+and the objects of the roster. Furniture that a home lacks is parked below the floor. Homes differ only in static poses,
+wall sizes and joint ranges, so that any world of a batch can be in any home.
 """
 
 from __future__ import annotations
@@ -45,28 +45,43 @@ _GEOM_TYPE = {
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
 }
 SLIDING_FRICTION = 0.3
-"""Sliding friction of everything but the finger pads, as in the original (ManiSkill's default material). A pair of
-geoms with different values gets the larger one; all values are equal here, so that every pair gets 0.3."""
+"""Sliding friction coefficient of all geoms but the finger pads (ManiSkill's default material). MuJoCo takes the larger
+one of a pair, which are equal here."""
 OBJECT_FRICTION = (SLIDING_FRICTION, 0.01, 0.003)
-"""Sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest and sleep."""
+"""Friction of objects: sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest."""
 SLIDE_DAMPING = 5.0
+"""Damping of drawers [N s/m]."""
 SLIDE_FRICTION = 1.0
+"""Dry friction of drawers [N]."""
 HINGE_DAMPING = 1.0
+"""Damping of doors [N m s/rad]."""
 HINGE_FRICTION = 0.5
+"""Dry friction of doors [N m]."""
 JOINT_ARMATURE = 0.1
+"""Armature of the joints of furniture [kg or kg m^2]."""
 PARK_ORIGIN = (40.0, 40.0)
-"""Position x, y [m] of the first object that an episode does not use; these lie 0.5 m apart on the floor, asleep."""
+"""Position x, y [m] where slot 0 is parked if an episode does not use it; slot i lies 0.5 i m further along x."""
 
 
 def yaw_quat(yaw: float) -> Quat:
-    """Quaternion (wxyz) of a rotation by ``yaw`` [rad] about +z."""
+    """Return the quaternion (wxyz) of a rotation by ``yaw`` [rad] about +z."""
     return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
 
 
 def compose(
     pos: Vec3, quat: Quat, local_pos: Vec3, local_quat: Quat = IDENTITY
 ) -> tuple[Vec3, Quat]:
-    """Pose of a child given in the frame of a parent pose, both (m, wxyz)."""
+    """Return the world pose of a child frame from the world pose of its parent and its pose in the parent's frame.
+
+    Args:
+        pos: world position of the parent [m].
+        quat: world orientation of the parent, wxyz.
+        local_pos: position of the child in the parent's frame [m].
+        local_quat: orientation of the child in the parent's frame, wxyz.
+
+    Returns:
+        World position [m] and orientation (wxyz) of the child.
+    """
     out_pos = np.zeros(3)
     out_quat = np.zeros(4)
     mujoco.mju_rotVecQuat(out_pos, np.asarray(local_pos, float), np.asarray(quat, float))
@@ -79,7 +94,7 @@ def compose(
 
 @dataclass(frozen=True)
 class PropSlot:
-    """The ``index``-th copy of a prop template; ``name`` is ``<template>_<index>``."""
+    """Slot of the layout for copy ``index`` of a prop template; ``name`` is ``<template>_<index>``."""
 
     name: str
     template: str
@@ -96,15 +111,24 @@ class LinkRef:
 
 
 class Layout:
-    """Sizes, names and order that all homes of a pack share for one object roster.
+    """Names, order and sizes shared by the models of all homes of a pack, for one robot and one object roster.
 
     Args:
         pack: the asset pack.
-        roster: object type per object slot.
-        robot: who works in the homes; the default robot if not given.
+        roster: object type of each of the N object slots.
+        robot: the robot; None for the default robot.
 
     Raises:
-        UsageError: the pack has no object of a type.
+        UsageError: the pack lacks an object type of the roster.
+
+    Attributes:
+        prop_slots: slots of the fixed furniture: of each template as many as the home with the most copies has.
+        num_walls: walls of the home with the most walls.
+        articulations: furniture with moving links, by name.
+        links: the L moving links, grouped by articulation.
+        link_ids: their ids, ``<articulation>/<link>``.
+        object_names: (N,) names of the object slots.
+        objects: (N,) their object types.
     """
 
     def __init__(self, pack: Pack, roster: tuple[str, ...], robot: Robot | None = None) -> None:
@@ -126,14 +150,14 @@ class Layout:
         )
         self.link_ids = tuple(ref.id for ref in self.links)
         self.doors = frozenset(ref.id for ref in self.links if ref.link.joint == "hinge")
-        """Ids of the links that turn on a hinge; the others slide."""
+        """Ids of the links with a hinge joint; the others have a slide joint."""
         self.object_names = copy_names(roster)
         for kind in roster:
             if kind not in pack.objects:
                 raise unknown_name(f"object type of pack {pack.name!r}", kind, pack.objects)
         self.objects: tuple[ObjectType, ...] = tuple(pack.objects[kind] for kind in roster)
         self.derived = MemoryCache("maps")
-        """What is computed from its homes; the keys say what."""
+        """Cache of data computed from the homes, by key."""
 
     @property
     def num_objects(self) -> int:
@@ -142,7 +166,7 @@ class Layout:
 
     @cached_property
     def parked_poses(self) -> np.ndarray:
-        """(N, 7) resting poses of objects an episode does not use."""
+        """(N, 7) world poses [m, wxyz] of object slots that an episode does not use, see PARK_ORIGIN."""
         poses = np.zeros((self.num_objects, 7))
         poses[:, 0] = PARK_ORIGIN[0] + 0.5 * np.arange(self.num_objects)
         poses[:, 1] = PARK_ORIGIN[1]
@@ -151,7 +175,7 @@ class Layout:
         return poses
 
     def slot_placements(self, home: Home) -> list[Placement | None]:
-        """Placement of every prop slot in a home, None where the home has fewer copies."""
+        """Return the placement of every prop slot in a home; None for slots that the home does not use."""
         left: dict[str, list[Placement]] = {}
         for placement in home.props:
             left.setdefault(placement.template, []).append(placement)
@@ -161,17 +185,17 @@ class Layout:
         ]
 
     def articulation_placement(self, home: Home, name: str) -> Placement:
-        """Where an articulation stands in a home; parked below the floor when the home has none."""
+        """Return the placement of an articulation in a home; parked below the floor if the home lacks it."""
         return next((p for p in home.articulations if p.template == name), Placement(name, PARKED))
 
     def closed_link_origin(self, home: Home, link_id: str) -> Vec3:
-        """World position [m] of the origin of a link while it is closed."""
+        """Return the world position [m] of the origin of a moving link in its closed position."""
         ref = self.links[self.link_ids.index(link_id)]
         at = self.articulation_placement(home, ref.articulation)
         return compose(at.pos, at.rotation, ref.link.pos)[0]
 
     def closed_handle(self, home: Home, link_id: str) -> Vec3:
-        """World position [m] of the grasp point of a link's handle while the link is closed."""
+        """Return the world position [m] of the grasp point of a link's handle in the closed position."""
         ref = self.links[self.link_ids.index(link_id)]
         at = self.articulation_placement(home, ref.articulation)
         x, y, z = ref.link.handle.pos
@@ -180,7 +204,7 @@ class Layout:
 
 
 def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
-    """Describe one home of a layout to MuJoCo: robot, furniture, objects, contact sensors."""
+    """Build the MjSpec of one home of a layout: robot, walls, furniture, objects, sensors."""
     spec = mujoco.MjSpec()
     spec.modelname = home.name
     spec.memory = 64 << 20
@@ -271,7 +295,7 @@ def _add_articulation(
         name = f"{articulation.name}/{link.name}"
         body = spec.worldbody.add_body(name=name, pos=pos, quat=quat)
         slide = link.joint == "slide"
-        # Doors do not collide with walls; in a home where one would, its joint ends there.
+        # Doors do not collide with walls. Where one would hit a wall, the home limits its joint range instead.
         low, high = link.range
         body.add_joint(
             name=name,
@@ -302,7 +326,15 @@ def _add_object(spec: mujoco.MjSpec, name: str, kind: ObjectType, pose: np.ndarr
 
 
 def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
-    """Volume of a colliding geom [m^3]; a mesh counts as its convex hull and is looked up in ``spec``."""
+    """Return the volume of a collision geom [m^3]; that of a mesh is the volume of its convex hull.
+
+    Args:
+        geom: the geom; sizes [m] as in MuJoCo.
+        spec: holds the meshes; None if only primitives are allowed.
+
+    Raises:
+        ValueError: ``geom`` is a mesh and ``spec`` is None.
+    """
     x, y, z = geom.size
     if geom.shape == "box":
         return 8 * x * y * z
@@ -327,7 +359,7 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
     for target in targets:
         add_touch_sensor(spec, f"touch>{target}", robot.base_link, target)
     add_depth_sensor(spec, "robot_depth", robot.base_link)
-    # Type XBODY is the origin of the link frame, not its centre of mass.
+    # Object type XBODY measures at the origin of the link frame, BODY at its centre of mass.
     linvel = mujoco.mjtSensor.mjSENS_FRAMELINVEL
     xbody = mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tcp_velocity", type=linvel, objtype=xbody, objname=robot.tcp)
@@ -335,13 +367,25 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Addresses:
-    """Where things are in the arrays of any model of a layout. J robot joints, N objects, L links, K force links.
+    """Indices into qpos, qvel, bodies and sensordata, valid for the models of all homes of a layout.
 
-    ``robot``: whose joints they are; ``robot_q``, ``robot_v`` (J,): in the order of ``robot.joints``;
-    ``object_q``, ``object_v`` (N,): first of 7 / 6;
-    ``object_body`` (N,); ``link_q``, ``link_v``, ``link_body`` (L,); ``robot_body``: link name to body id;
-    sensor starts: ``link_force`` (K,) and ``hand_force`` (3,) of [l finger, r finger, link of the tool centre], each
-    FORCE_SENSOR_WIDTH wide; ``touch`` (N + L,), each TOUCH_SENSOR_WIDTH wide; ``tcp_velocity``.
+    Letters: J robot joints, N object slots, L moving links, K force links of the robot.
+
+    Attributes:
+        robot: the robot of the layout.
+        robot_q: (J,) columns of qpos in the order of ``robot.joints``.
+        robot_v: (J,) columns of qvel in the same order.
+        object_q: (N,) first of the 7 columns of qpos of each object.
+        object_v: (N,) first of the 6 columns of qvel of each object.
+        object_body: (N,) body ids.
+        link_q: (L,) columns of qpos.
+        link_v: (L,) columns of qvel.
+        link_body: (L,) body ids.
+        robot_body: body id by name of the robot link.
+        link_force: (K,) first column in sensordata of each force sensor, FORCE_SENSOR_WIDTH wide.
+        hand_force: (3,) the same for [left finger, right finger, tcp link].
+        touch: (N + L,) first column of the touch sensor of each target (objects, then links), TOUCH_SENSOR_WIDTH wide.
+        tcp_velocity: first of 3 columns: velocity of the tcp in the world frame [m/s].
     """
 
     robot: Robot
@@ -361,7 +405,7 @@ class Addresses:
 
 
 def addresses(layout: Layout, model: mujoco.MjModel) -> Addresses:
-    """Resolve every name of a layout in a compiled model."""
+    """Look up the indices of a layout's joints, bodies and sensors in a compiled model of any of its homes."""
 
     def joints(names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         ids = [model.joint(n).id for n in names]

@@ -15,11 +15,19 @@ from mjhab.scenes.spec import Home, Placement, Receptacle, Roles, Vec3
 
 @dataclass(frozen=True)
 class PlacedReceptacle:
-    """A receptacle of a home, with all joints closed. ``id`` is ``<thing>/<receptacle>``.
+    """A receptacle of a home in the world frame, with all joints closed. Its support is a level rectangle.
 
-    ``template`` is the prop or articulation it belongs to, of whose receptacles it is number ``rank``; ``link`` the
-    moving link id that carries it, or "".
-    ``pos`` the world centre of its supporting rectangle, ``yaw`` its heading, ``half`` its half-extents [m].
+    Attributes:
+        id: ``<thing>/<receptacle>``, where the thing is a prop slot or an articulation.
+        name: name of the receptacle in its template.
+        template: name of the prop or articulation that it belongs to.
+        kind: "open" (free surface), "drawer" or "shelf".
+        link: id of the moving link that carries it, "" if none does.
+        pos: centre of the rectangle, world frame [m].
+        yaw: heading of the rectangle's x axis, world frame [rad].
+        half: half-extents of the rectangle along its own x and y [m].
+        height: free height above the rectangle [m].
+        rank: index among the receptacles of the template.
     """
 
     id: str
@@ -34,13 +42,13 @@ class PlacedReceptacle:
     rank: int = 0
 
     def point(self, u: float, v: float) -> np.ndarray:
-        """World position (3,) of the point at (u, v) [m] from the centre in the receptacle's own axes."""
+        """Return the world position (3,) [m] of the point at (u, v) [m] from the centre along the rectangle's axes."""
         c = np.cos(self.yaw)
         s = np.sin(self.yaw)
         return np.array([self.pos[0] + c * u - s * v, self.pos[1] + s * u + c * v, self.pos[2]])
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether a world point [m] lies within the supporting rectangle as seen from above."""
+        """Return whether the world point (x, y) [m] lies within the rectangle seen from above."""
         c = math.cos(self.yaw)
         s = math.sin(self.yaw)
         dx = x - self.pos[0]
@@ -48,7 +56,7 @@ class PlacedReceptacle:
         return abs(c * dx + s * dy) <= self.half[0] and abs(c * dy - s * dx) <= self.half[1]
 
     def local(self, xy: np.ndarray) -> np.ndarray:
-        """Coordinates (..., 2) of world points (..., 2) in the receptacle's own axes."""
+        """Return coordinates (..., 2) [m] along the rectangle's axes of world points (..., 2) [m]."""
         d = np.asarray(xy) - np.asarray(self.pos[:2])
         c = np.cos(self.yaw)
         s = np.sin(self.yaw)
@@ -56,7 +64,7 @@ class PlacedReceptacle:
 
 
 def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ...]:
-    """Every receptacle of a home, in the order of the layout's slots."""
+    """Return every receptacle of a home, in the order of the layout's prop slots, then articulations."""
     out: list[PlacedReceptacle] = []
     for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
         if placement is not None:
@@ -87,7 +95,7 @@ def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ..
 def with_role(
     receptacles: Iterable[PlacedReceptacle], roles: Roles, *names: str
 ) -> list[PlacedReceptacle]:
-    """The receptacles that play one of the roles ``names``, in the given order."""
+    """Return the receptacles that have one of the roles ``names``, in the order of ``receptacles``."""
     return [
         r
         for r in receptacles
@@ -96,7 +104,7 @@ def with_role(
 
 
 def link_to_open(place: PlacedReceptacle, roles: Roles) -> str:
-    """Id of the link that must be open to reach into a receptacle, or ""."""
+    """Return the id of the link that must be open to reach into a receptacle, "" if there is none."""
     return place.link or roles.closed_by.get(f"{place.template}/{place.name}", "")
 
 

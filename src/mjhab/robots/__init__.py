@@ -1,1 +1,1 @@
-"""What a robot is: joints, links, gains, geometry, kinematics, controllers."""
+"""Robots: joints, links, servo gains, geometry, kinematics and controllers."""

@@ -1,4 +1,4 @@
-"""Whether the files that a robot is made of are installed."""
+"""Check whether the files that a robot is built from are installed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from mjhab.robots.robot import Robot
 
 
 def missing_files(robot: Robot) -> str:
-    """Message that says which files a robot lacks, and the command that installs them; "" if it lacks none."""
+    """Return which files of a robot are missing and the command that installs them; "" if none are missing."""
     try:
         _ = robot.body
     except MjhabError as error:

@@ -1,4 +1,4 @@
-"""Whether the links of a robot fit what else its `Robot` says: asked when they are first needed."""
+"""Consistency check of a robot's links with the other fields of its `Robot`, done on first use of the links."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.parts import Body
 
 REST_TOLERANCE = 1e-6
-"""How far a joint at rest may be beyond its limits [m or rad]: rounding of published numbers."""
+"""How far a rest position may exceed the joint limits [m or rad], because published numbers are rounded."""
 
 
 @dataclass(frozen=True)
 class BodyNeeds:
-    """What a `Robot` says about its links and joints.
+    """Links and joints that the fields of a `Robot` name.
 
-    robot: its name. base_link: the link that the base moves. links: names of links, by the field that names them.
-    bodies: those of them whose poses and forces are read. rest: position of every joint but those of the base [m, rad].
+    Attributes:
+        robot: name of the robot.
+        base_link: link that the base joints move.
+        links: names of links, by the field that names them.
+        bodies: names of links whose poses or forces are read, by field.
+        rest: rest position by joint, without those of the base [m or rad].
     """
 
     robot: str
@@ -28,12 +32,12 @@ class BodyNeeds:
 
 
 def check_body(body: Body, needs: BodyNeeds) -> Body:
-    """Return a body that has the links and joints which a robot names.
+    """Check that a body has the links and joints that the other fields of a robot name, and return it.
 
     Raises:
-        UsageError: it is no `Body`; the tree is not ordered from the base link; a link has no mass; a field names a
-            link that is not there, or one that merges into its parent; a joint is missing, or at rest beyond its
-            limits.
+        UsageError: it is not a `Body`; the tree does not list parents before children from the base link on; a link has
+            no mass; a field names a link that does not exist or merges into its parent; a joint is missing, or its rest
+            position is outside of its limits.
     """
     robot = f"robot {needs.robot!r}"
     if not isinstance(body, Body):
@@ -61,7 +65,7 @@ def check_body(body: Body, needs: BodyNeeds) -> Body:
 
 
 def _links(body: Body, base_link: str, robot: str) -> tuple[str, ...]:
-    """Names of all links, the base link first."""
+    """Return the names of all links, base link first; checks the order of the tree."""
     if base_link in {row.link for row in body.tree}:
         raise UsageError(
             f"{robot}: base_link {base_link!r} has a parent in the tree of load_body; it must be its root."

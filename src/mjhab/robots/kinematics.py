@@ -1,8 +1,7 @@
 """Batched forward kinematics, Jacobians and damped least-squares steps of a robot tree, on numpy and torch.
 
-The end-effector controllers and the scripted experts use it. The caller gives the tree of links, so that this module
-reads no robot file. Joint columns follow the order the caller names; those of a moving base are x, y and yaw
-in the world.
+The end-effector controllers and the scripted experts use it. The caller gives the tree of links and the order of the
+joint columns; those of a moving base are x, y and yaw in the world frame.
 
 Letters: N configurations, Q joint columns, L links. Lengths [m], angles [rad], quaternions wxyz. Results are float64
 for numpy and of the tensor's dtype for torch.
@@ -33,9 +32,9 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import quat_from_mat
 
 DAMPING = 1e-4
-"""Least damping of the normal equations; more is added far from the goal, where the linear model is poor."""
+"""Least damping of the normal equations. DAMPING_PER_ERROR adds more far from the goal, where linearisation is poor."""
 DAMPING_PER_ERROR = 0.03
-"""Damping that is added per squared length of the error, which counts up to a length of 1."""
+"""Damping added per squared norm of the error; the squared norm is clipped at 1."""
 _EYES = {
     n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n))) for n in range(1, 7)
 }
@@ -43,10 +42,10 @@ _EYE = _EYES[3]
 
 
 class TreeRow(Protocol):
-    """One link of the robot's table: where it sits on its parent and the joint between them ("" when fixed).
+    """One link of a robot tree and its joint, as `robots.parts.TreeLink`; ``joint`` is "" for a fixed link.
 
-    ``origin`` [m] in the parent's frame; ``axis`` along x, y or z; ``slide``: prismatic, otherwise it turns;
-    ``limits`` [m | rad], infinite where the joint is continuous; ``quat``: turn of the link frame at joint zero.
+    ``origin`` [m]: position in the parent's frame; ``axis``: along x, y or z; ``slide``: prismatic, else a hinge;
+    ``limits`` [m or rad]: infinite for a continuous joint; ``quat``: orientation in the parent's frame at zero, wxyz.
     """
 
     @property
@@ -69,7 +68,10 @@ class TreeRow(Protocol):
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint ready for evaluation: it moves along or about ``sign`` times the principal axis number ``axis``."""
+    """A joint of a chain. Its axis is ``sign`` times axis number ``axis`` (0 x, 1 y, 2 z) of the parent's frame.
+
+    ``pos`` [m]: position of the child frame in the parent's frame at zero.
+    """
 
     name: str
     kind: Literal["slide", "hinge", "fixed"]
@@ -82,17 +84,17 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """World poses of links: ``pos`` (N, L, 3), ``rot`` (N, L, 3, 3) with the link axes as columns."""
+    """World poses of links: ``pos`` (N, L, 3) [m], ``rot`` (N, L, 3, 3) with the link axes as columns."""
 
     links: tuple[str, ...]
     pos: Array
     rot: Array
 
     def of(self, link: str) -> tuple[Array, Array]:
-        """Position (N, 3) and rotation (N, 3, 3) of one link.
+        """Return the world position (N, 3) [m] and rotation (N, 3, 3) of one link.
 
         Raises:
-            UsageError: the chain holds no such link.
+            UsageError: the chain has no such link.
         """
         if link not in self.links:
             raise unknown_name("link", link, self.links)
@@ -105,10 +107,10 @@ class ChainRoot:
     """The first link of a chain.
 
     Attributes:
-        link: its name: the moving base, or the link whose frame everything is given in.
-        height: of its frame above the floor [m].
-        moves: it is a base with the columns x, y and yaw; False: it stands at the origin, and all columns are joints
-            of the tree.
+        link: its name.
+        height: height of its frame above the floor [m].
+        moves: True for a base with the columns x, y and yaw; False for a link fixed at the origin, so that poses of the
+            chain are in its frame.
     """
 
     link: str
@@ -118,10 +120,17 @@ class ChainRoot:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The links on the way from the root to a tip (and to any extra links), ready for batched evaluation.
+    """The links between a root and a tip (and extra links), for batched evaluation. Build it with `from_tree`.
 
-    Build it with `from_tree`. ``joints[i]`` leads to link ``i + 1``; link 0 is the root. ``column[i]`` is the joint's
-    place in ``q`` (-1: fixed). ``lower``, ``upper`` (Q,) are the limits of all Q columns.
+    Attributes:
+        joints: joint ``i`` moves link ``i + 1``; link 0 is the root.
+        column: column in ``q`` of each joint, -1 for a fixed one.
+        parent: index of the parent link of each joint.
+        tip: name of the tip link.
+        order: names of the Q columns of ``q``.
+        lower: (Q,) lower limits [m or rad].
+        upper: (Q,) upper limits [m or rad].
+        root_height: height of the root frame above the floor [m].
     """
 
     joints: tuple[Joint, ...]
@@ -133,7 +142,7 @@ class Chain:
     upper: Array
     root_height: float
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Joints by group, as in `Robot.groups`; empty for a chain that knows none."""
+    """Joint names by group, as in `Robot.groups`; may be empty."""
 
     @classmethod
     def from_tree(
@@ -146,20 +155,20 @@ class Chain:
         extra: Sequence[str] = (),
         groups: Mapping[str, tuple[str, ...]] | None = None,
     ) -> Chain:
-        """Pick from a joint table what leads to ``tip`` and to the ``extra`` links.
+        """Build the chain from a root to ``tip`` and to the ``extra`` links.
 
         Args:
-            tree: every link below that of ``root``, see `TreeRow`; links on the way must be parallel to their
-                parents at zero.
-            order: names of the Q columns of ``q``; the first three are the base's x, y and yaw, which the tree lacks
-                (unless the root does not move).
-            tip: link whose pose is controlled: the tool centre.
-            root: the link that everything is given from.
-            extra: more links whose frames are wanted.
-            groups: joints by group, for those who move some of them only.
+            tree: every link below the root; frames of links on the chain must be parallel to their parents at zero.
+            order: names of the Q columns of ``q``. With a moving root the first three are the base's x, y and yaw,
+                which are not in the tree.
+            tip: link whose pose is controlled: the tcp.
+            root: first link of the chain.
+            extra: more links whose frames are needed.
+            groups: joint names by group, for callers that move one group only.
 
         Raises:
-            UsageError: a link or joint name that the tree does not hold, or an axis that is not x, y or z.
+            UsageError: the tree lacks a link or joint, a link is turned against its parent at zero, or an axis is not
+                x, y or z.
         """
         rows = {row.link: row for row in tree}
         wanted = _base_joints(order, root.link) if root.moves else []
@@ -199,7 +208,7 @@ class Chain:
 
     @cached_property
     def tip_joints(self) -> tuple[int, ...]:
-        """Indices into ``joints`` of the moving joints that move the tip, root first."""
+        """Indices into ``joints`` of the joints that move the tip, root first."""
         found: list[int] = []
         link = self.tip_index
         while link > 0:
@@ -209,10 +218,10 @@ class Chain:
         return tuple(reversed(found))
 
     def columns_of(self, names: Sequence[str]) -> Array:
-        """Column indices (len(names),) of joints by name.
+        """Return the column indices (len(names),) of joints by name.
 
         Raises:
-            UsageError: a name that is no column.
+            UsageError: a name is not a column.
         """
         for name in names:
             if name not in self.order:
@@ -220,7 +229,11 @@ class Chain:
         return np.array([self.order.index(name) for name in names], dtype=np.int64)
 
     def forward(self, q: Array) -> Frames:
-        """World frames of every link for ``q`` (N, Q) or (Q,); base columns are world x, y [m] and yaw [rad]."""
+        """Compute the world poses of all links.
+
+        Args:
+            q: (N, Q) or (Q,) joint positions [m, rad]; base columns are x, y and yaw in the world frame.
+        """
         q = _rows(q)
         xp = namespace(q)
         count = len(q)
@@ -257,16 +270,16 @@ class Chain:
         return Frames(self.links, pos, axes.swapaxes(-1, -2))
 
     def tip_pose(self, q: Array) -> tuple[Array, Array]:
-        """Tip position (N, 3) and rotation (N, 3, 3) in the world."""
+        """Compute the world position (N, 3) [m] and rotation (N, 3, 3) of the tip for ``q`` (N, Q) or (Q,)."""
         frames = self.forward(q)
         return frames.pos[:, self.tip_index], frames.rot[:, self.tip_index]
 
     def jacobian(self, q: Array, frames: Frames | None = None) -> Array:
-        """Geometric Jacobian (N, 6, Q) of the tip in world axes: rows 0-2 velocity, 3-5 angular velocity.
+        """Compute the geometric Jacobian (N, 6, Q) of the tip in world axes: rows 0-2 linear, 3-5 angular velocity.
 
         Args:
-            q: (N, Q) or (Q,).
-            frames: the result of `forward` for the same ``q`` if it is at hand.
+            q: (N, Q) or (Q,) joint positions [m, rad].
+            frames: result of `forward` for the same ``q``, to save computing it again.
         """
         q = _rows(q)
         frames = self.forward(q) if frames is None else frames
@@ -284,7 +297,7 @@ class Chain:
 
     @cached_property
     def _tip_movers(self) -> tuple[Table, Table, Table, Table, Table]:
-        """Link, axis number, column, sign (K, 1) and "it turns" (K, 1) of the K joints that move the tip."""
+        """Child link, axis number, column, sign (K, 1) and is-hinge flag (K, 1) of the K joints that move the tip."""
         joints = [self.joints[i] for i in self.tip_joints]
         return (
             Table(tuple(i + 1 for i in self.tip_joints)),
@@ -295,12 +308,12 @@ class Chain:
         )
 
     def clip(self, q: np.ndarray) -> np.ndarray:
-        """``q`` moved into the joint limits."""
+        """Return ``q`` (..., Q) clipped to the joint limits."""
         return np.clip(q, self.lower, self.upper)
 
 
 def in_base(base_pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """World points (N, 3) in the frame of base poses (N, 3: x, y, yaw), heights still above the floor."""
+    """Transform world points (N, 3) [m] to the frames of base poses (N, 3) (x, y, yaw); z is not changed."""
     yaw = base_pose[:, 2]
     dx = points[:, 0] - base_pose[:, 0]
     dy = points[:, 1] - base_pose[:, 1]
@@ -310,12 +323,12 @@ def in_base(base_pose: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def wrap(angle: np.ndarray | float) -> np.ndarray:
-    """Angles moved to [-pi, pi)."""
+    """Return angles [rad] wrapped to [-pi, pi)."""
     return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
 def rotation_vector(rot: Array) -> Array:
-    """Rotation vectors (..., 3) [rad], length in [0, pi], of rotation matrices (..., 3, 3)."""
+    """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), with norms in [0, pi]."""
     xp = namespace(rot)
     quat = quat_from_mat(rot)
     sin_half = norm3(quat[..., 1:])
@@ -327,7 +340,7 @@ def rotation_vector(rot: Array) -> Array:
 
 
 def rotate(vector: Array) -> Array:
-    """Rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
+    """Return the rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
     xp = namespace(vector)
     angle = norm3(vector)[:, None, None]
     x = vector[:, 0]
@@ -342,9 +355,16 @@ def rotate(vector: Array) -> Array:
 
 
 def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING) -> Array:
-    """Joint changes (N, D) for an error (N, E) under the Jacobian (N, E, D).
+    """Compute a damped least-squares step.
 
-    ``pull`` (N, D) is let through in the null space; ``damping``: see DAMPING.
+    Args:
+        error: (N, E) task-space error to reduce.
+        jac: (N, E, D) Jacobian of D joints.
+        pull: (N, D) desired joint change, applied in the null space of the task.
+        damping: least damping, see DAMPING.
+
+    Returns:
+        (N, D) joint changes.
     """
     xp = namespace(error)
     size = xp.minimum(xp.sum(error * error, axis=1), constant((1.0,), error))
@@ -356,10 +376,10 @@ def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING)
 
 
 def _solve(square: Array, wanted: Array) -> Array:
-    """The ``x`` (N, E) of ``square x = wanted`` for symmetric positive definite matrices (N, E, E)."""
+    """Solve ``square x = wanted`` (N, E) for symmetric positive definite matrices (N, E, E); return x (N, E)."""
     if isinstance(square, np.ndarray):
         return np.linalg.solve(square, wanted[..., None])[..., 0]
-    # torch's solver asks the device whether it succeeded. Elimination without pivots does for these matrices.
+    # torch's solver waits for the device to check success. These matrices need no pivots in Gauss-Jordan elimination.
     xp = namespace(square)
     eye = constant(_EYES[wanted.shape[1]], wanted)
     both = xp.concat([square, wanted[..., None]], axis=2)
@@ -371,8 +391,13 @@ def _solve(square: Array, wanted: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class StepBounds:
-    """Bounds of a step: ``low``, ``high`` (N, D): room left to the limits of the columns; ``largest``: most that a
-    column changes, one number or (D,)."""
+    """Bounds of a joint step [m or rad].
+
+    Attributes:
+        low: (N, D) lower limit minus joint position.
+        high: (N, D) upper limit minus joint position.
+        largest: largest absolute change of a joint, one number or (D,).
+    """
 
     low: Array
     high: Array
@@ -386,15 +411,20 @@ def limited_step(
     bounds: StepBounds,
     damping: float = DAMPING,
 ) -> Array:
-    """A damped step (N, D) within bounds that leaves what limited columns cannot do to the others.
+    """Compute a damped least-squares step within joint limits.
 
-    A column that would pass its limit goes to its limit, and the step of the others is computed anew for the error
-    that remains; clipping alone would stall at the limits.
+    A joint that would pass its limit moves to the limit, and the step of the others is recomputed for the remaining
+    error. Clipping the step alone would stall at the limits.
 
     Args:
-        error, jac, pull: see `damped_step`.
-        bounds: of the step.
+        error: (N, E), see `damped_step`.
+        jac: (N, E, D), see `damped_step`.
+        pull: (N, D), see `damped_step`.
+        bounds: limits of the step.
         damping: see `damped_step`.
+
+    Returns:
+        (N, D) joint changes.
     """
     low = bounds.low
     high = bounds.high
@@ -422,7 +452,7 @@ def _bounded(step: Array, largest: Array | float) -> Array:
 
 
 def _rows(q: Array) -> Array:
-    """Configurations (N, Q) of numbers (N, Q) or (Q,): numpy in float64, tensors (N, Q) as they are."""
+    """Return ``q`` as (N, Q): numbers and numpy arrays (N, Q) or (Q,) as float64, tensors (N, Q) unchanged."""
     if isinstance(q, np.ndarray | Sequence):
         return np.atleast_2d(np.asarray(q, dtype=np.float64))
     return q

@@ -1,4 +1,4 @@
-"""Meshes of robots for the eye: coarse enough to be drawn in every world, or made of their collision shapes."""
+"""Visual meshes of robots: coarsened to be drawn in many worlds, or made from collision shapes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ _CELL_M = 0.004
 
 
 def coarse_mesh(vertices: np.ndarray, faces: np.ndarray, most_faces: int) -> Mesh:
-    """Merge vertices on a grid that is coarsened until ``most_faces`` are left; smaller meshes stay as they are.
+    """Simplify a mesh: merge vertices on a grid that is coarsened until at most ``most_faces`` faces are left.
 
     Args:
-        vertices: (V, 3) [m]. faces: (F, 3) indices.
+        vertices: (V, 3) positions [m].
+        faces: (F, 3) indices of vertices.
+        most_faces: largest number of faces.
+
+    Returns:
+        The simplified mesh; a mesh with few enough faces unchanged.
     """
     cell = _CELL_M
     kept = vertices
@@ -38,10 +43,14 @@ def coarse_mesh(vertices: np.ndarray, faces: np.ndarray, most_faces: int) -> Mes
 def meshes_of_shapes(
     collision: Mapping[str, tuple[Geom, ...]], material: str
 ) -> list[tuple[str, Mesh, str]]:
-    """A robot that looks like its collision shapes: (link, mesh in its frame [m], material).
+    """Return visual meshes made from collision shapes.
 
     Args:
-        collision: shapes of every link, as in `Body.collision`. material: name of one of the robot's materials.
+        collision: shapes by link, as in `Body.collision`.
+        material: name of one of the robot's materials, for all meshes.
+
+    Returns:
+        (link, mesh in the frame of the link [m], material) of every shape.
     """
     parts = []
     for link, geoms in collision.items():

@@ -1,9 +1,9 @@
-"""Links of a robot from an MJCF file that somebody else publishes: tree, masses, joints, meshes.
+"""Read the links of a robot from a published MJCF file: tree, masses, joints, meshes.
 
-A `Robot` has all its link frames parallel to each other when its joints are at zero, and joints along or about x, y or
-z. A published file turns its frames as it likes. So its links are read in a posture in which the joint axes are
-parallel to the axes of the root; there every link gets a frame that is parallel to the root, and the joints count from
-that posture.
+In a `Robot` all link frames are parallel at joint position zero, and joint axes are x, y or z. In a published file the
+link frames can have any orientation. So the links are read in a posture (``zero``) in which the joint axes are parallel
+to the axes of the root. There every link gets a frame parallel to the root's, and joint positions count from that
+posture.
 """
 
 from __future__ import annotations
@@ -24,15 +24,19 @@ from mjhab.robots.parts import Inertial, TreeLink
 from mjhab.scenes.spec import Geom, Vec3
 
 ROUND_DIGITS = 5
-"""Decimals [m] kept of what is computed, so that it is the same on every processor."""
+"""Decimals that computed lengths [m] are rounded to, so that they are equal on every processor."""
 AXIS_TOLERANCE = 1e-4
+"""Largest deviation of a joint axis from x, y or z."""
 SURFACE_STEP_M = 0.015
-"""Largest edge of the triangles whose corners stand for the surface of a mesh."""
+"""Largest edge [m] of the triangles into which a mesh is subdivided before boxes are fitted to its vertices."""
 
 
 @dataclass(frozen=True)
 class MeshGeom:
-    """A mesh of a link: its file, its pose in the frame of the link (rotation (3, 3), position (3,)), its colour."""
+    """A mesh of a link.
+
+    ``rot`` (3, 3) and ``pos`` (3,) [m] are its pose in the frame of the link; ``group`` is MuJoCo's geom group.
+    """
 
     link: str
     file: Path
@@ -43,17 +47,17 @@ class MeshGeom:
 
 
 class MjcfLinks:
-    """The links below one body of an MJCF file, in frames parallel to each other.
+    """A body of an MJCF file and its descendants as links with parallel frames.
 
     Args:
         file: the MJCF file.
-        root: name of the body from which on links are read.
-        zero: joint values of the file [m, rad] that count as zero here; joints that are not named count from 0.
-        turn: (3, 3) orientation of the file's world in the axes of the robot.
-        flipped: joints whose positive direction is turned round.
+        root: name of the body.
+        zero: joint positions in the file [m, rad] that become 0; 0 for joints that are not named.
+        turn: (3, 3) rotation of the file's world frame in the robot's frame; None for the identity.
+        flipped: joints whose sign is inverted.
 
     Raises:
-        MjhabError: there is no such file, or MuJoCo refuses it.
+        MjhabError: there is no such file, or MuJoCo cannot compile it.
     """
 
     def __init__(
@@ -96,15 +100,15 @@ class MjcfLinks:
         return tuple(model.body(body).name for body in sorted(inside))
 
     def rot(self, link: str) -> np.ndarray:
-        """(3, 3) orientation that the file gives a link, in the axes of the robot."""
+        """Return the rotation (3, 3) of the file's frame of a link in the robot's frame."""
         return self._turn @ self._data.body(link).xmat.reshape(3, 3)
 
     def pos(self, link: str) -> np.ndarray:
-        """(3,) position [m] of a link from the root, in the axes of the robot."""
+        """Return the position (3,) [m] of a link relative to the root, in the robot's axes."""
         return self._turn @ (self._data.body(link).xpos - self._data.body(self.root).xpos)
 
     def tree(self, parent: str, origin: Vec3) -> tuple[TreeLink, ...]:
-        """The links as rows of a robot's tree; the root hangs on ``parent`` at ``origin`` [m].
+        """Return the links as rows of `Body.tree`, with the root fixed to link ``parent`` at ``origin`` [m].
 
         Raises:
             MjhabError: a link has several joints, or one that is not at its origin or not along x, y or z.
@@ -141,7 +145,7 @@ class MjcfLinks:
         return TreeLink(link, parent, name, origin, _vec3(np.round(axis)), slide, limits)
 
     def inertials(self) -> dict[str, Inertial]:
-        """Mass of every link; links to which the file gives none get that of a small part."""
+        """Return the mass data of every link; links without mass in the file get 10 g."""
         found = {}
         for link in self.links:
             body = self._model.body(link)
@@ -158,7 +162,7 @@ class MjcfLinks:
         return found
 
     def meshes(self, group: int) -> list[MeshGeom]:
-        """Meshes of the links in one geom group of the file."""
+        """Return the meshes of the links in one geom group of the file."""
         found = []
         for link, geom in self._meshes:
             if link in self.links and geom.group == group and geom.meshname:
@@ -172,7 +176,12 @@ class MjcfLinks:
 
 
 def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
-    """Boxes that cover a mesh in the frame of its link: one for each of ``pieces`` slices along its longest side."""
+    """Return boxes that cover a mesh, in the frame of its link.
+
+    Args:
+        mesh: the mesh.
+        pieces: number of slices along its longest side; each gets one box.
+    """
     loaded = trimesh.load_mesh(mesh.file)
     vertices, *_ = trimesh.remesh.subdivide_to_size(
         loaded.vertices, loaded.faces, SURFACE_STEP_M, max_iter=12
@@ -195,7 +204,7 @@ def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
 
 
 def _without_meshes(file: Path) -> mujoco.MjModel:
-    """The compiled model of a file without its geoms: poses and masses need none."""
+    """Compile a file without its geoms, which poses and masses do not need."""
     spec = mujoco.MjSpec.from_file(str(file))
     for geom in list(spec.geoms):
         spec.delete(geom)

@@ -1,4 +1,4 @@
-"""Robots on MuJoCo: how one gets into an ``MjSpec``, and how its servos are set in a compiled model."""
+"""Add a robot to an ``MjSpec``, and set its servos in a compiled model."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from mjhab.scenes import contact_bits
 from mjhab.scenes.spec import Geom, Vec3
 
 PAD_FRICTION = (1.15, 0.02, 0.001)
-"""Sliding, torsional [m], rolling [m] of every contact of a finger pad. The original's pads have 2.0, what they touch
-has 0.3, and its engine averages the two. Here the pads' value wins by their priority: it is the average."""
+"""Friction of all contacts of a finger pad: sliding, torsional [m], rolling [m]. In MS-HAB pads have 2.0 and everything
+else 0.3, which PhysX averages to 1.15. In MuJoCo the pads have a higher priority, so that their value is used alone."""
 PAD_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+"""MuJoCo's ``solimp`` of pad contacts."""
 PAD_SOLREF = (-2500.0, -160.0)
-"""Stiffness [1/s^2] and damping [1/s] of pad contacts (negative: MuJoCo's direct form). The stiffness is that of
-MuJoCo's default 0.02 s, the damping 1.6 times. A contact does not feel the curvature of its path, so on a hand that
-turns at rate w at radius r a held object drifts outwards by w^2 r (1/damping - timestep/2) per second: 5 mm/s at
-1 rad/s and 1 m with the default damping of 100, 1.3 mm/s with 160. Towards 2/timestep = 200 contacts ring: the
-bench loses a box at 180."""
+"""MuJoCo's ``solref`` of pad contacts in its direct form: negative stiffness [1/s^2] and damping [1/s].
+
+The stiffness is that of MuJoCo's default time constant 0.02 s, the damping 1.6 times the default. A contact constraint
+neglects the centripetal acceleration: in a hand that turns at rate w at radius r, a held object drifts outwards by
+w^2 r (1/damping - timestep/2) per second. At 1 rad/s and 1 m that is 5 mm/s with the default damping 100 and 1.3 mm/s
+with 160. Contacts oscillate as the damping approaches 2/timestep = 200; at 180 the grasp benchmark loses a box."""
 
 _AXES: tuple[Vec3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _GEOM_TYPE = {
@@ -34,7 +36,7 @@ _GEOM_TYPE = {
 
 
 def physics_options(spec: mujoco.MjSpec) -> None:
-    """Set the physics recipe: 100 Hz, implicitfast, Newton, elliptic cones, sleeping; angles in radians."""
+    """Set compiler and solver options: 100 Hz, implicitfast, Newton, elliptic cones, sleeping; angles in radians."""
     spec.compiler.degree = False
     spec.compiler.autolimits = True
     spec.compiler.fusestatic = True
@@ -53,13 +55,10 @@ def physics_options(spec: mujoco.MjSpec) -> None:
 
 
 def add_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Add a robot to a model under construction, at the origin of the world, facing +x.
+    """Add a robot to a spec: links, joints, actuators, cameras. At qpos 0 it stands at the world origin, facing +x.
 
-    Bodies are named like its links, joints and actuators like its joints, in their order, cameras like its cameras.
-    Sets the compiler to radians. The pose at qpos 0 is the zero pose.
-
-    Raises:
-        ValueError: (at compile) when the model already has one of these names.
+    Bodies have the names of its links, joints and actuators those of its joints (in the same order), cameras those of
+    its cameras. Sets the compiler to radians. Compiling raises a ValueError if one of the names is taken.
     """
     spec.compiler.degree = False
     bodies = {robot.base_link: _add_base(spec, robot)}
@@ -98,8 +97,8 @@ def _fill_body(body: mujoco.MjsBody, link: str, robot: Robot) -> None:
     body.mass = inertial.mass
     body.ipos = inertial.com
     body.fullinertia = inertial.inertia
-    body.gravcomp = 1.0  # the original switches gravity off for every robot link
-    # Some links have no joint but must stay bodies for their forces.
+    body.gravcomp = 1.0  # MS-HAB switches gravity off for every robot link
+    # Links without joint stay bodies if their forces or poses are read.
     body.fuse = link not in robot.links and link != robot.tcp
     for i, geom in enumerate(robot.body.collision.get(link, ())):
         _add_collision(body, link, i, geom, robot)
@@ -133,10 +132,10 @@ def _add_tree_joint(body: mujoco.MjsBody, entry: TreeLink, robot: Robot) -> None
 
 
 def _limit(joint: mujoco.MjsJoint, gains: Gains, limits: tuple[float, float]) -> None:
-    """Give a joint the rotor inertia and force of its servo, and its limits where they are finite."""
+    """Set armature, force limit and range of a joint; the range [m or rad] only if it is finite."""
     joint.armature = gains.armature
-    # The limit sits on the joint, not on the actuator: the integrator stops treating the damping of a servo
-    # implicitly while the actuator's own force range clips it, and light joints would chatter between the limits.
+    # The force limit is on the joint, not on the actuator: while an actuator's own force range clips it, the
+    # integrator does not treat the servo's damping implicitly, and light joints oscillate between the limits.
     joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
     joint.actfrcrange = [-gains.force, gains.force]
     low, high = limits
@@ -155,7 +154,8 @@ def _add_actuators(spec: mujoco.MjSpec, robot: Robot) -> None:
             actuator.set_to_position(kp=gains.kp, kv=gains.kd)
         else:
             actuator.set_to_velocity(kv=gains.kd)
-    # Both servos pull alike; the equality keeps the fingers symmetric, so a grasped object does not wander sideways.
+    # Both finger servos have the same command. The equality keeps the fingers symmetric, so that a grasped object does
+    # not move sideways.
     first, second = robot.group("fingers")
     spec.add_equality(
         name="finger_mimic",
@@ -167,10 +167,12 @@ def _add_actuators(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def apply_drives(model: mujoco.MjModel, robot: Robot, drives: Drives) -> None:
-    """Set servo gains and joint force limits of a compiled model in place; `Drives()` are those it was compiled with.
+    """Set servo gains and joint force limits of a compiled model in place.
+
+    `Drives()` restores those it was compiled with.
 
     Raises:
-        UsageError: a joint that the robot does not have.
+        UsageError: ``drives`` names a joint that the robot lacks.
     """
     for name in (*drives.velocity, *drives.stiff):
         if name not in robot.joints:

@@ -1,4 +1,4 @@
-"""What a robot is made of: links, masses, servos, cameras, fingers. Plain frozen data.
+"""Frozen dataclasses of the parts of a `Robot`: links, masses, servos, cameras, gripper, action ranges.
 
 Lengths [m], angles [rad], masses [kg], forces [N or N m], quaternions wxyz.
 """
@@ -12,14 +12,22 @@ from dataclasses import dataclass
 from mjhab.scenes.spec import IDENTITY, Geom, Quat, Vec3
 
 FREE = (-math.inf, math.inf)
-"""Limits of a joint that turns without end."""
+"""Limits of a joint without limits [rad]."""
 
 
 @dataclass(frozen=True)
 class TreeLink:
-    """One link: ``joint`` "" is a fixed mount; ``origin``, ``quat``: pose of the link frame in its parent at 0.
+    """One link of a robot and the joint that moves it.
 
-    ``axis``: unit vector in the frame of the link; ``slide``: the joint is prismatic; ``limits`` [m or rad].
+    Attributes:
+        link: name of the link.
+        parent: name of its parent link.
+        joint: name of the joint; "" for a link fixed to its parent.
+        origin: position of the link frame in the parent's frame at joint position 0 [m].
+        axis: unit vector of the joint axis in the link frame.
+        slide: the joint is prismatic; otherwise it is a hinge.
+        limits: (low, high) of the joint [m or rad].
+        quat: orientation of the link frame in the parent's frame at joint position 0, wxyz.
     """
 
     link: str
@@ -34,7 +42,11 @@ class TreeLink:
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass, centre of mass and inertia about it: xx, yy, zz, xy, xz, yz (MuJoCo's ``fullinertia`` order)."""
+    """Mass data of a link in the link frame.
+
+    ``mass`` [kg]; ``com``: centre of mass [m]; ``inertia`` about it [kg m^2]: xx, yy, zz, xy, xz, yz (the order of
+    MuJoCo's ``fullinertia``).
+    """
 
     mass: float
     com: Vec3
@@ -48,8 +60,8 @@ class Body:
     Attributes:
         tree: every link below the base link, parents first.
         inertials: mass of every link.
-        collision: primitive shapes of every link that collides, in the frame of the link. These links, the tool
-            centre and those that joints move are bodies of the model; others merge into their parents.
+        collision: primitive collision shapes by link, in the link frame. These links, the tcp link and those with
+            joints are bodies of the model; all others merge into their parents.
     """
 
     tree: tuple[TreeLink, ...]
@@ -59,22 +71,26 @@ class Body:
 
 @dataclass(frozen=True)
 class Gains:
-    """Servo: force = kp * (target - q) - kd * qd, clipped to ±force (base: kp 0, force = kd * (target - qd))."""
+    """Gains of a servo: force = kp * (target - q) - kd * qd, clipped to ±``force`` [N or N m].
+
+    With kp 0 the target is a speed: force = kd * (target - qd).
+    """
 
     kp: float
     kd: float
     force: float
     armature: float
-    """Rotor inertia added to each joint [kg m^2 or kg], as the geared motors of a real arm have it. It spreads the
-    full-force start of a motion over two time steps, so that a grasped object is not jerked out of the pads."""
+    """Rotor inertia added to the joint [kg m^2 or kg], as that of a geared motor. It spreads the start of a motion at
+    full force over two time steps, which keeps a grasped object from slipping out of the pads."""
 
 
 @dataclass(frozen=True)
 class Drives:
-    """Which servos differ from the robot's gains. A control mode asks for them, `model.apply_drives` sets them.
+    """Servos that a control mode needs to differ from the robot's gains; `model.apply_drives` sets them.
 
-    velocity: joints whose command is a speed [rad/s or m/s]: force = kd * (command - qd);
-    stiff: joints with the robot's stiff gains.
+    Attributes:
+        velocity: joints whose command is a speed [rad/s or m/s]: force = kd * (command - qd).
+        stiff: joints with `Robot.stiff_gains`.
     """
 
     velocity: tuple[str, ...] = ()
@@ -83,7 +99,11 @@ class Drives:
 
 @dataclass(frozen=True)
 class CameraMount:
-    """A camera of the robot. ``pos``, ``quat`` in ``body``; MuJoCo convention: looks along -z, y is up."""
+    """A camera of the robot.
+
+    ``pos`` [m] and ``quat`` (wxyz) are in the frame of link ``body``, in MuJoCo's convention: the camera looks along -z
+    with y up. ``resolution`` is (width, height) [pixels]; ``near`` and ``far`` are clipping distances [m].
+    """
 
     name: str
     body: str
@@ -102,7 +122,7 @@ LOOK_FORWARD: Quat = (0.5, 0.5, -0.5, -0.5)
 
 @dataclass(frozen=True)
 class Finger:
-    """A finger of a parallel gripper: its link, and the direction in which it opens, in the frame of the link."""
+    """A finger of a parallel gripper: its link, and the unit direction in which it opens, in the link frame."""
 
     link: str
     opens: Vec3
@@ -118,14 +138,19 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Gripper:
-    """Sizes of a parallel gripper. Frame: that of the tool centre, x along the fingers, y the line on which they close.
+    """Sizes of a parallel gripper [m], in the tcp frame: x along the fingers, y the line on which they close.
 
-    Fingers reach ``finger`` (x, z) to both sides of the origin and are ``thickness`` thick; the hand's body lies
-    between ``palm_x``; ``palm_half`` are its half-extents (y, z). ``usable``: widest object taken between the pads,
-    somewhat less than their widest opening ``opening``, and
-    ``shelf_usable`` in a shelf, where there is little choice; ``play``: room left on both sides by fingertips that come
-    to meet something wider; ``blunt``: end of the pads that is round and does not count where they lie on flat sides.
-    ``hand``: spheres that cover hand and wrist.
+    Attributes:
+        finger: half-extents of a finger along x and z.
+        thickness: extent of a finger along y.
+        palm_x: range (low, high) of the palm along x.
+        palm_half: half-extents of the palm along y and z.
+        opening: distance between the pads of the open gripper.
+        usable: width of the widest object to grasp, somewhat less than ``opening``.
+        shelf_usable: the same in a shelf, where few grasps are in reach.
+        play: gap on each side between the open fingertips and the chord of an object that is too wide for the gripper.
+        blunt: length of the rounded end of the pads, which does not count as contact with flat sides.
+        hand: spheres that cover palm and wrist.
     """
 
     finger: tuple[float, float]
@@ -142,9 +167,9 @@ class Gripper:
 
 @dataclass(frozen=True)
 class ActionColumns:
-    """Where the parts of a robot are in an action of the default control mode with the base "forward".
+    """Columns of an action of the default control mode with base control "forward".
 
-    ``arm``, ``gripper``, then head and torso (``body``; ``head``, ``torso`` name its columns), then the base.
+    The order is arm, gripper, head, torso, base; ``body`` covers head and torso.
     """
 
     arm: slice
@@ -157,25 +182,25 @@ class ActionColumns:
 
     @property
     def dim(self) -> int:
-        """Numbers in an action."""
+        """Size of an action."""
         return self.base_yaw + 1
 
 
 @dataclass(frozen=True)
 class ActionLimits:
-    """What an action of ±1 means."""
+    """Ranges that actions of ±1 are scaled to."""
 
     joint_delta: float = 0.1
-    """Arm, head [rad] and torso [m] change per control step."""
+    """Change of arm and head joints [rad] and torso [m] per control step."""
     gripper: tuple[float, float] = (-0.01, 0.05)
-    """Finger position [m] at -1 and +1; below zero squeezes."""
+    """Commanded finger position [m] at -1 and +1; a negative one makes closed fingers press."""
     forward: float = 1.0
     """Base speed [m/s], forward and (holonomic) to the left."""
     yaw_rate: float = 3.14
-    """Base turning speed [rad/s]."""
+    """Yaw rate of the base [rad/s]."""
     joint_speed: float = 1.0
-    """Arm joints in the velocity modes [rad/s]."""
+    """Speed of the arm joints in the velocity modes [rad/s]."""
     ee_move: float = 0.1
-    """End effector: change per control step along each axis [m]."""
+    """Change of the tcp position per control step along each axis [m]."""
     ee_turn: float = 0.1
-    """End effector: longest rotation vector per control step [rad]."""
+    """Largest norm of the rotation vector of the tcp per control step [rad]."""

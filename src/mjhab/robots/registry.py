@@ -1,4 +1,4 @@
-"""Robots by name."""
+"""Registry of robots by name."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ ROBOTS: Registry[Robot] = Registry(
         "panda_omron": "mjhab.robots.panda_omron.robot:ROBOT",
     },
 )
-"""All robots; a module of mjhab's own is imported when its robot is first asked for."""
+"""All robots. The module of a built-in robot is imported on the first look-up of its name."""
 
 
 def register_robot(robot: Robot) -> Robot:
     """Make a robot known to ``mjhab.make(robot=NAME)`` and to all commands.
 
     Returns:
-        The robot, so that it can be registered where it is made.
+        ``robot``, so that the call can wrap its construction.
 
     Raises:
-        UsageError: it is no `Robot`, or its name is taken; the message says by whom.
+        UsageError: ``robot`` is not a `Robot`, or its name is taken; the message says by which module.
     """
     check_item("register_robot", robot, Robot)
     return ROBOTS.add(robot.name, robot)
 
 
 def robot_named(name: str = DEFAULT_ROBOT) -> Robot:
-    """The robot of a name.
+    """Return the robot with a name.
 
     Raises:
         UsageError: there is none; the message lists the names.

@@ -1,7 +1,7 @@
-"""What mjhab knows about a robot. Everything that names or numbers a joint, a link or a camera takes it from a `Robot`.
+"""The `Robot` spec. All other code takes names and indices of joints, links and cameras from it.
 
-A robot is a mobile manipulator: a base that moves in the plane by three joints, an arm with a parallel gripper and,
-where it has them, a torso that lifts the arm and a head. `robots.registry` finds robots by name.
+A robot is a mobile manipulator: a base with three planar joints, an arm with a parallel gripper and, optionally, a
+torso that lifts the arm and a head. `robots.registry` holds the robots by name.
 """
 
 from __future__ import annotations
@@ -31,15 +31,19 @@ from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Vec3
 
 Visuals = Callable[[], list[tuple[str, Mesh, str]]]
-"""Function that gives the visual meshes: (body, mesh in the frame of that body [m], name of its material)."""
+"""Function that returns the visual meshes: (body, mesh in the frame of that body [m], name of its material)."""
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Room that a base needs on the floor: radii [m] of discs, and its height ``top`` [m].
+    """Free space that a base needs on the floor. Lengths [m].
 
-    ``radius``: the disc that covers the base. ``spawn``: free around every start. ``wide``, ``narrow``: the scripted
-    experts plan ways with the first and squeeze through passages with the second.
+    Attributes:
+        radius: of the disc that covers the base.
+        spawn: radius of the disc around a spawn that must be free.
+        wide: disc radius with which the scripted experts plan paths first.
+        narrow: disc radius with which they plan through narrow passages.
+        top: height of the base.
     """
 
     radius: float
@@ -51,12 +55,16 @@ class Footprint:
 
 @dataclass(frozen=True)
 class ArmReach:
-    """How far an arm reaches, as the scripted experts estimate it before they solve inverse kinematics. Lengths [m].
+    """Reach of an arm, with which the scripted experts select poses before they solve inverse kinematics. Lengths [m].
 
-    The first joint of the arm stands ``ahead`` of the centre of the base, the second one ``out`` from its axis, at
-    heights from ``low`` to ``high``, depending on the torso. From the second joint to the wrist it is ``length``
-    comfortably, from the wrist to the tool centre ``hand``. ``level``: least and greatest workable distance of the hand
-    from the second joint, seen from above.
+    Attributes:
+        ahead: distance of the arm's first joint in front of the centre of the base.
+        out: distance of the second joint from the axis of the first.
+        low: height of the second joint above the floor with the torso down.
+        high: the same with the torso up.
+        length: usable distance from the second joint to the wrist.
+        hand: distance from the wrist to the tcp.
+        level: least and largest usable horizontal distance of the hand from the second joint.
     """
 
     ahead: float
@@ -73,30 +81,35 @@ class Robot:
     """A mobile manipulator.
 
     Attributes:
-        name: what ``mjhab.make(robot=...)`` calls it.
+        name: name in ``mjhab.make(robot=...)``.
         joints: names of the joints in the order of joint positions: base, posture, fingers (`core.joints`).
-        groups: names of the joints of every group of GROUPS that the robot has. The order within "arm" and "head" is
-            that of actions; "base" is x, y, yaw; "fingers" are two joints that open at positive values [m].
-        load_body: reads links, masses and collision shapes; called once, when they are first needed.
+        groups: names of the joints of every group of GROUPS that the robot has. "arm" and "head" have the order of
+            actions; "base" is x, y, yaw; "fingers" are two joints that open towards positive values [m].
+        load_body: returns links, masses and collision shapes; called once, on first use.
         rest_qpos: (J,) joint positions at rest [m, rad].
-        base_link: link that the joints of the base move. base_height: its height above the floor [m]: it floats.
-        arm_root: link whose frame end-effector actions are given in; base and torso carry it along.
-        tcp: link whose origin is the tool centre, x along the fingers, y the line on which they close.
+        base_link: link that the base joints move.
+        base_height: height of its frame above the floor [m]; the base has no contact with the floor.
+        arm_root: link in whose frame end-effector actions are given; base and torso move it.
+        tcp: link whose origin is the tool centre point (tcp): x along the fingers, y the line on which they close.
         fingers: left and right finger; empty for a robot without a gripper.
         force_links: links whose contact forces add up to ``robot_force``: all with collision shapes but the fingers.
-        trunk_links, distal_links: links of the second kind collide with those of the first. Other pairs of links of
-            the robot do not collide.
-        cameras: its cameras, that of the head first.
-        gains: servos of every group of joints. stiff_gains: torso and head under a stiff control mode.
-        limits: what an action of ±1 means.
+        trunk_links: links with which the distal links collide.
+        distal_links: links that collide with the trunk links. No other two links of the robot collide.
+        arm_links: links that the experts keep clear of furniture: the arm without its last links, and the links on the
+            torso.
+        wrist_links: the last links before the hand.
+        cameras: its cameras, the head camera first.
+        gains: servo gains of every group of joints.
+        stiff_gains: servo gains of torso and head under a control mode with a stiff body.
         gripper: sizes of hand and fingers.
-        ee_rest_pos: where success wants the tool centre at rest, in the frame of base_link [m]; None for where
-            ``rest_qpos`` brings it.
-        arm_links: links that keep clear of furniture where the hand works: those of the arm without the last ones, and
-            what the torso carries. wrist_links: the last ones before the hand.
-        footprint, reach: room that base and arm need.
-        elbow: joint of the arm at whose zero the arm is stretched.
-        visuals: its meshes. materials: their materials.
+        footprint: free space that the base needs.
+        reach: reach of the arm.
+        elbow: joint of the arm whose zero is the stretched arm.
+        visuals: returns the visual meshes.
+        ee_rest_pos: rest position of the tcp in success tests, in the frame of ``base_link`` [m]; None for the position
+            at ``rest_qpos``.
+        limits: ranges that actions of ±1 are scaled to.
+        materials: materials of the visual meshes, by name.
     """
 
     name: str
@@ -191,16 +204,20 @@ class Robot:
     # -- joints ----------------------------------------------------------------------------------------------------
 
     def group(self, name: str) -> tuple[str, ...]:
-        """Names of the joints of a group; empty where the robot has none of it."""
+        """Return the names of the joints of a group; () if the robot lacks it.
+
+        Raises:
+            UsageError: ``name`` is not one of GROUPS.
+        """
         if name not in GROUPS:
             raise unknown_name("joint group", name, GROUPS)
         return tuple(self.groups.get(name, ()))
 
     def require(self, groups: Iterable[str], purpose: str) -> None:
-        """Check that the robot has some groups of joints.
+        """Check that the robot has joint groups.
 
         Raises:
-            UsageError: it lacks one; the message says which and for what ``purpose`` it is needed.
+            UsageError: it lacks one; the message names it and the ``purpose`` that needs it.
         """
         missing = [group for group in groups if not self.group(group)]
         if missing:
@@ -210,10 +227,10 @@ class Robot:
             )
 
     def columns_of(self, joints: Iterable[str]) -> tuple[int, ...]:
-        """Columns of joints in arrays of joint positions.
+        """Return the columns of joints in arrays (..., J) of joint positions.
 
         Raises:
-            UsageError: a joint that the robot does not have.
+            UsageError: the robot has no such joint.
         """
         found = []
         for joint in joints:
@@ -224,42 +241,42 @@ class Robot:
 
     @cached_property
     def body_joints(self) -> tuple[str, ...]:
-        """Head, then torso: the joints that follow the gripper in an action."""
+        """Names of the joints of head, then torso: they follow the gripper in an action."""
         return (*self.group("head"), *self.group("torso"))
 
     @cached_property
     def arm_columns(self) -> tuple[int, ...]:
-        """Columns of the arm, in the order of actions."""
+        """Columns of the arm joints, in the order of actions."""
         return self.columns_of(self.group("arm"))
 
     @cached_property
     def head_columns(self) -> tuple[int, ...]:
-        """Columns of the head, in the order of actions."""
+        """Columns of the head joints, in the order of actions."""
         return self.columns_of(self.group("head"))
 
     @cached_property
     def torso_columns(self) -> tuple[int, ...]:
-        """Columns of the torso."""
+        """Columns of the torso joints."""
         return self.columns_of(self.group("torso"))
 
     @cached_property
     def body_columns(self) -> tuple[int, ...]:
-        """Columns of head and torso, in the order of actions."""
+        """Columns of the head and torso joints, in the order of actions."""
         return self.columns_of(self.body_joints)
 
     @cached_property
     def finger_columns(self) -> tuple[int, ...]:
-        """Columns of the fingers."""
+        """Columns of the finger joints."""
         return self.columns_of(self.group("fingers"))
 
     @cached_property
     def elbow_column(self) -> int:
-        """Column of the elbow."""
+        """Column of the elbow joint."""
         return self.columns_of((self.elbow,))[0]
 
     @cached_property
     def columns(self) -> JointColumns:
-        """Where base, posture and fingers are."""
+        """Columns of base, posture and fingers in arrays of joint positions."""
         count = len(self.joints)
         torso = self.torso_columns
         return JointColumns(
@@ -286,25 +303,25 @@ class Robot:
 
     @cached_property
     def joint_limits(self) -> tuple[tuple[float, float], ...]:
-        """(low, high) of every joint [m or rad]; infinite where it turns freely."""
+        """(low, high) of every joint [m or rad]; infinite for a joint without limits."""
         limits = {row.joint: row.limits for row in self.body.tree if row.joint}
         base = dict(zip(self.group("base"), BASE_LIMITS, strict=True))
         return tuple((limits | base)[joint] for joint in self.joints)
 
     @cached_property
     def finger_max(self) -> float:
-        """Position [m] of a finger that is wide open."""
+        """Upper limit [m] of a finger joint: the gripper is fully open."""
         return self.joint_limits[self.finger_columns[0]][1]
 
     @cached_property
     def sliding(self) -> frozenset[str]:
-        """Names of the joints that move along a line; positions of the others are angles."""
+        """Names of the prismatic joints [m]; positions of the others are angles [rad]."""
         slides = {row.joint for row in self.body.tree if row.joint and row.slide}
         return frozenset(slides | set(self.group("base")[:2]))
 
     @cached_property
     def gains_of(self) -> dict[str, Gains]:
-        """Servo of every joint."""
+        """Servo gains by joint name."""
         return {joint: self.gains[group] for group in self.groups for joint in self.group(group)}
 
     # -- links -----------------------------------------------------------------------------------------------------
@@ -314,7 +331,7 @@ class Robot:
         """Links, masses and collision shapes.
 
         Raises:
-            UsageError: ``load_body`` gives links that do not fit the other fields, see `check_body`.
+            UsageError: the links of ``load_body`` do not fit the other fields, see `check_body`.
         """
         upper = range(BASE.stop, len(self.joints))
         needs = BodyNeeds(
@@ -336,40 +353,40 @@ class Robot:
 
     @cached_property
     def links(self) -> tuple[str, ...]:
-        """Links that are bodies of the model: those with collision shapes. Others merge into their parents."""
+        """Names of the links with collision shapes."""
         return tuple(self.body.collision)
 
     @property
     def finger_links(self) -> tuple[str, ...]:
-        """Links of the left and the right finger."""
+        """Names of the links of the left and the right finger."""
         return tuple(finger.link for finger in self.fingers)
 
     @property
     def model_links(self) -> tuple[str, ...]:
-        """Links whose poses and forces are read: those whose force counts, the fingers and the tool centre."""
+        """Names of the links whose poses or forces are read: force links, fingers and tcp link."""
         return tuple(dict.fromkeys((*self.force_links, *self.finger_links, self.tcp)))
 
     @property
     def hand_links(self) -> tuple[str, ...]:
-        """The end effector: the link of the tool centre and the fingers."""
+        """Names of the links of the end effector: tcp link and fingers."""
         return (self.tcp, *self.finger_links)
 
     @cached_property
     def arm_force_rows(self) -> tuple[int, ...]:
-        """Which of ``force_links`` are no part of the trunk."""
+        """Indices into ``force_links`` of the links that are not trunk links."""
         rows = enumerate(self.force_links)
         return tuple(row for row, link in rows if link not in self.trunk_links)
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """(J,) joint positions at rest, as an array that must not be written to."""
+        """(J,) joint positions at rest [m, rad], read-only."""
         rest = np.array(self.rest_qpos, dtype=np.float64)
         rest.flags.writeable = False
         return rest
 
     @cached_property
     def tool_at_rest(self) -> Vec3:
-        """Where success wants the tool centre at rest, in the frame of base_link [m]."""
+        """Rest position of the tcp in success tests, in the frame of ``base_link`` [m]."""
         if self.ee_rest_pos is not None:
             return self.ee_rest_pos
         x, y, z = self.chain.tip_pose(self.rest)[0][0]
@@ -377,11 +394,11 @@ class Robot:
 
     @cached_property
     def chain(self) -> Chain:
-        """The links from the base to the tool centre; columns are all joints."""
+        """Kinematic chain from the base to the tcp; its columns are all J joints."""
         return self.chain_with(())
 
     def chain_with(self, links: Iterable[str]) -> Chain:
-        """`chain` with more links."""
+        """Return `chain` extended by the frames of more links."""
         return Chain.from_tree(
             self.body.tree,
             self.joints,
@@ -393,7 +410,7 @@ class Robot:
 
     @cached_property
     def arm_chain(self) -> Chain:
-        """The arm from ``arm_root`` to the tool centre; columns are the joints of the arm in action order."""
+        """Kinematic chain from ``arm_root`` to the tcp; its columns are the arm joints in the order of actions."""
         return Chain.from_tree(
             self.body.tree,
             self.group("arm"),
@@ -409,7 +426,7 @@ class Robot:
         return tuple(camera.name for camera in self.cameras)
 
     def camera(self, name: str) -> CameraMount:
-        """The camera of a name.
+        """Return the camera with a name.
 
         Raises:
             UsageError: the robot has no such camera.
@@ -420,7 +437,7 @@ class Robot:
 
     @cached_property
     def digest(self) -> bytes:
-        """Hash of all that goes into a compiled model: equal when the models are equal."""
+        """Hash of everything about the robot that a compiled model depends on."""
         body = self.body
         facts = (
             self.joints,

@@ -1,1 +1,1 @@
-"""Simulators behind one protocol, contact forces, cameras."""
+"""Batched simulators (C MuJoCo and MuJoCo Warp) behind one protocol."""

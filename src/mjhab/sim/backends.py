@@ -1,4 +1,4 @@
-"""Which simulator runs: C MuJoCo on the CPU or MuJoCo Warp, imported only when it is asked for."""
+"""Choice of the simulator backend: C MuJoCo on the CPU, or MuJoCo Warp, which is imported only when chosen."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 BACKENDS = ("auto", "cpu", "warp")
 GPU_MODULES = ("warp", "mujoco_warp", "torch")
-"""What the extra "gpu" installs."""
+"""Modules that the extra "gpu" installs."""
 
 
 def resolve(name: str) -> str:
-    """ "cpu" or "warp" for one of BACKENDS; "auto" is warp where the extra is installed and finds a CUDA device.
+    """Return the backend to use, "cpu" or "warp", for one of BACKENDS.
 
-    Warp is imported for "auto" alone, and only if the extra is installed.
+    "auto" is "warp" if the extra "gpu" is installed and finds a CUDA device, else "cpu". Only "auto" imports Warp here,
+    and only if the extra is installed.
 
     Raises:
         UsageError: unknown name; "warp" without the extra (says what to install).
@@ -40,7 +41,7 @@ def resolve(name: str) -> str:
 
 
 def cuda_devices() -> list[str]:
-    """Names of the CUDA devices that Warp can use, e.g. ["cuda:0"]; it must be installed."""
+    """Return the names of the CUDA devices that Warp can use, e.g. ["cuda:0"]. Warp must be installed."""
     from mjhab.sim.warp import probe as warp_probe
 
     return warp_probe.cuda_devices()
@@ -55,13 +56,15 @@ def open_simulator(
     device: str = "",
     drives: Drives | None = None,
 ) -> CpuSimulator | WarpSimulator:
-    """A simulator of worlds of a layout.
+    """Open a simulator with a batch of worlds of a layout.
 
     Args:
         name: one of BACKENDS.
-        layout: what all homes share. num_worlds: >= 1. drives: servos of the robot.
-        threads: of the CPU backend; 0 takes every core.
-        device: of the warp backend: "cuda:0", "cpu" (slow, for tests); "" takes the first CUDA device.
+        layout: names, order and sizes shared by all homes.
+        num_worlds: size W of the batch, at least 1.
+        threads: CPU threads (backend "cpu" only); 0 uses every core.
+        device: Warp device (backend "warp" only): "cuda:0", "cpu" (slow, for tests); "" is the first CUDA device.
+        drives: changes to the robot's servos that the control mode needs; None for none.
 
     Raises:
         UsageError: unknown backend or device, no CUDA device, the extra is missing, or no room for the worlds.
@@ -79,5 +82,5 @@ def open_simulator(
 def _installed(module: str) -> bool:
     try:
         return importlib.util.find_spec(module) is not None
-    except ValueError:  # it was imported in a way that left no spec
+    except ValueError:  # an imported module whose __spec__ is None
         return True

@@ -11,25 +11,40 @@ import numpy as np
 from mjhab.layout.layout import Addresses, Layout
 
 TAINTS = ("contact_overflow", "constraint_overflow", "nan", "engine_warning", "penetration")
-"""Names of the bits of a world's taint mask, lowest first."""
+"""Names of the bits of a world's taint mask, lowest first.
+
+A tainted world has had an event since its reset that makes its physics unreliable: a contact or constraint buffer that
+overflowed, NaN or infinite values, an engine warning, or a robot contact deeper than PENETRATION_LIMIT.
+"""
 PENETRATION_LIMIT = 0.02
-"""A contact of the robot deeper than this [m] taints the episode."""
+"""A contact of the robot with a penetration depth above this [m] taints the world."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimState:
-    """State of all worlds after a control step. W worlds, J robot joints, N objects, L links, K force links.
+    """State of all worlds after a control step.
 
-    robot_q, robot_qd (W, J) in the order of the robot's joints [m, rad]; object_pose (W, N, 7) world [m, wxyz];
-    object_vel (W, N, 6) velocity of the origin in the world [m/s], then angular velocity in the object's own frame
-    [rad/s]; tcp_vel (W, 3) velocity of the tool centre in the world [m/s];
-    link_q, link_qd (W, L) [m or rad, per s]; link_force (W, K) norm of the net contact force on each robot link without
-    fingers [N];
-    finger_force (W, 2, N + L, 3) force by each target (objects, then links) on the [l, r] finger, world frame [N];
-    touch (W, N + L) bool: some robot link touches the target; ee_contact (W, N + L) bool: fingers or hand do;
-    body_pos (W, B, 3), body_mat (W, B, 3, 3), body_quat
-    (W, B, 4) wxyz world.
-    Forces are those of the last substep. Arrays may be views that the next step overwrites.
+    Letters: W worlds, J robot joints, N object slots, L moving links of furniture (drawers and doors), K robot links
+    of `Robot.force_links`, B bodies of the model. A target is an object or a moving link: N + L of them, objects first.
+    Contact forces are normal forces without friction, of the last substep. Arrays may be views that the next step
+    overwrites.
+
+    Attributes:
+        robot_q: (W, J) positions of the robot's joints, in the order of `Robot.joints` [m or rad].
+        robot_qd: (W, J) their velocities [m/s or rad/s].
+        object_pose: (W, N, 7) pose in the world frame [m, wxyz].
+        object_vel: (W, N, 6) velocity of the origin in the world frame [m/s], then angular velocity in the object's
+            own frame [rad/s].
+        link_q: (W, L) joint positions of the moving links [m or rad].
+        link_qd: (W, L) their velocities [m/s or rad/s].
+        tcp_vel: (W, 3) velocity of the tcp in the world frame [m/s].
+        link_force: (W, K) norm of the net contact force on each force link [N].
+        finger_force: (W, 2, N + L, 3) force of each target on the [left, right] finger, world frame [N].
+        touch: (W, N + L) bool: some robot link has a contact with the target.
+        ee_contact: (W, N + L) bool: a finger or the hand has one.
+        body_pos: (W, B, 3) body positions in the world frame [m].
+        body_mat: (W, B, 3, 3) body rotations in the world frame.
+        body_quat: (W, B, 4) the same as quaternions, wxyz.
     """
 
     robot_q: Any
@@ -49,7 +64,14 @@ class SimState:
 
 
 class Simulator(Protocol):
-    """A batch of worlds of one layout, stepped together, reset one by one."""
+    """A batch of worlds of one layout: all are stepped together, each can be reset on its own.
+
+    Attributes:
+        layout: names, order and sizes shared by all homes.
+        addresses: indices of joints, bodies and sensors in the models of the layout.
+        num_worlds: W.
+        num_threads: CPU threads that step the worlds.
+    """
 
     layout: Layout
     addresses: Addresses
@@ -57,15 +79,21 @@ class Simulator(Protocol):
     num_threads: int
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Put worlds into homes at rest in the states ``qpos`` (n, nq); other worlds keep every bit."""
+        """Reset worlds ``ids`` to the states ``qpos`` (n, nq) of ``homes`` with zero velocity.
+
+        Time, warm start and taint of these worlds are cleared; all other worlds stay bitwise the same.
+        """
         ...
 
     def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Like `reset`, for worlds that broke: they stay tainted."""
+        """Reset worlds that became NaN or infinite as `reset` does, but keep their taint."""
         ...
 
     def write_qpos(self, world: int, qpos: np.ndarray) -> None:
-        """Move one world to ``qpos`` (nq,) with zero robot velocity, keeping its home (teleport)."""
+        """Teleport one world to ``qpos`` (nq,) in its present home.
+
+        The velocities of the robot and of every object that moves become zero.
+        """
         ...
 
     def step(self, ctrl: np.ndarray) -> None:
@@ -73,27 +101,28 @@ class Simulator(Protocol):
         ...
 
     def state(self) -> SimState:
-        """The current state of all worlds."""
+        """Return the current state of all worlds."""
         ...
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
-        """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart"."""
+        """Return copies of the full physics state of one world: "time", "qpos", "qvel", "ctrl", "warmstart"."""
         ...
 
     def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
-        """Put one world into a home in a state from `get_world`, with everything awake."""
+        """Restore one world in a home from a state of `get_world`, and clear its taint."""
         ...
 
     def broken(self) -> np.ndarray:
-        """(W,) bool: worlds that the last step made NaN or infinite, or that the engine put back for it; their state
-        means nothing.
+        """Return (W,) bool: worlds that became NaN or infinite in the last step, or that the engine reset for it.
+
+        The state of such a world is meaningless until `mend`.
         """
         ...
 
     def add_taint(self, world: int, mask: int) -> None:
-        """Mark a world with the bits of ``mask``, as of a state that was tainted before it was restored."""
+        """Set the bits ``mask`` in the taint of a world, e.g. those it had when the restored state was saved."""
         ...
 
     def taint(self) -> np.ndarray:
-        """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
+        """Return (W,) uint8: bit mask of the TAINTS of each world since its reset."""
         ...

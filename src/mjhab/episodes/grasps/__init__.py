@@ -1,1 +1,1 @@
-"""How a parallel gripper takes an object, and how it holds one at the start of an episode."""
+"""Grasps of a parallel gripper: candidates on objects, and stable grasps for starts with a held object."""

@@ -1,10 +1,9 @@
-"""Antipodal grasps of an object of any shape: two points between which its surface can be pressed without slipping.
+"""Antipodal grasps of objects of any shape: pairs of surface points whose normals are in the pads' friction cones.
 
-Points are sampled on the surface of the object's convex collision pieces. From each, rays inside the friction cone of
-the pads are cast through the object; the point where a ray leaves it is the opposite contact. A pair counts if the
-surface normal there, too, lies within the friction cone, if the hand opens wide enough, if rays to the outside find
-room for a finger on both sides, and if hand and fingers of a hand that comes straight along the direction of approach
-touch nothing of the object.
+Points are sampled on the surface of the object's convex collision pieces. From each, rays inside the friction cone are
+cast through the object; the point where a ray leaves it is the opposite contact. A pair is kept if the surface normal
+there is also within the friction cone, if the gripper opens wide enough, if rays to the outside find room for a finger
+on both sides, and if a hand that comes straight along the direction of approach does not touch the object.
 
 Frame of the object, lengths [m]. Letters: N samples, R rays, K pieces, M grasps, P points of the surface.
 """
@@ -33,48 +32,48 @@ Array = np.ndarray
 SAMPLES = 600
 """Points sampled on the surface as first contacts."""
 RAYS_PER_SAMPLE = 3
-"""Rays cast from each: one along the normal, the others anywhere in the friction cone."""
+"""Rays cast from each sample: one along the normal, the others random in the friction cone."""
 PAIRS_KEPT = 160
-"""Pairs of contacts for which ways of approach are looked for, spread over the object."""
+"""Pairs of contacts for which approaches are searched, spread over the object."""
 APPROACHES = 16
 """Directions of approach around the closing line of each pair."""
 CONTACT_DEPTHS_M = (-0.006, 0.006, 0.018)
-"""Places of the contact along the finger from the tool centre to the tips, the deepest hold first."""
+"""Positions of the contact along the fingers relative to the tcp, positive towards the tips; deepest grasp first."""
 GRASPS_KEPT = 192
-"""Grasps kept of an object, spread over positions, approaches and closing lines."""
+"""Most grasps per object, spread over positions, approaches and closing lines."""
 SURFACE_POINTS = 3000
-"""Points of the surface that hand and fingers may not touch."""
+"""Points sampled on the surface to test contact with hand and fingers."""
 APPROACH_LENGTH_M = 0.12
-"""Length of the straight approach on which hand and fingers keep clear of the object."""
+"""Length of the straight approach on which hand and fingers must not touch the object."""
 CLEARANCE_M = 0.002
-"""Room that hand and open fingers keep to the object."""
+"""Least gap between the object and hand and open fingers."""
 MIN_PLAY_M = 0.006
-"""Least room between each open finger and the object; arms come in with errors of a few millimetres."""
+"""Least gap between each open finger and the object; arms have position errors of a few millimetres."""
 MAX_PLAY_M = 0.018
-"""Room that each finger opens beyond the object where nothing is in the way, as for other shapes (`Options.spread`)."""
+"""Largest gap between each open finger and the object, as for other shapes (half of `Options.spread`)."""
 MAX_SLANT_RAD = np.radians(24.0)
-"""Largest angle between the closing line and the normals of the surface, where the friction cone is wider: 0.8 of the
-angle that the grasp test of MS-HAB allows (`held.STEADY_SHARE`)."""
+"""Largest half-angle of the friction cone: 0.8 of the angle that MS-HAB's grasp test allows
+(`stable.STEADY_SHARE`)."""
 _PROBE_M = 1e-3
-"""Outside of a contact, this far from it, there must be no other piece."""
+"""Distance outside of a sampled point at which no other piece may be."""
 _JOIN_M = 2e-4
-"""Pieces closer together than this count as one body."""
+"""Gap below which two pieces count as one body."""
 _PATCH_DEPTH_M = 1e-3
-"""How far from the pad's plane the surface may lie to be pressed by it."""
+"""Largest distance of a surface point from the pad's plane to count as contact area."""
 _POSITION_SCALE_M = 0.03
-"""Distance of grasps that counts as much as a radian between their approaches."""
+"""Distance of grasps that counts as much as 1 rad between their approaches, when grasps are spread."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """An object as the union of convex pieces: ``planes`` of each, (F, 4) with outward normals, and its surface."""
+    """A union of convex pieces: ``planes`` (F, 4) of each piece with outward normals, and the surface mesh."""
 
     planes: tuple[Array, ...]
     surface: trimesh.Trimesh
 
     @staticmethod
     def of(kind: ObjectType, meshes: Mapping[str, object]) -> Solid:
-        """The collision pieces of an object type; curved primitives as prisms around them."""
+        """Make the solid of an object type's collision pieces; curved primitives become circumscribed prisms."""
         hulls = [ConvexHull(outline(geom, meshes)) for geom in kind.collision]
         surfaces = [trimesh.Trimesh(h.points, h.simplices).convex_hull for h in hulls]
         surface = trimesh.util.concatenate(surfaces)
@@ -82,18 +81,18 @@ class Solid:
         return Solid(tuple(np.unique(h.equations.round(9), axis=0) for h in hulls), surface)
 
     def inside(self, points: Array) -> Array:
-        """Which points (N, 3) lie within a piece."""
+        """Return (N,) bool: points (N, 3) that are inside of a piece."""
         found = np.zeros(len(points), bool)
         for planes in self.planes:
             found |= np.all(points @ planes[:, :3].T + planes[:, 3] < 0.0, axis=1)
         return found
 
     def cross(self, origins: Array, ways: Array) -> tuple[Array, Array, Array]:
-        """Where rays from ``origins`` (R, 3) along unit ``ways`` (R, 3) enter and leave the pieces.
+        """Intersect rays from ``origins`` (R, 3) along unit directions ``ways`` (R, 3) with the K pieces.
 
         Returns:
-            Distances (R, K) of entering and leaving, (inf, -inf) for pieces that a ray misses; outward normal
-            (R, K, 3) of the face through which it leaves.
+            Distances (R, K) of entry and of exit, (inf, -inf) for pieces that a ray misses; outward normals
+            (R, K, 3) of the exit faces.
         """
         enter = np.full((len(origins), len(self.planes)), np.inf)
         leave = np.full(enter.shape, -np.inf)
@@ -119,16 +118,16 @@ def surface_grasps(
     gripper: Gripper | None = None,
     friction: float = PAD_FRICTION[0],
 ) -> SurfaceGrasps:
-    """Antipodal grasps of an object type, the same ones whenever it is asked for the same.
+    """Return antipodal grasps of an object type, the same for the same arguments.
 
     Args:
-        kind: the object; its collision pieces are what a hand meets.
-        meshes: by name, those that its geoms name.
-        gripper: sizes of the hand; that of the default robot if not given.
+        kind: the object type; its collision pieces are used.
+        meshes: meshes by name.
+        gripper: sizes of the gripper; None for the default robot's.
         friction: coefficient of sliding friction between pads and object.
 
     Returns:
-        At most `GRASPS_KEPT`; none if the object is too large for the hand everywhere.
+        At most `GRASPS_KEPT` grasps; none if the object is too wide for the gripper everywhere.
     """
     gripper = gripper or robot_named().gripper
     rng = stream(0, "antipodal grasps", kind.name)
@@ -149,7 +148,7 @@ def surface_grasps(
 def _contact_pairs(
     solid: Solid, gripper: Gripper, friction: float, rng: np.random.Generator
 ) -> SurfaceGrasps:
-    """Pairs of contacts, without any approach yet: ``pos``, ``approach`` and ``patch`` are placeholders."""
+    """Return pairs of contacts; their ``pos``, ``approach`` and ``patch`` are placeholders."""
     sampled = sample_surface(solid.surface, SAMPLES, seed=rng)
     origins = np.repeat(np.asarray(sampled[0]), RAYS_PER_SAMPLE, axis=0)
     normals = np.repeat(solid.surface.face_normals[sampled[1]], RAYS_PER_SAMPLE, axis=0)
@@ -178,7 +177,7 @@ def _contact_pairs(
 
 
 def _within_cone(axes: Array, angle: float, rng: np.random.Generator) -> Array:
-    """Unit vectors (R, 3), each uniform in the cone of half-angle ``angle`` [rad] around an axis (R, 3)."""
+    """Sample unit vectors (R, 3), uniform in cones of half-angle ``angle`` [rad] around unit axes (R, 3)."""
     cosine = rng.uniform(np.cos(angle), 1.0, len(axes))
     turn = rng.uniform(-np.pi, np.pi, len(axes))
     side = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
@@ -191,10 +190,11 @@ def _within_cone(axes: Array, angle: float, rng: np.random.Generator) -> Array:
 
 
 def _through(solid: Solid, origins: Array, ways: Array) -> tuple[Array, Array, Array]:
-    """Cast rays from the surface through the body they enter, 0 where they enter none.
+    """Cast rays from the surface through the body that they enter.
 
     Returns:
-        Distance (R,) at which the body ends; outward normal (R, 3) there; free way (R,) from there to the next body.
+        Distance (R,) to the exit from the body, 0 if a ray enters none; outward normal (R, 3) there; free distance (R,)
+        from there to the next body.
     """
     enter, leave, normal = solid.cross(origins, ways)
     end = np.zeros(len(origins))
@@ -215,7 +215,7 @@ def _through(solid: Solid, origins: Array, ways: Array) -> tuple[Array, Array, A
 def _approachable(
     pairs: SurfaceGrasps, points: Array, point_area: float, gripper: Gripper
 ) -> SurfaceGrasps:
-    """Grasps at pairs of contacts, for every direction from which the hand comes without touching ``points`` (P, 3)."""
+    """Return the grasps of pairs of contacts for all approaches on which the hand does not touch ``points`` (P, 3)."""
     parts = [
         _approaches(pairs.take(np.array([k])), points, point_area, gripper)
         for k in range(len(pairs))
@@ -227,7 +227,7 @@ def _approachable(
 def _approaches(
     pair: SurfaceGrasps, points: Array, point_area: float, gripper: Gripper
 ) -> SurfaceGrasps:
-    """The grasps of one pair of contacts: of every approach the deepest one that is possible."""
+    """Return the grasps of one pair of contacts: for each approach the deepest one without collision."""
     closing = pair.closing[0]
     start = np.cross(closing, np.eye(3)[np.argmin(np.abs(closing))])
     start /= np.linalg.norm(start)
@@ -258,7 +258,7 @@ def _approaches(
 
 
 def _touches(local: Array, opening: float, gripper: Gripper) -> Array:
-    """Whether (A,) a hand open by ``opening``, or its straight way in, meets points (A, P, 3) in the gripper frame."""
+    """Return (A,) bool: points (A, P, 3), gripper frame, touch the open hand or its straight approach."""
     x = local[..., 0]
     y = np.abs(local[..., 1])
     z = np.abs(local[..., 2])
@@ -271,7 +271,7 @@ def _touches(local: Array, opening: float, gripper: Gripper) -> Array:
 
 
 def _pressed(local: Array, width: float, gripper: Gripper) -> Array:
-    """Number (A,) of points (A, P, 3) that the pads press, on the side where they are fewer."""
+    """Return (A,): number of points (A, P, 3), gripper frame, in contact with a pad, of the pad with fewer."""
     on_pad = (np.abs(local[..., 0]) < gripper.finger[0]) & (
         np.abs(local[..., 2]) < gripper.finger[1]
     )

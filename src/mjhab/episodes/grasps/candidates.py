@@ -1,7 +1,7 @@
-"""Where a parallel gripper may take hold of a box, a can, a ball or a bowl, in any pose.
+"""Grasp candidates of a parallel gripper on boxes, cylinders, spheres, bowls and meshes, in any pose.
 
-Gripper frame: origin between the finger pads (the tool centre point), x along the fingers, y the line on which they
-close, z across them. Lengths [m], world frame. Letters: G grasps, K neighbour boxes.
+Gripper frame: origin between the finger pads (the tcp), x along the fingers, y the line on which they close, z across
+them. Lengths [m], world frame. Letters: G grasps, K neighbour boxes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mjhab.robots.registry import robot_named
 
 Array = np.ndarray
 KINDS = ("top", "tilted", "side")
-"""Approach from above (within 20 degrees), level (within 20 degrees) or between."""
+"""Kinds of approach: "top" within 20 degrees of straight down, "side" within 20 degrees of level, else "tilted"."""
 
 
 FINGER_SPHERE_RADIUS = 0.0115
@@ -27,12 +27,17 @@ FINGER_SPHERE_RADIUS = 0.0115
 
 @dataclass(frozen=True, eq=False)
 class Grasps:
-    """Candidates, best first.
+    """G grasp candidates, best first.
 
-    ``pos`` (G, 3), ``rot`` (G, 3, 3): pose of the tool centre point while grasping; ``pre`` (G, 3): where to start the
-    straight approach; ``width`` (G,): distance between the pads in contact; ``opening`` (G,): distance to approach
-    with; ``clear`` (G,): room to the neighbours on the whole approach; ``kind`` (G,): index into `KINDS`; ``score``
-    (G,): higher is better.
+    Attributes:
+        pos: (G, 3) position of the tcp in the grasp.
+        rot: (G, 3, 3) rotation of the tcp frame.
+        pre: (G, 3) position of the tcp at the start of the straight approach.
+        width: (G,) distance between the pads in contact.
+        opening: (G,) distance between the pads on the approach.
+        clear: (G,) least clearance from the neighbours on the approach.
+        kind: (G,) index into `KINDS`.
+        score: (G,) higher is better.
     """
 
     pos: Array
@@ -53,13 +58,13 @@ class Grasps:
         return quat_from_mat(self.rot)
 
     def take(self, rows: Array) -> Grasps:
-        """Some of the candidates, by index, slice or mask."""
+        """Return the candidates of row indices, a slice or a mask."""
         return Grasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True, eq=False)
 class LyingObject:
-    """An object as it lies: ``pos`` (3,) and ``rot`` (3, 3): its pose; ``support_z``: height of what it rests on."""
+    """An object at world pose ``pos`` (3,), ``rot`` (3, 3), on a support at height ``support_z``."""
 
     shape: ObjectShape
     pos: Array
@@ -68,7 +73,7 @@ class LyingObject:
 
     @classmethod
     def of(cls, shape: ObjectShape, pose: Array, support_z: float) -> LyingObject:
-        """An object at a pose (7,): position and quaternion wxyz."""
+        """Make a lying object from a world pose (7,) [m, wxyz]."""
         pose = np.asarray(pose, dtype=np.float64)
         return cls(shape, pose[:3], mat_from_quat(pose[3:]), support_z)
 
@@ -81,13 +86,14 @@ def grasp_candidates(
     gripper: Gripper | None = None,
     options: Options | None = None,
 ) -> Grasps:
-    """All sensible grasps of one object, best first; none when it cannot be grasped as it lies.
+    """Return the grasp candidates of one object, best first; none if it cannot be grasped in its pose.
 
     Args:
-        obj: the object; it may lie in any way. The gripper stays above the surface it rests on.
-        neighbours: boxes (other objects, drawer walls, shelves above) the gripper must not touch on its way.
-        robot_xy: (2,) where the robot is: approaches away from it score higher.
-        gripper: sizes of the hand; those of the default robot if not given. options: weights.
+        obj: the object in its pose; the gripper stays above its support.
+        neighbours: boxes (other objects, drawer walls, shelves above) that the gripper must not touch on the approach.
+        robot_xy: (2,) position of the robot: approaches away from it score higher.
+        gripper: sizes of the gripper; None for the default robot's.
+        options: options of search and scoring; None for the defaults.
 
     Raises:
         UsageError: unknown kind of shape.
@@ -101,7 +107,7 @@ def grasp_candidates(
     tcp, turn, width, opening, quality = (
         np.concatenate([part[i] for part in parts]) for i in range(5)
     )
-    # The gripper is the same turned by half a turn about its fingers: a second wrist angle to reach every grasp.
+    # The gripper is symmetric under half a turn about x: each grasp has a second wrist angle.
     flip = turn * np.array([1.0, -1.0, -1.0])
     tcp = np.tile(tcp, (2, 1))
     turn = np.concatenate([turn, flip])
@@ -117,10 +123,14 @@ def grasp_candidates(
 
 
 def gripper_spheres(opening: Array, gripper: Gripper | None = None) -> tuple[Array, Array]:
-    """Spheres that cover fingers, hand and wrist: centres (G, S, 3) in the gripper frame and radii (S,).
+    """Return spheres that cover fingers, hand and wrist.
 
     Args:
         opening: (G,) distance between the pads.
+        gripper: sizes of the gripper; None for the default robot's.
+
+    Returns:
+        Centres (G, S, 3) in the gripper frame, and radii (S,).
     """
     gripper = gripper or robot_named().gripper
     along = np.linspace(-0.018, gripper.finger[0] - 0.009, 5)
@@ -143,7 +153,16 @@ def approach_clearance(
     neighbours: Boxes | None,
     gripper: Gripper | None = None,
 ) -> Array:
-    """Least room (G,) between the gripper and boxes on the straight way from ``pre`` (G, 3) to ``pos`` (G, 3)."""
+    """Return the least clearance (G,) [m] of the gripper from boxes on straight approaches; 1 without boxes.
+
+    Args:
+        pos: (G, 3) position of the tcp at the end of the approach.
+        rot: (G, 3, 3) rotation of the tcp frame.
+        opening: (G,) distance between the pads.
+        pre: (G, 3) position of the tcp at the start of the approach.
+        neighbours: the boxes.
+        gripper: sizes of the gripper; None for the default robot's.
+    """
     if neighbours is None or len(neighbours) == 0:
         return np.full(len(pos), 1.0)
     local, radius = gripper_spheres(opening, gripper)
@@ -157,7 +176,7 @@ def approach_clearance(
 
 
 def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
-    """Half-extent (...,) of the object along unit directions (..., 3)."""
+    """Return the half-extent (...,) of an object at rotation ``rot`` along unit directions (..., 3)."""
     part = np.abs(direction @ rot)
     if shape.kind == "box":
         return part @ np.array(shape.half)
@@ -169,8 +188,8 @@ def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
 def _place(
     pinch: Pinch, obj: LyingObject, gripper: Gripper, options: Options
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Tool centres for one way of closing, those that are possible: positions, rotations, widths, openings with which
-    to approach, qualities."""
+    """Return the feasible grasps of one pinch: tcp positions (n, 3), rotations (n, 3, 3), widths (n,), openings (n,) on
+    the approach, qualities (n,)."""
     approach = pinch.approach
     if options.inward is not None:
         kept = approach[:, :2] @ np.array(options.inward) > -0.25
@@ -200,7 +219,7 @@ def _place(
         at = pinch.at
     held, off = _overlap(pinch, obj.pos, at, turn, gripper)
     keep = (at[:, 2] >= room - 1e-6) & (held >= pinch.least)
-    # Narrow things forgive errors of the approach: at the widest the pads pass with 3 mm to spare on each side.
+    # Narrow objects tolerate larger position errors: the widest leave a gap of 3 mm on each side.
     quality = (
         pinch.bonus
         + 6.0 * np.minimum(held, 0.03)
@@ -218,8 +237,8 @@ def _place(
 def _overlap(
     pinch: Pinch, center: Array, at: Array, turn: Array, gripper: Gripper
 ) -> tuple[Array, Array]:
-    """How much of the contact locus the pads cover (length or root of area) and how far its middle is from the
-    object's centre, for tool centres ``at`` (A, 3)."""
+    """Return, for tcp positions ``at`` (A, 3), how much of the contact locus the pads cover (A,) (length or square root
+    of area), and the distance (A,) of its middle from the object's centre."""
     local = np.einsum("apj,ajk->apk", pinch.locus - at[:, None], turn)
     edge = np.array(gripper.finger) - (0.007 if pinch.point else -1e-6)
     blunt = gripper.blunt if pinch.planar else 0.0
@@ -240,7 +259,7 @@ def _overlap(
 
 
 def _lowest(turn: Array, opening: float, gripper: Gripper) -> Array:
-    """Height (A,) of the lowest corner of fingers and hand above the tool centre (negative: below)."""
+    """Return the height (A,) of the lowest corner of fingers and hand relative to the tcp (negative: below)."""
     y = opening / 2 + gripper.thickness
     corners = []
     for sy in (-1.0, 1.0):

@@ -1,8 +1,8 @@
-"""Arms of successful Picks, each with what it holds: what Place begins with under the published spawn rule.
+"""Carry postures: arm postures with a held object, from which Place starts under the published spawn rule.
 
-MS-HAB draws them from the last states of Picks that a trained policy did (mshab/utils/gen/gen_spawn_positions.py).
-Here they are made: arm postures that pass the posture test of Pick are drawn at random, and those in which a grasp of
-`held` holds for half a second, and while the base turns, are kept. They are made once per layout and kept in the cache.
+MS-HAB takes them from the final states of Picks by a trained policy (mshab/utils/gen/gen_spawn_positions.py). Here, arm
+postures that pass the posture test of Pick are sampled, and those in which a stable grasp also holds in simulation are
+kept. They are cached on disk per layout.
 """
 
 from __future__ import annotations
@@ -23,28 +23,29 @@ from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.thresholds import TaskConfig
 
 MAX_ARMS = 32
-"""Arms of an object type."""
+"""Most carry postures per object type."""
 MAX_TRIES = 256
-"""Postures tried for them."""
+"""Most arm postures sampled per object type."""
 SOLVER_STEPS = 20
+"""Damped least-squares steps that bring the tcp of a sampled posture to its goal."""
 REST_SHARE = 0.9
-"""The tool centre is within this share of the distance to its rest point that Pick allows: postures settle a little."""
+"""Fraction of Pick's tolerance of the tcp's rest position that postures use, because they settle a little."""
 _VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
 class CarryPosture:
-    """``arm`` (A,) joint positions [rad] in the order of the robot's group "arm", and what it holds."""
+    """``arm``: (A,) joint positions [rad] in the order of the robot's group "arm"; ``grasp``: of the held object."""
 
     arm: np.ndarray
     grasp: StableGrasp
 
 
 class CarryPostures:
-    """Arms of successful Picks per object type: made once per layout, kept in the cache.
+    """Carry postures per object type: made once per layout and cached on disk.
 
     Args:
-        held: the grasps that the arms hold; those that were added on this machine are left out.
+        held: stable grasps; those of `StableGrasps.add` are not used.
     """
 
     def __init__(self, held: StableGrasps) -> None:
@@ -52,11 +53,11 @@ class CarryPostures:
         self._arms: dict[str, list[CarryPosture]] = {}
 
     def arms(self, kind: str) -> list[CarryPosture]:
-        """Arms that hold an object of a type.
+        """Return the carry postures of an object type.
 
         Raises:
             UsageError: the layout has no object of this type.
-            MjhabError: no grasp holds in any posture.
+            MjhabError: no grasp is stable in any sampled posture.
         """
         with self._held.lock:
             if kind not in self._arms:
@@ -67,7 +68,7 @@ class CarryPostures:
             return self._arms[kind]
 
     def digest(self, kind: str) -> str:
-        """Hash of the arms of an object type: equal when the same draws give the same starts."""
+        """Return the hash of the carry postures of an object type."""
         rows = [
             np.concatenate([one.arm, one.grasp.pose, [one.grasp.fingers]])
             for one in self.arms(kind)
@@ -104,15 +105,19 @@ class CarryPostures:
 def rest_postures(
     robot: Robot, rng: np.random.Generator, config: TaskConfig, count: int
 ) -> np.ndarray:
-    """Arm postures that pass the posture test of Pick, torso and head at rest.
+    """Sample arm postures that pass the posture test of Pick, with torso and head at rest.
+
+    Postures are drawn uniformly within the joint tolerance around rest; inverse kinematics then moves the tcp to a
+    random point near its rest position.
 
     Args:
-        robot: whose arm it is.
-        rng: draws ``count`` postures uniformly from the joint tolerance around rest, and points around the rest point
-            of the tool centre to which they are then brought.
+        robot: the robot.
+        rng: draws postures and points.
+        config: tolerances of the posture test.
+        count: number of postures drawn.
 
     Returns:
-        (N, A) [rad], N <= ``count``: those that could be brought there.
+        (N, A) joint positions [rad], N <= ``count``: those whose tcp is within the tolerance.
     """
     chain = robot.chain
     columns = np.array(robot.arm_columns)
@@ -139,7 +144,7 @@ def rest_postures(
 
 
 def _parked(robot: Robot, arm: np.ndarray) -> np.ndarray:
-    """(J,) joint positions of the parked robot with an arm posture."""
+    """Return (J,) joint positions of the parked robot with an arm posture (A,)."""
     q = parked_robot_qpos(robot)
     q[list(robot.arm_columns)] = arm
     return q

@@ -1,4 +1,4 @@
-"""Pinches: ways in which the two pads of a parallel gripper close on an object, and from where the hand comes.
+"""Pinches: lines on which the two pads of a parallel gripper close on an object, with directions of approach.
 
 Gripper frame as in `candidates`. Lengths [m], world frame. Letters: A directions of approach, P points of contact.
 """
@@ -17,26 +17,30 @@ from mjhab.scenes.builtin.objects import BOWL_FACETS
 
 Array = np.ndarray
 CHORD_PLAY_M = 0.0015
-"""Room between each pad and a can too wide to go around, of which the pads hold a chord."""
+"""Gap between each pad of the open gripper and the chord on which it grasps a can wider than its opening."""
 MAX_APPROACH_RISE = 0.05
-"""Largest upward component of a unit direction of approach: hands do not come from below."""
+"""Largest z component of a unit direction of approach, which excludes approaches from below."""
 FULL_PATCH_M = 0.025
-"""Root of the pressed area beyond which more area makes a grasp on a mesh no better."""
+"""Square root of the contact area of the pads above which more area does not increase a mesh grasp's score."""
 PATCH_BONUS_PER_M = 40.0
-"""Score of a grasp on a mesh per metre of the root of the area that its pads press."""
+"""Score of a mesh grasp per metre of the square root of the pads' contact area."""
 SLANT_COST_PER_RAD = 4.0
-"""Score that a grasp on a mesh loses per radian between its closing line and the normals of the surface."""
+"""Score that a mesh grasp loses per radian between its closing line and the surface normals."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceGrasps:
-    """Grasps in the frame of the object.
+    """M grasps in the frame of the object.
 
-    ``pos`` (M, 3): tool centre; ``approach`` (M, 3): unit direction along the fingers; ``closing`` (M, 3): unit line
-    on which the pads close; ``contact`` (M, 3): middle between the two contacts; ``width`` (M,): distance of the
-    contacts; ``most_open`` (M,): widest opening with which the hand may come; ``slant`` (M,): larger angle [rad]
-    between the closing line and the normals of the surface; ``patch`` (M,): root of the area that the pads press, of
-    the side that has less.
+    Attributes:
+        pos: (M, 3) position of the tcp.
+        approach: (M, 3) unit direction along the fingers.
+        closing: (M, 3) unit direction of the line on which the pads close.
+        contact: (M, 3) midpoint of the two contacts.
+        width: (M,) distance between the contacts.
+        most_open: (M,) widest opening for a collision-free approach.
+        slant: (M,) larger angle [rad] between the closing line and the surface normal at a contact.
+        patch: (M,) square root of the contact area of the pad that has less.
     """
 
     pos: Array
@@ -52,17 +56,21 @@ class SurfaceGrasps:
         return len(self.pos)
 
     def take(self, rows: Array) -> SurfaceGrasps:
-        """Some of the grasps, by index or mask."""
+        """Return the grasps of row indices or a mask."""
         return SurfaceGrasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
 class ObjectShape:
-    """What is to be grasped. ``half``: half-extents of its bounding box, cylinders and bowls stand along z.
+    """Shape of an object to grasp. The axis of cylinders and bowls is z.
 
-    Bowls: ``wall`` thickness and ``lean``, the angle [rad] between the wall at the rim and the axis; ``facets``: flat
-    pieces the collision wall is made of, the first centred on +x (0: round); pads fit them best in their middles.
-    Meshes: ``grasps``, found on their surface by `antipodal.surface_grasps`.
+    Attributes:
+        kind: type of the shape.
+        half: half-extents of its bounding box.
+        wall: bowls: thickness of the wall.
+        lean: bowls: angle [rad] between the wall at the rim and the axis.
+        facets: bowls: number of flat pieces of the collision wall, the first centred on +x; 0 for a round wall.
+        grasps: meshes: grasps from `antipodal.surface_grasps`.
     """
 
     kind: Literal["box", "cylinder", "sphere", "bowl", "mesh"]
@@ -75,71 +83,71 @@ class ObjectShape:
 
 @dataclass(frozen=True)
 class Options:
-    """How grasps are looked for and scored. Lengths [m], angles [rad]."""
+    """Options of the search and scoring of grasp candidates. Lengths [m], angles [rad]."""
 
     floor_gap: float = 0.006
-    """Room kept between the gripper and the surface that the object rests on."""
+    """Least gap between the gripper and the surface that the object rests on."""
     palm_gap: float = 0.005
-    """Room kept between the palm and the object."""
+    """Least gap between palm and object."""
     retreat: float = 0.10
     """Distance from the grasp at which the straight approach begins."""
     spread: float = 0.036
-    """How much farther than the width of the grasp the fingers are open on the approach."""
+    """Opening of the fingers on the approach minus the width of the grasp."""
     fan: int = 24
-    """Directions of approach tried around each closing line."""
+    """Number of directions of approach around each closing line."""
     shallower: tuple[float, ...] = (0.0,)
-    """Distances from the deepest possible place of the hand at which it may stop, too."""
+    """Distances from the deepest possible position of the hand, along the approach, at which grasps are made."""
     leans: tuple[float, ...] = (0.0, 0.2, -0.2, 0.4)
-    """Angles of the hand outwards over the rim of a bowl, from the direction along its wall."""
+    """Angles of the approach to a bowl from the direction along its wall, positive outwards."""
     inward: tuple[float, float] | None = None
-    """Level unit direction into a shelf: approaches against it are left out."""
+    """Horizontal unit direction into a shelf; approaches against it are left out."""
     cells: int = 15
-    """Points sampled along each side of a face of a box."""
+    """Points sampled along each side of a box face."""
     scant: float = 0.0
-    """Score lost per metre that the root of the area which the pads press on flat sides lacks to 2 cm."""
+    """Score lost per metre by which the square root of the contact area on flat sides is below 2 cm."""
     least_clear_m: float = 0.0
-    """Grasps whose approach comes nearer than this to a neighbour are left out."""
+    """Least clearance of the approach from neighbours; grasps with less are left out."""
     preference: dict[str, float] = field(
         default_factory=lambda: {"top": 1.0, "tilted": 0.8, "side": 0.5}
     )
-    """Score of each of `candidates.KINDS` of approach."""
+    """Score by kind of approach, see `candidates.KINDS`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pinch:
-    """A line on which the pads close on an object, and the directions from which the hand may come for it."""
+    """A line on which the pads close on an object, with A directions of approach."""
 
     closing: Array
     """(3,) unit direction in which the pads close."""
     approach: Array
     """(A, 3) unit directions along the fingers."""
     locus: Array
-    """(P, 3) points in the middle between the places where the two pads can meet the object."""
+    """(P, 3) midpoints of the pairs of points at which the two pads can touch the object."""
     width: float
     """Distance [m] between the pads in contact."""
     at: Array | None = None
-    """(A, 3) tool centre of each approach; None: as deep as palm and support allow."""
+    """(A, 3) position of the tcp for each approach; None: as deep as palm and support allow."""
     bonus: float = 0.0
     """Added to the score."""
     least: float = 0.010
-    """Smallest length of the locus (or root of its area) [m] that must lie within the pads."""
+    """Least length of the locus (or square root of its area) [m] within the pads."""
     measure: float = 0.0
-    """Length (or root of the area) of the whole locus; 0 for a point."""
+    """Length (or square root of the area) of the whole locus [m]; 0 for a point."""
     planar: bool = False
     """The locus samples an area, not a line."""
     most_open: float = np.inf
-    """Widest opening [m] with which the hand may come: beyond it a finger meets another part of the object."""
+    """Widest opening [m] of the approach; with a wider one a finger touches another part of the object."""
 
     @property
     def point(self) -> bool:
-        """The pads meet the object in one point each."""
+        """Whether each pad touches the object in a single point."""
         return len(self.locus) == 1
 
 
 def pinches_of(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
-    """Ways to close on a shape at ``pos`` (3,), ``rot`` (3, 3).
+    """Yield the pinches of a shape at world position ``pos`` (3,) and rotation ``rot`` (3, 3).
 
     Raises:
         UsageError: unknown kind of shape.
@@ -175,7 +183,7 @@ def _box_pinches(
 
 @dataclass(frozen=True, eq=False)
 class _Can:
-    """A cylinder as it lies: radius and half of its length [m], centre (3,), unit axis (3,), points (P, 3) along it."""
+    """A cylinder in the world: radius, half length, centre (3,), unit axis (3,), points (P, 3) along the axis."""
 
     radius: float
     half: float
@@ -218,11 +226,11 @@ def _cylinder_pinches(
 
 
 def _chord_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinch]:
-    """A can too wide to go around: coming along its axis, the pads' edges meet it on a chord beside the axis.
+    """Yield pinches of a can wider than the opening, with approaches along its axis: the pads grasp a chord.
 
-    The normals lean from the closing line by asin(offset / radius), 21 degrees for the widest can of the benchmark;
-    the pads' friction (coefficient above tan of that) holds it. The grasp test allows 30 degrees, and as the can slips
-    along the pads its normals lean more: the chord is as wide as the hand opens but for CHORD_PLAY_M.
+    The surface normals deviate from the closing line by asin(offset / radius), 21 degrees for the widest can of the
+    benchmark; the pads' friction coefficient is above the tangent of that. The grasp test allows 30 degrees, and the
+    angle grows as the can slips along the pads: so the chord is as wide as the opening minus the play.
     """
     width = gripper.opening - 2 * CHORD_PLAY_M
     if width / 2 >= can.radius or can.radius - width / 2 > 0.012:
@@ -244,8 +252,11 @@ def _chord_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinc
 
 
 def _tip_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinch]:
-    """A can a little too wide to go around: coming from the side, the round edges of the fingertips hold it on a chord
-    before the axis, as far back as the open hand gets. The more the tips miss the axis, the sooner it is lost."""
+    """Yield pinches of a can slightly wider than the opening, with approaches from the side.
+
+    The round edges of the fingertips grasp a chord in front of the axis. Grasps are the less stable the farther the
+    chord is from the axis, so that the hand goes as deep as its opening allows.
+    """
     width = gripper.opening - 2 * gripper.play
     if not 0.0 < can.radius - width / 2 < 0.004:
         return
@@ -283,11 +294,11 @@ def _sphere_pinches(
 def _bowl_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
-    """One finger inside, one outside the wall, both about parallel to it; several leans of the hand at every place."""
+    """Yield pinches of a bowl's wall, one finger inside and one outside, with several angles at each place."""
     axis = rot[:, 2]
     half = shape.half[2]
     count = shape.facets or BOWL_FACETS
-    # The middle of a flat facet lies nearer to the axis than its corners.
+    # The middle of a flat facet is nearer to the axis than its corners.
     radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
     for angle in np.arange(count) * 2 * np.pi / count:
         out = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
@@ -297,7 +308,7 @@ def _bowl_pinches(
             down = -np.cos(lean) * axis - np.sin(lean) * out
             closing = np.cos(lean) * out - np.sin(lean) * axis
             wall = rim + np.linspace(0.0, 0.03, 16)[:, None] * down
-            # The more the hand leans, the sooner the tip outside meets the wall below the rim.
+            # The more the hand leans, the higher the outer fingertip touches the wall.
             at = rim[None] + (0.002 - 0.02 * max(extra - 0.4, 0.0)) * down
             yield Pinch(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
 
@@ -305,7 +316,7 @@ def _bowl_pinches(
 def _mesh_pinches(
     shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
-    """The grasps found on a mesh, those aside that come from below as it lies."""
+    """Yield the surface grasps of a mesh, without those that approach from below."""
     grasps = shape.grasps
     if grasps is None:
         raise UsageError("a shape of kind 'mesh' needs the grasps that were found on it.")
@@ -330,7 +341,7 @@ def _mesh_pinches(
 
 
 def _fan(closing: Array, start: Array, count: int) -> Array:
-    """Approach directions (A, 3) around a closing axis, without those that come from below."""
+    """Return ``count`` unit directions of approach (A, 3) around a closing line, without those from below."""
     u = start - closing * (start @ closing)
     u = u / np.linalg.norm(u)
     angle = np.arange(count) * 2 * np.pi / count

@@ -1,4 +1,4 @@
-"""A few of many, as different from each other as possible."""
+"""Farthest-point sampling."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ Array = np.ndarray
 
 
 def farthest_points(features: Array, count: int) -> Array:
-    """Rows of points that lie far apart.
+    """Select points that are far apart, by greedy farthest-point sampling.
 
     Args:
-        features: (N, D) points; their Euclidean distance says how different two of them are.
-        count: largest number of rows.
+        features: (N, D) points, compared by Euclidean distance.
+        count: largest number of points.
 
     Returns:
-        Row 0, then always the row farthest from all those before it.
+        (min(N, count),) int64 row indices: row 0, then repeatedly the row farthest from all selected ones.
     """
     apart = np.full(len(features), np.inf)
     rows: list[int] = []

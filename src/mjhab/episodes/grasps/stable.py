@@ -1,8 +1,8 @@
-"""Grasps that hold in simulation, for starts with an object in the gripper.
+"""Stable grasps: grasps that hold in simulation, for starts with an object in the gripper.
 
-Antipodal grasp candidates on the object's geometry are tried in an empty corner of the world: the gripper at rest, the
-object between the fingers, closing; those that pass the grasp test for half a second, and keep the object while the
-base turns, are kept. They are spread over the ways in which a gripper can come, and remembered on disk.
+Grasp candidates on the object's geometry are simulated away from the home: the gripper closes on the object. Those that
+pass the grasp test for half a second, and keep the object while the base turns, are kept. They are spread over grasp
+positions and directions of approach, and cached on disk.
 """
 
 from __future__ import annotations
@@ -33,40 +33,39 @@ from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.thresholds import TaskConfig
 
 HOLD_TIME_S = 0.5
-"""How long an object must be held still."""
+"""Time [s] for which a grasp must pass the grasp test."""
 STEADY_SHARE = 0.8
-"""Share of the grasp test's angle that a stored grasp may use: near the limit it flickers once the robot moves."""
+"""Fraction of the grasp test's angle that stable grasps may have; closer to the limit a moving robot fails the test."""
 MAX_GRASPS = 32
-"""Stable grasps kept of an object type."""
+"""Most stable grasps per object type."""
 MAX_TRIES = 256
-"""Candidates tried for them."""
+"""Most candidates simulated per object type."""
 MAX_OFFSET_M = 0.15
-"""An object whose origin is further [m] from the tool centre counts as badly held (MS-HAB's
-mshab/utils/gen/gen_spawn_positions.py leaves such grasps out)."""
+"""Largest distance [m] of an object's origin from the tcp in a grasp (mshab/utils/gen/gen_spawn_positions.py)."""
 MAX_APPROACH_SLANT_RAD = np.radians(50.0)
-"""Largest angle [rad] between the approach and straight down, where the object has grasps within. The hand points down
-at rest: what it took from the side would lie on its side in it, as few picks leave it."""
+"""Largest angle [rad] between approach and straight down; ignored for objects without such grasps. The hand points down
+at rest, so that an object grasped from the side would be tilted in a way that few Picks result in."""
 _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 _VERSION = 6
 _POSITION_SCALE_M = 0.05
-"""Distance between grasps that makes them as different as a radian between their approaches does."""
+"""Distance [m] of grasps that counts as much as 1 rad between their approaches, when grasps are spread."""
 _CLOSING_WEIGHT = 0.5
-"""How different a radian between the closing lines makes grasps, compared to one between their approaches."""
+"""Weight of the angle between closing lines against that between approaches, when grasps are spread."""
 
 
 class NoGraspError(MjhabError):
-    """No grasp of an object type holds in the robot's hand."""
+    """No grasp of an object type is stable in the robot's gripper."""
 
 
 def shape_of(
     kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper | None = None
 ) -> ObjectShape:
-    """What a gripper sees of an object type: a box, can, ball or bowl of its size, or grasps found on its surface.
+    """Return the shape on which grasps of an object type are searched: a primitive of its size, or surface grasps.
 
     Args:
         kind: the object type.
-        meshes: by name, those that its geoms name (`Pack.meshes`).
-        gripper: sizes of the hand; those of the default robot if not given.
+        meshes: meshes by name (`Pack.meshes`).
+        gripper: sizes of the gripper; None for the default robot's.
     """
     if kind.grasp_shape == "mesh":
         return _mesh_shape(kind, meshes, gripper or robot_named().gripper)
@@ -77,7 +76,7 @@ def shape_of(
 
 
 _mesh_shapes: dict[str, ObjectShape] = {}
-"""Shapes made so far, by the hash of what they are made of: looking for grasps takes about a second."""
+"""Cache of mesh shapes by a hash of object and gripper: searching the grasps of one takes about a second."""
 
 
 def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper) -> ObjectShape:
@@ -92,7 +91,7 @@ def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper
 
 
 def spread(candidates: Grasps, count: int) -> Iterator[int]:
-    """Rows of at most ``count`` candidates: the best, then always the one least like all those before it."""
+    """Yield rows of at most ``count`` candidates: the best, then always the one most different from those before."""
     if not len(candidates):
         return
     closing = _CLOSING_WEIGHT * candidates.rot[:, :, 1]
@@ -104,20 +103,20 @@ def spread(candidates: Grasps, count: int) -> Iterator[int]:
 
 @dataclass(frozen=True, eq=False)
 class StableGrasp:
-    """A stable grasp: object pose (7,) in the frame of the tool centre, finger position [m]."""
+    """A stable grasp: object pose (7,) in the tcp frame [m, wxyz], and finger position [m]."""
 
     pose: np.ndarray
     fingers: float
 
 
 class StableGrasps:
-    """Stable grasps per object type: found once per layout, kept in the cache.
+    """Stable grasps per object type: searched once per layout and cached on disk. Several threads may use it.
 
     Args:
-        sim: whose layout has the objects.
-        config: the grasp test.
-        scratch: world to try grasps in.
-        harvested: `grasps` gives those that were added too, so that starts depend on what this machine has harvested.
+        sim: CPU simulator of the layout.
+        config: thresholds of the grasp test.
+        scratch: simulates grasps.
+        harvested: `grasps` also returns those of `add`, so that starts depend on the grasps added on this machine.
     """
 
     def __init__(
@@ -133,11 +132,11 @@ class StableGrasps:
         self.lock = RLock()
 
     def grasps(self, kind: str) -> list[StableGrasp]:
-        """Stable grasps of an object type, the most sensible one first, then as different ones as possible.
+        """Return the stable grasps of an object type, the best score first, then as different ones as possible.
 
         Raises:
             UsageError: the layout has no object of this type.
-            NoGraspError: no candidate holds.
+            NoGraspError: no candidate is stable.
         """
         with self.lock:
             if kind not in self._found:
@@ -145,7 +144,7 @@ class StableGrasps:
             return self._found[kind]
 
     def holds(self, kind: str) -> bool:
-        """Whether the hand can hold an object type at all.
+        """Return whether there is a stable grasp of an object type.
 
         Raises:
             UsageError: the layout has no object of this type.
@@ -158,19 +157,18 @@ class StableGrasps:
         return self._held[kind]
 
     def add(self, kind: str, pose: np.ndarray, fingers: float) -> StableGrasp | None:
-        """Add a grasp, e.g. from a successful episode, if it passes the test that the found ones passed.
+        """Add a grasp, e.g. from a successful episode, to the cache of this layout if it is stable.
 
         Args:
             kind: object type.
-            pose: (7,) object pose in the frame of the tool centre.
+            pose: (7,) object pose in the tcp frame [m, wxyz].
             fingers: finger position [m].
 
         Returns:
-            The grasp as it settled and was written into the cache, where every process with the same layout finds it;
-            None if it does not hold.
+            The grasp as it settled and was written to the cache; None if it is not stable.
 
         Raises:
-            UsageError: unknown type, or numbers that are no pose.
+            UsageError: the object type is unknown, ``pose`` is not a pose, or ``fingers`` is out of range.
         """
         self._check(kind)
         pose = np.asarray(pose, dtype=np.float64)
@@ -198,7 +196,7 @@ class StableGrasps:
         return grasp
 
     def added(self, kind: str) -> list[StableGrasp]:
-        """The grasps that were added for an object type, in the order of their hashes."""
+        """Return the grasps of an object type that `add` has cached, in the order of their hashes."""
         return [
             g
             for file in sorted((self.folder / f"{kind}-added").glob("[!.]*.npz"))
@@ -206,13 +204,13 @@ class StableGrasps:
         ]
 
     def digest(self, kind: str) -> str:
-        """Hash of the grasps of an object type: equal when the same draws give the same starts."""
+        """Return the hash of the grasps of an object type."""
         rows = [np.append(grasp.pose, grasp.fingers) for grasp in self.grasps(kind)]
         return hashlib.sha256(np.array(rows).tobytes()).hexdigest()[:16]
 
     @cached_property
     def folder(self) -> Path:
-        """Where the cache keeps the grasps of this layout."""
+        """Folder in the cache with the grasps of this layout."""
         test = (
             self.config.grasp_force,
             self.config.grasp_angle,
@@ -230,7 +228,7 @@ class StableGrasps:
             raise unknown_name("object", kind, set(self.layout.roster))
 
     def found(self, kind: str) -> list[StableGrasp]:
-        """As `grasps`, without those that were added."""
+        """Return the grasps of an object type without those of `add`; raises as `grasps`."""
         self._check(kind)
         path = below(self.folder, f"{kind}.npz")
         if path.exists():
@@ -263,10 +261,15 @@ class StableGrasps:
         return found
 
     def hold_in(self, kind: str, grasp: StableGrasp, robot: np.ndarray) -> StableGrasp | None:
-        """A stable grasp as it settles in another posture; None if it does not hold there or the robot touches itself.
+        """Simulate a stable grasp in another posture of the robot.
 
         Args:
-            robot: (J,) joint positions, those of the fingers aside; the base away from every home.
+            kind: object type.
+            grasp: the grasp.
+            robot: (J,) joint positions [m, rad] with the base outside of the home; the fingers are ignored.
+
+        Returns:
+            The grasp as it settles; None if it is not stable there or the robot collides with itself.
         """
         held = self._try(kind, pose_inv(grasp.pose), 2 * grasp.fingers, robot)
         if held is None:
@@ -283,7 +286,7 @@ class StableGrasps:
         )
 
     def _with_fingers(self, robot: np.ndarray, fingers: float) -> np.ndarray:
-        """Joint positions (J,) with both fingers at a position [m]."""
+        """Return joint positions (J,) with both fingers set to a position [m]."""
         out = robot.copy()
         out[self.robot.columns.fingers] = fingers
         return out
@@ -291,9 +294,13 @@ class StableGrasps:
     def _try(
         self, kind: str, tcp: np.ndarray, width: float, robot: np.ndarray | None = None
     ) -> StableGrasp | None:
-        """Try a grasp: pose ``tcp`` (7,) of the tool centre in the object's frame, distance of the pads [m].
+        """Simulate a grasp; return it as it settles, or None if it is not stable.
 
-        ``robot``: (J,) joint positions, those of the fingers aside; at rest if None.
+        Args:
+            kind: object type.
+            tcp: (7,) pose of the tcp in the object's frame [m, wxyz].
+            width: distance of the pads in contact [m].
+            robot: (J,) joint positions [m, rad], fingers ignored; None for the parked rest posture.
         """
         slot = self.layout.roster.index(kind)
         force = self.config.grasp_force

@@ -1,8 +1,8 @@
 """Files of rearrangement episodes in the format of the Home Assistant Benchmark: reader, writer and frames.
 
-The format is that of habitat-lab (habitat/datasets/rearrange/rearrange_dataset.py): JSON, or JSON under gzip, with
-``episodes``, whose matrices are 4x4, row by row, in a world with +y up. Reading changes nothing: what is written back
-equals what was read.
+The format is that of habitat-lab (habitat/datasets/rearrange/rearrange_dataset.py): JSON, or gzipped JSON, with a list
+``episodes``. Poses are 4x4 matrices, row by row, in a world frame with +y up. Writing what was read gives the same
+content.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ from mjhab.scenes.pack_check import MAX_JOINT_POSITION, MAX_POSITION_M, check_ra
 OBJECT_SUFFIX = ".object_config.json"
 SCENE_SUFFIX = ".scene_instance.json"
 MAX_OBJECTS = 300
-"""Most objects of an episode, and most of all episodes of a file together; published ones have up to 30."""
+"""Most objects of an episode, and of the roster of a file; published episodes have up to 30."""
 DECIMALS = 6
-"""Digits of the matrices written: 1 micrometre."""
+"""Decimals of the entries of written matrices: 1 micrometre."""
 ROUND_TRIP = 1e-3
-"""How far a rotation matrix read may be from a rotation: published files give five digits."""
+"""Largest deviation of R R^T from the identity in a file; published files have five digits."""
 UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Takes vectors from the +y up world to our +z up world: a quarter turn about x."""
+"""Rotation (3, 3) from HAB's world frame (+y up) to mjhab's (+z up): a quarter turn about x."""
 
 Receptacle = tuple[str, int | None]
+"""(furniture handle, link number or None) of a receptacle."""
 
 
 @dataclass(frozen=True)
 class Marker:
-    """A named point on a link, such as a handle. ``offset`` [m] is in the frame of the link, +y up."""
+    """A named point on a link, such as a handle. ``offset`` [m] is in the link frame with +y up."""
 
     name: str
     object: str
@@ -51,13 +52,20 @@ class Marker:
 
 @dataclass(frozen=True, eq=False)
 class HabEpisode:
-    """One episode as the file tells it; world with +y up.
+    """One episode of a file; the world frame has +y up.
 
-    ``rigid_objs``: file name of the type and pose (4, 4) of every object. ``targets``: goal pose (4, 4) by instance
-    name ("003_cracker_box_:0000"). ``ao_states``: joint positions by furniture handle and link number (or link name).
-    ``target_receptacles``, ``goal_receptacles``: (handle, link number) in the order of the targets; may be empty.
-    ``name_to_receptacle``: receptacle id by instance name. ``info``: free data; ``object_labels`` in it names the
-    targets in order. ``rest``: fields of the file that are none of these, kept as they are.
+    Attributes:
+        episode_id: id of the episode.
+        scene_id: path of the scene.
+        rigid_objs: (file name of the object type, pose (4, 4)) of every object.
+        targets: goal pose (4, 4) by instance name, e.g. "003_cracker_box_:0000".
+        ao_states: joint positions [m or rad] by furniture handle and link number (or link name).
+        markers: named points on links.
+        target_receptacles: (handle, link number) of the start of each target; may be empty.
+        goal_receptacles: (handle, link number) of the goal of each target; may be empty.
+        name_to_receptacle: receptacle id by instance name.
+        info: free data; its ``object_labels`` give the order of the targets.
+        rest: all other fields of the file, unchanged.
     """
 
     episode_id: str
@@ -87,19 +95,19 @@ class HabEpisode:
 
     @property
     def instances(self) -> tuple[str, ...]:
-        """Instance name of every rigid object; the number counts the objects of a type."""
+        """Instance name of every rigid object: type and number among the objects of that type."""
         return copy_names(self.types)
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Instance names of the targets in their order."""
+        """Instance names of the targets, in order."""
         labels = self.info.get("object_labels") or {}
         return tuple(name for name in labels if name in self.targets) or tuple(self.targets)
 
 
 @dataclass(frozen=True, eq=False)
 class HabFile:
-    """The episodes of a file, and what else it holds (``config``). ``path``: where it was read, for messages."""
+    """The episodes of a file. ``rest``: its other fields, unchanged; ``path``: the file, for messages."""
 
     episodes: tuple[HabEpisode, ...]
     rest: dict[str, Any] = field(default_factory=dict)
@@ -110,11 +118,11 @@ class HabFile:
 
 
 def read_hab(path: Path) -> HabFile:
-    """Read ``*.json`` or ``*.json.gz``.
+    """Read a file ``*.json`` or ``*.json.gz``.
 
     Raises:
-        UsageError: no such file, cut off, not JSON, a field that is missing or does not fit, a name that is none, or an
-            object farther than `MAX_POSITION_M` from the origin; names file and field.
+        UsageError: there is no such file, it is cut off or not JSON, a field is missing or has the wrong type, a name
+            is invalid, or an object is farther than `MAX_POSITION_M` from the origin; names file and field.
     """
     body = read_json(path)
     if not isinstance(body, dict) or not isinstance(body.get("episodes"), list):
@@ -131,7 +139,7 @@ def read_hab(path: Path) -> HabFile:
 
 
 def write_hab(path: Path, file: HabFile) -> None:
-    """Write episodes; gzip when the name ends with ``.gz``. The file appears whole or not at all."""
+    """Write a file atomically, gzipped if its name ends with ``.gz``."""
     write_rows(
         path,
         file.rest,
@@ -140,7 +148,7 @@ def write_hab(path: Path, file: HabFile) -> None:
 
 
 def write_rows(path: Path, rest: Mapping[str, Any], rows: Iterable[str]) -> None:
-    """As `write_hab`, from episodes that are JSON already, one after the other."""
+    """Write a file as `write_hab` does, from its other fields ``rest`` and episodes ``rows`` as JSON text."""
 
     head = json.dumps({**rest, "episodes": []}, allow_nan=False).removesuffix("]}")
 
@@ -162,7 +170,7 @@ def _compressed(raw: Any, path: Path) -> Any:
 
 
 def to_json(episode: HabEpisode) -> dict[str, Any]:
-    """An episode as the JSON object of the format."""
+    """Return an episode as the JSON object of the format."""
     return {
         "episode_id": episode.episode_id,
         "scene_id": episode.scene_id,
@@ -200,10 +208,10 @@ _FIELDS = (
 
 
 def from_json(row: Mapping[str, Any]) -> HabEpisode:
-    """The episode of a JSON object, the inverse of `to_json`.
+    """Return the episode of a JSON object; inverse of `to_json`.
 
     Raises:
-        UsageError: a field is missing or does not fit.
+        UsageError: a field is missing or has the wrong type.
     """
     try:
         return _episode(row, "episode")
@@ -361,11 +369,11 @@ def _receptacles(value: list[Any], where: str) -> tuple[Receptacle, ...]:
 
 
 def pose_from_hab(matrix: np.ndarray, scan_yaw: float = 0.0) -> np.ndarray:
-    """Pose (7,) in our +z up world of an object whose pose a file gives as a (4, 4) matrix.
+    """Convert an object pose of a file to a pose (7,) [m, wxyz] in mjhab's world frame (+z up).
 
     Args:
-        matrix: world with +y up, object with +y up.
-        scan_yaw: heading of the scan in our frame of the object (``ObjectType.scan_yaw``).
+        matrix: (4, 4) pose; world and object frames with +y up.
+        scan_yaw: yaw [rad] of the file's object frame in mjhab's (`ObjectType.scan_yaw`).
     """
     rotation = UP @ matrix[:3, :3] @ UP.T
     u, _, v = np.linalg.svd(rotation)  # the nearest rotation: files give few digits
@@ -374,7 +382,7 @@ def pose_from_hab(matrix: np.ndarray, scan_yaw: float = 0.0) -> np.ndarray:
 
 
 def pose_to_hab(pose: np.ndarray, scan_yaw: float = 0.0) -> np.ndarray:
-    """The (4, 4) matrix of a file for a pose (7,) of ours, with `DECIMALS` digits; inverse of `pose_from_hab`."""
+    """Convert a pose (7,) [m, wxyz] to the (4, 4) matrix of a file, with `DECIMALS`; inverse of `pose_from_hab`."""
     scan = pose_mul(np.asarray(pose, np.float64), _turned(scan_yaw))
     matrix = np.eye(4)
     matrix[:3, :3] = UP.T @ mat_from_quat(scan[3:]) @ UP

@@ -1,7 +1,7 @@
-"""Episodes of the HAB format on a layout: which objects a file needs, where they start, what their goals are, and back.
+"""Map episodes of the HAB format to a layout: object slots, start poses, joint positions, targets.
 
-Furniture and links are resolved by name. Files number links, and count the root as 0 (the files of the benchmark) or
-as -1 (habitat-lab today); which of the two is found from the numbers themselves and from where the objects are.
+Furniture and links are found by name. Files number links with the root as 0 (files of the benchmark) or as -1
+(habitat-lab today); `number_of_root` infers which from the numbers and from the object poses.
 """
 
 from __future__ import annotations
@@ -34,29 +34,31 @@ from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import Target
 
 SETTLE_SECONDS = 2.0
+"""Time [s] for which the objects of an episode settle."""
 MOVED = 0.02
+"""An object that moves farther than this [m] while it settles was not at rest."""
 TIPPED = np.radians(10.0)
-"""An object is not at rest if it moves further [m] or leans further [rad] than this while it settles."""
+"""The same for the change of its tilt [rad]."""
 MARGIN = 0.05
-"""How far beyond a receptacle's rectangle the middle of an object may lie and still be taken to stand on it [m]."""
+"""Distance [m] by which the centre of an object on a receptacle may be outside of the receptacle's rectangle."""
 OUTSIDE_M = 2.0
-"""How far beyond the floor of a home an object may lie [m]: the extent of homes without stage is an estimate."""
+"""Distance [m] by which an object may be outside of a home's floor; the floor of homes without stage is an estimate."""
 LOWEST_M = -1.0
-"""Lowest place of an object [m]."""
+"""Least height of an object [m]."""
 HIGHEST_M = 5.0
-"""Highest place of an object [m]."""
+"""Largest height of an object [m]."""
 PREFIX = "frl_apartment_"
-"""Start of the template names of ReplicaCAD's furniture, left out in our names."""
+"""Prefix of ReplicaCAD's furniture templates, which mjhab's names leave out."""
 FIXED_LINKS = ("root", "body")
-"""Links that every articulation has before those that move."""
+"""Links of every articulation that come before its moving links."""
 _NUMBER_OF_ROOT = (0, -1)
 
 
 def file_roster(file: HabFile, pack: Pack) -> tuple[str, ...]:
-    """Object type per slot that a layout needs to hold every episode of a file: the most of each type in any of them.
+    """Return the object type of every slot that a layout needs for a file: of each type the most in any episode.
 
     Raises:
-        UsageError: an object type that the pack does not have; names file and field.
+        UsageError: the pack lacks an object type, or there are more than `MAX_OBJECTS`; names the file.
     """
     most: Counter[str] = Counter()
     for i, episode in enumerate(file.episodes):
@@ -74,7 +76,7 @@ def file_roster(file: HabFile, pack: Pack) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """How the objects of an episode settle: ``moved`` (M,) [m], ``tipped`` (M,) [rad] for its M object names."""
+    """How the M objects of an episode settled: ``moved`` (M,) distance [m], ``tipped`` (M,) change of tilt [rad]."""
 
     names: tuple[str, ...]
     moved: np.ndarray
@@ -82,7 +84,7 @@ class Rest:
 
     @property
     def fallen(self) -> tuple[str, ...]:
-        """Names of the objects that did not stay where the file puts them."""
+        """Names of the objects that moved by more than MOVED or tilted by more than TIPPED."""
         return tuple(
             n
             for n, m, t in zip(self.names, self.moved, self.tipped, strict=True)
@@ -91,18 +93,17 @@ class Rest:
 
 
 class FileEpisodes:
-    """The episodes of a file on a simulator's layout, settled on first use.
+    """The episodes of a file on a layout; objects are settled on first use of an episode.
 
     Args:
-        sim: its layout has the roster of `file_roster` (or more objects).
-        file: what the file holds.
-        task: HAB task the plans belong to.
-        home, target: only the episodes in homes that fit this name or pattern (``v3_sc0_*``), with a target of this
-            object type; "" for all.
+        sim: CPU simulator whose layout has at least the roster of `file_roster`.
+        file: content of the file.
+        task: household task that defines the plans.
+        home: use only episodes in homes that match this name or pattern (``v3_sc0_*``); "" for all.
+        target: use only episodes with a target of this object type; "" for all.
 
     Raises:
-        UsageError: the file does not fit the layout: a scene, an object, a target or a link it does not have; or no
-            episode of it is wanted.
+        UsageError: the layout lacks a scene, object, target or link of the file, or no episode is left to use.
     """
 
     def __init__(
@@ -135,9 +136,9 @@ class FileEpisodes:
         return len(self._rows)
 
     def episode(self, seed: int, index: int) -> Episode:
-        """The ``index``-th wanted episode of the file, counted on from the start after the last.
+        """Return episode ``index`` modulo the number of used episodes.
 
-        The same episode under another index or seed has the same objects and another spawn of the robot.
+        ``seed`` and ``index`` become those of the episode, and so determine the robot's spawn.
         """
         found = self.settled(index)[0]
         return Episode(
@@ -152,7 +153,7 @@ class FileEpisodes:
         )
 
     def settled(self, index: int) -> tuple[Episode, Rest]:
-        """An episode after `SETTLE_SECONDS` of simulation, and how its objects came to rest."""
+        """Return an episode with its objects settled for `SETTLE_SECONDS`, and how they moved."""
         row = self._rows[index % len(self)]
         return self._settled.get(row, lambda: self._settle(row))
 
@@ -202,7 +203,7 @@ class FileEpisodes:
                     )
 
     def _read(self, row: int) -> tuple[Home, np.ndarray, np.ndarray, int]:
-        """Home, object poses (N, 7), joint positions (L,) as the file gives them, and the number of the root link."""
+        """Return home, object poses (N, 7) and joint positions (L,) of the file, and the number of the root link."""
         episode = self.file.episodes[row]
         home = self._homes[episode.scene]
         pose = object_poses(self.layout, episode)
@@ -232,10 +233,10 @@ class FileEpisodes:
 
 
 def _check_inside(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> None:
-    """Refuse an object that starts, or is to go, where there is no home.
+    """Check that starts and goals of all objects are inside of the home.
 
     Raises:
-        ValueError: names the field.
+        ValueError: one is outside; names its field.
     """
     goals = [
         (f"targets[{name!r}]", pose_from_hab(matrix)[:3])
@@ -264,7 +265,7 @@ def _shown(point: np.ndarray) -> str:
 
 
 def object_poses(layout: Layout, episode: HabEpisode) -> np.ndarray:
-    """Poses (N, 7) of all slots: those of the episode, the others parked."""
+    """Return poses (N, 7) [m, wxyz], world frame, of all object slots; slots not in the episode are parked."""
     pose = layout.parked_poses.copy()
     for name, kind, (_, matrix) in zip(
         episode.instances, episode.types, episode.rigid_objs, strict=True
@@ -276,30 +277,33 @@ def object_poses(layout: Layout, episode: HabEpisode) -> np.ndarray:
 
 
 def link_names(layout: Layout, furniture: str) -> tuple[str, ...]:
-    """Links of an articulation in the order in which files number them: root, body, then those that move."""
+    """Return the links of an articulation in the order of their numbers in files: root, body, then moving links."""
     return (*FIXED_LINKS, *(ref.link.name for ref in layout.links if ref.articulation == furniture))
 
 
 def template_of(handle: str) -> str:
-    """Our template name of a handle such as ``"frl_apartment_table_01_:0000"``."""
+    """Return mjhab's template name of a furniture handle such as ``"frl_apartment_table_01_:0000"``."""
     return kind_of(handle).removeprefix(PREFIX)
 
 
 def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> int:
-    """Whether the episode numbers the root link 0 or -1; 0 when it does not matter.
+    """Infer whether an episode numbers root links as 0 or -1; 0 if both fit.
 
     Args:
-        pose: (N, 7) of all slots, to compare a numbered drawer with where the object is.
+        layout: the layout.
+        home: home of the episode.
+        episode: the episode.
+        pose: (N, 7) of all object slots, to compare the numbered link of a target with the place of the object.
 
     Raises:
-        ValueError: some number fits neither; the message names the field.
+        ValueError: the numbers fit neither; the message names the field.
     """
     evidence: list[tuple[str, int, tuple[str, ...]]] = []
     jointed = {a.name for a in layout.articulations}
     for handle, joints in episode.ao_states.items():
         known = link_names(layout, template_of(handle))
         if template_of(handle) not in jointed:
-            continue  # welded shut: its numbers tell nothing
+            continue  # furniture without joints in this pack gives no evidence
         evidence += [
             (template_of(handle), int(n), known[2:]) for n in joints if n.lstrip("-").isdigit()
         ]
@@ -328,10 +332,10 @@ def _link_name(layout: Layout, furniture: str, number: int, root: int) -> str:
 
 
 def joint_positions(layout: Layout, episode: HabEpisode, root: int) -> np.ndarray:
-    """Joint positions (L,) of an episode, 0 where it tells none.
+    """Return the joint positions (L,) [m or rad] of an episode; 0 for links that it does not name.
 
     Raises:
-        ValueError: furniture or a link that the layout does not move, or a position out of range; names the field.
+        ValueError: the layout has no such moving link, or a position is out of range; names the field.
     """
     out = np.zeros(len(layout.links))
     for handle, joints in episode.ao_states.items():
@@ -367,9 +371,15 @@ def joint_positions(layout: Layout, episode: HabEpisode, root: int) -> np.ndarra
 def receptacle_at(
     layout: Layout, places: tuple[PlacedReceptacle, ...], name: str, pose: np.ndarray
 ) -> PlacedReceptacle | None:
-    """The receptacle that an object instance stands in at ``pose`` (7,), None if there is none.
+    """Return the receptacle that an object stands on, None if there is none.
 
-    Among those whose rectangle it is over, the one with the surface nearest to its lowest point.
+    Of the receptacles below the object it is the one whose surface is nearest to the object's lowest point.
+
+    Args:
+        layout: the layout.
+        places: receptacles of the home.
+        name: instance name of the object.
+        pose: (7,) its pose, world frame [m, wxyz].
     """
     half = np.array(layout.objects[layout.object_names.index(name)].half)
     lowest = pose[2] - np.abs(mat_from_quat(pose[3:])[2]) @ half
@@ -387,10 +397,13 @@ def receptacle_at(
 def file_targets(
     layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray, root: int
 ) -> tuple[Target, ...]:
-    """The targets of an episode in their order; receptacles that the file does not name are found by geometry.
+    """Return the targets of an episode, in order; links that the file does not name are found by geometry.
 
     Args:
-        pose: (N, 7) where the objects of all slots are.
+        layout: the layout.
+        home: home of the episode.
+        episode: the episode.
+        pose: (N, 7) poses of all object slots, world frame [m, wxyz].
         root: number of the root link, from `number_of_root`.
     """
     places = placed_receptacles(layout, home)
@@ -408,7 +421,7 @@ def file_targets(
 
 
 def _listed_link(layout: Layout, listed: tuple[NumberedLink, ...], k: int, root: int) -> str:
-    """Id of the link that a file lists for target ``k``, or "" if it lists none that is here."""
+    """Return the id of the link that a file lists for target ``k``; "" if there is none in the layout."""
     if k >= len(listed) or listed[k][1] is None:
         return ""
     furniture = template_of(listed[k][0])
@@ -419,7 +432,7 @@ def _listed_link(layout: Layout, listed: tuple[NumberedLink, ...], k: int, root:
 def _link_around(
     layout: Layout, home: Home, places: tuple[PlacedReceptacle, ...], name: str, pose: np.ndarray
 ) -> str:
-    """Id of the link to open before an object at ``pose`` (7,) can be reached, or ""."""
+    """Return the id of the link that must be open to reach an object at ``pose`` (7,), "" if there is none."""
     found = receptacle_at(layout, places, name, pose)
     return link_to_open(found, roles_of(layout.pack, home)) if found is not None else ""
 

@@ -1,4 +1,4 @@
-"""Episodes of ours as episodes of the HAB format."""
+"""Convert mjhab's episodes to the HAB format."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _MARKERS = {
     "kitchen_counter/drawer4": "cab_push_point_4",
     FRIDGE_DOOR: "fridge_push_point",
 }
-"""Names that HAB gives to the handles."""
+"""HAB's marker name of the handle by link id."""
 
 
 def to_hab(layout: Layout, home: Home, episode: Episode) -> HabEpisode:
-    """An episode in the format, links numbered with the root as 0. Its info names task, split, seed and index."""
+    """Return an episode in the HAB format; root links have number 0, ``info`` has task, split, seed and index."""
     places = placed_receptacles(layout, home)
     at = {
         name: receptacle_at(layout, places, name, pose)
@@ -71,7 +71,7 @@ def _dataset_config(layout: Layout) -> str:
 
 
 def _ao_states(layout: Layout, link_q: np.ndarray) -> dict[str, dict[str, float]]:
-    """Joints that are not closed (by more than 1 mm or 1 mrad: what settling leaves)."""
+    """Return the positions of joints that are open by more than 1 mm or 1 mrad (settling moves closed ones by less)."""
     out: dict[str, dict[str, float]] = {}
     for ref, position in zip(layout.links, link_q.tolist(), strict=True):
         if abs(position) > 1e-3:
@@ -82,7 +82,7 @@ def _ao_states(layout: Layout, link_q: np.ndarray) -> dict[str, dict[str, float]
 
 
 def _markers(layout: Layout) -> tuple[Marker, ...]:
-    """The handles that HAB marks, with our grasp points: link frame, +y up."""
+    """Return HAB's markers at the grasp points of mjhab's handles [m], in link frames with +y up."""
     found = []
     for ref in layout.links:
         if ref.id in _MARKERS:

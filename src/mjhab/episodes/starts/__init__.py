@@ -1,4 +1,4 @@
-"""From an episode to the state and plan a world starts with: one file per subtask, found through its `SubtaskSpec`."""
+"""Start states and plans of episodes. Each subtask has a file here, which its `SubtaskSpec` refers to."""
 
 from mjhab.episodes.starts.maker import (
     StartMaker,

@@ -1,4 +1,4 @@
-"""How Close begins: the link stands open, its object is placed, the robot faces the furniture."""
+"""Start of Close: the link is open, its object is at its goal, the robot faces the furniture."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mjhab.episodes.starts.scene import Scene, SubtaskStart
 
 
 class CloseStart(SubtaskStart):
-    """See the module."""
+    """Start of Close, see the module."""
 
     def prepare(self, scene: Scene) -> None:
         scene.state.leave_open(
@@ -18,7 +18,7 @@ class CloseStart(SubtaskStart):
         )
 
     def stand(self, scene: Scene) -> SpawnGoal:
-        """As in mshab/utils/gen/gen_spawn_positions.py."""
+        """Return a spawn in the front area that faces its origin, as in mshab/utils/gen/gen_spawn_positions.py."""
         front = link_front(scene.state.layout, scene.home, scene.subtask.link)
         return SpawnGoal(np.array(front.root), self.approach(scene).area)
 

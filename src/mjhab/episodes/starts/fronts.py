@@ -1,4 +1,4 @@
-"""The floor in front of drawers and doors, where a robot stands to open and close them."""
+"""Floor areas in front of drawers and doors, in which a robot opens and closes them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from mjhab.scenes.spec import FrontArea, Home, Vec3
 from mjhab.tasks.plan import Box
 
 DRAWER_AREA = FrontArea(near_m=0.3, far_m=1.5, half_width_m=0.6)
-"""From the origin of the closed drawer's link (mshab/utils/gen/gen_spawn_positions.py)."""
+"""Area relative to the origin of the closed drawer's link (mshab/utils/gen/gen_spawn_positions.py)."""
 DOOR_AREA = FrontArea(near_m=0.53, far_m=1.43, half_width_m=0.6)
-"""From the handle of the closed door, for furniture without an area of its own: where the original's area in front of
-the fridge (`FRIDGE_FRONT_AREA`) is, seen from the handle of the built-in fridge."""
+"""Area relative to the handle of the closed door, for furniture without an area of its own. It equals MS-HAB's area in
+front of the fridge (`FRIDGE_FRONT_AREA`) relative to the handle of the built-in fridge."""
 
 
 @dataclass(frozen=True)
 class LinkFront:
-    """The front of a drawer or door: its floor ``area``, seen from ``root`` (x, y) [m, world] along ``yaw`` [rad]."""
+    """The front of a drawer or door: floor ``area`` from ``root`` (x, y) [m] on along ``yaw`` [rad], world frame."""
 
     root: tuple[float, float]
     yaw: float
@@ -26,7 +26,7 @@ class LinkFront:
 
     @property
     def box(self) -> Box:
-        """The area as a box along the world axes; for other than quarter turns, its bounding box."""
+        """Bounding box of the area along the world axes: x_min, x_max, y_min, y_max [m]."""
         cos = math.cos(self.yaw)
         sin = math.sin(self.yaw)
         half = self.area.half_width_m
@@ -37,15 +37,15 @@ class LinkFront:
 
 
 def link_front(layout: Layout, home: Home, link_id: str) -> LinkFront:
-    """The front of a link in a home.
+    """Return the front of a link in a home, in the direction in which its handle points.
 
-    Furniture that states an area (`Articulation.front_area`) has it for all its links, seen from its own origin. Other
-    drawers have `DRAWER_AREA`, other doors `DOOR_AREA`. The front is where the handle points.
+    Furniture with an area (`Articulation.front_area`) has it for all its links, relative to its own origin. Other
+    drawers have `DRAWER_AREA`, other doors `DOOR_AREA`.
 
     Args:
-        layout: the homes' layout.
-        home: one of them.
-        link_id: such as "kitchen_counter/drawer3".
+        layout: layout of the home.
+        home: the home.
+        link_id: id of the link, e.g. "kitchen_counter/drawer3".
     """
     ref = layout.links[layout.link_ids.index(link_id)]
     placement = layout.articulation_placement(home, ref.articulation)

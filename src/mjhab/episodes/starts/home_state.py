@@ -1,4 +1,4 @@
-"""What brings a home into the state in which a subtask comes up: joints, objects, what the robot holds."""
+"""Change the state of a home to that in which a subtask starts: links, objects, the object in the gripper."""
 
 from __future__ import annotations
 
@@ -20,17 +20,23 @@ from mjhab.tasks.plan import Vec3
 from mjhab.tasks.thresholds import TaskConfig
 
 OPEN_START_MARGIN = 1.0
-"""Opened links start between their success fraction and this fraction of their range."""
+"""Opened links start between the fraction of their range that counts as open and this fraction."""
 GOAL_DROP_M = 0.001
-"""An object that is put at its goal is let go so high above it."""
+"""Height [m] above the goal at which an object is put there."""
 
 
 @dataclass(frozen=True, eq=False)
 class HomeState:
-    """Changes states ``qpos`` (nq,) of homes in place. Threads may share it.
+    """Functions that change states ``qpos`` (nq,) of homes in place. Several threads may use it.
 
-    config, task_config: what is to be done. sim: whose homes are used. sampler: where robots fit. held, arms: grasps
-    and arm poses with which robots hold objects. homes: by name.
+    Attributes:
+        config: configuration of the environment.
+        task_config: thresholds of success.
+        sim: CPU simulator of the layout.
+        sampler: samples spawns.
+        held: stable grasps of the object types.
+        arms: arm postures with grasps, for the published spawn rule.
+        homes: homes by name.
     """
 
     config: EnvConfig
@@ -43,30 +49,30 @@ class HomeState:
 
     @property
     def layout(self) -> Layout:
-        """Names and order of objects, links and homes."""
+        """Layout of the simulator."""
         return self.sim.layout
 
     @property
     def published(self) -> bool:
-        """Robots start by the rules of the original, see `Profile.spawn_rule`."""
+        """Whether robots spawn by the published rule of MS-HAB, see `Profile.spawn_rule`."""
         return self.config.spawn_rule == "published"
 
     # -- links -----------------------------------------------------------------------------------------------------
 
     def link(self, link: str) -> LinkRef:
-        """A drawer or door of the layout."""
+        """Return a moving link of the layout by id."""
         return self.layout.links[self.layout.link_ids.index(link)]
 
     def link_address(self, link: str) -> int:
-        """Where the joint of a link is in ``qpos``."""
+        """Return the column of a link's joint in ``qpos``."""
         return int(self.sim.addresses.link_q[self.layout.link_ids.index(link)])
 
     def open_at(self, link: str) -> float:
-        """Part of its range at which a drawer or door counts as open."""
+        """Return the fraction of its joint range at which a link counts as open."""
         return self.task_config.open_fraction(hinged=link in self.layout.doors)
 
     def open_link(self, rng: np.random.Generator, home: str, link: str, qpos: Array) -> None:
-        """Open a link so far that an Open would have succeeded, or further."""
+        """Set a link to a random opening at which an Open has succeeded, within the limits of the home."""
         low, high = self.link(link).link.range
         fraction = rng.uniform(self.open_at(link), OPEN_START_MARGIN)
         at = low + fraction * (high - low)
@@ -75,7 +81,7 @@ class HomeState:
     def ensure_open(
         self, rng: np.random.Generator, home: str, link: str, qpos: Array, *, anew: bool = False
     ) -> None:
-        """Open a link that stands less than half open, or draw ``anew`` how far it is open."""
+        """Open a link as `open_link` does if it is open by less than half of that, or in any case if ``anew``."""
         low, high = self.link(link).link.range
         half_open = low + 0.5 * self.open_at(link) * (high - low)
         if anew or qpos[self.link_address(link)] < half_open:
@@ -84,7 +90,15 @@ class HomeState:
     def leave_open(
         self, rng: np.random.Generator, episode: Episode, link: str, qpos: Array, *, placed: bool
     ) -> None:
-        """Open a link as its Open has left it; the object it was opened for is still there, or ``placed``."""
+        """Open a link, and put the object that it was opened for where it then is.
+
+        Args:
+            rng: draws the opening.
+            episode: names the objects.
+            link: id of the link.
+            qpos: (nq,) state to change.
+            placed: the object is at its goal; False: it is still in place, and moves with a drawer.
+        """
         self.open_link(rng, episode.home, link, qpos)
         inside = [target for target in episode.targets if target.start_link == link]
         bound = [target for target in episode.targets if target.goal_link == link]
@@ -97,11 +111,11 @@ class HomeState:
     # -- objects ---------------------------------------------------------------------------------------------------
 
     def object_address(self, obj: str) -> int:
-        """Where the pose (7,) of an object begins in ``qpos``."""
+        """Return the first of the 7 columns of an object's pose in ``qpos``."""
         return int(self.sim.addresses.object_q[self.layout.object_names.index(obj)])
 
     def carry_along(self, episode: Episode, obj: str, link: str, qpos: Array) -> None:
-        """An object in a drawer moves with it (mshab/utils/gen/gen_spawn_positions.py)."""
+        """Move an object along with its drawer (mshab/utils/gen/gen_spawn_positions.py); no-op for doors."""
         ref = self.link(link)
         if ref.link.joint != "slide":
             return
@@ -116,18 +130,18 @@ class HomeState:
         qpos[start : start + 2] += moved * direction
 
     def put_at_goal(self, qpos: Array, obj: str, goal: Vec3) -> None:
-        """Move an object to its goal [m, world]."""
+        """Move an object to GOAL_DROP_M above its goal [m, world frame]; its orientation stays."""
         start = self.object_address(obj)
         qpos[start : start + 3] = goal
         qpos[start + 2] += GOAL_DROP_M
 
     def park(self, qpos: Array, obj: str) -> None:
-        """Move an object out of the way."""
+        """Move an object to its parked pose."""
         start = self.object_address(obj)
         qpos[start : start + 7] = self.layout.parked_poses[self.layout.object_names.index(obj)]
 
     def hold(self, rng: np.random.Generator, obj: str, qpos: Array) -> Held:
-        """Draw the arm and the grasp with which the robot holds an object."""
+        """Draw a grasp of an object, set the arm and fingers in ``qpos`` to it, and return the held object."""
         slot = self.layout.object_names.index(obj)
         kind = self.layout.roster[slot]
         robot = self.layout.robot.rest.copy()

@@ -1,4 +1,4 @@
-"""Makes the starts of whole chains and of single subtasks."""
+"""Make start states of whole chains and of single subtasks."""
 
 from __future__ import annotations
 
@@ -33,11 +33,18 @@ from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, spec_of
 from mjhab.tasks.thresholds import TaskConfig
 
 ROAM_RADIUS_M = 0.5
-"""Room around the place where the robot of a chain begins."""
+"""Radius [m] of the free disc at the spawn of a whole chain."""
 
 
 def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) -> list[int]:
-    """Positions in a plan of the subtasks of a kind about a target (object type, object name, link; "" for any)."""
+    """Return the positions in a plan of the subtasks of one kind and target.
+
+    Args:
+        plan: the plan.
+        layout: not used.
+        kind: name of the subtask.
+        target: object type, object name or link id; "" for any.
+    """
 
     def matches(subtask: Subtask) -> bool:
         about = subtask.link if SUBTASKS[kind].jointed else subtask.obj
@@ -48,7 +55,7 @@ def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) ->
 
 
 def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
-    """Object types or links that the task's subtask can be about."""
+    """Return the object types or link ids that ``config.target`` may name for its task and subtask."""
     task = TASKS[config.task]
     if config.subtask and SUBTASKS[config.subtask].jointed:
         return [link_with_role(layout.pack.roles, role) for role in task.opened_links]
@@ -56,7 +63,11 @@ def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
 
 
 def check_target(config: EnvConfig, layout: Layout) -> None:
-    """Raise a UsageError when ``config.target`` names nothing that the task's subtask can be about."""
+    """Check the target of a configuration.
+
+    Raises:
+        UsageError: ``config.target`` is not one of `valid_targets`, or there is no subtask for it.
+    """
     if not config.target:
         return
     valid = valid_targets(config, layout)
@@ -70,10 +81,10 @@ def check_target(config: EnvConfig, layout: Layout) -> None:
 
 
 def start_of(kind: int) -> SubtaskStart:
-    """What says how a kind of subtask begins.
+    """Return the `SubtaskStart` of a kind of subtask.
 
     Raises:
-        UsageError: there is no such subtask, or the ``start`` of its spec is no `SubtaskStart`.
+        UsageError: there is no such subtask, or the ``start`` of its spec is not a `SubtaskStart`.
     """
     spec = spec_of(kind)
     where = f"{SUBTASKS.told(spec.name)}: start"
@@ -91,14 +102,16 @@ def start_of(kind: int) -> SubtaskStart:
 
 
 class StartMaker:
-    """Builds starts of whole chains and of single subtasks.
+    """Makes starts of whole chains and of single subtasks.
 
     Args:
-        sim: whose homes are used. config, task_config: what is to be done.
-        harvested: place with the grasps, too, that were added to `held`; not under the published spawn rule.
+        sim: CPU simulator of the layout; its compiled models are used, its worlds are not changed.
+        config: configuration of the environment.
+        task_config: thresholds of success.
+        harvested: starts with a held object also use grasps added by `StableGrasps.add`.
 
     Raises:
-        UsageError: ``harvested`` under the published spawn rule; a file of starts that does not fit.
+        UsageError: ``harvested`` with the published spawn rule, or the spawn set does not fit.
     """
 
     def __init__(
@@ -124,9 +137,9 @@ class StartMaker:
         )
 
     def start(self, episode: Episode) -> Start:
-        """The start of an episode under this configuration; random draws are named by (seed, index).
+        """Return the start of an episode; (seed, index) of the episode seed all draws.
 
-        With ``config.spawns`` it is the one of that file for the episode's index.
+        With ``config.spawns`` it is the start of that spawn set for the episode's index.
         """
         home = self._homes[episode.home]
         boxes = self.boxes(home)
@@ -151,9 +164,9 @@ class StartMaker:
         return Start(plan.only(position), home.name, qpos, boxes, fallback, position, tries)
 
     def starts(self, episodes: Sequence[Episode], threads: int = 1) -> list[Start]:
-        """The starts of several episodes, the same for any number of ``threads``.
+        """Return the starts of several episodes; they do not depend on the number of ``threads``.
 
-        One thread makes a thousand in a second, and half of that time is Python: more hardly help.
+        One thread makes a thousand per second, half of it in Python code, so that more threads gain little.
         """
         if threads <= 1:
             return [self.start(episode) for episode in episodes]
@@ -161,11 +174,11 @@ class StartMaker:
             return list(pool.map(self.start, episodes))
 
     def home(self, name: str) -> Home:
-        """The home of a name."""
+        """Return the home with a name."""
         return self._homes[name]
 
     def boxes(self, home: Home) -> dict[str, Box]:
-        """Area in front of every link of a home, as (x_min, x_max, y_min, y_max)."""
+        """Return the floor area in front of every link of a home: x_min, x_max, y_min, y_max [m], world frame."""
         if home.name not in self._boxes:
             self._boxes[home.name] = {
                 link: link_front(self.layout, home, link).box for link in self.layout.link_ids
@@ -173,14 +186,14 @@ class StartMaker:
         return self._boxes[home.name]
 
     def spawn_goal(self, plan: TaskPlan, position: int, boxes: Mapping[str, Box]) -> SpawnGoal:
-        """Where a robot stands that has navigated to the subtask at ``position`` of a plan, or does so now."""
+        """Return constraints of the pose in which a Navigate to the subtask at ``position`` of a plan ends."""
         situation = Situation(plan, position, boxes, self._state)
         return start_of(situation.subtask.kind).approach(situation)
 
     def foresee(self, episode: Episode, plan: TaskPlan, position: int) -> np.ndarray:
-        """State (nq,) in which a chain comes to the Navigate at ``position`` if all before went well, the robot parked.
+        """Predict the state (nq,) of a chain at the Navigate at ``position`` if all subtasks before it succeed.
 
-        What the robot carries then is out of the way.
+        The robot and an object that it then carries are parked.
         """
         qpos = self._episode_qpos(episode)
         for subtask in plan.subtasks[:position]:
@@ -202,7 +215,7 @@ class StartMaker:
                 f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}"
             )
         first = int(stream(episode.seed, "subtask", episode.index).integers(len(found)))
-        # A narrow hand cannot hold everything: then it is the turn of the next object.
+        # Skip objects that are too wide for the gripper.
         for position in (*found[first:], *found[:first]):
             if self._holdable(plan.subtasks[position]):
                 return position
@@ -211,7 +224,7 @@ class StartMaker:
         )
 
     def _holdable(self, subtask: Subtask) -> bool:
-        """Whether the hand can hold what a subtask begins with in it."""
+        """Return whether the gripper can hold the object that a subtask starts with in it, if any."""
         if not spec_of(subtask.kind).starts_holding and not subtask.must_hold:
             return True
         slot = self.layout.object_names.index(subtask.obj)
@@ -228,10 +241,10 @@ class StartMaker:
     def _spawn(
         self, episode: Episode, qpos: np.ndarray, goal: SpawnGoal, held: Held | None
     ) -> tuple[np.ndarray, bool, int]:
-        """Sample a pose of the robot.
+        """Sample a spawn.
 
         Returns:
-            State (nq,); True if no sampled pose was valid and the nearest one is used; number of sampled poses.
+            State (nq,); True if no sampled spawn was valid and the fallback is used; number of sampled spawns.
         """
         name = ("spawn", episode.task, episode.index)
         rngs = (stream(episode.seed, *name, attempt) for attempt in range(MAX_TRIES))
@@ -241,7 +254,7 @@ class StartMaker:
         return found, False, tries
 
     def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
-        """`_spawn` for the start of a chain: a random pose in the whole home."""
+        """Sample a spawn for a whole chain, anywhere in the home; returns as `_spawn`."""
         rng = stream(episode.seed, "roam", episode.task, episode.index)
         cells = self.sampler.walkable(episode.home, ROAM_RADIUS_M)
         for attempt in range(MAX_TRIES):

@@ -1,4 +1,4 @@
-"""How Navigate begins: what the plan has opened stands open, what it carries is in the hand, the robot is elsewhere."""
+"""Start of Navigate: links opened earlier in the plan are open, a carried object is in the gripper."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import spec_of
 
 TURN_SPARE = 0.02
-"""By how much [rad] a teleport must face its goal better than success asks for: its noise is clipped at that very angle
-(`spawns.YAW_NOISE`), and one teleport in twenty would end there, fail by a rounding error and stay so to the end."""
+"""Margin [rad] of a teleport's heading to the largest angle of a successful Navigate. The yaw noise is clipped at that
+angle (`spawns.YAW_NOISE`): without a margin, rounding would make one teleport in twenty fail."""
 
 DOORSTEP = (-1.0, 0.0)
+"""Position x, y [m] near which the first Navigate of PrepareGroceries starts in ReplicaCAD's apartment
+(mshab/utils/gen/gen_spawn_positions.py)."""
 DOORSTEP_REACH = 0.5
+"""Largest distance [m] from it."""
 DOORSTEP_YAW = (-np.pi / 2, np.pi / 2)
-"""Where the first Navigate of PrepareGroceries begins, how near to it, and heading [m, rad]
-(mshab/utils/gen/gen_spawn_positions.py, in ReplicaCAD's apartment)."""
+"""Range of the heading [rad]."""
 
 
 class NavigateStart(SubtaskStart):
-    """See the module."""
+    """Start of Navigate, see the module."""
 
     def prepare(self, scene: Scene) -> Held | None:
         state = scene.state
@@ -38,9 +40,10 @@ class NavigateStart(SubtaskStart):
         return state.hold(scene.rng, subtask.obj, scene.qpos)
 
     def stand(self, scene: Scene) -> SpawnGoal:
-        """Anywhere, or where the plan was before; then its first one begins at the original's doorstep.
+        """Return constraints of the spawn: anywhere, unless the task departs from the last goal.
 
-        In a home that has no floor there it begins where there is most room.
+        Then the robot starts at the goal of the subtask before, and the first Navigate near DOORSTEP, or, in a home
+        without floor there, near the place with the largest clearance.
         """
         if not TASKS[scene.episode.task].departs_from_last_goal:
             return SpawnGoal(None)
@@ -57,7 +60,7 @@ class NavigateStart(SubtaskStart):
         return at
 
     def approach(self, situation: Situation) -> SpawnGoal:
-        """Where it ends, when the environment does it."""
+        """Return constraints of the pose in which a Navigate ends that the environment does by teleport."""
         limits = situation.state.task_config
         goal = SpawnGoal(
             np.array(situation.subtask.goal_pos[:2]),
@@ -66,7 +69,7 @@ class NavigateStart(SubtaskStart):
         )
         if not situation.state.published:
             return goal
-        # The front area binds only where the Navigate is judged by it. A teleport must end where that is achieved.
+        # With an object in the gripper, success of a Navigate does not depend on the front area of the link.
         judged = None if situation.subtask.must_hold else goal.area
         return dataclasses.replace(
             goal,

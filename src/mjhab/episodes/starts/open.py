@@ -1,4 +1,4 @@
-"""How Open begins: the robot faces the object that the link is opened for; in training, now and then, ajar."""
+"""Start of Open: the robot faces the object that the link is opened for; in training some drawers start ajar."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from mjhab.episodes.spawns import SpawnGoal
 from mjhab.episodes.starts.scene import Scene, SubtaskStart
 
 AJAR = 0.2
-"""Part of the way to open at which a drawer starts that was left ajar (mshab/envs/open.py)."""
+"""Opening of a drawer that starts ajar, as a fraction of the opening that counts as open (mshab/envs/open.py)."""
 
 
 class OpenStart(SubtaskStart):
-    """See the module."""
+    """Start of Open, see the module."""
 
     def prepare(self, scene: Scene) -> None:
         state = scene.state
@@ -28,7 +28,7 @@ class OpenStart(SubtaskStart):
             state.carry_along(scene.episode, subtask.obj, subtask.link, scene.qpos)
 
     def stand(self, scene: Scene) -> SpawnGoal:
-        """As in mshab/utils/gen/gen_spawn_positions.py, facing where the object is inside, or will be."""
+        """Return a spawn in the front area of the link that faces the object's present or future place behind it."""
         subtask = scene.subtask
         target = next(t for t in scene.episode.targets if t.obj == subtask.obj)
         inside = target.start_pos if target.start_link == subtask.link else target.goal_pos

@@ -1,4 +1,4 @@
-"""How Pick begins: the link that the object is behind stands open, the robot faces the object."""
+"""Start of Pick: the link that the object is behind is open, the robot faces the object."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from mjhab.tasks.household.registry import TASKS
 
 
 class PickStart(SubtaskStart):
-    """See the module."""
+    """Start of Pick, see the module."""
 
     def prepare(self, scene: Scene) -> None:
         subtask = scene.subtask
         if subtask.link:
-            # Where the plan itself opens links, how far this one stands open is drawn.
+            # In tasks whose plans open links, the opening of the link is drawn.
             anew = bool(TASKS[scene.episode.task].opened_links)
             home = scene.episode.home
             scene.state.ensure_open(scene.rng, home, subtask.link, scene.qpos, anew=anew)

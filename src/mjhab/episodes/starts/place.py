@@ -1,4 +1,4 @@
-"""How Place begins: the object is in the hand, the link that it goes behind stands open, the robot faces the goal."""
+"""Start of Place: the object is in the gripper, the link of its goal is open, the robot faces the goal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mjhab.episodes.starts.scene import Scene, SubtaskStart
 
 
 class PlaceStart(SubtaskStart):
-    """See the module."""
+    """Start of Place, see the module."""
 
     def prepare(self, scene: Scene) -> Held:
         subtask = scene.subtask

@@ -1,4 +1,4 @@
-"""What the start of a subtask is made from, and what it has to say: `SubtaskStart` is the base of all of them."""
+"""Base class `SubtaskStart` of the starts of subtasks, and the data that its methods take and return."""
 
 from __future__ import annotations
 
@@ -19,9 +19,16 @@ from mjhab.tasks.subtasks.registry import spec_of
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """How a world begins: its plan, its state (nq,), whether the first robot pose was a fallback.
+    """Start of an episode in a world.
 
-    ``position`` of the subtask in the episode's chain, 0 for a whole chain; ``tries`` it took to place the robot.
+    Attributes:
+        plan: plan of the episode.
+        home: name of the home.
+        qpos: (nq,) state.
+        boxes: floor area in front of every link: x_min, x_max, y_min, y_max [m], world frame.
+        fallback: the spawn is that of `SpawnSampler.fallback`.
+        position: position of the subtask in the episode's chain, 0 for a whole chain.
+        tries: sampled spawns.
     """
 
     plan: TaskPlan
@@ -35,7 +42,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """A subtask at a position of a plan. boxes: floor area in front of every link of the home. state: see there."""
+    """A subtask at ``position`` of a plan. ``boxes``: as in `Start`; ``state``: changes states of homes."""
 
     plan: TaskPlan
     position: int
@@ -44,17 +51,17 @@ class Situation:
 
     @property
     def subtask(self) -> Subtask:
-        """The subtask that begins."""
+        """The subtask at ``position``."""
         return self.plan.subtasks[self.position]
 
     @property
     def area(self) -> np.ndarray | None:
-        """(4,) floor area [m] in front of the subtask's link: x_min, x_max, y_min, y_max; None without a link."""
+        """(4,) floor area in front of the subtask's link: x_min, x_max, y_min, y_max [m]; None without a link."""
         return np.array(self.boxes[self.subtask.link]) if self.subtask.link else None
 
     @property
     def last_way(self) -> tuple[float, float, float]:
-        """Where the last Navigate before the subtask led to [m, world].
+        """Goal of the last Navigate before the subtask, world frame [m].
 
         Raises:
             UsageError: there is none in the plan.
@@ -68,7 +75,10 @@ class Situation:
         )
 
     def open_before(self) -> tuple[str, bool]:
-        """The link that the plan has left open by now, or "", and whether its object is placed by then."""
+        """Return the link that is open when the subtask starts, and whether its object was placed.
+
+        The link is "" if the plan before the subtask leaves none open.
+        """
         link = ""
         placed = False
         for subtask in self.plan.subtasks[: self.position]:
@@ -85,7 +95,7 @@ class Situation:
 
 @dataclass(frozen=True, eq=False)
 class Scene(Situation):
-    """A subtask that is done alone. qpos: (nq,) state of the home, robot parked; rng: of the start."""
+    """A subtask that is a whole episode. ``qpos``: (nq,) state with the robot parked; ``rng``: draws the start."""
 
     episode: Episode
     qpos: np.ndarray
@@ -98,19 +108,19 @@ class Scene(Situation):
 
 
 class SubtaskStart:
-    """How the home and the robot begin one kind of subtask. Its methods are called in the order in which they stand.
+    """Start of one kind of subtask: `prepare` changes the home, then `stand` constrains the robot's spawn.
 
-    The usual one changes nothing in the home and faces the goal of the subtask; subclasses say what differs.
+    This base class changes nothing in the home, and the robot faces the goal of the subtask; subclasses override that.
     """
 
     def prepare(self, scene: Scene) -> Held | None:
-        """Bring ``scene.qpos`` into the state in which the subtask comes up; returns what the robot holds."""
+        """Change ``scene.qpos`` in place to the state in which the subtask starts; return the held object, if any."""
         return None
 
     def stand(self, scene: Scene) -> SpawnGoal:
-        """Where the robot stands when the subtask is done alone."""
+        """Return constraints of the spawn for an episode of this subtask alone."""
         return self.approach(scene)
 
     def approach(self, situation: Situation) -> SpawnGoal:
-        """Where a robot stands that has navigated to the subtask, or does so now."""
+        """Return constraints of the pose in which a Navigate to this subtask ends."""
         return SpawnGoal(np.array(situation.subtask.goal_pos[:2]), situation.area)

@@ -1,4 +1,4 @@
-"""Control modes of a robot: named actions, and what the actuators are told (mani_skill/agents/controllers)."""
+"""Control modes of a robot: named actions and the actuator commands they become (mani_skill/agents/controllers)."""
 
 from __future__ import annotations
 
@@ -46,20 +46,20 @@ def make_controller(
     limits: ActionLimits | None = None,
     like: Array | None = None,
 ) -> Controller:
-    """The controller of a mode.
+    """Make the controller of a control mode for W worlds.
 
     Args:
         mode: one of CONTROL_MODES.
         num_worlds: W.
-        robot: whom to command; the default robot if not given.
-        base: "forward" ([forward, yaw rate], as MS-HAB) or "holonomic" ([forward, left, yaw rate]).
-        stationary: parts whose numbers count as zero, of "head", "torso", "base" (mshab/envs/wrappers/action.py); a
-            stiff body holds them where they were at the reset.
-        limits: what ±1 means; that of the robot if not given.
-        like: an array of the library, device and dtype of the simulator's joint positions; numpy float64 if not given.
+        robot: the robot to command; None for the default robot.
+        base: "forward" ([forward, yaw rate], as in MS-HAB) or "holonomic" ([forward, left, yaw rate]).
+        stationary: parts of "head", "torso" and "base" whose entries of the action are taken as zero
+            (mshab/envs/wrappers/action.py); with a stiff body they hold their positions of the last reset.
+        limits: ranges that actions of ±1 are scaled to; None for those of the robot.
+        like: an array of the library, device and dtype of the simulator's joint positions; None for numpy float64.
 
     Raises:
-        UsageError: a name that is not in these lists, or a mode of a plugin that makes no arm controller.
+        UsageError: unknown mode, base control or part, or a plugin's mode does not return an arm controller.
     """
     chosen = CONTROL_MODES[mode]
     robot = robot or robot_named()
@@ -77,10 +77,15 @@ def make_controller(
 
 
 def check_actions(actions: np.ndarray, table: Sequence[ActionEntry], num_worlds: int) -> np.ndarray:
-    """Actions of any number type as float32 (W, A).
+    """Check actions and return them as float32 (W, A).
+
+    Args:
+        actions: (W, A) of any number type.
+        table: the A entries of the action.
+        num_worlds: W.
 
     Raises:
-        UsageError: wrong shape or type, or a number that is not finite: says in which world and dimension.
+        UsageError: wrong shape or type, or a value is not finite; the message names its world and dimension.
     """
     actions = np.asarray(actions)
     if actions.dtype.kind not in "fiu":

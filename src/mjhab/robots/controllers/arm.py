@@ -1,4 +1,4 @@
-"""Joint modes of the arm: what its share of the action makes its seven servos do."""
+"""Arm controllers of the joint modes: from the arm's entries of an action to commands of its servos."""
 
 from __future__ import annotations
 
@@ -16,8 +16,14 @@ from mjhab.robots.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class ArmRequest:
-    """What an arm controller is made for: W worlds of a robot, what ±1 means, and an array of the library, device and
-    dtype of the simulator's joint positions."""
+    """Arguments of an arm controller.
+
+    Attributes:
+        robot: the robot to command.
+        num_worlds: W.
+        limits: ranges that actions of ±1 are scaled to.
+        like: an array of the library, device and dtype of the simulator's joint positions.
+    """
 
     robot: Robot
     num_worlds: int
@@ -26,11 +32,17 @@ class ArmRequest:
 
 
 class Arm:
-    """One way to command the arm.
+    """Base class of arm controllers, for an arm of A joints in W worlds.
 
-    ``rows``: its dimensions of the action. ``drives``: what its servos must be. ``target`` (W, A): positions of the A
-    joints asked for last, kept between control steps where ``remembers`` is set. ``low``, ``high`` (A,): their limits.
-    Arrays are of the library, device and dtype of ``request.like``, as the arguments of all methods must be.
+    Its arrays, and the arguments of its methods, have the library, device and dtype of ``request.like``.
+
+    Attributes:
+        remembers: the next command depends on ``target``, which is then part of the controller's state.
+        rows: entries of the action that command the arm.
+        drives: servos that the arm needs.
+        target: (W, A) last commanded joint positions [rad].
+        low: (A,) lower joint limits [rad].
+        high: (A,) upper joint limits [rad].
     """
 
     remembers = False
@@ -45,28 +57,28 @@ class Arm:
         self.low, self.high = (as_like([pair[k] for pair in limits], like) for k in (0, 1))
 
     def still(self, q: Array) -> Array:
-        """The action (W, len(rows)) in units that keeps the arm where it is."""
+        """Return the action (W, len(rows)) in physical units that holds the arm at positions ``q`` (W, A) [rad]."""
         return zeros((len(q), len(self.rows)), q)
 
     def reset(self, mask: Array, q: Array) -> None:
-        """Targets := measured positions ``q`` (W, A) in the worlds of ``mask`` (W,)."""
+        """Set the targets of the worlds of ``mask`` (W,) bool to the measured positions ``q`` (W, A) [rad]."""
         self.target = namespace(mask).where(mask[:, None], q, self.target)
 
     def get_state(self, world: int) -> dict[str, np.ndarray]:
-        """What `set_state` needs of one world."""
+        """Return the controller state of one world for `set_state`; {} if it has none."""
         return {"arm_target": to_numpy(self.target[world]).copy()} if self.remembers else {}
 
     def set_state(self, world: int, state: dict[str, np.ndarray]) -> None:
-        """Put one world back into a state of `get_state`."""
+        """Restore the controller state of one world from `get_state`."""
         if self.remembers:
             self.target = with_row(self.target, world, state, "arm_target")
 
 
 def with_row(target: Array, world: int, state: dict[str, np.ndarray], key: str) -> Array:
-    """A copy of ``target`` (W, n) whose row of one world is ``state[key]``.
+    """Return a copy of ``target`` (W, n) with row ``world`` replaced by ``state[key]``.
 
     Raises:
-        UsageError: the state has no such key, or it has another shape.
+        UsageError: the state lacks the key, or its array has another shape.
     """
     if key not in state or np.shape(state[key]) != target.shape[1:]:
         got = {name: np.shape(value) for name, value in state.items()}
@@ -79,22 +91,27 @@ def with_row(target: Array, world: int, state: dict[str, np.ndarray], key: str) 
 
 
 class CommandedArm(Arm, ABC):
-    """An arm whose commands are more than measured position + change."""
+    """An arm controller that computes its own commands, unlike `JointDelta`."""
 
     @abstractmethod
     def command(self, move: Array, q: Array) -> Array:
-        """Servo commands (W, A) for the action ``move`` (W, len(rows)) in units, at joint positions ``q`` (W, A)."""
+        """Compute the servo commands (W, A) [rad, or rad/s for velocity servos].
+
+        Args:
+            move: (W, len(rows)) action in physical units.
+            q: (W, A) measured joint positions [rad].
+        """
 
 
 class JointDelta(Arm):
-    """``pd_joint_delta_pos``: measured position + change, which the controller sums together with head and torso."""
+    """``pd_joint_delta_pos``: measured position + change, which `Controller` adds together with head and torso."""
 
     def __init__(self, request: ArmRequest) -> None:
         super().__init__(request, _delta_rows(request, "joint, from measured"))
 
 
 class JointTargetDelta(CommandedArm):
-    """``pd_joint_target_delta_pos``: previous target + change, kept inside the joint limits: no wind-up."""
+    """``pd_joint_target_delta_pos``: previous target + change, clipped to the joint limits against wind-up."""
 
     remembers = True
 
@@ -107,7 +124,7 @@ class JointTargetDelta(CommandedArm):
 
 
 class JointPosition(CommandedArm):
-    """``pd_joint_pos``: the position itself."""
+    """``pd_joint_pos``: absolute joint positions."""
 
     def __init__(self, request: ArmRequest) -> None:
         super().__init__(request, absolute_rows(request.robot, request.robot.group("arm")))
@@ -120,7 +137,7 @@ class JointPosition(CommandedArm):
 
 
 class JointVelocity(CommandedArm):
-    """``pd_joint_vel``: speed servos (kp 0) that hold no position."""
+    """``pd_joint_vel``: joint speeds, with velocity servos (kp 0) that hold no position."""
 
     def __init__(self, request: ArmRequest) -> None:
         super().__init__(request, speed_rows(request.robot, request.limits))
@@ -131,7 +148,7 @@ class JointVelocity(CommandedArm):
 
 
 class JointPositionVelocity(CommandedArm):
-    """``pd_joint_pos_vel``, ``pd_joint_delta_pos_vel``: positions or changes of all joints, then their speeds."""
+    """``pd_joint_pos_vel``, ``pd_joint_delta_pos_vel``: positions or changes of all A joints, then their A speeds."""
 
     def __init__(self, request: ArmRequest, *, delta: bool) -> None:
         robot = request.robot
@@ -159,6 +176,6 @@ class JointPositionVelocity(CommandedArm):
 
 
 def _delta_rows(request: ArmRequest, frame: str) -> tuple[ActionEntry, ...]:
-    """Rows of the arm's joints that move by up to ``joint_delta`` per control step."""
+    """Return the entries of the arm joints for changes of up to ``joint_delta`` [rad] per control step."""
     robot = request.robot
     return delta_rows(robot, robot.group("arm"), request.limits.joint_delta, frame)

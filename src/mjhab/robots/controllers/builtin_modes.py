@@ -1,4 +1,4 @@
-"""The control modes of mjhab, named as those of ManiSkill (mani_skill/agents/robots/fetch/fetch.py)."""
+"""The built-in control modes, with the names of ManiSkill (mani_skill/agents/robots/fetch/fetch.py)."""
 
 from __future__ import annotations
 

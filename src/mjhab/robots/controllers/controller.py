@@ -1,4 +1,4 @@
-"""From actions to actuator commands: the arm by mode, and gripper, body and base, which all modes share."""
+"""From actions to actuator commands: the arm depends on the mode; gripper, body and base are common to all modes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATIONARY = ("head", "torso", "base")
 
 
 class JointState(Protocol):
-    """What a controller reads of the state of a simulation."""
+    """The part of `SimState` that a controller reads."""
 
     @property
     def robot_q(self) -> Array:
@@ -34,17 +34,19 @@ class JointState(Protocol):
 
 
 class Controller:
-    """Turns actions (W, dim) into actuator commands held for the control step. Build it with `make_controller`.
+    """Turns actions (W, dim) into actuator commands that hold for a control step. Build it with `make_controller`.
 
     Attributes:
-        mode: its name.
+        mode: name of the control mode.
         robot: the robot it commands.
-        dim: numbers in an action.
-        table: one `ActionEntry` per number, in order.
-        low, high: (dim,) float32 bounds of the action space: ±1, or the bounds in units where a row is not normalized.
-            Actions outside are clipped.
-        drives: the servos the simulator must have.
-        gripper: index of the gripper's number.
+        limits: ranges that actions of ±1 are scaled to.
+        dim: size of an action.
+        table: (dim,) entries of the action.
+        low: (dim,) float32 lower bounds of the action space: -1, or in physical units for entries that are not
+            normalized. Actions are clipped to the bounds.
+        high: (dim,) float32 upper bounds.
+        drives: servos that the simulator must have.
+        gripper: column of the gripper in an action.
     """
 
     def __init__(
@@ -87,7 +89,7 @@ class Controller:
         self._keep_arrays(arm.target)
 
     def _place_columns(self, stationary: Sequence[str]) -> None:
-        """Where each part sits in the action and in the commands, whose columns are those of the joints."""
+        """Set the columns of each part in actions, and those that are stationary."""
         start = self.gripper + 1
         torso = start + len(self.robot.head_columns)
         self._body = slice(start, start + len(self.robot.body_columns))
@@ -100,10 +102,10 @@ class Controller:
         self._zeroed = [column for part in stationary for column in parts[part]]
 
     def _keep_arrays(self, like: Array) -> None:
-        """What the commands are made with, on the device of ``like``."""
+        """Make the index arrays, units and bounds that `command` uses, on the device of ``like``."""
         start = self.gripper + 1
         whole = namespace(like).int64
-        # Everything that moves from its measured position is one sum: in the default mode arm, head and torso.
+        # All joints commanded as measured position + change are computed in one sum: by default arm, head and torso.
         sums = not isinstance(self._arm, CommandedArm)
         robot = self.robot
         moved = dict(zip(robot.arm_columns, range(self.gripper), strict=True)) if sums else {}
@@ -118,7 +120,7 @@ class Controller:
         self._arm_units = as_like(
             [row.high if row.normalized else 1.0 for row in self._arm.rows], like
         )
-        # The bounds are those of float32 actions, to the bit.
+        # The float32 bounds, so that clipping gives the same result for any dtype of ``like``.
         self._low = as_like(self.low, like)
         self._high = as_like(self.high, like)
         free = as_like(
@@ -129,11 +131,14 @@ class Controller:
         self._body_target = zeros((len(like), len(robot.body_columns)), like)
 
     def ctrl(self, actions: Array, state: JointState) -> Array:
-        """Actuator commands (W, nu) for actions (W, dim) in the present state; targets of the target modes move on."""
+        """Compute the actuator commands (W, nu) for actions (W, dim) in the present state.
+
+        Updates the targets of the target modes: call it once per control step.
+        """
         return self.command(actions, state.robot_q)
 
     def command(self, actions: Array, robot_q: Array) -> Array:
-        """`ctrl` at joint positions (W, J), which are all it needs of the state."""
+        """Compute `ctrl` from measured joint positions ``robot_q`` (W, J) [m, rad] instead of a state."""
         xp = namespace(actions)
         a = xp.minimum(xp.maximum(actions, self._low), self._high)
         if self._zeroed:
@@ -170,7 +175,10 @@ class Controller:
         out[:, 2] = self.limits.yaw_rate * a[:, -1]
 
     def still(self, state: JointState) -> Array:
-        """Actions (W, dim) float32 that keep the robot where it is; the gripper's number is 0 (fingers at 2 cm)."""
+        """Return actions (W, dim) float32 that hold the robot's pose.
+
+        The gripper's entry is 0: the fingers go to the middle of `ActionLimits.gripper`.
+        """
         xp = namespace(state.robot_q)
         q = state.robot_q
         actions = xp.zeros((len(q), self.dim), dtype=xp.float32, device=device_of(q))
@@ -180,7 +188,7 @@ class Controller:
         return actions
 
     def reset(self, mask: Array, state: JointState) -> None:
-        """Previous targets := measured positions in the worlds of ``mask`` (W,) bool, after they were put elsewhere."""
+        """Set the targets of the worlds of ``mask`` (W,) bool to the measured positions, after a reset or teleport."""
         q = state.robot_q
         self._arm.reset(mask, q[:, self._arm_columns])
         self._body_target = namespace(q).where(
@@ -188,17 +196,17 @@ class Controller:
         )
 
     def get_state(self, world: int) -> dict[str, np.ndarray]:
-        """What the next command of one world depends on besides action and state; {} where that is nothing."""
+        """Return the controller state of one world for `set_state`; {} for modes without state."""
         body = (
             {"body_target": to_numpy(self._body_target[world]).copy()} if self._stiff_body else {}
         )
         return self._arm.get_state(world) | body
 
     def set_state(self, world: int, state: dict[str, np.ndarray]) -> None:
-        """Put one world back into a state of `get_state`.
+        """Restore the controller state of one world from `get_state`.
 
         Raises:
-            UsageError: the state is that of another mode.
+            UsageError: the state is that of another control mode.
         """
         self._arm.set_state(world, state)
         if self._stiff_body:

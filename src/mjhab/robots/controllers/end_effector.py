@@ -1,4 +1,4 @@
-"""End effector modes: gripper poses in the frame of the arm's root become arm joints by damped least squares."""
+"""End-effector modes: tcp poses in the frame of `Robot.arm_root` become arm joint positions by damped least squares."""
 
 from __future__ import annotations
 
@@ -12,30 +12,35 @@ from mjhab.robots.controllers.table import ActionEntry
 from mjhab.robots.kinematics import Chain, StepBounds, limited_step, rotate, rotation_vector
 
 Start = Literal["measured", "target", "absolute"]
-"""What a command counts from: the measured pose, the previous target, or the frame of the torso."""
+"""Reference of a command: the measured tcp pose, the previous target, or the frame of `Robot.arm_root`."""
 
 ITERATIONS = 3
-"""Steps of damped least squares per control step. Motions of centimetres are then met within micrometres; of the
-largest commands (0.1 m along each axis and 0.1 rad) from random postures half are met within 0.4 mm and 4 mrad. A
-farther absolute goal is approached over several control steps."""
+"""Damped least-squares steps per control step. The error is then micrometres for motions of centimetres; for the
+largest commands (0.1 m along each axis and 0.1 rad) from random postures its median is 0.4 mm and 4 mrad. Absolute
+goals farther away take several control steps."""
 LARGEST_STEP = 0.2
-"""Bound [rad] on the change of a joint in one of these steps: no jumps near singular postures."""
+"""Largest change [rad] of a joint in one least-squares step; prevents jumps near singular postures."""
 LEVER = 0.03
-"""Weight of orientation against position [m/rad]: where joint limits allow only one of them, position comes first."""
+"""Weight of orientation errors against position errors [m/rad]; small: at joint limits position has priority."""
 DAMPING = 1e-5
-"""Small enough that no error is left, large enough for smooth motion along joint limits; far from the goal
-`limited_step` adds more."""
+"""Damping near the goal: small enough to converge, large enough for smooth motion along joint limits. `limited_step`
+adds more far from the goal."""
 _AXES = ("x", "y", "z")
 _WEIGHTS = (1.0, 1.0, 1.0, LEVER, LEVER, LEVER)
 
 
 class EndEffector(CommandedArm):
-    """Changes along fixed or own axes, or absolute poses. Orientations are rotation vectors.
+    """Arm controller for changes of the tcp pose, or absolute tcp poses. Orientations are rotation vectors [rad].
 
-    ``rotates`` False: three numbers, and the orientation goes wherever the smallest joint motion takes it, as the
-    position-only inverse kinematics of the original. ``own_axes``: the change is along and about the axes of the
-    gripper (``pd_ee_delta_pose_align``; the original names a frame "ee_align" that its controllers no longer define).
-    The target is what the arm can reach: it does not wind up beyond the workspace.
+    The target is always a posture within the joint limits, so that it does not wind up beyond the workspace.
+
+    Args:
+        request: robot, worlds and limits.
+        start: reference of a command, see `Start`.
+        rotates: False for position-only commands of three entries; the orientation then follows from the smallest joint
+            motion, as in ManiSkill's position-only inverse kinematics.
+        own_axes: changes are along and about the axes of the tcp frame instead of those of `Robot.arm_root`
+            (``pd_ee_delta_pose_align``).
     """
 
     def __init__(
@@ -66,7 +71,7 @@ class EndEffector(CommandedArm):
         return namespace(pos).concat([pos, rotation_vector(rot)], axis=1)
 
     def _goal(self, move: Array, begin: Array) -> tuple[Array, Array]:
-        """Goal position (W, 3) and rotation (W, 3, 3) in the frame of the torso."""
+        """Return the goal position (W, 3) [m] and rotation (W, 3, 3) in the frame of `Robot.arm_root`."""
         if self._start == "absolute":
             return move[:, :3], rotate(move[:, 3:])
         pos, rot = self._chain.tip_pose(begin)
@@ -139,7 +144,7 @@ def _rows(
 
 
 def _workspace(chain: Chain) -> tuple[tuple[float, ...], float]:
-    """Centre (3,) and radius [m] of the sphere about the shoulder that holds everything in reach."""
+    """Return centre (3,) and radius [m] of a sphere about the first arm joint that contains all tcp positions."""
     origins = [np.array(joint.pos) for joint in chain.joints]
     return tuple(float(x) for x in origins[0]), float(
         sum(np.linalg.norm(origin) for origin in origins[1:])

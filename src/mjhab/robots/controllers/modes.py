@@ -1,4 +1,4 @@
-"""Control modes by name: what the numbers of an action mean for the arm, open to plugins."""
+"""Registry of control modes, which define the meaning of the arm's entries of an action. Plugins can add modes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mjhab.core.registration.registry import Registry, check_item
 from mjhab.robots.controllers.arm import Arm, ArmRequest
 
 DEFAULT_MODE = "pd_joint_delta_pos"
-"""The mode of MS-HAB: every policy and expert speaks it."""
+"""The control mode of MS-HAB, which all experts use."""
 _BUILTIN_MODES = (
     DEFAULT_MODE,
     "pd_joint_target_delta_pos",
@@ -31,17 +31,17 @@ _BUILTIN_MODES = (
 
 @dataclass(frozen=True)
 class ControlMode:
-    """A control mode. Registering one (`mjhab.register_control_mode`) makes it known to all of mjhab.
+    """A control mode; `mjhab.register_control_mode` makes one available to environments and commands.
 
-    Every action is laid out arm, gripper, body (head, torso), base. Modes differ in the arm, some in the body.
+    The order of an action is arm, gripper, head, torso, base. Modes differ in the arm, some also in head and torso.
 
     Attributes:
-        name: what ``mjhab.make(control_mode=...)`` calls it.
-        make_arm: makes the `Arm` that turns its share of an action into servo commands, for W worlds of a robot.
-        stiff_body: head and torso are given positions [rad, m] for stiff servos, instead of changes.
+        name: name in ``mjhab.make(control_mode=...)``.
+        make_arm: returns the `Arm` that turns the arm's entries of actions into servo commands.
+        stiff_body: head and torso take absolute positions [rad, m] with stiff servos, instead of changes.
 
     Raises:
-        UsageError: the name is none that a file could have, or ``make_arm`` is nothing that can be called.
+        UsageError: the name is not usable as a file name, or ``make_arm`` is not callable.
     """
 
     name: str
@@ -60,10 +60,10 @@ class ControlMode:
             )
 
     def arm(self, request: ArmRequest) -> Arm:
-        """The arm controller for a request.
+        """Make the arm controller for a request.
 
         Raises:
-            UsageError: ``make_arm`` returns something that is no `Arm`.
+            UsageError: ``make_arm`` does not return an `Arm`.
         """
         arm = self.make_arm(request)
         if not isinstance(arm, Arm):
@@ -78,17 +78,17 @@ CONTROL_MODES: Registry[ControlMode] = Registry(
     "control mode",
     {name: f"mjhab.robots.controllers.builtin_modes:{name.upper()}" for name in _BUILTIN_MODES},
 )
-"""All control modes, those of mjhab first."""
+"""All control modes, the built-in ones first."""
 
 
 def register_control_mode(mode: ControlMode) -> ControlMode:
     """Make a control mode known to ``mjhab.make(control_mode=NAME)`` and to all commands.
 
     Returns:
-        The mode, so that it can be registered where it is made.
+        ``mode``, so that the call can wrap its construction.
 
     Raises:
-        UsageError: it is no `ControlMode`, or its name is taken; the message says by whom.
+        UsageError: ``mode`` is not a `ControlMode`, or its name is taken; the message says by which module.
     """
     check_item("register_control_mode", mode, ControlMode)
     return CONTROL_MODES.add(mode.name, mode)

@@ -1,6 +1,6 @@
-"""The parts of the action and its named dimensions, as in ManiSkill's agents (mani_skill/agents/robots).
+"""Entries of an action with names, ranges and units, as in ManiSkill's agents (mani_skill/agents/robots).
 
-Every mode is laid out arm, gripper, body (head, torso), base. Modes differ in the arm, one in the body.
+The order of an action is arm, gripper, head, torso, base.
 """
 
 from __future__ import annotations
@@ -14,7 +14,17 @@ from mjhab.robots.robot import Robot
 
 @dataclass(frozen=True)
 class ActionEntry:
-    """One dimension: ``low``/``high`` in ``unit`` at -1/+1; where not ``normalized``, the action is in ``unit``."""
+    """One entry of an action.
+
+    Attributes:
+        name: name of the entry.
+        joint: joint or link that it moves.
+        low: value in ``unit`` at action -1.
+        high: value in ``unit`` at action +1.
+        unit: physical unit, e.g. "rad".
+        frame: frame or reference of the value.
+        normalized: actions are in [-1, 1]; False: they are in ``unit``, between ``low`` and ``high``.
+    """
 
     name: str
     joint: str
@@ -27,27 +37,27 @@ class ActionEntry:
 
 
 def joint_bounds(robot: Robot, joint: str) -> tuple[float, float]:
-    """Limits of a joint [m or rad]; ±pi where it turns freely."""
+    """Return the limits (low, high) of a joint [m or rad]; ±pi for a joint without limits."""
     low, high = robot.joint_limits[robot.joints.index(joint)]
     return (low, high) if math.isfinite(low) else (-math.pi, math.pi)
 
 
 def unit_of(robot: Robot, joint: str) -> str:
-    """Unit of a joint's position."""
+    """Return the unit of a joint's position: "m" or "rad"."""
     return "m" if joint in robot.sliding else "rad"
 
 
 def delta_rows(
     robot: Robot, joints: tuple[str, ...], size: float, frame: str
 ) -> tuple[ActionEntry, ...]:
-    """Rows of joints that move by up to ``size`` per control step."""
+    """Return the entries of joints for position changes of up to ``size`` [m or rad] per control step."""
     return tuple(
         ActionEntry(joint, joint, -size, size, unit_of(robot, joint), frame) for joint in joints
     )
 
 
 def absolute_rows(robot: Robot, joints: tuple[str, ...]) -> tuple[ActionEntry, ...]:
-    """Rows of joints that go to a position, not normalized."""
+    """Return the entries of joints for absolute positions [m or rad], not normalized."""
     return tuple(
         ActionEntry(
             joint,
@@ -64,7 +74,7 @@ def absolute_rows(robot: Robot, joints: tuple[str, ...]) -> tuple[ActionEntry, .
 def speed_rows(
     robot: Robot, limits: ActionLimits, normalized: bool = True
 ) -> tuple[ActionEntry, ...]:
-    """Rows of the speeds of the arm joints."""
+    """Return the entries of the arm joints for speeds [rad/s]."""
     size = limits.joint_speed
     return tuple(
         ActionEntry(f"{name}_speed", name, -size, size, "rad/s", "joint", normalized=normalized)
@@ -73,13 +83,13 @@ def speed_rows(
 
 
 def gripper_row(robot: Robot, limits: ActionLimits) -> ActionEntry:
-    """The row of the gripper: one command for both fingers."""
+    """Return the gripper's entry: one position [m] for both fingers."""
     finger = robot.group("fingers")[-1]
     return ActionEntry("gripper", finger, *limits.gripper, "m", "joint, absolute, both fingers")
 
 
 def base_rows(robot: Robot, limits: ActionLimits, holonomic: bool) -> tuple[ActionEntry, ...]:
-    """Speeds in the frame of the base at the start of the control step."""
+    """Return the entries of the base: speeds in the base frame at the start of the control step [m/s, rad/s]."""
     v = limits.forward
     w = limits.yaw_rate
     x, y, turn = robot.group("base")

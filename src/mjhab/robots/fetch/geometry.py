@@ -1,10 +1,9 @@
 """Masses and collision shapes of the Fetch robot, link by link.
 
 Masses come from the Fetch description file (fetch.urdf of ManiSkill's ``assets/robots/fetch``). Collision shapes
-are primitives of our own, several per link, fitted to the published collision meshes: they stay within the bounding
-box of the mesh of their link (a test checks it) and reach it to 5 mm on most sides; rounded edges and the hollows
-that a convex hull would fill are left free. Frame: the link.
-Lengths [m], masses [kg], inertias [kg m^2].
+are primitives, several per link, fitted to the published collision meshes: they stay within the bounding box of the
+mesh of their link and come within 5 mm of it on most sides. They leave out rounded edges, and hollows that a convex
+hull would fill. All poses are in the link frame. Lengths [m], masses [kg], inertias [kg m^2].
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ ALONG_Y: Quat = (0.7071067811865476, -0.7071067811865476, 0.0, 0.0)
 def _inertial(
     mass: float, com: Vec3, inertia: tuple[float, float, float, float, float, float]
 ) -> Inertial:
-    """Inertial data with the inertia [kg m^2] in the order xx, xy, xz, yy, yz, zz of a robot description (URDF)."""
+    """Make an `Inertial` from an inertia [kg m^2] in URDF's order xx, xy, xz, yy, yz, zz."""
     xx, xy, xz, yy, yz, zz = inertia
     return Inertial(mass, com, (xx, yy, zz, xy, xz, yz))
 
@@ -30,7 +29,7 @@ _WHEEL = _inertial(4.3542, (0.0, 0.0, 0.0), (0.0045, 0.0, 0.0, 0.005, 0.0, 0.004
 _BELLOWS = _inertial(
     0.169374, (0.019132, 0.0, -0.134862), (0.003312, 0.0, 0.0, 0.001744, 0.0, 0.001694)
 )
-# The description gives a finger xx = 0.002, which no body of yy = zz = 0.0002 can have; 0.0004 is the nearest possible.
+# The URDF gives a finger xx = 0.002, which violates xx <= yy + zz with yy = zz = 0.0002; 0.0004 is the nearest valid.
 _FINGER = _inertial(0.0798, (-0.01, 0.0, 0.0), (0.0004, 0.0, 0.0, 0.0002, 0.0, 0.0002))
 
 INERTIALS: dict[str, Inertial] = {
@@ -98,7 +97,7 @@ def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float])
 def _cylinder(
     axis: str, radius: float, span: tuple[float, float], at: tuple[float, float] = (0.0, 0.0)
 ) -> Geom:
-    """A cylinder along ``axis`` over ``span``; ``at``: its place in the two other coordinates, in order."""
+    """Make a cylinder along ``axis`` over ``span``; ``at``: its two other coordinates, in order [m]."""
     half = 0.5 * (span[1] - span[0])
     mid = 0.5 * (span[0] + span[1])
     if axis == "x":
@@ -109,24 +108,24 @@ def _cylinder(
 
 
 FINGER_HALF: Vec3 = (0.030, 0.0072, 0.0132)
-"""Half-extents of a finger box."""
+"""Half-extents of a finger box [m]."""
 _PAD_FACE = 0.0004
 # In gripper_link at joint value q the right finger fills y in [q - 0.0004, q + 0.0140], its origin at q + 0.015425.
 _FINGER_Y = FINGER_HALF[1] - _PAD_FACE - 0.015425
 
 
 TIP_RADIUS = 0.004
-"""Rounding of the pad's edge at the fingertip [m]. A sharp edge against something wider than the hand opens has no
-normal of its own: the contact flips to the end of the finger and shoots the object out of the hand."""
+"""Radius [m] of the pad's edge at the fingertip. The contact normal of a sharp edge against an object wider than the
+opening is undefined: it may flip to the finger's end face and push the object out of the hand."""
 
 
 def finger_box(sign: float) -> Geom:
-    """All that a finger fills; ``sign``: 1 for the right one, at +y of the gripper, -1 for the left one."""
+    """Return the box around a finger, in its link frame; ``sign``: 1 right finger (+y of the gripper), -1 left."""
     return Geom("box", FINGER_HALF, (0.001, sign * _FINGER_Y, 0.0), visual=False)
 
 
 def _finger(sign: float) -> tuple[Geom, ...]:
-    """`finger_box` with a round edge at the end of the pad."""
+    """Return the collision shapes of a finger: `finger_box` with a rounded edge at the end of the pad."""
     (x, y, z) = FINGER_HALF
     end = 0.001 + FINGER_HALF[0]
     box = _box(
@@ -193,4 +192,4 @@ COLLISION: dict[str, tuple[Geom, ...]] = {
     "r_gripper_finger_link": _finger(1.0),
     "l_gripper_finger_link": _finger(-1.0),
 }
-"""Collision shapes of every link that has any. The wheels have none: the base floats."""
+"""Collision shapes by link. The wheels have none, because the base has no contact with the floor."""

@@ -1,4 +1,4 @@
-"""Sizes of Fetch's gripper (mani_skill/assets/robots/fetch, bounds of its meshes)."""
+"""Sizes [m] of Fetch's gripper: bounds of its meshes (mani_skill/assets/robots/fetch)."""
 
 from __future__ import annotations
 

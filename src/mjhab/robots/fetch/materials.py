@@ -1,4 +1,4 @@
-"""The colours of the Fetch robot."""
+"""Materials of the Fetch robot's visual meshes."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 Numbers are those of ManiSkill's Fetch, which MS-HAB uses: ``mani_skill/assets/robots/fetch/fetch.urdf`` (tree,
 limits) and ``mani_skill/agents/robots/fetch/fetch.py`` (gains, rest keyframe, cameras, grasp test). The base moves
-in the plane by three joints and floats 2 cm above the floor, so it can neither tip nor scrape.
-Lengths [m], angles [rad], forces [N or N m]. ``base_link`` is the frame +x forward, +z up.
+in the plane by three joints, 2 cm above the floor, so that it can neither tip nor touch the floor.
+Lengths [m], angles [rad], forces [N or N m]. In the frame of ``base_link``, +x is forward and +z up.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FETCH_JOINTS: tuple[str, ...] = (
 REST_QPOS: tuple[float, ...] = (
     0.0, 0.0, 0.0, 0.386, 0.0, -0.370, 0.562, -1.032, 0.695, 0.955, -0.1, 2.077, 0.0, 0.015, 0.015,
 )  # fmt: skip
-"""Rest keyframe, FETCH_JOINTS order."""
+"""Joint positions [m, rad] of the rest keyframe, in the order of FETCH_JOINTS."""
 
 BASE_HEIGHT = 0.02
 """Height of base_link above the floor [m]."""
@@ -85,20 +85,20 @@ KINEMATIC_TREE: tuple[TreeLink, ...] = (
         True, (0.0, 0.05),
     ),
 )  # fmt: skip
-"""Every link below base_link, parents first. The "right" finger sits at +y of the gripper, as in the original."""
+"""Every link below base_link, parents first. The "right" finger is at +y of the gripper, as in ManiSkill."""
 
 LINKS: tuple[str, ...] = tuple(COLLISION)
-"""Links that are bodies of the model: all with collision geometry. Others merge into their parents."""
+"""Links that are bodies of the model: all those with collision shapes. Others merge into their parents."""
 FINGERS: tuple[Finger, ...] = (
     Finger("l_gripper_finger_link", (0.0, -1.0, 0.0)),
     Finger("r_gripper_finger_link", (0.0, 1.0, 0.0)),
 )
-"""The link frames of the fingers are parallel to gripper_link."""
+"""Left and right finger; their link frames are parallel to that of gripper_link."""
 FINGER_LINKS: tuple[str, ...] = tuple(finger.link for finger in FINGERS)
 FORCE_LINKS: tuple[str, ...] = tuple(n for n in LINKS if n not in FINGER_LINKS)
-"""Links whose contact force counts against the robot: all that can touch, without the fingers."""
+"""Links whose contact forces add up to ``robot_force``: all with collision shapes but the fingers."""
 TCP_LINK = "gripper_link"
-"""Its origin is the tool centre point: midway between the finger pads."""
+"""Link whose origin is the tcp, midway between the finger pads."""
 
 TRUNK_LINKS = (
     "base_link",
@@ -126,18 +126,18 @@ DISTAL_LINKS = (
     "gripper_link",
     *FINGER_LINKS,
 )
-"""Links that collide with the trunk. Other pairs of robot links do not collide."""
+"""Links that collide with TRUNK_LINKS. No other two links of the robot collide."""
 
 ARM_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
 BODY_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
-"""Torso, head pan, head tilt."""
+"""Gains of torso and head."""
 GRIPPER_GAINS = Gains(kp=1e3, kd=1e2, force=100.0, armature=0.5)
 BASE_GAINS = Gains(kp=0.0, kd=1e3, force=500.0, armature=0.0)
 STIFF_GAINS = Gains(kp=1e5, kd=1e5, force=1e5, armature=1.0)
-"""Head and torso in pd_joint_delta_pos_stiff_body. kd = kp: they creep to a target within seconds, whatever pushes."""
+"""Gains of head and torso in pd_joint_delta_pos_stiff_body. As kd = kp, they approach a target within seconds."""
 
 CAMERAS: tuple[CameraMount, ...] = (
     CameraMount("fetch_head", "head_tilt_link", (0.055, 0.0, 0.0225), LOOK_FORWARD, 2.0),
     CameraMount("fetch_hand", "gripper_link", (-0.1, 0.0, 0.1), LOOK_FORWARD, 2.0),
 )
-"""The head camera sits at head_camera_link, a fixed mount on head_tilt_link."""
+"""Head and hand camera. The head camera is at head_camera_link, which is fixed to head_tilt_link."""

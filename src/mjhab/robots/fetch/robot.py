@@ -1,4 +1,4 @@
-"""The Fetch robot as mjhab knows it: the first entry of the registry."""
+"""The `Robot` spec of Fetch, the default robot."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mjhab.scenes.shapes.meshes import Mesh
 
 
 def _visuals() -> list[tuple[str, Mesh, str]]:
-    # Reading meshes takes a library that is slow to import.
+    # The module imports trimesh, which is slow to import.
     from mjhab.robots.fetch.visuals import robot_meshes
 
     return robot_meshes()
@@ -68,4 +68,4 @@ ROBOT = Robot(
     visuals=_visuals,
     materials=ROBOT_MATERIALS,
 )
-"""Where MS-HAB's success test wants the tool centre (mshab/envs/planner.py) is ``ee_rest_pos``."""
+"""The Fetch robot. ``ee_rest_pos`` is that of MS-HAB's success tests (mshab/envs/planner.py)."""

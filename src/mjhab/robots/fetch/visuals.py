@@ -1,7 +1,7 @@
-"""The looks of the Fetch robot: the meshes that ship with the gymnasium-robotics package, in Fetch's colours.
+"""Visual meshes of the Fetch robot, from the gymnasium-robotics package, with Fetch's colours.
 
-The meshes live outside the MjModel. Links that merge into their parent (wheels, laser, emergency stop, bellows)
-come in the frame of the body they became part of. Fingers and camera eyes, which the package lacks, are boxes.
+The MjModel does not contain them. Links that merge into their parent (wheels, laser, emergency stop, bellows) are given
+in the frame of the parent body. Fingers and camera lenses, which the package lacks, are boxes and cylinders.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _MAX_FACES_OF = {"r_wheel_link": 400, "l_wheel_link": 400, "estop_link": 300, "l
 
 @lru_cache(maxsize=1)
 def robot_meshes() -> list[tuple[str, Mesh, str]]:
-    """The visual meshes of the robot: (body name of ``fetch.LINKS``, mesh in that body's frame [m], material name).
+    """Return the visual meshes: (body name, one of `model.LINKS`; mesh in that body's frame [m]; material name).
 
     Raises:
         MjhabError: the mesh files of gymnasium-robotics are not installed.
@@ -79,7 +79,7 @@ def _mesh_folder() -> Path:
 
 
 def _mount(link: str) -> tuple[str, np.ndarray, np.ndarray]:
-    """Body that carries a link, with the link's position (3,) and rotation (3, 3) in it."""
+    """Return the body that a link is part of, and the link's position (3,) [m] and rotation (3, 3) in its frame."""
     if link in LINKS:
         return link, np.zeros(3), np.eye(3)
     entry = next(t for t in KINEMATIC_TREE if t.link == link)
@@ -98,7 +98,7 @@ def _box(half: tuple[float, float, float], pos: tuple[float, float, float]) -> M
 
 
 def _fingers() -> list[tuple[str, Mesh, str]]:
-    """A grey finger with a dark rubber pad on the side that grips; together the collision box."""
+    """Return meshes of the fingers: a grey box and a dark pad each, which together fill the collision box."""
     out: list[tuple[str, Mesh, str]] = []
     pad = 0.0015
     for link, inward in (("r_gripper_finger_link", -1.0), ("l_gripper_finger_link", 1.0)):
@@ -117,7 +117,7 @@ def _fingers() -> list[tuple[str, Mesh, str]]:
 
 
 def _eyes() -> list[tuple[str, Mesh, str]]:
-    """The two lenses of the head camera, on the front of the head."""
+    """Return meshes of the two lenses of the head camera."""
     lenses = []
     for y in (0.02, 0.065):
         lens = trimesh.creation.cylinder(0.012, 0.006, sections=20)

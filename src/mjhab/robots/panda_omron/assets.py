@@ -1,4 +1,4 @@
-"""Where the files of robosuite lie that describe the robot. Nothing of robosuite is imported."""
+"""Paths of the robosuite files that describe the robot. robosuite itself is not imported."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ INSTALL = pip_install("--no-deps", "robosuite==1.5.2")
 
 
 def robosuite_file(name: str) -> Path:
-    """A file below the assets folder of robosuite.
+    """Return the path of a file below the assets folder of robosuite.
 
     Raises:
         MjhabError: robosuite is not installed, or has no such file.

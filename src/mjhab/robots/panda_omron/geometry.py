@@ -1,8 +1,8 @@
 """Links, masses and collision shapes of the Panda on the Omron base, read from the MJCF files of robosuite 1.5.2.
 
 Files below ``models/assets``: ``bases/omron_mobile_base.xml``, ``robots/panda/robot.xml`` and
-``grippers/panda_gripper.xml``. Base and lifting column are primitives in the files; the arm's collision meshes become
-boxes that cover them slice by slice.
+``grippers/panda_gripper.xml``. Base and lifting column are primitives in the files; each collision mesh of the arm is
+replaced by boxes that cover slices of it.
 Lengths [m], angles [rad].
 """
 
@@ -22,38 +22,39 @@ BASE = "base"
 COLUMN = "support"
 TCP = "tcp"
 WRIST_ZERO = {"joint6": np.pi / 2, "joint7": np.pi / 4}
-"""Joint values of robosuite [rad] that are 0 here: the hand then points forward with its fingers side by side, and all
-joint axes are along x, y or z. All other joints count as there."""
+"""Joint positions of robosuite [rad] that are 0 here: the hand then points forward with its fingers side by side, and
+all joint axes are along x, y or z. All other joints have the same zero."""
 CENTER_X = 0.21
-"""How far [m] the origin of the file's base lies before the axis about which the base turns, the origin here."""
+"""Distance [m] of the origin of the file's base in front of the yaw axis of the base, which is the origin here."""
 COLUMN_POS: Vec3 = (CENTER_X, 0.0, 0.70)
-"""Where the arm stands while the column is down."""
+"""Position [m] of the arm's mount in the base frame with the column down."""
 COLUMN_TRAVEL = (0.0, 0.34)
+"""Limits of the lifting joint [m]."""
 TCP_FROM_HAND = 0.0928
-"""From the flange to the middle of the flat part of the finger pads."""
+"""Distance [m] from the flange to the tcp, the middle of the flat part of the finger pads."""
 SLICES = {"leftfinger": 2, "rightfinger": 2, "right_gripper": 1, "link7": 1}
-"""Boxes per collision mesh, 2 for all others."""
+"""Boxes per collision mesh by link; 2 for links that are not listed."""
 _BASE_MASS = Inertial(60.0, (0.01, 0.0, 0.15), (2.0, 3.0, 4.0, 0.0, 0.0, 0.0))
 _COLUMN_MASS = Inertial(10.0, (-0.05, 0.0, -0.2), (0.2, 0.2, 0.1, 0.0, 0.0, 0.0))
-"""Estimates: the files have the density 10 kg/m^3 for the platform, whose real model (Omron LD-60) weighs about 60 kg.
-The base is driven in speed and never tips."""
+"""Estimated masses: the files give the platform a density of 10 kg/m^3, but the Omron LD-60 weighs about 60 kg. The
+base has planar joints, so that it cannot tip."""
 
 
 @dataclass(frozen=True, eq=False)
 class PandaFiles:
-    """The links of the arm and of the gripper, in parallel frames."""
+    """The links of arm and gripper in frames parallel to the base, read from robosuite's files."""
 
     arm: MjcfLinks
     hand: MjcfLinks
 
     def meshes(self, group: int) -> list[MeshGeom]:
-        """Meshes of arm and gripper in a geom group: 0 collides, 1 is seen."""
+        """Return the meshes of arm and gripper in a geom group: 0 collision, 1 visual."""
         return self.arm.meshes(group) + self.hand.meshes(group)
 
 
 @lru_cache(maxsize=1)
 def panda_files() -> PandaFiles:
-    """The files of arm and gripper, read.
+    """Read the files of arm and gripper.
 
     Raises:
         MjhabError: robosuite is not installed.
@@ -69,7 +70,7 @@ def panda_files() -> PandaFiles:
 
 
 def load_body() -> Body:
-    """Tree, masses and collision shapes.
+    """Return tree, masses and collision shapes of the robot.
 
     Raises:
         MjhabError: robosuite is not installed.

@@ -1,4 +1,4 @@
-"""The Panda on the Omron base as mjhab knows it."""
+"""The `Robot` spec of the Panda arm on the Omron base."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ ARM_JOINTS = tuple(f"joint{k}" for k in range(1, 8))
 ARM_LINKS = tuple(f"link{k}" for k in range(1, 8))
 FINGERS = (Finger("leftfinger", (0.0, -1.0, 0.0)), Finger("rightfinger", (0.0, 1.0, 0.0)))
 COLUMN_AT_REST_M = 0.1
+"""Rest position of the lifting joint [m]."""
 _PITCH = 0.5
 _LOOK_DOWN = tuple(
     float(x)
@@ -32,10 +33,11 @@ _LOOK_DOWN = tuple(
         quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array(_PITCH)), np.array(LOOK_FORWARD)
     )
 )
-"""Forward and half a radian down."""
+"""Orientation (wxyz) of a camera that looks along +x of its body, pitched down by ``_PITCH`` [rad]."""
 READY = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, 0.0, 0.0)
-"""Franka's ready posture: the hand points straight down before the base."""
+"""Arm joint positions [rad] of Franka's ready posture: the hand points straight down in front of the base."""
 FINGERS_AT_REST_M = 0.015
+"""Rest position of each finger [m]."""
 _HAND_RADIUS = 0.034
 _WRIST_RADIUS = 0.06
 _HAND = tuple(
@@ -54,13 +56,13 @@ GRIPPER = Gripper(
     shelf_usable=0.0785,
     hand=_HAND + _WRIST,
 )
-"""Bounds of the meshes of ``grippers/panda_gripper.xml``; the fingers open by 4 cm each."""
+"""Sizes from the bounds of the meshes of ``grippers/panda_gripper.xml``; each finger opens by 4 cm."""
 SERVO = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
-"""The servo of ManiSkill's Fetch, so that an action moves both robots alike."""
+"""Servo gains of ManiSkill's Fetch, so that both robots respond equally to an action."""
 
 
 def _visuals() -> list[tuple[str, Mesh, str]]:
-    # Reading meshes takes a library that is slow to import.
+    # The module imports trimesh, which is slow to import.
     from mjhab.robots.panda_omron.visuals import robot_meshes
 
     return robot_meshes()

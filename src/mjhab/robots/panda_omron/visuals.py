@@ -1,4 +1,4 @@
-"""The looks of the Panda on the Omron base: the meshes that ship with robosuite, coarsened."""
+"""Visual meshes of the Panda on the Omron base, from robosuite's files, simplified."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from mjhab.robots.panda_omron.geometry import BASE, CENTER_X, COLUMN, panda_file
 from mjhab.scenes.shapes.meshes import Mesh
 
 MAX_FACES = 2500
+"""Largest number of faces of a mesh."""
 WHEELBASE_POS = (CENTER_X - 0.20, 0.0, 0.192)
-"""Where the meshes of the platform are in the frame of the base [m]."""
+"""Position of the platform's mesh frame in the base frame [m]."""
 _OMRON = {
     0: "panda_grey",
     1: "omron_dark",
@@ -25,15 +26,15 @@ _OMRON = {
     6: "omron_grey",
     7: "omron_dark",
 }
-"""Number of a mesh of the platform to its material; about the colours of ``bases/omron_mobile_base.xml``."""
+"""Material by number of the platform's mesh, close to the colours of ``bases/omron_mobile_base.xml``."""
 _GREY_LINKS = ("leftfinger", "rightfinger")
 
 
 @lru_cache(maxsize=1)
 def robot_meshes() -> list[tuple[str, Mesh, str]]:
-    """The robot for the eye: (body name, mesh in that body's frame [m], material name).
+    """Return the visual meshes: (body name, mesh in that body's frame [m], material name).
 
-    The arm's meshes are those that collide in robosuite's files: they have its shape with few triangles.
+    Those of the arm are robosuite's collision meshes, which have its shape with few triangles.
 
     Raises:
         MjhabError: robosuite is not installed.
@@ -53,7 +54,7 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
 
 
 def _column() -> list[tuple[str, Mesh, str]]:
-    """The two tubes of the lifting column, which the files have as primitives."""
+    """Return meshes of the two tubes of the lifting column, which are primitives in the files."""
     tubes = ((BASE, (CENTER_X - 0.05, 0.0, 0.50), 0.12), (COLUMN, (-0.05, 0.0, -0.20), 0.1125))
     parts = []
     for link, middle, radius in tubes:

@@ -39,7 +39,11 @@ _LOG = logging.getLogger("mjhab.engine")
 
 
 def _log_warning(message: str) -> None:
-    """MuJoCo would print warnings and write MUJOCO_LOG.TXT into the working folder; the counters hold them anyway."""
+    """Send a MuJoCo warning to the log.
+
+    MuJoCo's own handler prints it and writes MUJOCO_LOG.TXT into the working folder. The simulator reads the warning
+    counters of the batch instead.
+    """
     _LOG.debug("MuJoCo: %s", message)
 
 
@@ -47,10 +51,13 @@ class CpuSimulator:
     """Worlds on C MuJoCo through ``mujoco.batch.Batch``. See `Simulator` for the methods.
 
     Args:
-        layout: what all homes share.
-        num_worlds: worlds stepped together, >= 1.
-        num_threads: threads over worlds; 0 takes every core.
-        drives: servos of the robot, as the control mode needs them.
+        layout: names, order and sizes shared by all homes.
+        num_worlds: size W of the batch, at least 1.
+        num_threads: threads that step the worlds; 0 uses every core.
+        drives: changes to the robot's servos that the control mode needs; None for none.
+
+    Raises:
+        UsageError: ``num_worlds`` is below 1.
     """
 
     def __init__(
@@ -64,13 +71,13 @@ class CpuSimulator:
         self.num_threads = num_threads or os.cpu_count() or 1
         self.drives = drives or Drives()
         self.model: Callable[[str], mujoco.MjModel] = HomeModels(layout, self.drives)
-        """The compiled model of a home of the pack, by the name of the home."""
+        """Returns the compiled model of a home of the pack, by name."""
         first = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, first)
         self._world_models = [first] * num_worlds
         self.batch = Batch(first, num_worlds, self.num_threads, persistent=True)
         self.batch.set_models(self._world_models)
-        # Views of the batch's memory, bound once: looking a field up takes longer than reading it.
+        # Views of the batch's memory, bound once because a field look-up costs more than reading the field.
         self._qpos = self.batch.bind("qpos")
         self._qvel = self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
@@ -80,13 +87,13 @@ class CpuSimulator:
         self._warmstart = self.batch.bind("qacc_warmstart")
         self._time = self.batch.bind("time")
         self._xmat = self.batch.bind("xmat").reshape(num_worlds, -1, 3, 3)
-        # A batch with caller models shows a world its static poses only after that world's reset.
+        # With models set by the caller, the poses of static geoms are valid in a world only after its reset.
         self.batch.reset()
         a = self.addresses
-        # The layout puts objects, link forces and target sensors in unbroken rows: the state is made of views.
+        # The layout gives objects contiguous addresses, so that slices of qpos and qvel are views, not copies.
         self._object_q = _rows(a.object_q, 7)
         self._object_v = _rows(a.object_v, 6)
-        # The first number of every contact sensor is how many contacts it has.
+        # The first number of every contact sensor is its number of contacts.
         self._link_starts = a.link_force
         self._hand_starts = a.hand_force
         self._touch_starts = a.touch
@@ -104,7 +111,7 @@ class CpuSimulator:
         return self._qpos
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
+        """Reset worlds to the states ``qpos`` (n, nq) of homes with zero velocity; others stay bitwise the same."""
         self._clear(ids, homes)
         self._qpos[ids] = qpos
         self._ctrl[ids] = holding_ctrl(self._world_models[0], self.layout.robot, np.asarray(qpos))
@@ -122,9 +129,9 @@ class CpuSimulator:
         self._taint[ids] = 0
 
     def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Put worlds that broke at rest in the states ``qpos`` (n, nq); they stay tainted.
+        """Reset worlds that became NaN or infinite to ``qpos`` (n, nq) with zero velocity; they keep their taint.
 
-        A state that is not finite itself is replaced by the model's default.
+        A row of ``qpos`` that is not finite is replaced by the model's ``qpos0``.
         """
         taint = self._taint[ids]
         sound = np.asarray(np.isfinite(qpos).all(axis=1))
@@ -133,11 +140,14 @@ class CpuSimulator:
         self._taint[ids] = taint
 
     def broken(self) -> np.ndarray:
-        """(W,) bool: worlds that the last step made NaN or infinite, or that the engine put back for it."""
+        """Return (W,) bool: worlds that became NaN or infinite in the last step, or that MuJoCo reset for it."""
         return self._broken
 
     def write_qpos(self, world: int, qpos: np.ndarray) -> None:
-        """Move one world to ``qpos`` (nq,), its robot and what it holds at rest; its home stays."""
+        """Teleport one world to ``qpos`` (nq,) in its present home.
+
+        The robot, and every object whose pose changes, get zero velocity.
+        """
         changed = np.flatnonzero(self._qpos[world] != qpos)
         self._qpos[world] = qpos
         self._qvel[world, self.addresses.robot_v] = 0.0
@@ -147,18 +157,18 @@ class CpuSimulator:
         self.batch.forward(ids=[world])
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
-        """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart".
+        """Return copies of the physics state of one world: "time", "qpos", "qvel", "ctrl", "warmstart".
 
-        What sleeps is not in it: a restored world is awake, so it may differ in the last digits from the world it was
-        taken from. Worlds restored from the same state are equal in every bit.
+        Which trees sleep is not part of it. A restored world is awake, so that it may differ in the last digits from
+        the saved one; worlds restored from the same state are bitwise equal.
         """
         return {name: rows[world].copy() for name, rows in self._world_rows().items()}
 
     def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
-        """Put one world into a home in a state from `get_world`, with everything awake. Its taint is cleared.
+        """Restore one world in a home from a state of `get_world`, with all trees awake, and clear its taint.
 
         Raises:
-            UsageError: the state is that of another layout.
+            UsageError: the arrays have the shapes of another layout.
         """
         rows = self._world_rows()
         for name, row in rows.items():
@@ -182,18 +192,18 @@ class CpuSimulator:
         }
 
     def step(self, ctrl: np.ndarray) -> None:
-        """Advance all worlds by one control step under ``ctrl`` (W, nu)."""
+        """Advance all worlds by one control step under ``ctrl`` (W, nu), and update their taint."""
         self.bare_step(ctrl)
         self._update_taint()
 
     def bare_step(self, ctrl: np.ndarray) -> None:
-        """The engine's part of `step`, for benchmarks."""
+        """Advance all worlds as `step` does, without the taint checks; for benchmarks."""
         self._ctrl[:] = ctrl
-        # Stage VEL makes positions current without cost; the contact sensors are those of the last substep.
+        # Stage VEL leaves the positions current at no cost; contact sensors are those of the last substep.
         self.batch.step(nstep=SUBSTEPS, stage=POSITION_STAGE)
 
     def state(self) -> SimState:
-        """The current state of all worlds; body arrays are views that the next step overwrites."""
+        """Return the current state of all worlds; body and object arrays are views that the next step overwrites."""
         a = self.addresses
         qpos = self._qpos
         worlds = self.num_worlds
@@ -219,9 +229,9 @@ class CpuSimulator:
         )
 
     def _link_forces(self) -> np.ndarray:
-        """(W, K, 3) force [N] of each robot link on anything, world frame."""
+        """Return (W, K, 3): net normal contact force [N] of each force link on other bodies, world frame."""
         force = np.zeros((self.num_worlds, len(self._link_starts), 3))
-        # Few sensors have a contact: only these are read.
+        # Few sensors have contacts; the others are not read.
         world, link = (self._sensors[:, self._link_starts] > 0).nonzero()
         force[world, link] = normal_force(
             self._read(world, self._link_starts[link], self._force_block)
@@ -229,11 +239,13 @@ class CpuSimulator:
         return force
 
     def _hand_forces(self, touch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(W, 3, N + L, 3) force [N] of every target on the left finger, the right finger and the link of the tool
-        centre, world frame; and (W, 3, N + L) bool: they have a contact.
+        """Return the contact forces of the targets on the left finger, the right finger and the tcp link.
 
         Args:
-            touch: (W, N + L) bool: the robot touches the target.
+            touch: (W, N + L) bool: some robot link has a contact with the target.
+
+        Returns:
+            (W, 3, N + L, 3) force [N] of each target on the link, world frame; (W, 3, N + L) bool: they have a contact.
         """
         pressed = self._sensors[:, self._hand_starts] > 0
         contact = pressed[:, :, None] & touch[:, None]
@@ -242,20 +254,20 @@ class CpuSimulator:
         listed = self._read(world, self._hand_starts[link], self._force_block)
         touches = self._read(world, self._touch_starts[target], self._touch_block)
         pushed, contact[world, link, target] = pair_force(listed, touches)
-        # The sensor gives the force of its body on others; what is wanted is the opposite.
+        # The sensor gives the force of the link on the target; the sign is turned.
         force[world, link, target] = -pushed
         return force, contact
 
     def _read(self, world: np.ndarray, start: np.ndarray, block: np.ndarray) -> np.ndarray:
-        """(n, len(block)) data of a sensor that begins at ``start`` (n,), each in its ``world`` (n,)."""
+        """Return (n, len(block)) sensor data: row i is that of world ``world[i]`` from column ``start[i]`` on."""
         return self._sensors[world[:, None], start[:, None] + block]
 
     def add_taint(self, world: int, mask: int) -> None:
-        """Mark a world with the bits of ``mask``."""
+        """Set the bits ``mask`` in the taint of a world."""
         self._taint[world] |= mask
 
     def taint(self) -> np.ndarray:
-        """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
+        """Return (W,) uint8: bit mask of the TAINTS of each world since its reset."""
         return self._taint.copy()
 
     def _update_taint(self) -> None:
@@ -265,7 +277,7 @@ class CpuSimulator:
         self._broken[:] = False
         warnings = self.batch.warning[:, :, 1]
         rose = warnings > self._warned
-        # One sum over all worlds is enough to see that nothing is NaN or infinite.
+        # The sum is finite only if every entry is: one test for all worlds.
         if rose.any() or not math.isfinite(self._qpos.sum()):
             for name, kinds in _TAINT_WARNINGS.items():
                 hit = rose[:, [int(k) for k in kinds]].any(axis=1)
@@ -278,7 +290,11 @@ class CpuSimulator:
 
 
 def _rows(starts: np.ndarray, width: int) -> slice:
-    """The columns of equally wide, adjoining blocks as one slice.
+    """Return the slice of columns that adjoining blocks of ``width`` columns cover.
+
+    Args:
+        starts: (n,) first column of each block.
+        width: columns of a block.
 
     Raises:
         ValueError: there are gaps between the blocks.

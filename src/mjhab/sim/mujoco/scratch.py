@@ -1,6 +1,7 @@
-"""Worlds beside the batch for collision tests and grasp tests: a test leaves the states of the simulator as they are.
+"""Collision tests and grasp tests in private worlds, which leave the worlds of the simulator's batch unchanged.
 
-Everything but the robot and what it carries sleeps, so that a test costs a tenth of a control step of a whole home.
+Everything but the robot and the object it carries sleeps, which makes a test ten times as fast as a control step of a
+home in which everything is awake.
 """
 
 from __future__ import annotations
@@ -25,20 +26,23 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot
 
 CLOSING_STEPS = 30
+"""Substeps in which the fingers close before a grasp is tested."""
 MOST_CREEP_M_S = 0.001
-"""Speed [m/s] at which an object may creep out of a hand at rest: one held by its edge alone is lost within seconds."""
+"""Largest mean speed [m/s] at which an object may slip in a hand at rest; a faster one is lost within seconds."""
 TURN_RATE = 1.6
+"""Yaw rate [rad/s] of the base in the turn test, half of its top speed."""
 TURN_STEPS = 20
+"""Substeps that the base turns to each side in the turn test."""
 TURN_SLIP = 0.02
-"""A held object must stay within this slip [m] while the base is jerked to either side at half its top speed [rad/s]:
-some grasps near an edge hold still for minutes and lose the object at the first turn."""
+"""Largest slip [m] of a held object in the turn test. Some grasps near an edge hold still for minutes but lose the
+object at the first turn of the base."""
 MAX_MODELS = 32
-"""Homes of which a world keeps a model of its own; one takes 0.4 MB."""
+"""Models that a private world caches, one per home; each takes 0.4 MB."""
 _NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
 
 class _World:
-    """One world that can be in any home of a layout, for one thread at a time."""
+    """A private world that can switch between the homes of a layout. Only one thread may use it at a time."""
 
     def __init__(self, sim: CpuSimulator) -> None:
         self._sim = sim
@@ -49,17 +53,22 @@ class _World:
     def arrange(
         self, home: str, qpos: np.ndarray, carried: int = -1, *, plain: bool = False
     ) -> mujoco.MjModel:
-        """Go to the state ``qpos`` (nq,) at rest, all asleep but the robot, opened links and object slot ``carried``.
+        """Reset the world to ``qpos`` (nq,) with zero velocity.
+
+        All trees sleep but the robot, links that are not at their zero, and the carried object.
 
         Args:
-            plain: with the servos that the robot was compiled with, whatever the simulator has set.
+            home: name of the home.
+            qpos: (nq,) state.
+            carried: object slot that stays awake, -1 for none.
+            plain: use the servos that the robot was compiled with instead of those of the simulator.
 
         Returns:
-            The model the world is in now.
+            The model to simulate the world with.
         """
         model = self._models.get((home, plain), lambda: self._make(home, plain))
         a = self._sim.addresses
-        # Trees that the model declares asleep lie at its qpos0 after a reset; what is moved from there wakes up.
+        # After a reset, trees with sleep policy INIT sleep at qpos0; a tree whose qpos differs from it wakes up.
         rows = (np.delete(a.object_q, carried) if carried >= 0 else a.object_q).astype(int)
         columns = rows[:, None] + np.arange(7)
         model.qpos0[columns] = qpos[columns]
@@ -83,7 +92,13 @@ class _World:
 
 
 class Scratch:
-    """Tests of states in a simulator's homes. Several threads may run tests at once: each gets a world of its own."""
+    """Collision and grasp tests of states in the homes of a simulator.
+
+    Several threads may run tests at the same time: each test uses a private world.
+
+    Args:
+        sim: gives layout and compiled models; its batch is not touched.
+    """
 
     def __init__(self, sim: CpuSimulator) -> None:
         self.sim = sim
@@ -94,7 +109,7 @@ class Scratch:
         robot = sim.layout.robot
         self._robot = robot
         self._tcp = sim.addresses.robot_body[robot.tcp]
-        # Actuators are those of the joints, in their order.
+        # Actuators have the order of the joints.
         self._fingers = list(robot.finger_columns)
         self._closed = robot.limits.gripper[0]
 
@@ -110,7 +125,7 @@ class Scratch:
             self._idle.append(world)
 
     def tcp_pose(self, home: str, qpos: np.ndarray) -> np.ndarray:
-        """(7,) world pose of the tool centre in the state ``qpos`` (nq,)."""
+        """Return the world pose (7,) [m, wxyz] of the tcp in the state ``qpos`` (nq,)."""
         with self._world() as world:
             model = world.arrange(home, qpos)
             mujoco.mj_kinematics(model, world.data)
@@ -126,11 +141,14 @@ class Scratch:
         carried: int = -1,
         grip: tuple[float, float] | None = None,
     ) -> bool:
-        """Whether the robot touches nothing but object slot ``carried``, now and after one simulated control step.
+        """Test whether robot and carried object touch nothing else, both now and after one control step.
 
         Args:
-            grip: with it, the object must pass the grasp test after that step: least force of each finger [N], largest
-                angle to the opening direction [rad].
+            home: name of the home.
+            qpos: (nq,) state.
+            carried: object slot in the gripper, -1 for none.
+            grip: (least force of each finger [N], largest angle to the opening direction [rad]): if given, the object
+                must also pass this grasp test after the control step.
         """
         with self._world() as world:
             model = world.arrange(home, qpos, carried)
@@ -153,16 +171,16 @@ class Scratch:
         robot = self._is_robot[pairs]
         load = self.sim.addresses.object_body[carried] if carried >= 0 else -1
         ours = robot | (self._geom_body[pairs] == load)
-        # A contact counts when one side is robot or load and the other is neither, or when the robot hits itself.
+        # A contact counts if exactly one side is robot or carried object, or if both sides are the robot.
         return bool((ours.any(axis=1) & ~ours.all(axis=1)).any() or robot.all(axis=1).any())
 
     def holding(self, slot: int, robot: np.ndarray, tcp_in_object: np.ndarray) -> np.ndarray:
-        """The state (nq,) of the layout's first home with a robot that has an object between its fingers.
+        """Return the state (nq,) of the layout's first home with an object placed in the gripper.
 
         Args:
-            slot: the object.
-            robot: (J,) joint positions.
-            tcp_in_object: (7,) pose of the tool centre in the frame of the object.
+            slot: slot of the object.
+            robot: (J,) joint positions [m, rad].
+            tcp_in_object: (7,) pose of the tcp in the frame of the object [m, wxyz].
         """
         home = self.sim.layout.pack.homes[0].name
         a = self.sim.addresses
@@ -181,17 +199,19 @@ class Scratch:
         min_force: float,
         max_angle: float,
     ) -> tuple[np.ndarray, float] | None:
-        """Close the gripper on an object in an empty corner, hold it still, then turn with it.
+        """Simulate a grasp: close the gripper on an object away from the home, hold it still, then turn the base.
 
         Args:
-            slot: the object.
-            tcp_in_object: (7,) grasp pose in the frame of the object.
-            robot: (J,) joint positions, fingers just open, the base away from everything.
-            seconds: how long the grasp test must hold, at every control step, after closing.
-            min_force, max_angle: the test: force of each finger [N], its angle to the opening direction [rad].
+            slot: slot of the object.
+            tcp_in_object: (7,) pose of the tcp in the frame of the object [m, wxyz].
+            robot: (J,) joint positions [m, rad]: fingers just wider open than the object, base outside of the home.
+            seconds: time [s] after closing in which the grasp test must hold at every control step.
+            min_force: grasp test: least force of each finger [N].
+            max_angle: grasp test: largest angle of that force to the finger's opening direction [rad].
 
         Returns:
-            Object pose (7,) in the frame of the tool centre and finger position [m] at the end; None if it fails.
+            Object pose (7,) in the tcp frame and finger position [m] at the end of the hold; None if the object fails
+            the grasp test or slips.
         """
         home = self.sim.layout.pack.homes[0].name
         a = self.sim.addresses
@@ -223,7 +243,7 @@ class Scratch:
             return relative, fingers
 
     def _load_pose(self, model: mujoco.MjModel, data: mujoco.MjData, start: int) -> np.ndarray:
-        """(7,) pose in the tool centre's frame of the object whose qpos begins at ``start``."""
+        """Return the pose (7,) in the tcp frame of the object whose qpos begins at column ``start``."""
         mujoco.mj_kinematics(model, data)
         return pose_mul(pose_inv(self._read_tcp(data)), data.qpos[start : start + 7])
 

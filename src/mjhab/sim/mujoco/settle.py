@@ -10,11 +10,11 @@ from mjhab.layout.layout import Addresses
 from mjhab.robots.robot import Robot
 
 ROBOT_PARKING = (19.0, 19.0)
-"""Base position [m] of the robot while a home settles: beyond every home, inside the base's joint range."""
+"""Base position x, y [m] of the robot while objects settle: outside of every home, within the base joints' range."""
 
 
 def parked_robot_qpos(robot: Robot) -> np.ndarray:
-    """(J,) rest pose with the base out of the way."""
+    """Return (J,) joint positions [m, rad]: the rest posture with the base at ROBOT_PARKING."""
     q = robot.rest.copy()
     q[BASE_XY] = ROBOT_PARKING
     return q
@@ -23,15 +23,21 @@ def parked_robot_qpos(robot: Robot) -> np.ndarray:
 def settle(
     model: mujoco.MjModel, a: Addresses, qpos: np.ndarray, seconds: float = 1.5
 ) -> tuple[np.ndarray, float]:
-    """Simulate from ``qpos`` (nq,) at rest with the robot parked.
+    """Simulate for ``seconds`` from ``qpos`` (nq,) with zero velocity and the robot parked.
+
+    Args:
+        model: compiled home.
+        a: addresses of its layout.
+        qpos: (nq,) start; its robot joints are ignored.
+        seconds: simulated time [s].
 
     Returns:
-        The positions (nq,) afterwards, and the largest object speed [m/s or rad/s] left at the end.
+        (nq,) final positions, and the largest absolute velocity component of any object at the end [m/s or rad/s].
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     data.qpos[a.robot_q] = parked_robot_qpos(a.robot)
-    # The finger servos would drive to 0 m; every other servo is held where it is.
+    # With ctrl 0 the position servos would drive every joint to 0.
     hold_robot(model, data)
     steps = round(seconds / model.opt.timestep)
     mujoco.mj_step(model, data, steps)
@@ -40,9 +46,10 @@ def settle(
 
 
 def holding_ctrl(model: mujoco.MjModel, robot: Robot, qpos: np.ndarray) -> np.ndarray:
-    """Commands (n, nu) at the start of an episode in the states ``qpos`` (n, nq).
+    """Return the actuator commands (n, nu) with which episodes start in the states ``qpos`` (n, nq).
 
-    Servos hold and fingers squeeze, so that the forces of the start are those of a robot that keeps what it has.
+    Position servos hold their joints, velocity servos stand still, and the fingers are commanded closed, so that a held
+    object is gripped from the first substep on.
     """
     joints = model.actuator_trnid[:, 0]
     out = np.where(model.actuator_biasprm[:, 1] != 0.0, qpos[:, model.jnt_qposadr[joints]], 0.0)
@@ -51,6 +58,6 @@ def holding_ctrl(model: mujoco.MjModel, robot: Robot, qpos: np.ndarray) -> np.nd
 
 
 def hold_robot(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Command every position servo to stay where its joint is, and the base to stand still."""
+    """Set ``data.ctrl``: position servos hold the present joint positions, velocity servos get speed 0."""
     at = data.qpos[model.jnt_qposadr[model.actuator_trnid[:, 0]]]
     data.ctrl[:] = np.where(model.actuator_biasprm[:, 1] != 0.0, at, 0.0)

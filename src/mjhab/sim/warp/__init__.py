@@ -1,1 +1,1 @@
-"""Worlds on MuJoCo Warp. Imported only when the backend is asked for: Warp opens a context on every GPU."""
+"""Worlds on MuJoCo Warp. Imported only for backend "warp", because Warp opens a CUDA context on every GPU."""

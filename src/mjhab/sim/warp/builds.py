@@ -14,14 +14,18 @@ import warp as wp
 from warp._src import build
 
 LINE_EVERY = 15.0
-"""Time between two messages [s] if stderr is a file; on a terminal every message replaces the one before."""
+"""Least time [s] between two messages if stderr is no terminal; on a terminal each message replaces the last."""
 
 
 class BuildProgress:
     """Counts compiled modules and prints a message before each.
 
     Args:
-        clock: returns the time [s] since an arbitrary moment.
+        clock: returns a monotonic time [s].
+
+    Attributes:
+        count: modules compiled so far.
+        seconds: time spent compiling [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -31,7 +35,7 @@ class BuildProgress:
         self._last_line = -LINE_EVERY
 
     def watch(self, compiler: Callable[..., Any], source: Callable[..., str]) -> Callable[..., Any]:
-        """Wrap a function ``compiler`` so that each call counts a module and prints a message.
+        """Return ``compiler`` wrapped so that each call counts a module and prints a message.
 
         ``source`` returns the path of the compiled file from the arguments of ``compiler``.
         """
@@ -66,10 +70,14 @@ class BuildProgress:
 
 @functools.cache
 def announce_builds() -> BuildProgress:
-    """Print a message whenever this process compiles kernels, from this call on."""
+    """Print a message before each kernel module that this process compiles from now on.
+
+    Returns:
+        The counter of compiled modules, the same object for every call.
+    """
     wp.config.log_level = wp.LOG_WARNING
     progress = BuildProgress()
-    # Warp reports a module after it is compiled. These two functions do the compilation; cached modules skip them.
+    # Warp itself reports a module only after compiling it. Cached modules do not call these two functions.
     build.build_cpu = progress.watch(build.build_cpu, lambda binary, source, *_: str(source))
     build.build_cuda = progress.watch(build.build_cuda, lambda source, *_: str(source))
     return progress

@@ -1,4 +1,4 @@
-"""The device of a simulation on MuJoCo Warp: found by name, the memory it has left, and the order of work on it."""
+"""Warp devices: open one by name, report its free memory, and order the work of Warp and torch on its streams."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from mjhab.core.machine import install_extra
 from mjhab.sim.warp.builds import announce_builds
 
 LEAST_DRIVER = (12, 4)
-"""Version of CUDA that the driver must be good for: the first whose graphs can hold conditions."""
+"""Least CUDA version that the driver must support: the first with conditional nodes in graphs."""
 _FULL = ("Failed to allocate", "out of memory", "not enough memory")
+"""Parts of the messages with which Warp and torch report that memory is exhausted."""
 _STREAMS: dict[tuple[int, int], wp.Stream] = {}
-"""Streams of torch, which has a fixed set of them per device, as Warp knows them."""
+"""Warp handles of torch's streams by (device ordinal, stream); torch has a fixed set of streams per device."""
 
 
 def open_device(name: str) -> wp.Device:
-    """A Warp device by name: "cpu", "cuda:0", "cuda:1", ...; "" takes the first CUDA device.
+    """Return the Warp device of a name: "cpu", "cuda:0", "cuda:1", ...; "" is the first CUDA device.
 
     Raises:
-        UsageError: there is no such device, or its driver is too old.
+        UsageError: there is no such device, its driver is too old, or Warp was built for an older CUDA.
     """
     wp.init()
     announce_builds()
@@ -55,21 +56,25 @@ def _version(numbers: tuple[int, int]) -> str:
 
 
 def free_mb(device: wp.Device) -> float:
-    """Free memory of a CUDA device [MB]."""
+    """Return the free memory of a CUDA device [MB]."""
     return device.free_memory / 2**20
 
 
 @contextmanager
 def room_for(num_worlds: int, device: wp.Device) -> Iterator[None]:
-    """For work that takes memory of a device: where there is not enough, say so in one line.
+    """Context for work that allocates device memory: turns an out-of-memory error into a `UsageError`.
+
+    Args:
+        num_worlds: size of the batch, for the message.
+        device: named in the message.
 
     Raises:
-        UsageError: the device is out of memory; names a smaller number of worlds.
+        UsageError: the device is out of memory; suggests half the number of worlds.
     """
     try:
         yield
     except RuntimeError as error:
-        # Of Warp ("Failed to allocate ...") and of torch ("CUDA out of memory ..."), but no "illegal memory access".
+        # Other errors of CUDA, such as "illegal memory access", are not caught.
         if not any(words in str(error) for words in _FULL):
             raise
         fewer = f"try {num_worlds // 2}" if num_worlds > 1 else "not even one does"
@@ -80,8 +85,10 @@ def room_for(num_worlds: int, device: wp.Device) -> Iterator[None]:
 
 
 def torch_stream(device: wp.Device) -> wp.Stream:
-    """The stream of a CUDA device that torch works on at present: what is launched there comes after what torch was
-    given before, and before what torch is given next."""
+    """Return torch's current stream of a CUDA device as a Warp stream.
+
+    Work launched on it runs after what torch has queued so far and before what torch queues next.
+    """
     stream = torch.cuda.current_stream(device.ordinal)
     key = (device.ordinal, stream.cuda_stream)
     if key not in _STREAMS:
@@ -91,7 +98,7 @@ def torch_stream(device: wp.Device) -> wp.Stream:
 
 @contextmanager
 def set_up(device: wp.Device) -> Iterator[None]:
-    """For work on Warp's own stream: torch's is done before it begins, and it is done before torch goes on. Waits."""
+    """Context for work on Warp's own stream: waits for the device before and after it, so that torch is in order."""
     wp.synchronize_device(device)
     with wp.ScopedDevice(device):
         yield

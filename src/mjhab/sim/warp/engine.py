@@ -1,4 +1,4 @@
-"""MuJoCo Warp's model and data for the homes of a layout, and the device work of a control step and of a reset."""
+"""MuJoCo Warp's model and data for the homes of a layout, and the device code of a control step and of a reset."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mjhab.sim.warp.graphs import Graphs
 from mjhab.sim.warp.homes import HOME_FIELDS, HomeTables
 
 CPU_DEVICE_ITERATIONS = 30
-"""On Warp's CPU device the solver runs this many rounds whether it converged or not (on CUDA it stops when it did)."""
+"""Solver iterations on Warp's CPU device, which always runs all of them (on CUDA the solver stops on convergence)."""
 _OVERFLOW = mjw.OverflowType
 CONTACT_OVERFLOW = _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
 ROW_OVERFLOW = _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ | _OVERFLOW.NVMAX
@@ -33,18 +33,20 @@ _BUFFER_BITS = {
     "rows": _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ,
     "awake": _OVERFLOW.NVMAX,
 }
-"""Overflow bits of each of `BufferSizes`."""
+"""Overflow bits of the engine for each field of `BufferSizes`."""
 AWAKE = sleep.K_AWAKE_VAL
-"""The engine's code for a tree that was just woken."""
+"""Value of ``tree_asleep`` of a tree that was just woken."""
 
 
 @dataclass(frozen=True)
 class BufferSizes:
     """Capacities of the engine's buffers.
 
-    contacts: contacts, and pairs of geoms that may touch, of all worlds together; ccd: pairs of one kind of geoms in
-    general convex collision at once, all worlds together; rows: constraint rows of one world; awake: degrees of freedom
-    of one world that may be awake at once, None for all.
+    Attributes:
+        contacts: contacts, and also candidate geom pairs of the broad phase, of all worlds together.
+        ccd: geom pairs of one pair of geom types in general convex collision, of all worlds together.
+        rows: constraint rows of one world.
+        awake: dofs of one world that may be awake at the same time; None for all.
     """
 
     contacts: int
@@ -54,14 +56,14 @@ class BufferSizes:
 
 
 class Engine:
-    """Worlds on the device. Arrays named ``*_t`` are torch tensors that share memory with the engine.
+    """W worlds on the device. Attributes named ``*_t`` are torch tensors that share memory with Warp arrays.
 
     Args:
         base: compiled model of any home, with its servos set.
-        a: addresses in it.
-        num_worlds: worlds W.
-        num_homes: homes there are, at most.
-        sizes: of the buffers.
+        a: addresses of the layout.
+        num_worlds: W.
+        num_homes: largest number of homes.
+        sizes: capacities of the buffers.
         device: a Warp device.
     """
 
@@ -78,7 +80,7 @@ class Engine:
         self.num_worlds = num_worlds
         self.sizes = sizes
         model = copy.copy(base)
-        # Contact sensors match every sensor with every contact; our own kernel reads each contact once.
+        # MuJoCo compares every contact sensor with every contact; `kernels.add_contacts` reads each contact once.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         with set_up(device):
             self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds))
@@ -93,7 +95,7 @@ class Engine:
             self.model.opt.warn_overflow = (
                 0  # printing from kernels is slow, and the bits say the same
             )
-            # What the engine takes for large models sorts, which allocates: no graph may do that under a condition.
+            # The broad phase for large models sorts, which allocates; a conditional graph must not allocate.
             self.model.opt.broadphase = mjw.BroadphaseType.NXN
             if not device.is_cuda:
                 self.model.opt.iterations = CPU_DEVICE_ITERATIONS
@@ -163,7 +165,7 @@ class Engine:
             start = int(model.jnt_qposadr[low])
             end = int(model.jnt_qposadr[high + 1]) if high + 1 < model.njnt else model.nq
             spans_q[tree] = start, end - start
-        # A teleport stops the robot, and the objects that it moves.
+        # A teleport zeroes the velocity of the robot (2) always, that of an object (1) if its pose changes.
         stops = np.zeros(model.ntree, np.int32)
         stops[model.body_treeid[a.object_body]] = 1
         stops[model.body_treeid[self._tcp]] = 2
@@ -191,14 +193,17 @@ class Engine:
         self.new_rings_t = wp.to_torch(self.new_rings)
 
     def _record_peak(self, model: mjw.Model, data: mjw.Data) -> None:
-        # Called after each collision pass. With sleep on there are two a substep, and the second starts the engine's
-        # counter anew: an overflow of the first pass leaves no trace in the engine.
+        # Called after each collision pass. With sleep enabled there are two per substep, and the second resets the
+        # engine's counter, so that the engine forgets an overflow of the first pass.
         wp.launch(kernels.record_peak, dim=1, inputs=[data.ncollision], outputs=[self.pairs_peak])
 
     def clear(self, worlds: torch.Tensor, rows: torch.Tensor, rings: torch.Tensor) -> None:
-        """Put worlds (n,) into the homes of table ``rows`` (n,), at rest; the caller writes their positions afterwards.
+        """Put worlds into homes with zero velocity, ctrl, warm start and time; the caller then writes ``qpos_t``.
 
-        ``rings`` (n, ntree) int32: for a tree that is to sleep the next of those that sleep with it, else negative.
+        Args:
+            worlds: (n,) int64 indices of worlds.
+            rows: (n,) int64 rows of `HomeTables`.
+            rings: (n, ntree) int32 sleep rings of `RestFinder.rings`.
         """
         self.homes.put(worlds, rows)
         for zeroed in (self.qvel_t, self.ctrl_t, self.warmstart_t, self.time_t):
@@ -206,7 +211,7 @@ class Engine:
         self.asleep_t[worlds] = torch.where(rings < 0, AWAKE, rings).to(self.asleep_t.dtype)
 
     def step(self) -> None:
-        """One control step of all worlds under the ctrl that is set."""
+        """Advance all worlds by one control step under ``ctrl_t``; updates forces, taint and broken worlds."""
         with wp.ScopedDevice(self.device):
             self.graphs.run("step", self._step)
 
@@ -231,7 +236,7 @@ class Engine:
                     self.broken,
                 ],
             )
-        # The engine's poses are those before the last integration.
+        # mjw.step leaves the poses of before its integration; recompute them for the new qpos.
         smooth.kinematics(self.model, self.data)
         smooth.com_pos(self.model, self.data)
         smooth.camlight(self.model, self.data)
@@ -259,12 +264,11 @@ class Engine:
         )
 
     def renew(self) -> None:
-        """Reset the worlds of ``fresh_t`` and teleport those of ``moved_t``; both take their positions from
-        ``new_qpos_t``.
+        """Reset the worlds of mask ``fresh_t`` and teleport those of mask ``moved_t``, both to ``new_qpos_t``.
 
-        The masks are disjoint. Homes, commands and sleeping trees of reset worlds are read from ``new_rows_t``,
-        ``new_ctrl_t`` and ``new_rings_t``. All shapes are fixed and no value is copied to the host: on CUDA this is one
-        launch of a captured graph, which skips its work if both masks are empty. Other worlds stay bitwise the same.
+        The masks are disjoint. Home, ctrl and sleep rings of reset worlds are read from ``new_rows_t``, ``new_ctrl_t``
+        and ``new_rings_t``. All shapes are fixed and no value is copied to the host: on CUDA this is one launch of a
+        captured graph, which does nothing if both masks are empty. Other worlds stay bitwise the same.
         """
         with wp.ScopedDevice(self.device):
             self.graphs.run("renew", self._renew_due)
@@ -314,11 +318,11 @@ class Engine:
         wp.launch(kernels.clear_flags, dim=self.num_worlds, inputs=[self.fresh], outputs=flags)
 
     def refresh(self, worlds: torch.Tensor, *, teleport: bool = False) -> None:
-        """Make everything derived current in ``worlds`` (n,) int64; other worlds keep every bit.
+        """Recompute derived quantities (poses, contacts, forces) of some worlds; others stay bitwise the same.
 
         Args:
-            worlds: those whose state was written.
-            teleport: also move them to ``new_qpos_t``.
+            worlds: (n,) int64 worlds whose state was written.
+            teleport: first teleport them to ``new_qpos_t``.
         """
         self.update_t.zero_()
         self.update_t[worlds] = True
@@ -329,12 +333,12 @@ class Engine:
                 self.graphs.run("refresh", self._refresh)
 
     def overflown(self) -> list[str]:
-        """Names, as in `BufferSizes`, of the buffers that have ever been too small. Waits for the device."""
+        """Return the fields of `BufferSizes` whose buffers have overflowed since the start. Waits for the device."""
         bits = int(wp.to_torch(self.overflow_seen)[0])
         return [name for name, mask in _BUFFER_BITS.items() if bits & int(mask)]
 
     def clear_flags(self, worlds: torch.Tensor) -> None:
-        """Forget overflow, taint and breakage of worlds (n,)."""
+        """Clear the overflow, taint and broken flags of worlds (n,)."""
         for flag in (self.overflow_t, self.taint_t, self.broken_t):
             flag[worlds] = 0
 
@@ -352,13 +356,13 @@ class Engine:
         )
 
     def _refresh(self) -> None:
-        # The engine has no mask here. In other worlds this computes again what it had, but for two things: what a
-        # touch would wake in the next substep would wake now, and the contacts would be those after, not before, the
-        # last integration. So sleep is put back, and forces are only derived for the worlds asked for.
+        # mjw.forward has no mask: it runs in all worlds. In the others it reproduces the present values with two
+        # exceptions: trees that a contact wakes in the next substep would wake now, and contacts would be those after
+        # the last integration instead of before it. So sleep is restored, and forces are derived under the mask.
         data = self.data
         self.pairs_peak.zero_()
         wp.copy(self._asleep_before, data.tree_asleep)
-        # Else the engine would take what was just put to sleep for something just woken.
+        # Without this the engine treats trees that were just put to sleep as just woken.
         sleep.update_sleep(self.model, data)
         mjw.forward(self.model, data)
         self._derive(self.update)

@@ -1,4 +1,4 @@
-"""The one owner of captured graphs of device work, and of the memory that such work allocates."""
+"""Captured graphs of device work, and the memory that captured work allocates."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from mjhab.sim.warp.device import set_up, torch_stream
 
 
 class Graphs:
-    """Run device work by name; it is captured after its first run and replayed from then on.
+    """Runs functions of device work by name: captures each into a graph on its first run, replays the graph afterwards.
 
-    Work must launch the same kernels on the same arrays each time: no host copies, no replaced arrays. Whoever replaces
-    an array or changes an engine option calls `forget`. On Warp's CPU device a replay spares the launches by Python,
-    which cost more than the kernels of a few worlds.
+    A function must launch the same kernels on the same arrays each time, without copies to the host. After replacing an
+    array or changing an engine option, call `forget`. On Warp's CPU device a replay saves the kernel launches from
+    Python, which cost more than the kernels themselves for a few worlds.
 
-    On CUDA a graph is launched on the stream that torch works on, whichever that is: tensors that share memory with
-    the work are read and written in the order of the program. It is captured on a stream of its own, since that of
-    torch, unless told otherwise, is one on which nothing can be captured.
+    On CUDA a graph is launched on torch's current stream, so that torch operations on shared tensors keep their order
+    with it. It is captured on a separate stream, because torch's default stream does not allow capture.
+
+    Args:
+        device: the Warp device that the functions work on.
     """
 
     def __init__(self, device: wp.Device) -> None:
@@ -30,7 +32,7 @@ class Graphs:
         self._stream = wp.Stream(device) if device.is_cuda else None
 
     def run(self, name: str, work: Callable[[], None]) -> None:
-        """Do the work that ``name`` stands for."""
+        """Run ``work``: capture it on the first call with ``name``, replay the graph of ``name`` on later calls."""
         graph = self._graphs.get(name)
         if graph is None:
             self._graphs[name] = self._first_run(work)
@@ -40,25 +42,25 @@ class Graphs:
             wp.capture_launch(graph)
 
     def _first_run(self, work: Callable[[], None]) -> Any:
-        """Do the work and capture it. Waits for the device."""
+        """Run the work once, then capture it; return the graph. Waits for the device."""
         with set_up(self.device), wp.ScopedStream(self._stream), self._arena.lending():
-            # This run loads kernels, which no capture may do, and counts as the run that was asked for; capturing
-            # runs nothing.
+            # The first call loads kernels, which is not allowed in a capture, and is the requested run: a capture
+            # executes nothing.
             work()
             with self._arena.closed(), wp.ScopedCapture(self.device) as capture:
                 work()
         return capture.graph
 
     def forget(self) -> None:
-        """Drop all graphs; the next run of each captures it again."""
+        """Drop all graphs; the next `run` of each name captures it again."""
         self._graphs.clear()
 
 
 class _Arena:
-    """Memory that captured work takes and gives back, kept for as long as graphs may use it.
+    """Allocator for captured work that never frees its blocks, because graphs may use them later.
 
-    The engine allocates within a step, and the body of a conditional graph must hold no allocation. All work runs on
-    one stream, so that a block can serve one piece of work after the other.
+    The engine allocates temporary arrays within a step, but the body of a conditional graph must not allocate. All work
+    runs on one stream, so that one block can be reused by one graph after the other.
     """
 
     deallocate_requires_context_guard = False
@@ -72,14 +74,14 @@ class _Arena:
         self._closed = False
 
     def lending(self) -> AbstractContextManager[None]:
-        """While open, arrays that are made on the device get their memory here."""
+        """Context in which new arrays on the device get their memory from this arena."""
         return self._allocating(self)
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """While open, only memory that was given back is lent on a GPU.
+        """Context in which a GPU arena only hands out free blocks and allocates no new ones.
 
-        What is allocated in a capture belongs to its graph alone, but a block lent here serves other graphs, too.
+        Memory allocated during a capture belongs to that graph alone, but blocks of the arena are shared by graphs.
         """
         self._closed = self._device.is_cuda
         try:
@@ -88,10 +90,10 @@ class _Arena:
             self._closed = False
 
     def allocate(self, size_in_bytes: int) -> int:
-        """Address of so many bytes.
+        """Return the address of a block of ``size_in_bytes`` (Warp's allocator protocol).
 
         Raises:
-            RuntimeError: captured work asks for a block that its first run did not need.
+            RuntimeError: a capture needs a block that the first run of the work did not allocate.
         """
         free = self._free.setdefault(size_in_bytes, [])
         if not free:
@@ -106,18 +108,18 @@ class _Arena:
         return free.pop()
 
     def deallocate(self, ptr: int, size_in_bytes: int) -> None:
-        """Let a block of `allocate` be used again."""
+        """Return a block of `allocate` to the free blocks."""
         self._free[size_in_bytes].append(ptr)
 
     @contextmanager
     def _allocating(self, allocator: _Arena | None) -> Iterator[None]:
-        """While open, the device takes memory from ``allocator``; None is its own."""
+        """Context in which the device allocates from ``allocator``; None is its own allocator."""
         device: Any = self._device
         if device.is_cuda:
             with wp.ScopedAllocator(device, allocator):
                 yield
             return
-        # Warp offers this for CUDA only.
+        # wp.ScopedAllocator works for CUDA devices only.
         before = device.default_allocator
         device.default_allocator = allocator or self._plain
         try:

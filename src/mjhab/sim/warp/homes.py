@@ -1,4 +1,4 @@
-"""What differs between the homes of a layout, on the device: a table with a row per home, copied to worlds at reset."""
+"""Tables on the device of the model fields in which homes differ: one row per home, copied to worlds at reset."""
 
 from __future__ import annotations
 
@@ -22,22 +22,23 @@ HOME_FIELDS = (
     "geom_rbound",
     "jnt_range",
 )
-"""Fields of a compiled model that homes of one layout may differ in."""
+"""Fields of a compiled model in which the homes of a layout may differ."""
 STATIC_POSES = ("geom_xpos", "geom_xmat")
 """World poses of geoms. The engine computes those of static geoms once, from its base model, for all worlds."""
 _ROUNDING = 1e-6
 
 
 class HomeTables:
-    """Rows of HOME_FIELDS and STATIC_POSES of every home used so far, and their copies in the worlds.
-
-    ``rows`` (W,) int32, on the device: row of the home that each world is in; ``names``: of the homes, by row.
+    """Tables of HOME_FIELDS and STATIC_POSES with one row per home used so far, and their copies in the worlds.
 
     Args:
-        base: the model that ``model`` was made from.
-        model: has a row per world of each of HOME_FIELDS.
-        data: the worlds.
-        capacity: number of homes, at most.
+        base: host model that ``model`` was made from.
+        model: device model; has one row per world of each of HOME_FIELDS.
+        data: device data of W worlds.
+        capacity: largest number of homes.
+
+    Attributes:
+        rows: (W,) int32 on the device: table row of the home that each world is in.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class HomeTables:
             name: torch.zeros((capacity, *view.shape[1:]), dtype=view.dtype, device=view.device)
             for name, view in views.items()
         }
-        # The same memory as rows of numbers, for the kernel that copies them under a mask.
+        # The same memory flattened to 2-D, for the kernel that copies rows under a mask.
         self._flat = [
             (wp.from_torch(self._tables[name].flatten(1)), wp.from_torch(view.flatten(1)))
             for name, view in views.items()
@@ -63,11 +64,11 @@ class HomeTables:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the homes used so far, by row."""
+        """Names of the homes used so far, in the order of their rows."""
         return tuple(self._index)
 
     def row(self, home: str, model: mujoco.MjModel) -> int:
-        """Row of a home, whose ``model`` is uploaded the first time.
+        """Return the table row of a home; uploads its ``model`` on the first call.
 
         Raises:
             ValueError: the model differs from the base model in more than HOME_FIELDS.
@@ -86,13 +87,13 @@ class HomeTables:
         return self._index[home]
 
     def put(self, worlds: torch.Tensor, rows: torch.Tensor) -> None:
-        """Copy home ``rows`` (n,) to ``worlds`` (n,), both int64 on the device."""
+        """Put ``worlds`` (n,) into the homes of table ``rows`` (n,); both int64 on the device."""
         self.rows[worlds] = rows.to(self.rows.dtype)
         for name, view in self._worlds.items():
             view[worlds] = self._tables[name][rows]
 
     def put_masked(self, fresh: wp.array, rows: wp.array) -> None:
-        """Copy home ``rows`` (W,) int32 to the worlds in ``fresh`` (W,) bool; part of a captured graph."""
+        """Put the worlds of mask ``fresh`` (W,) bool into homes ``rows`` (W,) int32; part of a captured graph."""
         wp.launch(keep_rows, dim=rows.shape, inputs=[fresh, rows], outputs=[self._rows])
         for table, world in self._flat:
             wp.launch(copy_rows, dim=world.shape, inputs=[fresh, rows, table], outputs=[world])
@@ -109,7 +110,7 @@ class HomeTables:
 
 
 def _shared_fields(base: mujoco.MjModel) -> list[str]:
-    """Numbers of the engine's model that are copied from an MjModel and are one for all worlds."""
+    """Return the names of the MjModel fields that the device model stores once for all worlds."""
     names = {field.name for field in dataclasses.fields(mjw.Model)} - set(HOME_FIELDS)
     return [
         name for name in sorted(names) if isinstance(getattr(base, name, None), (np.ndarray, int))

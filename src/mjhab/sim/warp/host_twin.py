@@ -1,4 +1,4 @@
-"""The warp simulator dressed as the cpu simulator: numpy in and out, for reports that run environments on both."""
+"""Adapter that gives `WarpSimulator` the numpy interface of `CpuSimulator`, for reports that compare both."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from mjhab.sim.protocol import SimState
 
 
 class HostTwin:
-    """See `Simulator` for the methods. Every step copies the state to the host: this is for comparison, not for speed.
+    """A `WarpSimulator` with numpy arrays in and out. See `Simulator` for the methods.
+
+    `state` copies everything to the host: for comparisons, not for speed.
 
     Args:
-        warp: a WarpSimulator.
-        cpu: the simulator of the same layout that the environment had; lends its compiled models.
+        warp: a `WarpSimulator`.
+        cpu: CPU simulator of the same layout that it replaces in an environment; gives compiled models and sizes.
     """
 
     def __init__(self, warp: Any, cpu: CpuSimulator) -> None:
@@ -32,19 +34,19 @@ class HostTwin:
 
     @property
     def qpos(self) -> np.ndarray:
-        """(W, nq) copy of the generalized positions."""
+        """(W, nq) float64 copy of the generalized positions."""
         return _double(self.warp.qpos)
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Put worlds into homes at rest in the states ``qpos`` (n, nq)."""
+        """Reset worlds to the states ``qpos`` (n, nq) of homes with zero velocity."""
         self.warp.reset(ids, homes, qpos)
 
     def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Like `reset`, for worlds that broke."""
+        """Reset worlds that became NaN or infinite; they keep their taint."""
         self.warp.mend(ids, homes, qpos)
 
     def write_qpos(self, world: int, qpos: np.ndarray) -> None:
-        """Move one world to ``qpos`` (nq,)."""
+        """Teleport one world to ``qpos`` (nq,)."""
         self.warp.write_qpos(world, qpos)
 
     def step(self, ctrl: np.ndarray) -> None:
@@ -52,27 +54,27 @@ class HostTwin:
         self.warp.step(np.asarray(ctrl, np.float32))
 
     def state(self) -> SimState:
-        """Copies of the state of all worlds."""
+        """Return numpy copies of the state of all worlds, floats as float64."""
         return map_record(_double, self.warp.state())
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
-        """Everything the physics of one world depends on."""
+        """Return the physics state of one world, see `Simulator.get_world`."""
         return self.warp.get_world(world)
 
     def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
-        """Put one world into a state from `get_world`."""
+        """Restore one world in a home from a state of `get_world`."""
         self.warp.set_world(world, home, saved)
 
     def broken(self) -> np.ndarray:
-        """(W,) bool: worlds that the last step made NaN."""
+        """Return (W,) bool: worlds that became NaN or infinite in the last step."""
         return to_numpy(self.warp.broken()).astype(bool)
 
     def add_taint(self, world: int, mask: int) -> None:
-        """Mark a world with the bits of ``mask``."""
+        """Set the bits ``mask`` in the taint of a world."""
         self.warp.add_taint(world, mask)
 
     def taint(self) -> np.ndarray:
-        """(W,) uint8 bit mask of TAINTS."""
+        """Return (W,) uint8: bit mask of the TAINTS of each world since its reset."""
         return to_numpy(self.warp.taint()).astype(np.uint8)
 
 

@@ -1,9 +1,9 @@
 # type: ignore
-# Kernels are Warp's language in the syntax of Python; its types are not those of Python.
-"""Kernels between MuJoCo Warp and our simulator: contact forces, taint, teleports.
+# Kernels are written in Warp's language: Python syntax with other types, which type checkers reject.
+"""Warp kernels for contact forces, taint, resets and teleports of the worlds of MuJoCo Warp.
 
-The engine's contact list is one for all worlds and in no order, so every kernel over contacts reads the world of each
-contact. A masked kernel leaves the rows of other worlds alone.
+The engine has one unordered contact list for all worlds, so that kernels over contacts read the world of each contact.
+Kernels with a mask (``update``, ``fresh``) do not change the rows of other worlds.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 CONSTRAINT_CONTACT = wp.constant(1)
-"""Bit of ``contact.type``: the contact is one for the solver, not only for a sensor."""
+"""Bit of ``contact.type``: the solver uses the contact; without it, it exists for a sensor only."""
 
 
 @wp.kernel
 def record_peak(count: wp.array[int], peak: wp.array[int]):
-    """Keep the largest number of candidate pairs: the engine's own counter starts anew within a substep."""
+    """Keep the largest number of candidate geom pairs; the engine resets its own counter within a substep."""
     wp.atomic_max(peak, 0, count[0])
 
 
@@ -31,7 +31,7 @@ def clear_forces(
     ee_contact: wp.array2d[bool],
     depth: wp.array[float],
 ):
-    """Zero the force rows of the worlds to update."""
+    """Zero the contact results of the worlds of mask ``update``."""
     world = wp.tid()
     if not update[world]:
         return
@@ -54,9 +54,10 @@ def normal_force(
     efc_address: wp.array2d[int],
     efc_force: wp.array2d[float],
 ) -> wp.vec3:
-    """Normal force [N] of the first geom on the second, world frame, without friction; elliptic cones.
+    """Return the normal force [N] of the first geom on the second in the world frame, without friction.
 
-    The first row of a contact in the solver is its normal, the first row of its frame is the normal's direction.
+    With elliptic cones the first constraint row of a contact is its normal force; the first row of its frame is the
+    direction of the normal.
     """
     row = efc_address[contact, 0]
     if row < 0 or row >= njmax:
@@ -88,9 +89,10 @@ def add_contacts(
     ee_contact: wp.array2d[bool],
     depth: wp.array[float],
 ):
-    """Add the force of every contact of the robot to its link, finger and target, and mark the targets it touches.
+    """Sum the forces of the robot's contacts per force link and per (finger, target), and mark touched targets.
 
-    ``*_of`` map bodies, -1 is none.
+    One thread per contact. ``link_of``, ``finger_of`` and ``target_of`` map body ids to columns, -1 for none;
+    ``depth`` becomes the least contact distance [m] of the robot (negative: penetration).
     """
     contact = wp.tid()
     if contact >= nacon[0] or (kind[contact] & CONSTRAINT_CONTACT) == 0:
@@ -134,13 +136,13 @@ def finish_state(
     link_force: wp.array2d[float],
     tcp_vel: wp.array[wp.vec3],
 ):
-    """Norms of the net link forces [N], and the velocity [m/s] of the tool centre in the world."""
+    """Compute the norms of the net link forces [N], and the velocity [m/s] of the tcp in the world frame."""
     world = wp.tid()
     if not update[world]:
         return
     for k in range(link_net.shape[1]):
         link_force[world, k] = wp.length(link_net[world, k])
-    # The engine keeps velocities (rotation first) at the centre of mass of the whole tree.
+    # ``cvel`` is (angular, linear) at the centre of mass of the whole kinematic tree.
     velocity = cvel[world, tcp]
     arm = xpos[world, tcp] - subtree_com[world, tcp_root]
     tcp_vel[world] = wp.spatial_bottom(velocity) + wp.cross(wp.spatial_top(velocity), arm)
@@ -157,10 +159,10 @@ def put_back_broken(
     overflow: wp.array[int],
     broken: wp.array[bool],
 ):
-    """Put a world that is not finite back to its positions ``before``, at rest and as it ``slept``; tell ``broken``.
+    """Set worlds with NaN or infinite values back to qpos ``before`` and sleep state ``slept``, and mark them broken.
 
-    Left alone it would overlap with everything: its pairs would fill the contact buffer that all worlds share; awake it
-    would need more rows than there are. That it did says nothing about the buffers.
+    Their velocity becomes zero. Without this, such a world would report contacts between all geoms and fill the contact
+    buffer that all worlds share. Its overflow bits are cleared, because they do not mean that buffers are too small.
     """
     world = wp.tid()
     finite = wp.bool(True)
@@ -192,14 +194,14 @@ def check_worlds(
     broken: wp.array[bool],
     taint: wp.array[wp.uint8],
 ):
-    """Translate what went wrong in a control step into bits of TAINTS.
+    """Set the bits of TAINTS from overflows, penetration and broken worlds of a control step.
 
-    ``bits``: masks of the overflow bits that mean lost contacts, lost constraint rows, and what else the engine says.
-    Bits of TAINTS, lowest first: contacts, constraints, nan, engine, penetration.
+    ``bits`` (3,): masks of the engine's overflow bits for lost contacts, lost constraint rows and other warnings. Bits
+    of TAINTS, lowest first: contacts, constraints, nan, engine, penetration.
     """
     world = wp.tid()
     found = wp.int32(0)
-    # Nobody knows whose pairs were dropped, so every world is suspect.
+    # The engine does not tell whose pairs were dropped, so every world is tainted.
     if (overflow[world] & bits[0]) != 0 or peak[0] > naconmax:
         found = found | 1
     if (overflow[world] & bits[1]) != 0:
@@ -225,10 +227,11 @@ def teleport(
     qvel: wp.array2d[float],
     tree_asleep: wp.array2d[int],
 ):
-    """Write positions; wake every tree that moves and all that sleep with it, which the engine would leave hanging.
+    """Write qpos, and wake every tree that moves together with the trees of its sleep ring.
 
-    ``tree_q``, ``tree_v``: first index and number of each tree's positions and velocities; ``stops``: 2 a tree whose
-    velocity becomes zero in any case, 1 only if it moves, 0 never; ``awake``: the engine's code of a tree just woken.
+    Without waking them, objects whose support moved away would stay in the air. ``tree_q``, ``tree_v``: first index and
+    number of each tree's entries in qpos and qvel. ``stops``: whether a tree's velocity becomes zero: 2 always, 1 if it
+    moves, 0 never. ``awake``: value of ``tree_asleep`` of a tree that was just woken.
     """
     world = wp.tid()
     if not update[world]:
@@ -243,7 +246,7 @@ def teleport(
             for i in range(tree_v[tree][0], tree_v[tree][0] + tree_v[tree][1]):
                 qvel[world, i] = 0.0
         if moved:
-            # Trees that fell asleep together form a ring of indices.
+            # ``tree_asleep`` links the trees that fell asleep together in a cycle.
             sleeper = int(tree)
             for _ in range(tree_q.shape[0]):
                 following = tree_asleep[world, sleeper]
@@ -260,7 +263,7 @@ def restore_sleep(
     saved: wp.array2d[int],
     tree_asleep: wp.array2d[int],
 ):
-    """Give the worlds that are not updated back what slept before."""
+    """Restore ``tree_asleep`` from ``saved`` in the worlds outside of mask ``update``."""
     world, tree = wp.tid()
     if not update[world]:
         tree_asleep[world, tree] = saved[world, tree]
@@ -268,21 +271,21 @@ def restore_sleep(
 
 @wp.kernel
 def any_of(update: wp.array[bool], found: wp.array[int]):
-    """Set ``found`` to 1 if some world is to be updated; it must have been 0."""
+    """Set ``found`` to 1 if any world is in mask ``update``; the caller has set it to 0."""
     if update[wp.tid()]:
         found[0] = 1
 
 
 @wp.kernel
 def unite(a: wp.array[bool], b: wp.array[bool], either: wp.array[bool]):
-    """``either`` of two masks of worlds."""
+    """Write the union of two masks of worlds to ``either``."""
     world = wp.tid()
     either[world] = a[world] or b[world]
 
 
 @wp.kernel
 def keep_rows(fresh: wp.array[bool], rows: wp.array[int], kept: wp.array[int]):
-    """Note the row of every world in ``fresh``."""
+    """Copy ``rows`` to ``kept`` for the worlds of mask ``fresh``."""
     world = wp.tid()
     if fresh[world]:
         kept[world] = rows[world]
@@ -292,7 +295,7 @@ def keep_rows(fresh: wp.array[bool], rows: wp.array[int], kept: wp.array[int]):
 def copy_rows(
     fresh: wp.array[bool], rows: wp.array[int], table: wp.array2d[float], out: wp.array2d[float]
 ):
-    """Row ``rows[world]`` of a table to the worlds that begin anew."""
+    """Copy row ``rows[world]`` of a table to ``out[world]`` for the worlds of mask ``fresh``."""
     world, i = wp.tid()
     if fresh[world]:
         out[world, i] = table[rows[world], i]
@@ -312,7 +315,10 @@ def begin_worlds(
     time: wp.array[float],
     tree_asleep: wp.array2d[int],
 ):
-    """Put worlds at rest in new positions; ``new_rings``: -1 for a tree that is awake, else the next of its ring."""
+    """Reset the worlds of mask ``fresh`` to ``new_qpos`` and ``new_ctrl``, with zero velocity, warm start and time.
+
+    ``new_rings``: -1 for an awake tree, else the next tree of its sleep ring.
+    """
     world = wp.tid()
     if not fresh[world]:
         return
@@ -338,7 +344,7 @@ def clear_flags(
     taint: wp.array[wp.uint8],
     broken: wp.array[bool],
 ):
-    """Forget what went wrong in the worlds that begin anew."""
+    """Clear overflow, taint and broken flags of the worlds of mask ``fresh``."""
     world = wp.tid()
     if fresh[world]:
         overflow[world] = 0
@@ -350,7 +356,7 @@ def clear_flags(
 def note_overflow(
     overflow: wp.array[int], peak: wp.array[int], naconmax: int, pairs_bit: int, seen: wp.array[int]
 ):
-    """Remember in ``seen`` which buffers have ever overflowed, as bits of the engine."""
+    """Add the engine's overflow bits of this control step to ``seen``, which is never cleared."""
     bits = overflow[wp.tid()]
     if peak[0] > naconmax:
         bits = bits | pairs_bit

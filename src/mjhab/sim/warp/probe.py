@@ -1,4 +1,4 @@
-"""Questions to Warp that need no simulation: which CUDA devices there are, whether one has finished."""
+"""Functions of Warp that need no simulation: list CUDA devices, wait for a device."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ wp.config.log_level = wp.LOG_WARNING
 
 
 def cuda_devices() -> list[str]:
-    """Names of the CUDA devices, e.g. ["cuda:0"]."""
+    """Return the names of the CUDA devices, e.g. ["cuda:0"]."""
     wp.init()
     return [str(device) for device in wp.get_cuda_devices()]
 
 
 def synchronize(device: wp.Device) -> None:
-    """Wait until a device has done all work it was given."""
+    """Block until a device has finished all queued work."""
     wp.synchronize_device(device)

@@ -1,4 +1,4 @@
-"""What lies still in a state, so that a world can start with it asleep."""
+"""Find the kinematic trees that are at rest in a state, so that a world can start with them asleep."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ import numpy as np
 from mjhab.layout.layout import Addresses
 
 REST_ACCELERATION = 0.5
-"""A tree of bodies that would accelerate less than this [m/s^2] lies still. Settled starts of tasks have at most 0.11
-(the damping of their last creep), a falling object has 9.8."""
+"""A kinematic tree counts as at rest if no dof accelerates by this [m/s^2] or more. Settled task starts have at most
+0.11, a falling object has 9.8."""
 _REMEMBERED = 4096
+"""Most states whose result is cached."""
 
 
 class RestFinder:
-    """Answers for states of the homes of a layout, on C MuJoCo; the same start asked again costs nothing.
+    """Finds the trees at rest in states of a layout's homes with C MuJoCo, and caches the results.
 
     Args:
-        model: of any home.
-        a: addresses in it.
+        model: compiled model of any home.
+        a: addresses of the layout.
     """
 
     def __init__(self, model: mujoco.MjModel, a: Addresses) -> None:
@@ -31,15 +32,20 @@ class RestFinder:
     def rings(
         self, home: str, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray
     ) -> np.ndarray:
-        """(ntree,) int32: -1 for a tree that is awake, else the next of those that sleep and wake together with it.
+        """Return which trees may sleep in a state, in the format of MuJoCo's ``tree_asleep``.
 
-        Asleep are trees that have no velocity and hardly any acceleration, if the same holds for all that they touch.
-        The robot is always awake.
+        A tree sleeps if it has no velocity and accelerates by less than REST_ACCELERATION, and if the same holds for
+        all trees of its constraint island. The robot is always awake.
 
         Args:
             home: name of the home.
-            model: of the home.
-            qpos, qvel: the state, (nq,) and (nv,).
+            model: compiled model of the home.
+            qpos: (nq,) positions.
+            qvel: (nv,) velocities.
+
+        Returns:
+            (ntree,) int32: -1 for an awake tree; for a sleeping one the next tree of its ring, the cycle of trees that
+            sleep and wake together (its own index if it is alone).
         """
         key = (home, qpos.tobytes(), qvel.tobytes())
         if key not in self._known:
@@ -54,14 +60,14 @@ class RestFinder:
         data.qpos[:] = qpos
         data.qvel[:] = qvel
         mujoco.mj_forward(model, data)
-        # ``dof_length`` turns rotations into what they move at the rim of the body.
+        # ``dof_length`` [m] of a rotational dof turns rad/s^2 into m/s^2 at the rim of the body.
         quiet = (np.abs(data.qacc) * model.dof_length < REST_ACCELERATION) & (
             np.asarray(qvel) == 0.0
         )
         still = np.logical_and.reduceat(quiet, model.tree_dofadr)
         still[self._robot_tree] = False
         rings = np.where(still, np.arange(model.ntree), -1).astype(np.int32)
-        # An island is what constraints hold together: all of it sleeps, or nothing.
+        # Trees of one constraint island sleep together or not at all.
         for island in range(data.nisland):
             trees = np.flatnonzero(data.tree_island[: model.ntree] == island)
             rings[trees] = np.roll(trees, -1) if still[trees].all() else -1

@@ -1,4 +1,4 @@
-"""The GPU simulator: MuJoCo Warp, one device model for all homes, worlds as rows of device arrays."""
+"""The GPU simulator on MuJoCo Warp: one model on the device for all homes; each world is a row of device arrays."""
 
 from __future__ import annotations
 
@@ -34,18 +34,22 @@ except ModuleNotFoundError as error:
 
 
 class WarpSimulator:
-    """Worlds on MuJoCo Warp. See `Simulator` for the methods; arrays are torch tensors on the device, float32.
+    """Worlds on MuJoCo Warp. See `Simulator` for the methods; arrays are float32 torch tensors on the device.
 
-    Forces, flags and poses mean what they mean in `CpuSimulator`. There, everything in a reset world is awake for ten
-    substeps; here what lies still sleeps at once, since buffers and solver are sized for what is awake.
+    Forces, flags and poses have the meaning they have in `CpuSimulator`. There, every tree of a reset world is awake
+    for ten substeps; here, trees at rest sleep at once, because buffers and solver are sized for the awake ones.
 
     Args:
-        layout: what all homes share.
-        num_worlds: worlds stepped together, >= 1.
-        device: a Warp device: "cpu", "cuda:0"; "" takes the first CUDA device.
-        drives: servos of the robot, as the control mode needs them.
-        sizes: of the engine's buffers; None calibrates them, once per layout.
-        buffers: other values for single fields of `BufferSizes`, as {"contacts": 100_000}.
+        layout: names, order and sizes shared by all homes.
+        num_worlds: size W of the batch, at least 1.
+        device: a Warp device: "cpu", "cuda:0"; "" is the first CUDA device.
+        drives: changes to the robot's servos that the control mode needs; None for none.
+        sizes: capacities of the engine's buffers; None measures them, once per layout.
+        buffers: overrides for single fields of `BufferSizes`, e.g. {"contacts": 100_000}.
+
+    Raises:
+        UsageError: ``num_worlds`` is below 1, there is no such device or buffer, or the worlds need more memory than
+            the device has.
     """
 
     num_threads = 1
@@ -66,7 +70,7 @@ class WarpSimulator:
         self.drives = drives or Drives()
         self.device = open_device(device)
         self.model = HomeModels(layout, self.drives)
-        """The compiled model of a home of the pack, on the host, by the name of the home."""
+        """Returns the compiled model of a home of the pack, on the host, by name."""
         base = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, base)
         sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
@@ -85,7 +89,7 @@ class WarpSimulator:
             self._indices, (a.robot_q, a.robot_v, a.link_q, a.link_v)
         )
         self._views = self._make_views()
-        # The first refresh takes memory, too.
+        # The first reset allocates device memory: it belongs under `room_for`.
         self.reset(
             range(self.num_worlds),
             [home] * self.num_worlds,
@@ -98,7 +102,7 @@ class WarpSimulator:
         return self.engine.qpos_t
 
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
-        """Put worlds into homes, at rest in ``qpos`` (n, nq). Other worlds keep every bit."""
+        """Reset worlds to the states ``qpos`` (n, nq) of homes with zero velocity; others stay bitwise the same."""
         qpos = to_numpy(qpos)
         worlds = self._clear(ids, homes, qpos, np.zeros((len(qpos), self.engine.qvel_t.shape[1])))
         self.engine.qpos_t[worlds] = self._upload(qpos)
@@ -127,9 +131,9 @@ class WarpSimulator:
         self.engine.clear_flags(worlds)
 
     def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
-        """Put worlds that broke at rest in the states ``qpos`` (n, nq); they stay tainted.
+        """Reset worlds that became NaN or infinite to ``qpos`` (n, nq) with zero velocity; they keep their taint.
 
-        A state that is not finite itself is replaced by the model's default.
+        A row of ``qpos`` that is not finite is replaced by the model's ``qpos0``.
         """
         given = to_numpy(qpos)
         worlds = self._indices(ids)
@@ -141,15 +145,18 @@ class WarpSimulator:
         self.engine.taint_t[worlds] = taint
 
     def broken(self) -> torch.Tensor:
-        """(W,) bool: worlds that the last step made NaN or infinite, and that were put back for it."""
+        """Return (W,) bool: worlds that became NaN or infinite in the last step and were set back to its start."""
         return self.engine.broken_t
 
     def write_qpos(self, world: int, qpos: Any) -> None:
-        """Move one world to ``qpos`` (nq,), its robot and what it moves at rest; its home stays."""
+        """Teleport one world to ``qpos`` (nq,) in its present home.
+
+        The robot, and every object whose pose changes, get zero velocity.
+        """
         self.teleport([world], qpos[None])
 
     def teleport(self, ids: Sequence[int], qpos: Any) -> None:
-        """`write_qpos` of several worlds at once, ``qpos`` (n, nq)."""
+        """Teleport worlds ``ids`` to ``qpos`` (n, nq) as `write_qpos` does, in one launch."""
         worlds = self._indices(ids)
         self.engine.new_qpos_t[worlds] = self._upload(qpos)
         self.engine.refresh(worlds, teleport=True)
@@ -157,10 +164,15 @@ class WarpSimulator:
     def start_rows(
         self, homes: Sequence[str], qpos: np.ndarray
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """What `reset_masked` needs of starts at rest in the states ``qpos`` (n, nq) of ``homes``, on the device.
+        """Prepare device tensors for `reset_masked` from start states with zero velocity; uploads the homes.
+
+        Args:
+            homes: (n,) names of the homes.
+            qpos: (n, nq) start states.
 
         Returns:
-            rows (n,) int32 of the homes, which are uploaded; commands (n, nu) float32; sleep (n, ntree) int32.
+            Home rows (n,) int32; actuator commands (n, nu) float32; sleep rings (n, ntree) int32, see
+            `RestFinder.rings`.
         """
         rows = np.array([self.engine.homes.row(home, self.model(home)) for home in homes], np.int32)
         still = np.zeros(self.engine.qvel_t.shape[1])
@@ -184,15 +196,21 @@ class WarpSimulator:
         rings: torch.Tensor,
         moved: torch.Tensor | None = None,
     ) -> None:
-        """Begin the worlds of ``mask`` (W,) bool at rest in ``qpos`` (W, nq); the others keep every bit.
+        """Reset the worlds of ``mask`` to their rows of ``qpos`` with zero velocity; others stay bitwise the same.
 
-        Nothing is copied to or from the host. All arguments are tensors on the device with a row per world, and rows
+        Nothing is copied to or from the host. All arguments are tensors on the device with one row per world; rows
         outside of the masks are not read.
 
         Args:
-            mask: worlds to reset.
-            rows, ctrl, rings: rows of `start_rows`.
-            moved: (W,) bool, worlds that are teleported to their row of ``qpos`` instead; none that is in ``mask``.
+            mask: (W,) bool, worlds to reset.
+            rows: (W,) int32 home rows, from `start_rows`.
+            qpos: (W, nq) float32 states.
+            ctrl: (W, nu) float32 actuator commands, from `start_rows`.
+            rings: (W, ntree) int32 sleep rings, from `start_rows`.
+            moved: (W,) bool, worlds that are teleported to their row of ``qpos`` instead; disjoint from ``mask``.
+
+        Raises:
+            UsageError: the device is out of memory.
         """
         engine = self.engine
         engine.fresh_t.copy_(mask)
@@ -205,18 +223,19 @@ class WarpSimulator:
             engine.renew()
 
     def mend_broken(self) -> None:
-        """Let worlds that the last step broke lie still where they were before it, without a host copy.
+        """Make the worlds that became NaN or infinite in the last step usable again, without a copy to the host.
 
-        They stay tainted, and under the commands of the step; `mend` would give them those of a start.
+        The step has set them back to their positions before it with zero velocity; this recomputes their derived
+        quantities. They keep their taint and the commands of the step, where `mend` sets the commands of a start.
         """
         with room_for(self.num_worlds, self.device):
             self.engine.mend()
 
     def check_overflow(self) -> None:
-        """Complain if a buffer was ever too small. Waits for the device.
+        """Check that no buffer has overflowed since the simulator was made. Waits for the device.
 
         Raises:
-            UsageError: names the buffer, its size and a larger one.
+            UsageError: a buffer has; names it, its size and twice that size.
         """
         names = self.engine.overflown()
         sizes = dataclasses.asdict(self.engine.sizes)
@@ -228,17 +247,17 @@ class WarpSimulator:
             )
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
-        """Copies of everything the physics of one world depends on: "time", "qpos", "qvel", "ctrl", "warmstart".
+        """Return numpy copies of the physics state of one world: "time", "qpos", "qvel", "ctrl", "warmstart".
 
-        What sleeps is not in it, as in `CpuSimulator.get_world`.
+        Which trees sleep is not part of it, as in `CpuSimulator.get_world`.
         """
         return {name: to_numpy(rows[world]).copy() for name, rows in self._world_rows().items()}
 
     def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
-        """Put one world into a home in a state from `get_world`. Its taint is cleared.
+        """Restore one world in a home from a state of `get_world`, and clear its taint.
 
         Raises:
-            UsageError: the state is that of another layout.
+            UsageError: the arrays have the shapes of another layout.
         """
         rows = self._world_rows()
         for name, row in rows.items():
@@ -264,13 +283,16 @@ class WarpSimulator:
         }
 
     def step(self, ctrl: Any) -> None:
-        """Advance all worlds by one control step under ``ctrl`` (W, nu), best a float32 tensor on the device."""
+        """Advance all worlds by one control step under ``ctrl`` (W, nu).
+
+        A float32 tensor on the device is used without a copy from the host.
+        """
         self.engine.ctrl_t.copy_(torch.as_tensor(ctrl))
         with room_for(self.num_worlds, self.device):
             self.engine.step()
 
     def state(self) -> SimState:
-        """The current state of all worlds; most arrays are views that the next step or reset overwrites."""
+        """Return the current state of all worlds; most arrays are views that the next step or reset overwrites."""
         q = self.engine.qpos_t
         v = self.engine.qvel_t
         return dataclasses.replace(
@@ -282,7 +304,7 @@ class WarpSimulator:
         )
 
     def _make_views(self) -> SimState:
-        # Everything that lies in one block; the joints of the robot do not, `state` gathers them.
+        # Arrays that are contiguous in the engine become views. Joints are not contiguous: `state` gathers them.
         a = self.addresses
         engine = self.engine
         pose, velocity = (
@@ -310,11 +332,11 @@ class WarpSimulator:
         )
 
     def add_taint(self, world: int, mask: int) -> None:
-        """Mark a world with the bits of ``mask``."""
+        """Set the bits ``mask`` in the taint of a world."""
         self.engine.taint_t[world] |= mask
 
     def taint(self) -> torch.Tensor:
-        """(W,) uint8 bit mask of TAINTS that arose since each world's reset."""
+        """Return (W,) uint8: bit mask of the TAINTS of each world since its reset."""
         return self.engine.taint_t.clone()
 
     @property

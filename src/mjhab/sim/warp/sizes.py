@@ -1,4 +1,4 @@
-"""How large the engine's buffers must be: measured once per layout by driving wildly through its homes."""
+"""Sizes of the engine's buffers, measured once per layout in rollouts with random commands in its homes."""
 
 from __future__ import annotations
 
@@ -28,30 +28,35 @@ from mjhab.sim.mujoco.settle import settle
 from mjhab.sim.warp.engine import BufferSizes, Engine
 
 MARGIN = 1.25
-"""Over the largest demand that the stress rollouts saw."""
+"""Factor on the largest demand measured in the stress rollouts."""
 STRESS_HOMES = 4
+"""Homes in which stress rollouts run."""
 ROUNDS = 6
+"""Stress rollouts per home."""
 STRESS_STEPS = 600
+"""Substeps [10 ms] of a stress rollout."""
 HOLD_STEPS = 40
-"""Homes driven through, how often, substeps [10 ms] each time, and substeps that one random command lasts."""
+"""Substeps [10 ms] for which a random command is held."""
 HEAPS = 6
-"""Receptacles on which all objects of a round lie: closer than in any task, so that the robot has much to push."""
+"""Receptacles that hold all objects of a rollout: denser than in any task, so that the robot makes many contacts."""
 LEAST = BufferSizes(contacts=24, ccd=16, rows=256, awake=64)
-"""Per world, whatever was measured: the robot and eight objects in motion."""
+"""Least sizes per world: enough for the robot and eight moving objects."""
 CROWD = 256
-"""Contacts on top, so that one world in trouble does not take those of the others."""
+"""Extra contacts for the whole batch, so that one world with many contacts does not use up those of the others."""
 PLACES = 30
+"""Random base poses tried; the robot starts a rollout in the one with the fewest contacts."""
 REACH = (0.6, 1.0)
-"""Random places at that distance [m] from random objects, of which the robot starts where it touches least."""
+"""Range of the distance [m] of these base poses from a random object."""
 TOP_SPEED = 1.5
-"""Largest command [m/s or rad/s] of velocity servos, and angle [rad] of joints without limits."""
+"""Largest command of velocity servos [m/s or rad/s], and of position servos of joints without limits [rad]."""
 WORST_STATES = 1
+"""States with the most contacts of each rollout whose demand is measured on the device."""
 OTHER_STATES = 1
-"""Per round: states with most contacts, and random ones, whose demand is measured on the device."""
+"""Random states of each rollout whose demand is measured on the device."""
 SLEEP_STEPS = 30
-"""Substeps [10 ms] after which what lies still sleeps in C MuJoCo."""
+"""Substeps [10 ms] simulated before the first command, in which C MuJoCo puts trees at rest to sleep."""
 AWAKE_STEP = 16
-"""The engine solves dense blocks of this many degrees of freedom."""
+"""The engine solves dense blocks of this many dofs; `BufferSizes.awake` is a multiple of it."""
 _CCD_TRIES = (16, 32, 64, 96, 128, 192, 256, 512, 1024)
 _GENEROUS = BufferSizes(contacts=4096, ccd=1024, rows=2048)
 _FORMAT = "mjhab-warp-sizes-1"
@@ -59,7 +64,7 @@ _FORMAT = "mjhab-warp-sizes-1"
 
 @dataclass(frozen=True)
 class Demand:
-    """What one world may need: the worst that was seen, and the mean. See `BufferSizes`."""
+    """Measured demand of one world on each of `BufferSizes`: the largest, and for shared buffers also the mean."""
 
     contacts: int
     mean_contacts: float
@@ -69,7 +74,14 @@ class Demand:
     awake: int
 
     def sizes(self, num_worlds: int, nv: int) -> BufferSizes:
-        """Buffers for a batch of a model with ``nv`` dofs: contacts are shared, so not all worlds need the worst."""
+        """Return the buffer sizes for a batch.
+
+        Contacts and ccd are shared by all worlds, so that the batch needs less than the largest demand of every world.
+
+        Args:
+            num_worlds: size of the batch.
+            nv: dofs of the model, the limit of ``awake``.
+        """
 
         def shared(worst: int, mean: float) -> int:
             spread = 2.0 * math.sqrt(worst * mean / num_worlds)
@@ -86,7 +98,13 @@ class Demand:
 
 @dataclass(frozen=True, eq=False)
 class Stress:
-    """A rollout: ``states`` (qpos (nq,), tree_asleep (ntree,)) of interest; the most rows and awake dofs of any."""
+    """Result of a stress rollout.
+
+    Attributes:
+        states: (qpos (nq,), tree_asleep (ntree,)) of the states to measure on the device.
+        rows: largest number of constraint rows of any substep.
+        awake: largest number of awake dofs of any substep.
+    """
 
     states: list[tuple[np.ndarray, np.ndarray]]
     rows: int
@@ -100,7 +118,15 @@ def buffer_sizes(
     num_worlds: int,
     device: wp.Device,
 ) -> BufferSizes:
-    """Sizes for a batch of worlds of a layout, from the cache when they were measured before."""
+    """Return the buffer sizes for a batch of worlds of a layout; measured demands are cached on disk.
+
+    Args:
+        layout: the layout.
+        model: returns the compiled model of a home by name.
+        a: addresses of the layout.
+        num_worlds: size of the batch.
+        device: Warp device to measure on.
+    """
     homes = layout.pack.homes
     chosen = [
         homes[i] for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})
@@ -119,10 +145,10 @@ def buffer_sizes(
 
 
 def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes:
-    """``sizes`` with other values for some fields.
+    """Return ``sizes`` with the fields of ``changes`` replaced.
 
     Raises:
-        UsageError: no such buffer, or no whole number of at least 1.
+        UsageError: there is no such field, or a value is not an integer of at least 1.
     """
     names = [field.name for field in dataclasses.fields(BufferSizes)]
     for name, value in changes.items():
@@ -140,7 +166,7 @@ def measure_demand(
     homes: list[Home],
     device: wp.Device,
 ) -> Demand:
-    """Drive through some homes on C MuJoCo and measure chosen states of them on the device, one by one."""
+    """Run stress rollouts in ``homes`` on C MuJoCo, and measure the demand of states of them on the device."""
     engine = Engine(model(homes[0].name), a, 1, len(homes), _GENEROUS, device)
     turns = [home for home in homes for _ in range(ROUNDS)]
     runs = [stress(layout, home, model(home.name), a, index) for index, home in enumerate(turns)]
@@ -164,13 +190,13 @@ def measure_demand(
 
 
 def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int) -> Stress:
-    """Random commands at full speed among objects that lie on the receptacles of a home, from stream ``index``."""
+    """Simulate random commands at full speed near objects on the receptacles of a home; ``index`` seeds the draws."""
     rng = stream(0, "warp stress", index)
     data = mujoco.MjData(model)
     data.qpos[:] = settle(model, a, _strew(layout, home, model, a, rng))[0]
     _stand_free(data, model, a, rng)
     low, high = model.jnt_range[model.actuator_trnid[:, 0]].T
-    # A servo without stiffness is commanded a speed.
+    # A servo without position gain takes a speed.
     is_speed = (model.actuator_biasprm[:, 1] == 0.0) | (high <= low)
     low = np.where(is_speed, -TOP_SPEED, low)
     high = np.where(is_speed, TOP_SPEED, high)
@@ -195,7 +221,7 @@ def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, inde
 def _strew(
     layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
 ) -> np.ndarray:
-    """(nq,) state with every object just above a random place of one of a few open receptacles."""
+    """Return a state (nq,) with every object 2 cm above a random point of one of HEAPS open receptacles."""
     qpos = model.qpos0.copy()
     surfaces = [r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"]
     surfaces = [surfaces[i] for i in rng.permutation(len(surfaces))[:HEAPS]]
@@ -210,7 +236,7 @@ def _strew(
 def _stand_free(
     data: mujoco.MjData, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
 ) -> None:
-    """Put the robot near an object, at that of some random places where it touches least."""
+    """Set the robot to the one of PLACES random base poses near objects in which it has the fewest contacts."""
     robot_tree = model.body_treeid[a.robot_body[a.robot.tcp]]
     data.qpos[a.robot_q] = a.robot.rest
     best = np.zeros(3)
@@ -240,13 +266,23 @@ def _stand_free(
 def _measure(
     engine: Engine, home_row: int, qpos: np.ndarray, asleep: np.ndarray
 ) -> tuple[int, int, int]:
-    """Demand of one state: contacts or candidate pairs, pairs in convex collision, constraint rows."""
+    """Measure the demand of one state on the device.
+
+    Args:
+        engine: with a batch of one world.
+        home_row: row of the home in the engine's tables.
+        qpos: (nq,) state.
+        asleep: (ntree,) its ``tree_asleep``.
+
+    Returns:
+        Contacts or candidate pairs, whichever are more; geom pairs in convex collision; constraint rows.
+    """
     data = engine.data
     device = engine.qpos_t.device
     world = torch.zeros(1, dtype=torch.int64, device=device)
     row = torch.as_tensor([home_row], device=device)
     contacts = rows = 0
-    # The engine counts pairs in convex collision nowhere, but says when there are more than it may take.
+    # The engine does not count pairs in convex collision, but reports when they exceed ``naccdmax``.
     for allowed in _CCD_TRIES:
         data.naccdmax = allowed
         engine.graphs.forget()

@@ -383,7 +383,8 @@ class EpisodeMaker:
         return hashlib.sha256(repr((*parts, own) if own else parts).encode()).hexdigest()[:16]
 
     def _path(self, seed: int, index: int) -> Path:
-        name = f"{self.task}{self.target}-{self.split}-{seed}-{index}.json"
+        scene = f"{self.task}-{self.target}" if self.target else self.task
+        name = f"{scene}-{self.split}-{seed}-{index}.json"
         return below(cache_dir() / "episodes" / self.digest, name)
 
     def _save(self, path: Path, episode: Episode) -> None:

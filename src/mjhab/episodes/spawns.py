@@ -202,7 +202,7 @@ class SpawnSampler:
                 return found
         best = self._roomiest(home, cells)
         return self._pose(
-            home, qpos, np.array([*best, self._heading(best, goal)]), np.zeros(7), held
+            home, qpos, np.array([*best, self._heading(best, goal)]), np.zeros(len(self._arm)), held
         )
 
     # -- one try ---------------------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ class Focus:
 
 
 class Tables(Protocol):
-    """Tables that `look_up` reads; implemented by `PlanTables` and `Rows`, which see."""
+    """Tables that `look_up` reads; `PlanTables`, which describes them, and `Rows` have them."""
 
     @property
     def arrays(self) -> PlanArrays: ...

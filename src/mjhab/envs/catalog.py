@@ -1,4 +1,4 @@
-"""Environment ids, and the one place that builds environments."""
+"""Environment ids and construction of environments."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from mjhab.envs.single import SingleEnv
 
 SUBTASK_ID_ORDER = ("pick", "place", "open", "close", "navigate")
-"""The ids of mjhab's own subtasks stand in this order; those of plugins follow."""
+"""Order of the ids of mjhab's own subtasks; those of plugins follow."""
 
 
 NO_FRAMESKIP = "unexpected keyword argument 'frameskip': a control step is always 50 ms; repeat actions instead."
-"""torchrl's GymEnv passes ``frameskip`` to every environment; at a TypeError with these words it goes on without."""
+"""Message of the TypeError at ``frameskip``: torchrl's GymEnv passes it, and on this text tries again without it."""
 
 
 class UnexpectedArgument(UsageError, TypeError):
@@ -33,9 +33,9 @@ class UnexpectedArgument(UsageError, TypeError):
 
 
 def env_ids() -> dict[str, dict[str, Any]]:
-    """Every Gymnasium id and the options it stands for: of a whole task, or of a subtask's training environment.
+    """List every Gymnasium id with its options: "mjhab/<Task>-v1" and "mjhab/<Subtask>SubtaskTrain-v1".
 
-    The ``task`` of a training environment may be given as an option: it is the first one that has the subtask.
+    The ``task`` of a training environment defaults to the first one that has the subtask; an option overrides it.
     """
     chains = {f"mjhab/{_title(task)}-v1": {"task": task} for task in TASKS}
     trained = [name for name in SUBTASKS if any(name in TASKS[task].subtasks for task in TASKS)]
@@ -48,7 +48,7 @@ def env_ids() -> dict[str, dict[str, Any]]:
 
 
 def plugin_of(env_id: str) -> str:
-    """The plugin that an environment comes from, "" for mjhab itself."""
+    """Name of the plugin that registered an environment, "" for mjhab itself."""
     options = env_ids()[env_id]
     subtask = options.get("subtask", "")
     return SUBTASKS.source(subtask) if subtask else TASKS.source(options["task"])
@@ -60,7 +60,7 @@ def _title(name: str) -> str:
 
 
 def make(**options: Any) -> Any:
-    """Build a vector environment of a chain, or of one of its subtasks as it is evaluated.
+    """Build a vector environment of a household task, or of one of its subtasks for evaluation.
 
     Args:
         **options: fields of `EnvConfig`.
@@ -75,7 +75,7 @@ def make(**options: Any) -> Any:
 
 
 def make_train(**options: Any) -> Any:
-    """Build a vector environment in which one subtask is trained.
+    """Build a vector environment for the training of one subtask.
 
     Args:
         **options: fields of `TrainConfig`.
@@ -101,7 +101,11 @@ def build(config: EnvConfig) -> TaskLoop:
 
 
 def make_by_id(env_id: str, **options: Any) -> Any:
-    """Build the vector environment of a Gymnasium id, e.g. ``"mjhab/SetTable-v1"``."""
+    """Build the vector environment of a Gymnasium id, e.g. ``"mjhab/SetTable-v1"``.
+
+    Raises:
+        UsageError: no such id, unknown option or value.
+    """
     return build(config_by_id(env_id, **options))
 
 
@@ -119,7 +123,11 @@ def config_by_id(env_id: str, **options: Any) -> EnvConfig:
 
 
 def make_single(*, env_id: str, **options: Any) -> SingleEnv:
-    """Build one world of a Gymnasium id as a plain `gymnasium.Env`; entry point of ``gymnasium.make``."""
+    """Build one world of a Gymnasium id as a plain `gymnasium.Env`; entry point of ``gymnasium.make``.
+
+    Raises:
+        UsageError: no such id, unknown option or value, or an option that one world cannot have.
+    """
     from mjhab.envs.single import SingleEnv
 
     if "frameskip" in options:
@@ -147,9 +155,9 @@ def _known(options: dict[str, Any], config: type[EnvConfig]) -> dict[str, Any]:
 
 
 def register_envs() -> None:
-    """Make the ids known to ``gymnasium.make`` and ``gymnasium.make_vec``.
+    """Register the ids with ``gymnasium.make`` and ``gymnasium.make_vec``.
 
-    Called when ``mjhab`` is imported, after the plugins; call it again after registering a subtask or a task by hand.
+    The import of ``mjhab`` calls it after loading plugins. Call it again after registering a subtask or a task.
     """
     keep_what_is_no_number()
     for env_id in env_ids():

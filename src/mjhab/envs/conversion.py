@@ -1,7 +1,7 @@
-"""What Gymnasium's ArrayConversion and NumpyToTorch do with entries of `info` that are no arrays of numbers.
+"""Rules for Gymnasium's ArrayConversion and NumpyToTorch wrappers about entries of `info` that are not numeric.
 
-Gymnasium converts everything that can be iterated: it makes ``"<generator object ...>"`` of a text and stops at arrays
-of objects. Here both stay as they are, and so do read-only maps.
+Gymnasium converts every iterable: it turns a text into ``"<generator object ...>"`` and fails on arrays of objects. The
+rules here leave texts, arrays of objects and read-only maps unchanged.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from mjhab.core.frozen import FrozenMap
 
 
 def keep_what_is_no_number() -> None:
-    """Tell Gymnasium's ``array_conversion`` to return texts, arrays of objects and read-only maps unchanged.
+    """Register rules with Gymnasium's ``array_conversion`` that return non-numeric entries unchanged.
 
-    A type for which Gymnasium itself has a rule keeps that rule. Without the packages that ArrayConversion needs there
-    is nothing to tell.
+    Types that already have a rule keep it. Without the packages that ArrayConversion needs, nothing is registered.
     """
     try:
         from gymnasium.wrappers.array_conversion import array_conversion

@@ -1,4 +1,4 @@
-"""What memory a number of worlds takes on every backend, and how many would fit."""
+"""Memory estimates of worlds for every backend, and how many worlds fit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from mjhab.envs.parts.memory import Need, WorldPictures, available_mb, device_ne
 
 @dataclass(frozen=True)
 class Room:
-    """What worlds need on one backend, and what is free there [MB], None where nobody knows."""
+    """Memory of worlds on one backend.
+
+    Attributes:
+        backend: "cpu" or "warp".
+        place: the machine or device, for people.
+        need: estimated memory.
+        free_mb: free memory [MB]; None if unknown.
+    """
 
     backend: str
     place: str
@@ -21,11 +28,14 @@ class Room:
 
     @property
     def most(self) -> int | None:
-        """The largest number of worlds that fits; None where nobody knows what is free."""
+        """Largest number of worlds that fits; None if the free memory is unknown."""
         return None if self.free_mb is None else self.need.most(self.free_mb)
 
     def row(self, num_envs: int) -> dict[str, Any]:
-        """Of ``num_envs`` worlds: "backend", "memory_mb", "world_mb", "base_mb", "free_mb", "fits", "most"."""
+        """The estimate for ``num_envs`` worlds as plain data.
+
+        Keys: "backend", "memory_mb", "world_mb", "base_mb", "free_mb", "fits", "most".
+        """
         need = self.need
         free = self.free_mb
         most = self.most
@@ -41,10 +51,11 @@ class Room:
 
 
 def rooms(obs_mode: str = "state", camera_size: int = 128) -> list[Room]:
-    """What worlds need on the cpu backend, and on a GPU.
+    """Estimate the memory of worlds on the cpu backend and on the first GPU.
 
     Args:
-        obs_mode: see `EnvConfig`. camera_size: side of the pictures [px].
+        obs_mode: see `EnvConfig`.
+        camera_size: side of the square images [px].
 
     Raises:
         UsageError: unknown observation mode.
@@ -57,7 +68,7 @@ def rooms(obs_mode: str = "state", camera_size: int = 128) -> list[Room]:
 
 
 def gpu_free_mb() -> float | None:
-    """Free memory of the first NVIDIA GPU [MB] as its driver tells it; None without one."""
+    """Free memory of the first NVIDIA GPU [MB], from nvidia-smi; None without a GPU or the tool."""
     tool = shutil.which("nvidia-smi")
     if tool is None:
         return None

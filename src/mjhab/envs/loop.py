@@ -40,7 +40,7 @@ from mjhab.tasks.subtasks.registry import properties
 
 
 class Told(Protocol):
-    """Entries of `info` that belong to one control step: its events, and the records of subtasks that ended in it."""
+    """Events of one control step, and the records of subtasks that ended in it, as entries of `info`."""
 
     def entries(self) -> dict[str, Any]:
         """Entries of `info`."""
@@ -51,7 +51,7 @@ class SubtaskNotes(Protocol):
     """Signals of the active subtask of every world, collected for its label and events."""
 
     def begin(self, mask: Any, signals: Signals, progress: Progress) -> None:
-        """Forget what was collected in the worlds of ``mask`` (W,), and begin with the signals at a subtask's start."""
+        """Discard the notes of the worlds in ``mask`` (W,) bool; begin with the signals at their subtask's start."""
         ...
 
 
@@ -61,17 +61,17 @@ class TaskLoop(VectorEnv, ABC):
     A subclass sets ``sim``, ``tables`` and ``tracker`` and implements the abstract methods. Arrays (W, ...) that were
     returned are never modified afterwards.
 
-    Attributes to read: ``state``, ``signals``, ``progress`` and ``focus`` describe the present. ``judged`` are the
-    signals from which success was computed in the last step; they differ from ``signals`` in worlds that began a
-    subtask in that step, where they belong to the subtask before.
+    The attributes ``state``, ``signals``, ``progress`` and ``focus`` describe the present state. ``judged`` holds the
+    signals from which success was computed in the last step. It differs from ``signals`` in worlds that began a subtask
+    in that step, where it belongs to the subtask before.
 
     Args:
         config: options of the environment.
-        like: an array of the library, device and float type of the simulator's.
+        like: an array of the simulator's library, device and float type.
     """
 
     sim: Any
-    """The worlds' physics: a `sim.protocol.Simulator`, on a device a `WarpSimulator`."""
+    """Simulator of the worlds: a `sim.protocol.Simulator`, on a device a `WarpSimulator`."""
     tables: Tables
     tracker: SubtaskNotes
 
@@ -92,13 +92,13 @@ class TaskLoop(VectorEnv, ABC):
         self._xp = namespace(like)
         self._worlds = count(self.num_envs, like)
         self._no = self._worlds < 0
-        """(W,) bool: no world."""
+        """(W,) bool, False everywhere: the mask of no world."""
 
     def _make_parts(self, nav_distance: GoalDistance) -> None:
         """Make `Sensing` and `Rewarder`; ``sim`` must be set.
 
         Args:
-            nav_distance: function for the length of the way to the goal of Navigate [m].
+            nav_distance: function for the length (W,) [m] of the path to the goal of Navigate.
         """
         config = self.config
         self.layout = self.sim.layout
@@ -116,10 +116,10 @@ class TaskLoop(VectorEnv, ABC):
         self.rewarder = Rewarder(self.num_envs, rules, self.layout, self.sensing, self._like)
 
     def _set_spaces(self, observation: spaces.Dict, **metadata: Any) -> None:
-        """Set the attributes that Gymnasium asks for; ``observation``: space of one world, with flat keys."""
+        """Set the attributes of Gymnasium's interface; ``observation``: space of one world, with flat keys."""
         autoreset = AutoresetMode[self.config.autoreset.upper()]
         self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, **metadata}
-        # Gymnasium's own vector environments have this attribute, too; torchrl's GymWrapper looks at nothing else.
+        # An attribute of Gymnasium's own vector environments; torchrl's GymWrapper reads it instead of the metadata.
         self.autoreset_mode = autoreset
         self.render_mode = self.config.render_mode or None
         self.single_observation_space = keyed_space(observation, self.config)
@@ -135,17 +135,18 @@ class TaskLoop(VectorEnv, ABC):
         # Arrays that do not share memory: on numpy, restoring a state writes into them.
         self.count = as_like([0] * self.num_envs, self._like, whole)
         self.nan_resets = as_like([0] * self.num_envs, self._like, whole)
-        """(W,): episodes begun; times that the state of a world became NaN or infinite."""
+        """``count`` (W,): episodes begun. ``nan_resets`` (W,): times that a world's state became NaN or infinite."""
         self.fallback = self._no
         self.success = self._no
         self.fail = self._no
         self.due = self._no
-        """(W,) bool: no valid start pose was found for the episode; success and failure in the last step; the next step
-        resets the world (autoreset "next_step")."""
+        """(W,) bool each. ``fallback``: no valid start pose was found for the episode. ``success``, ``fail``: outcome
+        of the last step. ``due``: the next step resets the world (autoreset "next_step")."""
         self.reward_terms: dict[str, Array] = {}
         self.joint_start = as_like([0.0] * self.num_envs, self._like)
         self.grip = as_like([1.0] * self.num_envs, self._like, self._xp.float32)
-        """(W,): joint position of the active link when its subtask began; entry of the gripper in the last action."""
+        """``joint_start`` (W,): joint position [m or rad] of the active link when its subtask began. ``grip`` (W,):
+        gripper entry of the last action."""
         self.signals: Signals | None = None
         self.judged: Signals | None = None
         self.state: SimState = self.sim.state()
@@ -199,7 +200,7 @@ class TaskLoop(VectorEnv, ABC):
 
     @abstractmethod
     def _checked(self, actions: Any) -> Array:
-        """A copy of the actions as (W, A) float32, after a check of shape and type."""
+        """Check shape and type of the actions and return a copy (W, A) float32."""
 
     @abstractmethod
     def _simulate(self, ctrl: Array) -> Array:
@@ -215,7 +216,7 @@ class TaskLoop(VectorEnv, ABC):
 
     @abstractmethod
     def _nothing(self) -> Told:
-        """Entries of `info` of a step without events and without ended subtasks."""
+        """Notes of a step without events and without ended subtasks."""
 
     @abstractmethod
     def _observe(self, known: dict[str, Array] | None = None, changed: Array | None = None) -> dict:
@@ -231,10 +232,10 @@ class TaskLoop(VectorEnv, ABC):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[dict, dict]:
-        """Start episodes; see the backends for what seeds and episodes are.
+        """Start episodes; the subclasses define the meaning of seeds and episode numbers.
 
         Args:
-            seed: of the episodes from now on; None keeps the present one.
+            seed: seed of the episodes from now on; None keeps the present one.
             options: "reset_mask" (W,) bool: worlds to reset (default all); "episode": numbers of the episodes that
                 the worlds in the mask get, in order of worlds.
 
@@ -256,11 +257,11 @@ class TaskLoop(VectorEnv, ABC):
         return self._keyed(self._observe()), self.info()
 
     def _keyed(self, obs: dict[str, Array]) -> dict[str, Any]:
-        """Observations as users get them: with flat keys, or as dicts in dicts."""
+        """Observations with the keys of ``config.obs_keys``: flat, or nested dicts."""
         return obs if self.config.has_flat_keys else nested(obs)
 
     def _array(self, values: Any) -> Array:
-        """Values as an array of the backend's library and device, their type as it is."""
+        """Convert values to an array of the backend's library and device; the dtype is kept."""
         return self._xp.asarray(values, device=device_of(self._like))
 
     def _renew(self, fresh: Array, moved: Array, episodes: Array) -> Array:
@@ -310,10 +311,16 @@ class TaskLoop(VectorEnv, ABC):
     # -- step ------------------------------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> tuple[dict, Any, Any, Any, dict]:
-        """One control step of 50 ms in every world. ``actions`` (W, A), clipped to the action space.
+        """Advance every world by one control step of 50 ms.
+
+        Args:
+            actions: (W, A), clipped to the action space.
+
+        Returns:
+            Observations (W, ...), rewards (W,), terminated (W,) bool, truncated (W,) bool, info (see `_info`).
 
         Raises:
-            UsageError: wrong shape or type, or nothing has been reset yet.
+            UsageError: wrong shape or type, or ``reset`` was not called before.
         """
         if self.signals is None:
             raise UsageError("step() came before reset(): call env.reset(seed=...) first.")
@@ -348,7 +355,7 @@ class TaskLoop(VectorEnv, ABC):
         return broken
 
     def _held_still(self, actions: Array) -> Array:
-        """Actions in which worlds that navigate by teleport keep their joints and their grip."""
+        """Actions (W, A) in which worlds that navigate by teleport keep their joint positions and gripper command."""
         teleporting = self.focus.navigates
         if not may_hold(teleporting):
             return actions
@@ -370,7 +377,7 @@ class TaskLoop(VectorEnv, ABC):
     def _finish(
         self, told: Told, reward: Array, outcome: Outcome
     ) -> tuple[dict, Array, Array, Array, dict]:
-        """Reset finished worlds as the autoreset mode says, begin next subtasks, and observe."""
+        """Reset finished worlds according to the autoreset mode, begin next subtasks; returns the result of `step`."""
         mode = self.config.autoreset
         terminated: Array = outcome.place_broken
         if not self.config.runs_to_horizon:
@@ -408,9 +415,9 @@ class TaskLoop(VectorEnv, ABC):
         return self._info(self._nothing())
 
     def _info(self, told: Told) -> dict[str, Any]:
-        """The dict `info`: arrays (W,), which later steps do not modify, and the entries of ``told``.
+        """Make the dict `info`: arrays (W,), which later steps do not modify, and the entries of ``told``.
 
-        "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
+        Keys: "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
         "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
         "reward_terms" (name to (W,)). The entries of ``told`` belong to the episode that was stepped, which under
         "same_step" may have ended; all others describe the present state.

@@ -1,4 +1,4 @@
-"""SequentialTask: chains of subtasks, or one of them alone, in many worlds at once on the CPU (Gymnasium VectorEnv)."""
+"""SequentialTask: vector environment of household tasks, or of single subtasks, on the CPU backend."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.signals import Signals, WorldState
 
 INDEX_STRIDE = 1 << 20
-"""Without explicit indices, the k-th episode of world i is number i * stride + k: it depends on nothing else."""
+"""Without explicit indices, the k-th episode of world i has the index i * stride + k."""
 
 
 class SequentialTaskEnv(TaskLoop):
@@ -41,11 +41,11 @@ class SequentialTaskEnv(TaskLoop):
     Observations: the rows of `observer.table`, among them ``state``. Actions: (W, A), see ``action_table``.
     Reward: by ``config.reward``; "pointer" is the subtask pointer, as in MS-HAB.
 
-    World i's k-th episode since its seed was set depends on (its seed, i, k) only. A seed of `reset` is one for all
-    worlds or (W,) one each. Besides numbers `info` has (W,) arrays of objects: "events" (list of the names of what
-    happened in this step), "ended" (record of the subtask that ended in this step, or None), "instruction" (what the
-    active subtask asks for, as a sentence; the last subtask once the plan is finished), "episode_spec" (the episode
-    each world is in; not "episode", where Gymnasium's RecordEpisodeStatistics writes).
+    The k-th episode of world i since its seed was set depends on (its seed, i, k) only. The seed of `reset` is one
+    number for all worlds or (W,) numbers. `info` also has (W,) arrays of objects: "events" (list of the names of the
+    events of this step), "ended" (record of the subtask that ended in this step, or None), "instruction" (sentence for
+    the active subtask; for the last one once the plan is finished), and "episode_spec" (description of the episode; the
+    key "episode" is left to Gymnasium's RecordEpisodeStatistics).
     """
 
     tables: PlanTables
@@ -122,21 +122,21 @@ class SequentialTaskEnv(TaskLoop):
         self.state = self.sim.state()
 
     def make_episode(self, seed: int, index: int) -> Episode:
-        """The episode of a name."""
+        """Make the episode ``index`` of a seed."""
         return self.source.episode(seed, index)
 
     def episode_of(self, world: int) -> Episode:
-        """The episode a world is in. It must have been reset."""
+        """Episode of a world, which must have been reset."""
         episode = self.episodes_now[world]
         assert episode is not None, f"world {world} has not been reset"
         return episode
 
     def episode_spec(self, world: int) -> Mapping[str, Any] | None:
-        """The episode a world is in: its name, home and plan, read-only; None before the first reset."""
+        """Read-only description of a world's episode, see `describe_episode`; None before the first reset."""
         return self.reporter.describe(world, self.episodes_now[world], self.tables.plans[world])
 
     def adopt(self, world: int, episode: Episode) -> Start:
-        """Give a world an episode: its home, its plan; returns what it begins with."""
+        """Set home and plan of a world to those of an episode; returns the start state, which is not applied yet."""
         start = self.source.start(episode)
         self.episodes_now[world] = episode
         self.homes[world] = start.home
@@ -166,7 +166,7 @@ class SequentialTaskEnv(TaskLoop):
         super()._enter_subtask(mask)
 
     def _find_ways(self, mask: np.ndarray) -> None:
-        """Find the ways to the goals of the worlds in ``mask`` (W,) that navigate, where rewards look at them."""
+        """Compute distance fields to the goals of the navigating worlds in ``mask`` (W,), if the reward is dense."""
         if self.config.reward in DENSE_MODES:
             for w in np.flatnonzero(mask & self.focus.navigates).tolist():
                 self.nav.begin(w, self.homes[w], self.focus.active.goal_pos[w, :2])
@@ -174,7 +174,7 @@ class SequentialTaskEnv(TaskLoop):
     # -- step ------------------------------------------------------------------------------------------------------
 
     def _checked(self, actions: Any) -> np.ndarray:
-        # The caller may write into its array again.
+        # A copy, because the caller may modify its array later.
         return check_actions(actions, self.action_table, self.num_envs).copy()
 
     def _simulate(self, ctrl: np.ndarray) -> np.ndarray:
@@ -191,7 +191,7 @@ class SequentialTaskEnv(TaskLoop):
         waiting = self.teleports.waiting
         if not waiting.any():
             return signals
-        # A Navigate that still waits for its spawn is not done, wherever the robot happens to stand.
+        # A Navigate that waits for its teleport has not succeeded, even if the robot is at the goal by chance.
         return dataclasses.replace(signals, success=signals.success & ~waiting)
 
     def _note(self, signals: Signals, outcome: Outcome, progress: Progress) -> StepNotes:
@@ -224,17 +224,25 @@ class SequentialTaskEnv(TaskLoop):
     # -- states and pictures ---------------------------------------------------------------------------------------
 
     def get_state(self, world: int) -> dict[str, Any]:
-        """Everything one world is: nested dict of arrays, numbers, strings and lists. See `snapshots.snapshot`."""
+        """Copy the full state of one world as a nested dict of plain data, see `snapshots.snapshot`.
+
+        Raises:
+            UsageError: the world has not been reset yet.
+        """
         return snapshot(self, world)
 
     def set_state(self, world: int, state: dict[str, Any]) -> None:
-        """Put one world into a state from ``get_state``; the others keep every bit. See `snapshots.restore`."""
+        """Restore one world from ``get_state``; other worlds are not changed. See `snapshots.restore`.
+
+        Raises:
+            UsageError: the state belongs to another layout, or its episode does not exist here.
+        """
         restore(self, world, state)
-        # The ways to the goal are not part of a state: they follow from home and goal.
+        # Distance fields are not part of a state: they follow from home and goal.
         self._find_ways(np.arange(self.num_envs) == world)
 
     def restorable_parts(self) -> Mapping[str, Restorable]:
-        """Every part with state of its own, by its key in a snapshot."""
+        """Parts with state of their own, by their keys in a snapshot."""
         return {
             "tracker": self.tracker,
             "controller": self.controller,
@@ -243,7 +251,7 @@ class SequentialTaskEnv(TaskLoop):
         }
 
     def get_columns(self, world: int) -> dict[str, Any]:
-        """What the environment itself keeps of a world, by its key in a snapshot."""
+        """State of a world that the environment itself holds, by its keys in a snapshot."""
         return {
             "next": {"seed": int(self.seeds[world]), "count": int(self.count[world])},
             "flags": {
@@ -256,7 +264,7 @@ class SequentialTaskEnv(TaskLoop):
         }
 
     def set_columns(self, world: int, columns: Mapping[str, Any]) -> None:
-        """Restore what the environment itself keeps of a world; no reset is due afterwards."""
+        """Restore a world from `get_columns`; no reset is due afterwards."""
         flags = columns["flags"]
         self.seeds[world] = columns["next"]["seed"]
         self.count = _with_entry(self.count, world, columns["next"]["count"])
@@ -292,7 +300,7 @@ class SequentialTaskEnv(TaskLoop):
         return self.sim.batch.ctrl.copy()
 
     def state_digest(self, world: int) -> str:
-        """Hash of positions and velocities of one world: equal only if every bit is."""
+        """Hash of the positions and velocities of one world, to compare states bit by bit."""
         batch = self.sim.batch
         return hashlib.sha256(
             batch.qpos[world].tobytes() + batch.qvel[world].tobytes()

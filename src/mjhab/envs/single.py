@@ -26,22 +26,22 @@ OF_WORLDS = frozenset(
     timed_methods tracker view
     """.split()  # noqa: SIM905 - a list of names, one per line, would be a page long
 )
-"""Attributes of `SingleEnv.worlds` that the environment has, too. What Gymnasium gives a vector environment alone, such
-as ``num_envs``, is not among them: other libraries tell the two kinds apart by it."""
+"""Attributes of `SingleEnv.worlds` that `SingleEnv` forwards. Attributes that only vector environments have in
+Gymnasium, such as ``num_envs``, are not forwarded, because other libraries recognise vector environments by them."""
 
 
 class SingleEnv(gymnasium.Env):
-    """A vector environment of one world without its leading axis. ``gymnasium.make(id)`` gives one.
+    """One world as a plain Gymnasium environment, without a leading axis of worlds; ``gymnasium.make(id)`` makes one.
 
-    Observations, actions and info are those of the vector environment at world 0; truth values in info are arrays ()
-    bool. So are the attributes OF_WORLDS: action_table, get_state and so on. An episode ends by termination or
-    truncation; then ``reset`` begins the next one, or the first one of a new ``seed``.
+    Observations, actions and info are those of world 0 of the vector environment `worlds`; bools in info are arrays of
+    shape (). The attributes OF_WORLDS, such as ``action_table``, are forwarded to the vector environment unchanged. An
+    episode ends by termination or truncation; ``reset`` then begins the next one, or the first one of a new ``seed``.
 
-    The world is built when it is first used. Until then the environment is its configuration and can be copied and
-    pickled, as asynchronous vector environments and samplers in other processes need it.
+    The world is built on first use. Until then the environment holds only its configuration and can be copied and
+    pickled, which asynchronous vector environments and samplers in other processes require.
 
     Args:
-        config: of one world on backend "cpu", without autoreset.
+        config: options of one world on backend "cpu", with autoreset "disabled".
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 - gymnasium wants a plain dict
@@ -60,7 +60,7 @@ class SingleEnv(gymnasium.Env):
 
     @property
     def worlds(self) -> SequentialTaskEnv:
-        """The vector environment behind it, built on first use."""
+        """The vector environment of one world, built on first use."""
         if self._opened is None:
             from mjhab.envs.sequential import SequentialTaskEnv
 
@@ -68,7 +68,7 @@ class SingleEnv(gymnasium.Env):
         return self._opened
 
     def __getattr__(self, name: str) -> Any:
-        # Called for what Env lacks. A name that nobody has must not build the world: `hasattr` asks for such names.
+        # Only for attributes that Env lacks. An unknown name must not build the world, e.g. in `hasattr`.
         if name in OF_WORLDS:
             return getattr(self.worlds, name)
         raise AttributeError(

@@ -1,4 +1,4 @@
-"""Spaces of environments; Dict spaces keep the order of their keys, where Gymnasium sorts those of a plain dict."""
+"""Spaces of environments. Dict spaces keep the order of their keys; Gymnasium would sort those of a plain dict."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.robots.controllers.controller import Controller
 
 SEPARATOR = "/"
-"""Between the parts of a flat observation key."""
+"""Separator between the parts of a flat observation key."""
 
 
 def ordered_dict(parts: Mapping[str, spaces.Space]) -> spaces.Dict:
@@ -47,7 +47,7 @@ def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def keyed_space(flat: spaces.Dict, config: EnvConfig) -> spaces.Dict:
-    """A Dict space with flat keys as the one that ``config.obs_keys`` asks for."""
+    """Convert a Dict space with flat keys to the key style of ``config.obs_keys``: flat or nested."""
 
     def box(tree: Mapping[str, Any]) -> spaces.Dict:
         return ordered_dict({k: box(v) if isinstance(v, dict) else v for k, v in tree.items()})

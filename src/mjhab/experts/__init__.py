@@ -1,4 +1,4 @@
-"""Scripted whole-body experts that act only through the 13-D action."""
+"""Scripted experts that control base, torso and arm through the same action vector as a learned policy."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ if TYPE_CHECKING:
 
 
 def make_expert(env: Worlds, styles: Styles | None = None) -> ExpertPolicy:
-    """The expert policy of an environment (one script per world, restarted with every subtask).
+    """Make the expert policy of an environment: one script per world, restarted with every subtask.
 
     Args:
-        styles: what every episode draws its style from; the expert as it is if not given.
+        env: batch of worlds that the expert acts in.
+        styles: distribution from which every episode draws its style; without it the experts act in the plain style.
 
     Raises:
-        UsageError: the environment takes other actions than those experts give.
+        UsageError: experts cannot act in the environment's control mode, base mode or with its stationary parts.
     """
     from mjhab.experts.policy import ExpertPolicy
     from mjhab.robots.controllers import DEFAULT_MODE
 
     config = env.config
-    # Experts leave the head where it is.
+    # The head may be stationary: no subtask needs it to move.
     free = set(config.stationary) <= {"head"}
     if (config.control_mode, config.base) != (DEFAULT_MODE, "forward") or not free:
         raise UsageError(

@@ -1,6 +1,7 @@
-"""Where the head looks while a script works: at what the subtask is about, and ahead again when the work is done.
+"""Head motion of the experts: the head camera follows the object, handle or goal of the active subtask.
 
-Success asks for a robot at rest, head included, so the head turns back as soon as only that is missing.
+Success requires the robot to be at rest, head included. The head therefore returns to its rest position as soon as
+all other conditions of success hold.
 """
 
 from __future__ import annotations
@@ -18,24 +19,33 @@ from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import spec_of
 
 RESTING = frozenset({"ee_rest", "robot_rest", "is_static"})
-"""Conditions of success that the head has a part in."""
+"""Conditions of success that concern the robot's posture or motion, and with it the head."""
 NEAREST_M = 0.2
-"""What is nearer to the axis of the neck has no direction to look in."""
+"""Points at a smaller horizontal distance from the pan axis are not looked at: the pan angle is ill-defined there."""
 
 
 @dataclass(frozen=True)
 class Neck:
-    """A head that pans about z, then tilts about y, on a torso that only lifts it. Lengths [m].
+    """Kinematics of a head with a pan joint about z and a tilt joint about y, on a torso that moves along z.
 
-    ``pan_at`` (3,): the axis of pan in the frame of the base link, with the torso down; ``tilt_at`` (3,): the axis of
-    tilt in the frame that pans.
+    Attributes:
+        pan_at: (3,) position of the pan joint in the frame of the base link, with the torso at 0 [m].
+        tilt_at: (3,) position of the tilt joint in the frame of the pan link [m].
     """
 
     pan_at: tuple[float, float, float]
     tilt_at: tuple[float, float, float]
 
     def angles(self, point: np.ndarray, lift: float) -> tuple[float, float] | None:
-        """Pan and tilt [rad] that look at ``point`` (3,) in the frame of the base link; None if it is too near."""
+        """Compute pan and tilt [rad] that point the head at a position.
+
+        Args:
+            point: (3,) position in the frame of the base link [m].
+            lift: height of the torso above its zero position [m].
+
+        Returns:
+            Pan and tilt, not limited to the joints' ranges; None if the point is nearer than `NEAREST_M` to the axis.
+        """
         x, y, z = point - np.array(self.pan_at) - (0.0, 0.0, lift)
         out = math.hypot(x, y)
         if out < NEAREST_M:
@@ -45,7 +55,7 @@ class Neck:
 
 
 def neck_of(robot: Robot) -> Neck | None:
-    """The neck of a robot; None if it has no head that pans and tilts."""
+    """Pan and tilt joints of a robot's head; None if its head is not a pan joint about z followed by a tilt about y."""
     head = robot.group("head")
     links = {row.joint: row for row in robot.body.tree if row.joint}
     if len(head) != 2:
@@ -58,7 +68,7 @@ def neck_of(robot: Robot) -> Neck | None:
 
 
 def _origin(robot: Robot, link: TreeLink) -> tuple[float, float, float]:
-    """Origin of a link in the frame of the base link with all joints at 0; its ancestors are not turned."""
+    """Origin of a link in the frame of the base link [m] with all joints at 0, for ancestors without fixed rotation."""
     rows = {row.link: row for row in robot.body.tree}
     total = np.zeros(3)
     at: TreeLink | None = link
@@ -69,7 +79,11 @@ def _origin(robot: Robot, link: TreeLink) -> tuple[float, float, float]:
 
 
 def focus(view: WorldView) -> np.ndarray | None:
-    """The point (3,) in the world that the active subtask is about; None when its work is done, or there is none."""
+    """Point (3,) in the world [m] that the head looks at: handle, object or goal position of the active subtask.
+
+    Returns:
+        None when no subtask is active, or when all its conditions hold except those in `RESTING`.
+    """
     subtask = view.subtask
     if subtask is None:
         return None
@@ -86,10 +100,10 @@ def focus(view: WorldView) -> np.ndarray | None:
 
 
 class Gaze:
-    """Turns the head of one robot to what its script works on.
+    """Adds commands of the head joints to actions, so that the head follows `focus`.
 
     Args:
-        robot: whose head.
+        robot: the robot that acts.
         stationary: parts that do not follow their actions, see `EnvConfig.stationary`.
     """
 
@@ -102,7 +116,7 @@ class Gaze:
         self._high = np.array([high for _, high in limits])
 
     def turn(self, view: WorldView, action: np.ndarray) -> np.ndarray:
-        """The action (A,) with the head turned to the `focus`; as it is for a robot whose head cannot."""
+        """``action`` (A,) with head commands towards the `focus`; unchanged if the head has no movable `Neck`."""
         if self._neck is None:
             return action
         goal = self._wanted(self._neck, view)
@@ -112,7 +126,7 @@ class Gaze:
         return turned
 
     def _wanted(self, neck: Neck, view: WorldView) -> np.ndarray:
-        """Pan and tilt (2,) [rad]."""
+        """Wanted pan and tilt (2,) [rad]: towards the `focus`, else the rest position."""
         point = focus(view)
         if point is None:
             return self._rest

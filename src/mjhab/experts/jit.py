@@ -1,4 +1,4 @@
-"""How the kernels of the experts' planning are compiled."""
+"""numba decorators of the experts' planning kernels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KERNEL_MODULES = (
     "experts.base.pilot",
     "robots.kinematics",
 )
-"""Modules whose code or constants go into kernels."""
+"""Modules whose code or constants are compiled into kernels: a change in one of them recompiles the kernels."""
 kernel = compiler(*KERNEL_MODULES)
 inline = compiler(*KERNEL_MODULES, forceinline=True)
-"""For helpers of inner loops: a call would copy every array descriptor it is given."""
+"""Decorator for helpers of inner loops: without inlining, every call would copy the descriptors of its arrays."""

@@ -26,7 +26,7 @@ Script = Generator[np.ndarray, None, Any]
 
 
 def _wait(view: WorldView) -> Script:
-    """The environment teleports; the robot waits and keeps its grip."""
+    """Script of a subtask that the environment does by a teleport: the robot stands still, holding what it has to."""
     subtask = view.subtask
     holding = subtask is not None and subtask.must_hold
     while True:
@@ -34,10 +34,14 @@ def _wait(view: WorldView) -> Script:
 
 
 def script_of(subtask: str) -> Callable[[WorldView], Script]:
-    """The script that does a kind of subtask.
+    """Find the generator function that does a subtask, from the ``expert`` of its `SubtaskSpec`.
+
+    Args:
+        subtask: name of a registered subtask.
 
     Raises:
-        UsageError: there is no such subtask, no expert can do it, or what its spec names is none.
+        UsageError: there is no such subtask, its spec names no expert, or what the spec names cannot be imported or
+            called.
     """
     expert = SUBTASKS[subtask].expert
     if expert is None:
@@ -59,10 +63,10 @@ def script_of(subtask: str) -> Callable[[WorldView], Script]:
 
 @contextmanager
 def _blamed(subtask: str) -> Iterator[None]:
-    """Tell whose script raised, where it is code of others.
+    """Turn exceptions of a plugin's script into a message that names the subtask; those of mjhab's scripts pass.
 
     Raises:
-        UsageError: the script of a subtask that is none of mjhab's raised something.
+        UsageError: the script of a subtask that a plugin registered raised an exception.
     """
     try:
         yield
@@ -75,21 +79,31 @@ def _blamed(subtask: str) -> Iterator[None]:
 
 
 def _kinds_in(env: Worlds) -> tuple[str, ...]:
-    """The kinds of subtasks that an expert does in an environment."""
+    """Names of the subtasks that an environment asks its expert for; without those that it does by teleports."""
     config = env.config
     kinds = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
     return tuple(name for name in kinds if not (config.teleports and SUBTASKS[name].navigates))
 
 
 class ExpertPolicy:
-    """Scripted whole-body experts for every subtask, with privileged state, in the default control mode."""
+    """Policy that runs one script per world, with privileged state, in the default control mode.
+
+    Letters: W worlds, A action.
+
+    Args:
+        env: batch of worlds; its actions, control mode and subtasks decide which scripts are needed.
+        styles: distribution from which every episode draws its style; the plain style if not given.
+
+    Raises:
+        UsageError: a subtask of the environment has no usable expert, see `script_of`.
+    """
 
     name = "expert"
 
     def __init__(self, env: Worlds, styles: Styles | None = None) -> None:
         self._styles = styles or Styles()
         self._teleports = env.config.teleports
-        # Told before the first step: an episode that comes to a subtask nobody can do is lost.
+        # A missing expert is reported now, not in the middle of an episode.
         for name in _kinds_in(env):
             script_of(name)
         self._views = [StyledView(env, w) for w in range(env.num_envs)]
@@ -108,29 +122,29 @@ class ExpertPolicy:
             self._scripts[w] = self._tokens[w] = self._manners[w] = None
 
     def style(self, world: int) -> dict[str, Any]:
-        """The style of the running episode as plain data; empty when no styles were asked for."""
+        """Style of a world's running episode as plain data; empty when the policy was made without styles."""
         return {} if self._styles.plain else recorded(self._views[world].style)
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Actions (W, A) for the present state of the environment."""
+        """Actions (W, A) float32 for the present state of all worlds; observations and infos are not read."""
         return self.act_in(obs, info, np.ones(len(self._views), bool))
 
     def act_in(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray) -> np.ndarray:
-        """Like `act`; the actions of worlds outside ``mask`` (W,) bool are old."""
+        """Actions (W, A) float32; outside ``mask`` (W,) bool scripts pause and worlds keep their last action."""
         for w in np.flatnonzero(mask).tolist():
             self._intended[w], self._last[w] = self._next(w, self._views[w])
         return self._last.copy()
 
     def notes(self) -> ActionNotes:
-        """The actions of the last ``act`` without the noise of the style."""
+        """Intended actions (W, A) of the last ``act``: without the noise of the style."""
         return ActionNotes.plain(self._intended.copy(), self.name)
 
     def script(self, world: int) -> Script | None:
-        """The script that runs in a world; None before the first ``act`` of its episode."""
+        """Script that runs in a world; None before the first ``act`` of its episode."""
         return self._scripts[world]
 
     def _next(self, w: int, view: StyledView) -> tuple[np.ndarray, np.ndarray]:
-        """The intended and the executed action (A,) of a world."""
+        """Intended action (A,) and executed action (A,) of world ``w`` in this control step."""
         subtask = view.subtask
         if subtask is None or view.done:
             still = np.zeros(self._columns.dim, np.float32)
@@ -158,7 +172,7 @@ class ExpertPolicy:
         return intended, manner.disturb(intended)
 
     def _is_moved(self, subtask: Subtask) -> bool:
-        """Whether the environment does a subtask by a teleport."""
+        """Whether the environment does a subtask by a teleport instead of the robot's actions."""
         return self._teleports and spec_of(subtask.kind).navigates
 
     def _start(self, subtask: Subtask, view: WorldView) -> Script:
@@ -175,7 +189,7 @@ class ExpertPolicy:
         return begun
 
     def _manner(self, w: int, view: StyledView) -> Manner:
-        """The manner of the running episode, which begins with drawing its style."""
+        """`Manner` of the running episode of world ``w``; the first call in an episode draws its style."""
         manner = self._manners[w]
         if manner is None:
             seed, index, _ = view.token
@@ -191,7 +205,7 @@ class ExpertPolicy:
         try:
             return next(script)
         except StopIteration:
-            # A script that ends has nothing better to do than to stay at rest with its grip unchanged.
+            # After the end of its script the robot stays at rest with the gripper command unchanged.
             rest = motion.stay_at_rest(view, gripper=float(self._last[w, self._columns.gripper]))
             self._scripts[w] = rest
             return next(rest)

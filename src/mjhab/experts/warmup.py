@@ -1,4 +1,4 @@
-"""Compiling what the experts plan with before it is needed."""
+"""Compilation of the experts' planning kernels ahead of the first episode."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mjhab.robots.registry import robot_named
 
 
 def compile_kernels() -> None:
-    """Call every kernel of the planning once; those that are on disk are only loaded."""
+    """Call every planning kernel once, so that it is compiled or loaded from the cache on disk."""
     body = robot_named()
     robot = body.chain
     rest = body.rest

@@ -1,9 +1,8 @@
-"""Instructions: what a subtask or a whole task asks for, as a sentence such as "put the soup can on the coffee table".
+"""Instructions: sentences for subtasks and tasks, such as "put the soup can on the coffee table".
 
-The words of subtasks and tasks are in their specs; here are those of things. Every sentence has several wordings; which
-one an episode gets is drawn from its stream of random numbers, so that it is a function of the episode's name.
-Sentences are in lower case and without a full stop, like the prompts that vision-language-action models are trained
-with.
+Wordings of subtasks and tasks are in their specs; names of objects and furniture are here. Each sentence has several
+wordings; an episode draws one from its own random stream, so that seed and index determine it. Sentences are in lower
+case and without a full stop, like the prompts on which vision-language-action models are trained.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 BY_TELEPORT = " (by teleport)"
-"""End of the sentence of a navigation that the environment does, and of a whole task with such navigations."""
+"""Suffix of the sentences of navigation by teleport, and of tasks with such navigation."""
 MAX_INSTRUCTION_CHARACTERS = 1000
-"""Longest instruction that is read from a file."""
+"""Greatest length of an instruction that is read from a file."""
 
 OBJECT_WORDS: dict[str, tuple[str, ...]] = {
     "002_master_chef_can": ("coffee can", "master chef can"),
@@ -78,9 +77,14 @@ class Spot:
 
 @dataclass(frozen=True)
 class Request:
-    """What a subtask is about: ``kind``; ``target`` as in a plan; where its object lies and where it belongs.
+    """Content of a subtask's sentence.
 
-    ``names``: names of the target's type, such as ("mug", "coffee mug"); () for those of `target_words`.
+    Attributes:
+        kind: name of the kind of subtask.
+        target: target as in a plan (`Subtask.target`).
+        source: where the object lies.
+        goal: where the object belongs.
+        names: names of the target's type, such as ("mug", "coffee mug"); () for those of `target_words`.
     """
 
     kind: str
@@ -109,12 +113,12 @@ def seeded_draw(random: np.random.Generator) -> Draw:
 
 
 def instructions(task: str, requests: Sequence[Request], alone: bool, draw: Draw) -> Instructions:
-    """The sentences of an episode.
+    """Make the sentences of an episode.
 
     Args:
-        task: household task.
-        requests: the subtasks of the plan, in order.
-        alone: the first of them is all that is asked for.
+        task: name of the household task.
+        requests: subtasks of the plan, in order.
+        alone: the episode consists of the first subtask alone.
         draw: chooses the wordings.
 
     Raises:
@@ -125,16 +129,16 @@ def instructions(task: str, requests: Sequence[Request], alone: bool, draw: Draw
 
 
 def by_teleport(sentence: str) -> str:
-    """A sentence that says that the environment does the way: a robot that is put somewhere did not drive there."""
+    """``sentence`` with `BY_TELEPORT` at its end, for a navigation that the environment does."""
     return sentence if sentence.endswith(BY_TELEPORT) else sentence + BY_TELEPORT
 
 
 def with_teleports(told: Instructions, kinds: Sequence[str]) -> Instructions:
-    """The sentences of a whole task in which the environment does the navigation.
+    """Mark the sentences of an episode in which the environment does the navigation by teleports.
 
     Args:
-        told: the sentences as if the robot drove.
-        kinds: of the subtasks, in order of the plan.
+        told: sentences for a robot that drives.
+        kinds: kinds of the subtasks, in order of the plan.
     """
     ways = [SUBTASKS[kind].navigates for kind in kinds]
     if not any(ways):
@@ -189,7 +193,7 @@ def task_instruction(task: str, requests: Sequence[Request], draw: Draw = first_
 def target_words(target: str, draw: Draw = first_wording, own: Sequence[str] = ()) -> str:
     """A target in words: "the bowl" for "024_bowl_:0003", "drawer 3 of the kitchen counter" for a link.
 
-    ``own``: names of its type, where it has names of its own.
+    ``own``: names of its type, in place of those of `OBJECT_WORDS`.
     """
     kind = kind_of(target)
     if "/" in kind:

@@ -1,8 +1,7 @@
-"""Measure the active subtask of every world: plain physical quantities in, boolean and float signals out.
+"""Measurement of the active subtask of every world: from physical quantities to boolean and float signals.
 
-Distances are Euclidean, speeds absolute (unless ``stillness`` is "published"), every threshold counts as reached at
-equality (MS-HAB paper App. A.2).
-Nothing is mutated; the same lines run on numpy and torch, and keep the dtype of the state.
+Distances are Euclidean, speeds absolute (unless ``stillness`` is "published"), and thresholds include equality (MS-HAB
+paper App. A.2). The functions are pure, run on numpy and torch, and keep the dtype of the state.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from mjhab.tasks.thresholds import TaskConfig
 
 
 def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Active:
-    """Look up the subtasks at ``pointer`` (W,)."""
+    """Look up the entries of the subtasks at ``pointer`` (W,) int64."""
     xp = namespace(pointer)
     index = xp.minimum(pointer, plan.length - 1)
     kind = xp.where(pointer < plan.length, pick_column(plan.kind, index), PADDING)
@@ -64,11 +63,11 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
 
 
 def _grip(state: WorldState, nav: Array, config: TaskConfig) -> tuple[Array, Array, Array]:
-    """The hand: Navigate looks at the carried object, every other kind at its target.
+    """Measure the grasp: of the carried object in Navigate (``nav`` (W,) bool), else of the target.
 
     Returns:
-        is_grasped (W,) bool: both fingers are pushed open hard enough and straight enough; contact (W,) bool; and
-        target_force (W,).
+        is_grasped (W,) bool: the force on both fingers is at least ``grasp_force`` and within ``grasp_angle`` of the
+        opening direction; contact (W,) bool; target_force (W,) [N].
     """
     force = namespace(nav).where(nav[:, None, None], state.held_force, state.finger_force)
     norm = norm3(force)
@@ -82,8 +81,13 @@ def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskCon
     """Whether objects are at their place goals.
 
     Args:
-        obj_pos, goal_pos: (..., 3) [m, world].
-        rect: (..., 4, 2) corners of the zones, read for goal_type "zone" only.
+        obj_pos: (..., 3) positions of the objects in the world [m].
+        goal_pos: (..., 3) goals in the world [m].
+        rect: (..., 4, 2) corners of the zones in the world [m], read for goal_type "zone" only.
+        config: thresholds.
+
+    Returns:
+        (...,) bool.
 
     Raises:
         UsageError: goal_type "zone" without rectangles.
@@ -116,7 +120,7 @@ def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskCon
 
 
 def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Array:
-    """Tool centre at its rest point. ``cos``, ``sin`` (W,) of the base's heading. Returns (W,) bool."""
+    """(W,) bool: the tcp is at its rest point. ``cos``, ``sin`` (W,): of the base's heading."""
     base = state.base_pose
     tcp = state.tcp_pos
     rx, ry, rz = config.ee_rest_pos
@@ -127,9 +131,9 @@ def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Arra
 
 
 def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple[Array, Array]:
-    """Torso, head and arm near rest; and base, torso, head and arm not moving. Returns two (W,) bool.
+    """Whether torso, head and arm are near rest, and whether base, torso, head and arm stand still: two (W,) bool.
 
-    ``tolerance`` (W, P): how far the joints of the posture may be from rest.
+    ``tolerance`` (W, P): largest distance of the posture's joints from rest [m or rad].
     """
     xp = namespace(tolerance)
     posture = config.joints.posture
@@ -151,14 +155,14 @@ def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple
 def _arrival(
     state: WorldState, active: Active, cos: Array, sin: Array, config: TaskConfig
 ) -> tuple[Array, Array]:
-    """Near the navigation goal (and inside its box), and facing it. Returns two (W,) bool."""
+    """Whether the base is near the navigation goal (and inside its box), and whether it faces it: two (W,) bool."""
     xp = namespace(state.base_pose)
     position = state.base_pose[:, BASE_XY]
     to_goal = active.goal_pos[:, :2] - position
     dx = to_goal[:, 0]
     dy = to_goal[:, 1]
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
-    # A box of NaN stands for "no box": comparisons with NaN are false, so no position is outside of it.
+    # NaN stands for "no box": comparisons with NaN are False, so that no position is outside.
     outside = (position < active.box[:, ::2]) | (position > active.box[:, 1::2])
     near = (xp.sqrt(dx * dx + dy * dy) <= config.nav_distance) & ~(outside[:, 0] | outside[:, 1])
     return near, xp.abs(bearing) <= config.nav_bearing
@@ -167,7 +171,7 @@ def _arrival(
 def _joint(
     state: WorldState, active: Active, config: TaskConfig
 ) -> tuple[Array, Array, Array, Array]:
-    """The joint is opened, closed, slightly opened, slightly closed; four (W,) bool."""
+    """Whether the active link is opened, closed, slightly opened, slightly closed: four (W,) bool."""
     span = state.joint_max - state.joint_min
     opening = state.joint_q - state.joint_min
     return (
@@ -188,11 +192,11 @@ def measure(
     """Measure the active subtask of every world.
 
     Args:
-        state: W worlds after a control step.
-        plan: their plans.
-        progress: which subtask is active and the force it has accumulated, this step's included.
-        config: the thresholds.
-        active: ``active_entries`` at ``progress.pointer``; looked up here if not given.
+        state: state of W worlds after a control step.
+        plan: plans of the worlds.
+        progress: active subtasks and their accumulated force, with that of this step.
+        config: thresholds.
+        active: `active_entries` at ``progress.pointer``; looked up if not given.
 
     Returns:
         Signals for the subtask at ``progress.pointer``; a world whose plan is finished has kind -1 and no success.
@@ -236,7 +240,7 @@ def measure(
 
 @lru_cache(maxsize=8)
 def _measures(version: int) -> tuple[tuple[int, int, Measure], ...]:
-    """(kind, row of CHECKS, function) of kinds that measure a check in a way of their own."""
+    """(kind, row of CHECKS, function) for every entry of `SubtaskSpec.measures`."""
     return tuple(
         (number, CHECKS.index(name), function)
         for number, spec in enumerate(SUBTASKS.values())
@@ -247,7 +251,11 @@ def _measures(version: int) -> tuple[tuple[int, int, Measure], ...]:
 def _own_measures(
     rows: Sequence[Array], state: WorldState, active: Active, config: TaskConfig
 ) -> list[Array]:
-    """The checks in the order of CHECKS, with those that the kinds at hand measure in a way of their own."""
+    """Checks ``rows`` in the order of CHECKS, with those of `SubtaskSpec.measures` replaced for their kinds.
+
+    Raises:
+        UsageError: a measure does not return one bool per world.
+    """
     out = list(rows)
     for number, row, function in _measures(SUBTASKS.version):
         mine = active.kind == number

@@ -1,4 +1,4 @@
-"""Task plans: which subtasks a robot has to do, in which order, and the same as arrays."""
+"""Task plans: the sequence of subtasks of an episode, and the plans of many worlds as arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Box = tuple[float, float, float, float]
 
 
 class SubtaskKind(IntEnum):
-    """Numbers of the subtasks of mjhab itself, as in mshab/envs/planner.py; those of plugins follow."""
+    """Numbers of mjhab's own subtasks, as in mshab/envs/planner.py; those of plugins follow."""
 
     PICK = 0
     PLACE = 1
@@ -28,10 +28,15 @@ class SubtaskKind(IntEnum):
 
 @dataclass(frozen=True)
 class Target:
-    """One object of a task: where it is, where it belongs, and what must be opened for it. World frame [m].
+    """One object of a task with its start and goal.
 
-    ``start_link``/``goal_link`` name a link such as ``"kitchen_counter/drawer3"`` if the object starts in, or
-    belongs into, a piece of furniture that opens; ``handle_pos`` is the handle of the one that the plan opens.
+    Attributes:
+        obj: name of the object.
+        goal_pos: goal position in the world [m].
+        start_pos: start position in the world [m].
+        start_link: link such as ``"kitchen_counter/drawer3"`` in or behind which the object starts, "" for none.
+        goal_link: link in or behind which its goal is, "" for none.
+        handle_pos: handle position of the link that the plan opens, in the world [m].
     """
 
     obj: str
@@ -43,19 +48,23 @@ class Target:
 
 
 GOAL_OF = "goal of "
-"""Before the name of an object: the name of a navigation that leads to where the object goes."""
+"""Prefix of an object's name in `Subtask.toward`: the navigation leads to the object's goal."""
 
 
 @dataclass(frozen=True)
 class Subtask:
     """One step of a plan.
 
-    ``kind``: its number (`subtasks.registry.number_of`).
-    ``obj``: object to pick or place, the object behind the link to open, or the object carried while navigating.
-    ``link``: the link to open or close, the one the object is in or goes into, or the one to navigate to.
-    ``goal_pos`` [m, world]: place goal, point to navigate to, handle at the start of the episode; unused by pick.
-    ``toward``: what a navigation leads to, an object or a link, for display. ``goal_rect`` (4 corners, in order
-    around the rectangle, world xy) is the place zone, needed for goal_type "zone" only.
+    Attributes:
+        kind: number of its kind (`subtasks.registry.number_of`).
+        obj: object to pick or place, object behind the link to open, or object carried while navigating.
+        link: link to open or close, link that the object is in or goes into, or link to navigate to.
+        goal_pos: place goal, point to navigate to, or handle at the start of the episode, in the world [m]; unused by
+            Pick.
+        must_hold: a Navigate carries ``obj``.
+        toward: object or link that a navigation leads to, for display.
+        goal_rect: 4 corners of the place zone, in order around the rectangle, world xy [m]; needed for goal_type "zone"
+            only.
     """
 
     kind: int
@@ -73,7 +82,7 @@ class Subtask:
 
     @property
     def target(self) -> str:
-        """Name of what the subtask is about: the object, the link, or what to navigate to."""
+        """Name of the target: the object, the link, or the object or link to navigate to."""
         about = spec_of(self.kind).about
         if about == "way":
             return self.toward or self.obj or self.link
@@ -124,15 +133,15 @@ def stack_plans(
     min_subtasks: int = 1,
     doors: Collection[str] = (),
 ) -> PlanArrays:
-    """Put the plans of W worlds into arrays, padded to the longest.
+    """Convert the plans of W worlds to arrays, padded to the longest plan.
 
     Args:
         plans: one plan per world.
-        config: gives the open fractions.
-        boxes: per world, the floor area in front of a link from which it can be reached. It binds a Navigate with
-            that ``link`` and nothing in the hand (mshab/envs/navigate.py).
-        doors: links that turn on a hinge; others slide. They count as open at another part of their range.
-        min_subtasks: pad to at least so many subtasks, so that array shapes do not depend on the plans drawn.
+        config: thresholds; gives the open fractions and the goal type.
+        boxes: per world, floor areas in front of links by link. A Navigate to that ``link`` with an empty hand must end
+            in it (mshab/envs/navigate.py).
+        min_subtasks: least number of columns, so that array shapes do not depend on the plans.
+        doors: links with a hinge; other links slide. The two have different open fractions.
     """
     count = max(min_subtasks, *(len(plan.subtasks) for plan in plans))
     shape = (len(plans), count)

@@ -1,4 +1,4 @@
-"""Progress through a plan: which subtask is active, how long and with how much force; pure functions.
+"""Progress through a plan: active subtask, elapsed steps and accumulated force; pure functions.
 
 One control step: ``accumulate`` the force and the clocks, ``measure``, then ``advance`` the pointer
 (mshab/envs/sequential_task.py, without its quirk of counting resets as steps).
@@ -17,7 +17,7 @@ from mjhab.tasks.thresholds import TaskConfig
 
 @dataclass(frozen=True)
 class Progress:
-    """Where every world stands in its plan. Shapes (W,)."""
+    """Progress of every world through its plan. All arrays are (W,)."""
 
     pointer: Array
     """int64, index of the active subtask; equals the plan's length once all are done."""
@@ -32,25 +32,27 @@ class Progress:
     peak_force: Array
     """float [N], largest force of one control step in the active subtask."""
     success_once: Array
-    """bool: the active subtask has been achieved at least once (matters in continuous evaluation)."""
+    """bool: the active subtask has succeeded in some step (used in continuous evaluation)."""
     done: Array
-    """bool: the episode has ended; the world stands still in here until its row is reset."""
+    """bool: the episode has ended; the row does not change until it is reset."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a control step decided. (W,) bool; all False for a world that was done before the step."""
+    """Result of a control step. All arrays are (W,) bool, False for worlds that were done before the step."""
 
     advanced: Array
     """The active subtask was completed and the pointer moved on."""
     success: Array
-    """The whole plan is done; in continuous evaluation: the subtask is achieved in this step."""
+    """The whole plan is completed; in continuous evaluation: the subtask succeeds in this step."""
     fail: Array
     """The episode failed: force over the limit, a finished Place undone, or the horizon reached without success."""
     timeout: Array
-    """The horizon of the active subtask is used up and it was not completed in this step."""
+    """The horizon of the active subtask is reached and it was not completed in this step."""
     force_exceeded: Array
+    """The accumulated force is over its limit."""
     place_broken: Array
+    """The object of a finished Place is no longer at its goal."""
     done: Array
     """The episode ended in this step."""
     ended: Array
@@ -72,8 +74,8 @@ def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Pr
 
     Args:
         plan: the plans.
-        config: gives the horizons.
-        like: a float array whose dtype the forces get; that of ``plan.goal_pos`` if not given.
+        config: thresholds; gives the horizons.
+        like: a float array with the dtype of the forces; ``plan.goal_pos`` if not given.
     """
     xp = namespace(plan.length)
     zero = xp.zeros_like(plan.length)
@@ -107,13 +109,13 @@ def accumulate(progress: Progress, robot_force: Array) -> Progress:
 def advance(
     progress: Progress, signals: Signals, plan: PlanArrays, config: TaskConfig
 ) -> tuple[Progress, Outcome]:
-    """Move on to the next subtask where the active one is completed; end episodes that failed or are done.
+    """Advance the pointer where the active subtask is completed; end episodes that failed or are completed.
 
-    A subtask is completed when it succeeds (its force within the limit) while every finished Place still holds.
-    Then the next one starts with its own horizon and no force. After the last one the force limit is waived.
-    With ``config.continuous`` the pointer stays and the episode runs to the horizon: success may come and go, too
-    much force only marks it as failed; with ``config.hold_steps`` it ends so long after either. The values of the
-    subtask that ended are in the ``progress`` passed in.
+    A subtask is completed when it succeeds, with its force within the limit, while every finished Place still holds.
+    The next one then starts with its own horizon and zero force. A finished plan has no force limit.
+    With ``config.continuous`` the pointer stays and the episode runs to the horizon: success may be lost again, and too
+    much force only marks the episode as failed. With ``config.hold_steps`` it ends that many steps after the first
+    success or excess of force. The values of the subtask that ended are in the ``progress`` passed in.
 
     Returns:
         The new progress and the outcome of this step.

@@ -1,4 +1,4 @@
-"""Progressive completion: how far along a plan episodes get."""
+"""Progressive completion: fractions of episodes that complete the first n subtasks of a plan."""
 
 from __future__ import annotations
 
@@ -34,9 +34,14 @@ def progressive(completed_counts: Sequence[int] | np.ndarray, n_subtasks: int) -
 
 
 def upper_bound(success_rates: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the completion to expect if every subtask started well: the running product of success rates.
+    """Compute the progressive completion of independent subtasks: the cumulative product of their success rates.
+
+    It is reached if every subtask of a plan starts as favourably as in its own evaluation.
 
     Args:
         success_rates: (S,) success fraction of every subtask evaluated alone, in plan order.
+
+    Returns:
+        (S,) fractions.
     """
     return np.cumprod(np.asarray(success_rates, dtype=np.float64))

@@ -1,4 +1,4 @@
-"""What is known of the worlds after a control step, and what `measure` makes of it: records of arrays."""
+"""Records of arrays: the state of the worlds after a control step, and the signals that `measure` computes from it."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ CHECKS: tuple[str, ...] = (
 )
 """Rows of the check tables. ``let_go``: nothing is held; ``hold_ok``: the object to carry is held, or there is none."""
 SIGNAL_CHECKS = CHECKS[: CHECKS.index("let_go")]
-"""Checks that are signals; the others only serve success."""
+"""Checks that are fields of `Signals`; the others are only conditions of success."""
 
 
 class Standing(Protocol):
-    """What measuring reads of a world's progress: see `progress.Progress`."""
+    """Fields of `progress.Progress` that `measure` reads."""
 
     @property
     def pointer(self) -> Array:
@@ -47,7 +47,7 @@ class Standing(Protocol):
 
 @dataclass(frozen=True)
 class WorldState:
-    """What the simulator knows about W worlds after a control step. Floats unless said; world frame, SI units."""
+    """State of W worlds after a control step, float unless said; world frame, SI units."""
 
     base_pose: Array
     """(W, 3) x, y [m] and yaw [rad] of the base."""
@@ -56,7 +56,7 @@ class WorldState:
     robot_qd: Array
     """(W, J) joint velocities."""
     tcp_pos: Array
-    """(W, 3) tool centre between the fingers."""
+    """(W, 3) position of the tcp, between the fingers."""
     finger_force: Array
     """(W, 2, 3) force [N] by the active target (object or handle link) on the [l, r] finger."""
     finger_dir: Array
@@ -70,18 +70,18 @@ class WorldState:
     plan_obj_pos: Array
     """(W, S, 3) position of the object of every subtask of the plan, zeros if it has none."""
     joint_q: Array
-    """(W,) joint of the active subtask's link, zero if it has none; likewise the next three."""
+    """(W,) joint position of the active subtask's link [m or rad], zero without one; likewise the next three."""
     joint_min: Array
     joint_max: Array
     joint_start: Array
-    """(W,) the joint at the start of the subtask."""
+    """(W,) joint position at the start of the subtask."""
     held_force: Array
     """(W, 2, 3) like ``finger_force``, by the object that Navigate must carry; zeros if none."""
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What holds for the active subtask of every world. (W,) bool unless said; False where it does not apply."""
+    """Signals of the active subtask of every world. (W,) bool unless said; False where a signal does not apply."""
 
     is_grasped: Array
     """Both fingers press the target (Navigate: the carried object) with >= 0.5 N within 30 degrees."""
@@ -110,7 +110,7 @@ class Signals:
     robot_force: Array
     """(W,) [N]."""
     target_force: Array
-    """(W,) [N], sum of the lengths of the two finger forces."""
+    """(W,) sum of the magnitudes of the two finger forces [N]."""
     cumulative_force: Array
     """(W,) [N x control steps] over the active subtask."""
     success: Array
@@ -125,9 +125,9 @@ class Signals:
 
 @dataclass(frozen=True)
 class Active:
-    """What the plan says about the active subtask of every world; the last one's where the plan is finished.
+    """Entries of the plan for the active subtask of every world; for the last one once the plan is finished.
 
-    It depends on the plan and the pointer alone: whoever steps worlds keeps it until a pointer moves.
+    They depend on plan and pointer alone, so that they can be reused until a pointer moves.
     """
 
     index: Array
@@ -143,7 +143,7 @@ class Active:
     must_hold: Array
     """(W,) bool: a Navigate that carries an object."""
     rest_tol: Array
-    """(W, P) how far torso, head and arm may be from rest: with an object in the hand they may give way."""
+    """(W, P) largest distance of torso, head and arm from rest [m or rad]; larger with an object in the hand."""
     force_limit: Array
     """(W,) [N x control steps], infinite once the plan is finished."""
     unfinished: Array

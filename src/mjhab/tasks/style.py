@@ -1,4 +1,4 @@
-"""How a scripted expert is asked to do things: one `Style` for an episode, `Styles` to draw them from."""
+"""Styles of scripted experts: a `Style` for one episode, and `Styles`, the distribution from which it is drawn."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ SEARCH = "search"
 RULE = "rule"
 RANGE = ".."
 OR = ","
-"""Between the ends of a range; between words to choose from."""
+"""Separators: between the ends of a range, and between alternative words."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """How an episode is done. The default is the expert as it is; every field is an option of ``--style``."""
+    """Style of an episode. The defaults are the plain expert; every field is an option of ``--style``."""
 
     speed: float = field(
         default=1.0, metadata={"low": 0.3, "high": 1.0, "about": "of all motions; 1 is the fastest"}
@@ -158,9 +158,11 @@ NAMES: tuple[str, ...] = tuple(f.name for f in fields(Style))
 
 @dataclass(frozen=True)
 class Styles:
-    """What every episode draws its style from. ``choices``: of each field that was named, what it may be.
+    """Distribution from which every episode draws its style, each field independently.
 
-    Numbers: (value,) or the two ends of a range, both included; words: all that may be chosen.
+    Attributes:
+        choices: values of the fields that are not at their default. For numbers (value,) or the two ends of a range,
+            both included; for words all alternatives.
     """
 
     choices: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
@@ -189,7 +191,7 @@ class Styles:
         return cls(choices)
 
     def draw(self, seed: int, index: int) -> Style:
-        """The style of episode ``index`` of a run: a function of (seed, index) alone, each field by itself."""
+        """Draw the style of an episode; it depends on (seed, index) only."""
         drawn = {}
         for name, values in self.choices.items():
             random = stream(seed, "style", name, index)
@@ -203,12 +205,12 @@ class Styles:
 
     @property
     def plain(self) -> bool:
-        """Nothing was asked for."""
+        """Whether every episode has the plain style."""
         return not self.choices
 
     @property
     def words(self) -> list[str]:
-        """What ``parse`` reads, in the order of the fields: equal styles are equal words."""
+        """Words that `parse` reads, in the order of the fields; equal distributions have equal words."""
         return [f"{name}={_write(self.choices[name])}" for name in NAMES if name in self.choices]
 
 
@@ -217,7 +219,7 @@ _SAMPLE = "speed=0.5..1.0 release=place,drop"
 
 @lru_cache(maxsize=1)
 def descriptions() -> dict[str, str]:
-    """What each option of a style means, and its values."""
+    """Description of each field of `Style`, with its values."""
     out = {}
     for f in fields(Style):
         values = f.metadata.get("words")
@@ -232,7 +234,7 @@ def field_words(name: str) -> tuple[str, ...]:
 
 
 def value_of(style: Mapping[str, Any], name: str) -> Any:
-    """A field of a style that was recorded; what was not is the default."""
+    """Field of a recorded style; the default if the record lacks it."""
     return style.get(name, getattr(PLAIN, name))
 
 

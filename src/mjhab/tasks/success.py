@@ -1,4 +1,4 @@
-"""When a subtask is done, and which checks mean anything for it: tables over the kinds of subtasks.
+"""Conditions of success, and the checks that apply to each kind of subtask, as tables over the kinds.
 
 ``force_ok`` means that the force accumulated over the subtask is within its limit; a subtask with too much force cannot
 succeed.
@@ -14,7 +14,7 @@ from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds
 from mjhab.tasks.subtasks.spec import COMMON_CHECKS
 
 _NEVER_TRUE = "at_goal"
-"""What a finished plan is asked for, so that it does not succeed again: there the check is always False."""
+"""Condition of a finished plan, for which this check is always False: a finished plan does not succeed again."""
 
 
 @lru_cache(maxsize=8)
@@ -34,14 +34,14 @@ def _optional(version: int, ignore_arm: bool) -> Table:
 
 
 def masks(kind: Array, ignore_arm: bool) -> tuple[Array, Array]:
-    """Return what the active kinds make of the checks.
+    """Look up which checks apply to the active kinds and which are optional for success.
 
     Args:
         kind: (W,) int64, -1 for a finished plan, which never succeeds.
         ignore_arm: kinds drop their ``arm_conditions`` (Navigate, where it is teleported).
 
     Returns:
-        applies, optional: (K, W) bool, rows ``CHECKS``. Checks count as ``checks & applies``; the subtask is done
+        applies, optional: (K, W) bool, rows ``CHECKS``. The valid checks are ``checks & applies``; a subtask succeeds
         where all of ``checks | optional`` hold.
     """
     check_kinds(kind)

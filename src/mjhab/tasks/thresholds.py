@@ -1,4 +1,4 @@
-"""Every threshold of success and failure that does not belong to one kind of subtask.
+"""Thresholds of success and failure that are common to all kinds of subtasks.
 
 Thresholds come from the MS-HAB paper (Sec. 4 and App. A.2) and from its code (mshab/envs/planner.py,
 mshab/envs/sequential_task.py).
@@ -16,7 +16,7 @@ from mjhab.core.joints import JointColumns
 
 Vec3 = tuple[float, float, float]
 STILLNESS: tuple[str, ...] = ("absolute", "published")
-"""Whether speeds count by their size, or with their sign; see `TaskConfig.stillness`."""
+"""Definitions of standing still: by absolute or by signed joint speeds; see `TaskConfig.stillness`."""
 
 
 @dataclass(frozen=True)
@@ -29,23 +29,23 @@ class SubtaskConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Every threshold of success and failure. Lengths [m], angles [rad], speeds [rad/s or m/s], forces [N]."""
+    """Thresholds of success and failure. Lengths [m], angles [rad], speeds [rad/s or m/s], forces [N]."""
 
     rest_qpos: tuple[float, ...]
     """(J,) joint positions of the robot at rest."""
     joints: JointColumns
-    """Where base, posture and fingers are among the joints."""
+    """Columns of base, posture and fingers among the joints."""
     ee_rest_pos: Vec3
-    """Where the tool centre rests, in the frame of the base link."""
+    """Rest position of the tcp in the frame of the base link."""
     base_height: float
-    """Height of the frame of the base link over the floor (mshab/envs/sequential_task.py: the base floats)."""
+    """Height of the frame of the base link above the floor (mshab/envs/sequential_task.py: the base floats)."""
     limits: Mapping[str, SubtaskConfig] = field(default_factory=dict)
     """Limits of kinds of subtasks, by name, in place of those of their `SubtaskSpec`; see `registry.limits_of`."""
     continuous: bool = False
     """Evaluate a single subtask to its horizon: success does not end it, force is never reset."""
     hold_steps: int = -1
-    """With ``continuous``: control steps that an episode goes on after its first success, or after the step in which
-    its force exceeds the limit; -1 for all to the horizon. Demonstrations need no more."""
+    """With ``continuous``: control steps for which an episode goes on after its first success, or after its force
+    exceeds the limit; -1 for all steps to the horizon. Demonstrations need only a few."""
 
     ee_rest_tol: float = 0.05
     arm_tol: float = 0.2
@@ -54,8 +54,9 @@ class TaskConfig:
     static_speed: float = 0.2
     static_base_speed: float = 0.05
     stillness: str = "absolute"
-    """"absolute": no joint is faster than these, either way; "published": joints that move the other way count as
-    still, however fast (the paper's App. A.2 and mani_skill/agents/robots/fetch/fetch.py take no absolute value)."""
+    """"absolute": the absolute speed of every joint is below these limits; "published": the signed speed is, so that
+    joints that move in the negative direction count as still at any speed (the paper's App. A.2 and
+    mani_skill/agents/robots/fetch/fetch.py take no absolute value)."""
     grasp_force: float = 0.5
     grasp_angle: float = math.radians(30.0)
 
@@ -69,7 +70,7 @@ class TaskConfig:
     nav_distance: float = 2.0
     nav_bearing: float = 0.5
     ignore_arm: bool = True
-    """Navigate is judged without arm and grasp; the default because teleport navigation does not move them."""
+    """Success of Navigate does not depend on arm and grasp; the default, because a teleport does not move them."""
 
     def __post_init__(self) -> None:
         if len(self.rest_qpos) != self.joints.count:
@@ -83,7 +84,7 @@ class TaskConfig:
 
     @property
     def rest_tolerances(self) -> tuple[float, ...]:
-        """How far every joint of the posture may be from rest [m, rad]."""
+        """Largest distance of every joint of the posture from rest [m or rad]."""
         posture = self.joints.posture
         return tuple(
             self.torso_tol if column == self.joints.torso else self.arm_tol
@@ -91,5 +92,5 @@ class TaskConfig:
         )
 
     def open_fraction(self, hinged: bool) -> float:
-        """Part of its range at which a link counts as open: a door if it is ``hinged``, else a drawer."""
+        """Share of its range at which a link counts as open: a door if it is ``hinged``, else a drawer."""
         return self.open_fraction_door if hinged else self.open_fraction_drawer

@@ -1,1 +1,1 @@
-"""Environments whose arrays are torch tensors on the device of the warp backend; imported only when it is asked for."""
+"""Environments of the warp backend, with torch tensors on its device; imported only when the backend is used."""

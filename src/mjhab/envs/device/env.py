@@ -1,7 +1,7 @@
 """The HAB tasks on the warp backend: the control step of `envs.loop` on torch tensors on the device.
 
-Nothing in a step waits for the device or copies to or from the host: worlds that move on, end or break are told apart
-by masks, and every shape stays as it is.
+No step waits for the device or copies to or from the host. Masks select the worlds that begin a subtask, end or become
+invalid, and all shapes are constant.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ class DeviceEnv(TaskLoop):
     """HAB tasks on MuJoCo Warp. Build it with `mjhab.envs.make(backend="warp")` or `make_train`.
 
     Spaces, observations, rewards and flags are those of `SequentialTaskEnv`, as tensors (W, ...) on ``device``, float32
-    where that has float64. It differs in this:
+    where that has float64. The differences are:
 
-    * Episodes come from a pool of P starts: world w's k-th episode is start (w + k W) mod P, and start i is the episode
-      (seed, i) of the cpu backend. A reset with another seed makes a new pool, which takes time.
-    * `info` holds tensors only. "event_flags" (W, E) bool has the columns `registry.event_columns`, "ended" (W,) bool
-      says whose subtask ended in this step and "label" (W,) its label, -1 for none. Records of them and descriptions
-      of episodes are made on the host when asked for: `records`, `episode_spec`.
+    * Episodes come from a pool of P starts: the k-th episode of world w is start (w + k W) mod P, and start i is the
+      episode (seed, i) of the cpu backend. A reset with another seed makes a new pool, which takes time.
+    * `info` holds tensors only: "event_flags" (W, E) bool with the columns `registry.event_columns`, "ended" (W,) bool
+      for subtasks that ended in this step, and "label" (W,) for their labels, -1 for none. `records` and `episode_spec`
+      make records and descriptions of episodes on the host.
     * A teleport never waits; see `landings`.
-    * Numbers of an action that are not finite count as 0 and are told by `check_taint`.
-    * With autoreset "same_step" pictures of the final observations are drawn in every step, whether an episode ends or
-      not, and those of worlds that begin anew or teleport are drawn again.
+    * Entries of an action that are not finite count as 0; `check_taint` reports them.
+    * With autoreset "same_step" images of the final observations are drawn in every step, whether an episode ends or
+      not; those of worlds that begin an episode or teleport are drawn again.
     """
 
     sim: WarpSimulator
@@ -96,15 +96,16 @@ class DeviceEnv(TaskLoop):
             self._set_spaces(self.observer.single_space, render_modes=[], tensors=True)
             self.start_row = torch.zeros_like(self._worlds)
             self._judged_row = self.start_row
-            """(W,): start each world is at, start of the last step."""
+            """(W,) index in the pool of each world's start (``start_row``), and of its start in the last step."""
             self.tainted = torch.zeros((), dtype=torch.int64, device=self.device)
             self.bad_actions = self.tainted
-            """Episodes that ended with a taint; actions of single worlds that were not finite."""
+            """``tainted``: number of episodes that ended with a taint. ``bad_actions``: number of actions (A,) with an
+            entry that was not finite."""
             self.tables = self.pool.rows(self.start_row)
             self._init_worlds()
 
     def _room(self) -> AbstractContextManager[None]:
-        """For work that takes memory of the device."""
+        """Context for work that allocates device memory: it turns a lack of memory into a `UsageError`."""
         return room_for(self.num_envs, self.sim.device)
 
     def _nav_distance(self, inputs: RewardInputs) -> Tensor:
@@ -121,7 +122,7 @@ class DeviceEnv(TaskLoop):
         """Start episodes.
 
         Args:
-            seed: of the pool; another one than the present makes a new pool. None keeps it.
+            seed: seed of the pool; a new seed makes a new pool, None keeps the present one.
             options: "reset_mask" (W,) bool: worlds to reset (default all); "episode": numbers of starts in the pool
                 that the worlds in the mask get, in order of worlds.
 
@@ -190,7 +191,10 @@ class DeviceEnv(TaskLoop):
     # -- step ------------------------------------------------------------------------------------------------------
 
     def step(self, actions: Any) -> tuple[dict, Tensor, Tensor, Tensor, dict]:
-        """One control step of 50 ms in every world. ``actions`` (W, A) on the device; clipped to the action space.
+        """Advance every world by one control step of 50 ms, see `TaskLoop.step`.
+
+        Args:
+            actions: (W, A) tensor on the device, clipped to the action space.
 
         Raises:
             UsageError: wrong shape or type, nothing has been reset yet, or no room on the device.
@@ -255,17 +259,18 @@ class DeviceEnv(TaskLoop):
         return self.tracker.records([self.pool.plans[row] for row in rows])
 
     def episode_spec(self, world: int) -> Mapping[str, Any]:
-        """The episode a world is in; see `describe_episode`. Its "instructions" stand in the order of the plan."""
+        """Description of a world's episode, see `describe_episode`; "instructions" are in the order of the plan."""
         row = int(self.start_row[world])
         return describe_episode(
             self.pool.episodes[row], self.pool.plans[row], self.config, self._narrator
         )
 
     def check_taint(self) -> None:
-        """For evaluation: complain if a buffer of the engine overflowed, or an action was not finite, at any time.
+        """Refuse results with faults of the simulation since the environment was made; for evaluation.
 
         Raises:
-            UsageError: names the buffer and a size for the option ``buffers``; or says how many actions were bad.
+            UsageError: a buffer of the engine overflowed (with a size for the option ``buffers``), or actions were not
+                finite.
         """
         self.sim.check_overflow()
         if bad := int(self.bad_actions):

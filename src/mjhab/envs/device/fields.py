@@ -1,6 +1,6 @@
-"""Ways around the furniture on the device, as one table of all goals.
+"""Distance fields around furniture on the device, as one table for all goals.
 
-`envs.parts.nav_distance` looks them up on the host.
+`envs.parts.nav_distance` is the counterpart on the host.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ _STEPS = int(np.iinfo(np.int16).max)
 
 
 class GoalFields:
-    """Distances to drive to each of a set of goals, over the free floor of their homes.
+    """Path lengths to each of N goals over the free floor of their homes.
 
-    The fields of `FreeMap.distances_to` lie as one int16 tensor (F, X, Y), each in steps of its largest value / 32767:
-    what `at` gives differs from `NavDistance.at` by less than 1 mm in homes whose ways are shorter than 60 m. Goals of
-    one home that are the same to the millimetre share a field. Making one takes some 10 ms.
+    The fields of `FreeMap.distances_to` are stored as one int16 tensor (F, X, Y), each in units of its largest value /
+    32767. `at` differs from `NavDistance.at` by less than 1 mm in homes whose paths are shorter than 60 m. Goals of one
+    home that are equal to the millimetre share a field. Computing a field takes about 10 ms.
 
     Args:
-        goals: (home, goal x, y [, z] [m]), N of them.
-        maps: gives the free floor of a home by name (`SpawnSampler.map`).
-        device: where the tensors are.
+        goals: N pairs of home name and goal x, y (, z) [m].
+        maps: function from the name of a home to its free floor (`SpawnSampler.map`).
+        device: device of the tensors.
 
     Attributes:
-        index: (N,) int64 on the device, the field of every goal.
+        index: (N,) int64 on the device, index of every goal's field.
 
     Raises:
         UsageError: the fields need more than MAX_BYTES, or the base fits nowhere in a home.
@@ -64,9 +64,9 @@ class GoalFields:
         self._last = torch.as_tensor(numbers[:, 3:] - 1.0, device=device)
 
     def at(self, index: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
-        """Way (W,) [m] of bases at ``xy`` (W, 2) to the goals whose fields are ``index`` (W,) int64; see NavDistance.
+        """Path length (W,) [m] from base positions ``xy`` (W, 2) to the goals of the fields ``index`` (W,) int64.
 
-        0 where the index is -1. Off the map it grows with the distance to it.
+        0 where the index is -1. Outside the map the distance to the map is added. See `NavDistance.at`.
         """
         field = torch.clamp(index, min=0)
         cell = self._cell[field]
@@ -90,7 +90,7 @@ class GoalFields:
 
 
 def _fields(goals: Sequence[tuple[FreeMap, Sequence[float]]]) -> tuple[np.ndarray, np.ndarray]:
-    """Ways to goals on their maps: a table (F, X, Y) int16 in steps, and the largest of each (F,) float32 [m]."""
+    """Distance fields of goals on their maps: (F, X, Y) int16 table, and the largest distance of each (F,) [m]."""
     shapes = [free.blocked.shape for free, _ in goals]
     size = tuple(max((shape[axis] for shape in shapes), default=1) for axis in (0, 1))
     needed = 2 * len(goals) * size[0] * size[1]

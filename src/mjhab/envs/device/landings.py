@@ -1,4 +1,4 @@
-"""Teleports on the device: the goal poses of all Navigate subtasks of a chain, computed with the start of its episode.
+"""Teleports on the device: the goal poses of all Navigate subtasks of a plan, computed with the start of its episode.
 
 The cpu backend samples poses during the episode and checks each against the present state of the world. This module
 samples the same poses in the same order, but checks them against the expected state: that after success of all earlier
@@ -25,7 +25,13 @@ from mjhab.tasks.subtasks.registry import spec_of
 def find_landings(
     starts: StartMaker, episode: Episode, start: Start, length: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Goal pose of the robot for every Navigate subtask of a chain.
+    """Find the pose of the robot after the teleport of every Navigate subtask of a plan.
+
+    Args:
+        starts: samples and checks poses.
+        episode: the episode.
+        start: its start state and plan.
+        length: number of subtasks of the result; plans may be shorter.
 
     Returns:
         Joint positions (length, J), zero for other subtasks; and (length,) bool, True if no sampled pose was valid and
@@ -54,11 +60,11 @@ def _land(
 
 
 class Teleporter:
-    """Moves robots, and what they hold, to their landings.
+    """Moves robots, and the objects that they hold, to the poses of `find_landings`.
 
     Args:
-        addresses: of the layout.
-        device: of the tensors.
+        addresses: addresses of joints and objects in the layout's state.
+        device: device of the tensors.
     """
 
     def __init__(self, addresses: Addresses, device: torch.device) -> None:
@@ -72,9 +78,10 @@ class Teleporter:
         """Positions (W, nq) of all worlds after a teleport.
 
         Args:
-            qpos: (W, nq) present ones.
+            qpos: (W, nq) present positions.
             state: present state.
-            landing: (W, J) joints to land with; of a robot that holds what it shall carry only the base moves.
+            landing: (W, J) joint positions after the teleport; a robot that holds the object to carry moves only its
+                base, and the object with it.
             carried: (W,) int64 slot of the object to carry, -1 for none.
         """
         worlds = torch.arange(len(qpos), device=qpos.device)

@@ -58,14 +58,15 @@ class DeviceStepNotes:
 
 
 class DeviceNotes:
-    """Notes on the active subtask of W worlds. Nothing in `begin`, `update` and `end` waits for the device.
+    """Collects labels and events of the active subtask of W worlds.
 
-    The checks of every step are kept as bits of one number, until the next subtask of the world overwrites them.
+    `begin`, `update` and `end` do not wait for the device. The checks of every step are stored as bits of one
+    integer until the next subtask of the world overwrites them.
 
     Args:
         num_worlds: W.
-        longest: most control steps of a subtask.
-        device: of the tensors.
+        longest: largest number of control steps of a subtask.
+        device: device of the tensors.
     """
 
     def __init__(self, num_worlds: int, longest: int, device: torch.device) -> None:
@@ -85,7 +86,7 @@ class DeviceNotes:
         self._start_step = torch.where(mask, progress.episode_step, self._start_step)
 
     def update(self, signals: Signals, progress: Progress) -> torch.Tensor:
-        """Note one control step, before the pointer moves; returns its events, (W, E) bool, columns `event_columns`."""
+        """Add one control step, before the pointer moves; returns its events (W, E) bool, columns `event_columns`."""
         assert self._labels is not None
         before = self._labels
         live = ~progress.done
@@ -99,7 +100,7 @@ class DeviceNotes:
         return ev.edge_events(kind, before.now, self._labels.now)
 
     def end(self, signals: Signals, outcome: Outcome, progress: Progress) -> torch.Tensor:
-        """Remember what ended in this step; ``progress`` is the one before the pointer moved.
+        """Store the data of subtasks that ended in this step; ``progress`` is that before the pointer moved.
 
         Returns:
             (W,) int64 label of the subtask that ended, an index into the ``labels`` of its `SubtaskSpec`; -1 for none.
@@ -114,7 +115,7 @@ class DeviceNotes:
         """Records of the subtasks that ended in the last step, (W,), as `tracking.Tracker.ended` writes them.
 
         Args:
-            plans: those of that step, one per world.
+            plans: plans of the worlds in that step.
         """
         records: list[dict[str, Any] | None] = [None] * len(plans)
         worlds = (
@@ -130,7 +131,7 @@ class DeviceNotes:
     def _replay(
         self, ended: _Ended, worlds: np.ndarray, plans: list[TaskPlan]
     ) -> list[dict[str, Any] | None]:
-        """Go through the kept steps of ``worlds`` (n,) again with the tracker of the cpu backend."""
+        """Records of ``worlds`` (n,), from their stored steps, by the tracker of the cpu backend."""
         rows = torch.as_tensor(worlds, device=self._history.device)
 
         def chosen(values: torch.Tensor) -> np.ndarray:

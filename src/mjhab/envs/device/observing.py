@@ -22,11 +22,14 @@ class DeviceObserver(ObservedRows):
     """Computes the rows of the observation table for all worlds of a simulator on the device.
 
     Args:
-        sim: worlds to look into.
-        sensing: of the same layout, on the device.
-        mode, cameras, size: see `ObservedRows`.
+        sim: simulator of the worlds.
+        sensing: sensing of the same layout, on the device.
+        mode: see `ObservedRows`.
+        cameras: see `ObservedRows`.
+        size: see `ObservedRows`.
 
-    ``renderer``: what draws, None without pictures.
+    Attributes:
+        renderer: the renderer; None for modes without images.
     """
 
     def __init__(
@@ -53,11 +56,13 @@ class DeviceObserver(ObservedRows):
     def observe(
         self, state: SimState, focus: Focus, signals: Signals, changed: torch.Tensor | None = None
     ) -> dict[str, torch.Tensor]:
-        """Observations (W, ...) of all worlds, which later steps do not change.
+        """Compute observations (W, ...) of all worlds, which later steps do not modify.
 
         Args:
-            state, focus, signals: of the present.
-            changed: (W,) bool, worlds whose state is another than in the last call; None where all may have moved.
+            state: present state.
+            focus: the active subtasks.
+            signals: signals measured in this state.
+            changed: (W,) bool, worlds whose state has changed since the last call; None if all may have.
         """
         obs = state_observation(self.state_rows, self._sensing.context(state, focus, signals))
         if self.renderer is None:
@@ -65,5 +70,5 @@ class DeviceObserver(ObservedRows):
         images = self.renderer.draw(changed)
         pos, mat = self.renderer.poses()
         views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
-        # The renderer draws into the same memory again.
+        # Copies, because the renderer reuses its memory.
         return obs | {entry.key: entry.compute(views).clone() for entry in self.camera_rows}

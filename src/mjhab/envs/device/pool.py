@@ -1,4 +1,4 @@
-"""Starts that worlds draw from on the device: made on the host once, uploaded once."""
+"""Pool of episode starts on the device: computed on the host and uploaded once."""
 
 from __future__ import annotations
 
@@ -55,19 +55,23 @@ class StartPool:
     """P starts as tensors; number i is the cpu backend's episode (seed, i). S subtasks.
 
     Attributes:
-        episodes, plans: (P,) on the host.
-        qpos: (P, nq) states; where a chain begins with a teleport, those after it.
-        ctrl, rings, home_rows: (P, ...) commands, sleep and homes, see `WarpSimulator.reset_masked`.
-        fallback: (P,) bool, the robot stands where nothing better was found.
-        landings, landing_fallback: (P, S, J) and (P, S) of `find_landings`.
-        field_index: (P, S) int64, field of ``fields`` that leads to the goal of the subtask, -1 for none.
-        fields: way to the goals of Navigate, None where no reward asks for it.
+        episodes: (P,) list on the host.
+        plans: (P,) list on the host.
+        qpos: (P, nq) start positions; for plans that begin with a teleport, those after it.
+        home_rows: (P,) homes, see `WarpSimulator.start_rows`.
+        ctrl: (P, nu) actuator commands.
+        rings: (P, ...) sleep states, see `WarpSimulator.reset_masked`.
+        fallback: (P,) bool, no valid start pose was found and the nearest one is used.
+        landings: (P, S, J) of `find_landings`.
+        landing_fallback: (P, S) bool of `find_landings`.
+        field_index: (P, S) int64, index in ``fields`` of the goal of each subtask, -1 for none.
+        fields: path lengths to the goals of Navigate; None if the reward does not need them.
 
     Args:
-        source: makes the episodes on the host; its configuration says whether robots teleport, and what the reward is.
-        sim: on whose device the tensors are; the homes of the starts are uploaded to it.
+        source: makes the episodes on the host; its configuration gives navigation mode and reward.
+        sim: simulator whose device holds the tensors; the homes of the starts are uploaded to it.
         count: P.
-        seed: of the episodes.
+        seed: seed of the episodes.
     """
 
     def __init__(self, source: EpisodeSource, sim: WarpSimulator, count: int, seed: int) -> None:
@@ -102,7 +106,7 @@ class StartPool:
         self.fields, self.field_index = self._find_fields(made, device)
 
     def rows(self, index: torch.Tensor) -> Rows:
-        """Plans of the starts ``index`` (W,) int64."""
+        """Plan tables of the starts ``index`` (W,) int64."""
         t = self._tables
         arrays = map_record(lambda x: x[index], t.arrays)
         return Rows(arrays, t.obj[index], t.link[index], t.target[index], t.held[index])

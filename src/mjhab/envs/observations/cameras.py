@@ -29,7 +29,14 @@ def intrinsic_matrix(robot: Robot, camera: str, size: tuple[int, int]) -> np.nda
 def camera_table(
     robot: Robot, outputs: Sequence[str], cameras: Sequence[str], size: tuple[int, int]
 ) -> tuple[ObsEntry, ...]:
-    """The rows of the cameras for ``outputs`` of `mode_outputs`; none for no outputs."""
+    """Make the rows of the cameras.
+
+    Args:
+        robot: the robot.
+        outputs: images and point clouds, see `mode_outputs`; without any there are no rows.
+        cameras: names of the robot's cameras.
+        size: (height, width) of the images [px].
+    """
     rows: list[ObsEntry] = []
     for c, camera in enumerate(cameras if outputs else ()):
         rows += [
@@ -154,7 +161,7 @@ def _extrinsic_cv(views: Views, index: int) -> Array:
 
 
 def _turned(mat: Array) -> Array:
-    """Rotations (..., 3, 3) of cameras with the axes of OpenCV: those of MuJoCo with y and z turned round."""
+    """Convert camera rotations (..., 3, 3) from MuJoCo's axes to OpenCV's: y and z are reversed."""
     return mat * constant((1.0, -1.0, -1.0), mat)
 
 

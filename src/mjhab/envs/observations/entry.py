@@ -1,4 +1,4 @@
-"""One row of the table of observations, and what rows are computed from. Letters: W worlds, C cameras."""
+"""One row of the observation table, and the inputs of rows. Letters: W worlds, J joints, C cameras."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from mjhab.robots.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class ObsContext:
-    """What observations are computed from. W worlds; poses are xyz + wxyz in the frame of the base link.
+    """Inputs of state rows. Poses are xyz [m] + wxyz in the frame of the base link.
 
-    ``tcp_pose`` (W, 7) of the tool centre; ``obj_pose`` (W, 7) of the active subtask's object and ``goal_pos`` (W, 3),
-    zero where the subtask has none; ``is_grasped`` (W,).
+    Attributes:
+        robot_q: (W, J) joint positions.
+        robot_qd: (W, J) joint velocities.
+        tcp_pose: (W, 7) pose of the tcp.
+        obj_pose: (W, 7) pose of the active subtask's object, zero if it has none.
+        goal_pos: (W, 3) goal of the active subtask, zero if it has none.
+        is_grasped: (W,) bool, the target of the active subtask is grasped.
     """
 
     robot_q: Array
@@ -31,11 +36,16 @@ class ObsContext:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What camera rows are computed from. W worlds, C cameras asked for, in order.
+    """Inputs of camera rows, for C cameras in the order asked for and images of height h and width w.
 
-    ``robot``: whose cameras they are; ``images``: "depth" (W, C, H, W) float32 [m], 0 where nothing is hit, "rgb"
-    (W, C, H, W, 3) uint8, "seg" (W, C, H, W) int32; ``pos`` (W, C, 3) [m] and ``mat`` (W, C, 3, 3): cameras in the
-    world, x right, y up, z backwards; ``base`` (W, 3): x, y [m], yaw [rad] of the base; ``intrinsic`` (C, 3, 3) [px].
+    Attributes:
+        robot: the robot with the cameras.
+        images: "depth" (W, C, h, w) float32 [m], 0 where nothing is hit; "rgb" (W, C, h, w, 3) uint8; "seg"
+            (W, C, h, w) int32.
+        pos: (W, C, 3) positions of the cameras in the world [m].
+        mat: (W, C, 3, 3) rotations of the cameras in the world, with x right, y up, z backwards.
+        base: (W, 3) x, y [m], yaw [rad] of the base in the world.
+        intrinsic: (C, 3, 3) pinhole matrices [px].
     """
 
     robot: Robot
@@ -48,7 +58,19 @@ class Views:
 
 @dataclass(frozen=True)
 class ObsEntry:
-    """One observation. ``compute`` returns (W, *shape), from an ObsContext (state rows) or Views (camera rows)."""
+    """One row of the observation table.
+
+    Attributes:
+        key: key of the observation.
+        shape: shape for one world.
+        unit: unit, for people.
+        frame: coordinate frame, for people.
+        compute: function from an `ObsContext` (state rows) or `Views` (camera rows) to an array (W, *shape).
+        meaning: description, for people.
+        dtype: type of the entries.
+        low: least value.
+        high: greatest value.
+    """
 
     key: str
     shape: tuple[int, ...]

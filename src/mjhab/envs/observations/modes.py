@@ -23,8 +23,8 @@ OBS_MODES: dict[str, tuple[str, ...]] = {
     "seg": ("seg",),
     POINTCLOUD: (POINTCLOUD,),
 }
-"""Observation modes and the images that each adds to the state; joined by "+" they add up, as in "rgbd+seg".
-"proprioception" replaces the state by what the robot's own sensors tell, as in "proprioception+rgbd"."""
+"""Observation modes and the images that each adds to the state. Modes can be combined by "+", as in "rgbd+seg".
+"proprioception" reduces the state to what the robot's own sensors measure, as in "proprioception+rgbd"."""
 MIN_SIZE = 8
 """Smallest image side [px]."""
 
@@ -40,7 +40,7 @@ def param_key(camera: str, param: str) -> str:
 
 
 def mode_outputs(mode: str) -> tuple[str, ...]:
-    """What an observation mode adds to the state, e.g. "rgbd+seg" -> ("depth", "rgb", "seg").
+    """List the images that an observation mode adds to the state, e.g. "rgbd+seg" -> ("depth", "rgb", "seg").
 
     Raises:
         UsageError: a part that is no mode.
@@ -75,7 +75,7 @@ def camera_names(robot: Robot, cameras: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def image_size(size: int | Sequence[int]) -> tuple[int, int]:
-    """(height, width) [px] of a size that is one number or a pair.
+    """Convert an image size, one number or (height, width), to (height, width) [px].
 
     Raises:
         UsageError: not whole numbers, not one or two of them, below MIN_SIZE, or above the range of "camera_size".

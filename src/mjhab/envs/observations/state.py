@@ -1,8 +1,8 @@
-"""Rows of the state: joints, tool centre, and what the active subtask is about (mshab/envs/sequential_task.py).
+"""Rows of the state: joints, tcp, and object, goal and grasp of the active subtask (mshab/envs/sequential_task.py).
 
-The concatenation of the six entries is ``state`` (W, S), see `state_dim`. Entries that the active subtask does not use
-are zero, so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds what the
-robot's own sensors measure instead.
+``state`` (W, S) is the concatenation of these rows, see `state_dim`. Rows that the active subtask does not use are
+zero, so that one policy interface serves all subtasks. With the mode "proprioception" ``state`` holds the
+measurements of the robot's own sensors instead.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ from mjhab.tasks.subtasks.spec import SubtaskSpec
 
 
 def pose_in_base(base: Array, height: float, pose: Array) -> Array:
-    """World poses (..., W, 7) in the frame of the base link, with canonical quaternions.
+    """Transform world poses to the frame of the base link.
 
-    ``base`` (W, 3): x, y [m], yaw [rad]; ``height`` [m]: of the base link above the floor.
+    Quaternions become canonical (w >= 0), because the sign of a simulator's quaternion depends on its history.
 
-    The sign that a quaternion of the simulator has depends on how often the base or the object has turned round.
+    Args:
+        base: (W, 3) x, y [m], yaw [rad] of the base.
+        height: height of the base link above the floor [m].
+        pose: (..., W, 7) xyz [m] + wxyz in the world.
     """
-    # The base turns about z only: half of the quaternion product is zero and left out.
+    # The base turns about z only: half of the terms of the quaternion product are zero and left out.
     xp = namespace(base)
     yaw = base[:, BASE_YAW]
     c = xp.cos(yaw)
@@ -70,11 +73,11 @@ _GRASPED_IN = {
     "link": "the handle",
     "way": "the object in the hand",
 }
-"""What the rows of the task are, by what a subtask is about (`SubtaskSpec.about`)."""
+"""Meaning of the task rows for each `SubtaskSpec.about`."""
 
 
 def task_meanings(kinds: Sequence[str]) -> dict[str, str]:
-    """What the rows of the task mean in some kinds of subtasks, by key; from `SubtaskSpec.shows` and ``about``.
+    """Describe the task rows for some kinds of subtasks, by key; from `SubtaskSpec.shows` and ``about``.
 
     Raises:
         UsageError: there is no such subtask.
@@ -94,7 +97,7 @@ def task_meanings(kinds: Sequence[str]) -> dict[str, str]:
 def _listed(
     about: Mapping[str, str], shown: Sequence[SubtaskSpec], all_kinds: Sequence[SubtaskSpec]
 ) -> str:
-    """ "Pick, Place: its object; Open: the handle; zero in Navigate"."""
+    """Meaning of one row for several kinds, as in "Pick, Place: its object; Open: the handle; zero in Navigate"."""
     by_meaning: dict[str, list[str]] = {}
     for spec in shown:
         by_meaning.setdefault(about[spec.about], []).append(spec.name.capitalize())
@@ -132,7 +135,7 @@ def joint_rows(robot: Robot) -> tuple[ObsEntry, ...]:
 
 
 def task_rows(robot: Robot) -> tuple[ObsEntry, ...]:
-    """Rows of the tool centre and of what the active subtask is about."""
+    """Rows of the tcp and of object, goal and grasp of the active subtask."""
     base = robot.base_link
     return (
         ObsEntry(
@@ -171,7 +174,7 @@ def task_rows(robot: Robot) -> tuple[ObsEntry, ...]:
 
 
 def base_velocity_row(robot: Robot) -> ObsEntry:
-    """Row of the velocity of the base, as its odometry tells it."""
+    """Row of the velocity of the base in its own frame, as odometry measures it."""
     return ObsEntry(
         BASE_VELOCITY_KEY,
         (3,),
@@ -192,7 +195,7 @@ def state_table(robot: Robot, own: bool = False) -> tuple[ObsEntry, ...]:
 
 
 def state_dim(robot: Robot, own: bool = False) -> int:
-    """Numbers in ``state``; ``own``: in the mode "proprioception"."""
+    """Length of ``state``; ``own``: in the mode "proprioception"."""
     return sum(entry.shape[0] for entry in state_table(robot, own))
 
 

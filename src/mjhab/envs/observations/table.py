@@ -25,9 +25,12 @@ def table_space(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> space
 def describe(
     state: Sequence[ObsEntry], cameras: Sequence[ObsEntry], kinds: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """The rows of ``table_space`` for people and machines: key, shape, dtype, unit, frame, meaning.
+    """Describe the rows of `table_space` as plain data: key, shape, dtype, unit, frame, meaning.
 
-    ``kinds``: subtasks that the rows of the task are explained for.
+    Args:
+        state: rows of ``state``.
+        cameras: rows of the cameras.
+        kinds: subtasks for which the task rows are explained.
 
     Raises:
         UsageError: there is no such subtask.

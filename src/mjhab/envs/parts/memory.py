@@ -11,58 +11,58 @@ from mjhab.envs.observations.modes import mode_outputs
 CAMERAS = 2
 """Default number of cameras of a robot: one on its head, one on its hand."""
 BASE_MB = 500
-"""An environment of one layout before its worlds: libraries and compiled homes (`mjhab bench env` measures it)."""
+"""Memory of an environment without worlds: libraries and compiled homes (measured by `mjhab bench env`)."""
 WORLD_MB = 1.5
-"""One world with 30 objects: MjData, its batch rows and scratch (`mjhab bench env` measures it)."""
+"""Memory of one world with 30 objects: MjData, its batch rows and scratch (measured by `mjhab bench env`)."""
 PIXEL_BYTES = {"rgb": 3, "depth": 2, "seg": 2, "pointcloud": 12 + 3 + 2}
 """Per pixel and camera of an observation: uint8 colour, int16 millimetres, int16 ids; xyz float32, colour, id."""
 RASTER_BYTES = 3 + 4 + 2
-"""What the rasterizer holds of a pixel beside: colour, depth float32, id."""
+"""Additional bytes per pixel in the rasterizer: colour, depth float32, id."""
 OBS_COPIES = 2
-"""Number of observations in memory: the last one, and that of the step before, which the caller may still hold."""
+"""Number of observations in memory: the last one, and the one before, which the caller may still hold."""
 WARP_BASE_MB = 700
-"""CUDA context, kernels, the shared model, tables of homes, contacts kept for a crowd. Not measured on a GPU."""
+"""CUDA context, kernels, the shared model, tables of homes, contact buffers. Estimated, not measured on a GPU."""
 WARP_WORLD_MB = 1.1
-"""One world with 30 objects in MuJoCo Warp: 0.41 MB of arrays, 0.56 MB that a substep allocates on its way (sums of the
-arrays of 3 and of 32 worlds of TidyHouse on Warp's CPU device, difference over 29), and a tenth on top."""
+"""One world with 30 objects in MuJoCo Warp: 0.41 MB of arrays, 0.56 MB of temporary arrays of a substep, and 10 %
+margin. From the arrays of 3 and of 32 worlds of TidyHouse on Warp's CPU device: their difference over 29."""
 WARP_OBS_COPIES = 4
 """Observations and final observations of a step, and those of the step before."""
 WARP_PIXEL_BYTES = {"rgb": 3, "depth": 4, "seg": 4}
-"""Per pixel and camera, what the renderer on the device hands out: uint8, float32, int32."""
+"""Bytes per pixel and camera of the device renderer's images: uint8, float32, int32."""
 WARP_SCENE_MB = 25 + 184
 """The render scene and the meshes of the 105 built-in homes, all in use; ReplicaCAD with 21 homes has 66 + 50."""
 WARP_MOVERS = 256
-"""Pieces that move in a world with 30 objects; the robot has most of them."""
+"""Number of moving drawn parts in a world with 30 objects; most belong to the robot."""
 WARP_DRAWN_AT_ONCE = 256
 """Worlds for which the renderer has scratch memory (`render.warp.cameras.WORLDS_AT_ONCE`)."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """Memory [MB] of worlds: before the first, and of each."""
+    """Memory of worlds [MB]: ``base_mb`` without any, ``world_mb`` for each."""
 
     base_mb: float
     world_mb: float
 
     def total_mb(self, num_envs: int) -> float:
-        """All of it."""
+        """Memory of ``num_envs`` worlds [MB]."""
         return self.base_mb + self.world_mb * num_envs
 
     def most(self, free_mb: float) -> int:
-        """Largest number of worlds that fits into the free memory."""
+        """Largest number of worlds that fits into ``free_mb`` [MB]."""
         return max(0, int((free_mb - self.base_mb) / self.world_mb))
 
 
 @dataclass(frozen=True)
 class WorldPictures:
-    """What the cameras of a world draw: ``obs_mode`` and ``camera_size`` [px] as in `EnvConfig`, number of cameras."""
+    """Images of one world: ``obs_mode`` and ``camera_size`` [px] as in `EnvConfig`, and the number of ``cameras``."""
 
     obs_mode: str = "state"
     camera_size: int | tuple[int, int] = 128
     cameras: int = CAMERAS
 
     def size(self) -> tuple[int, float]:
-        """Pixels of a world, and what one set of observations has of them [MB].
+        """Number of pixels of a world, and memory of the images in one observation [MB].
 
         Raises:
             UsageError: unknown observation mode.
@@ -75,7 +75,7 @@ class WorldPictures:
 
 
 def host_need(pictures: WorldPictures | None = None) -> Need:
-    """What the worlds of backend cpu take of the machine's memory.
+    """Estimate the memory of worlds of backend cpu.
 
     Raises:
         UsageError: unknown observation mode.
@@ -89,12 +89,12 @@ def device_need(
     copies: int = WARP_OBS_COPIES,
     world_mb: float = WARP_WORLD_MB,
 ) -> Need:
-    """What the worlds of backend warp take of the device's memory.
+    """Estimate the device memory of worlds of backend warp.
 
     Args:
-        pictures: of one world.
-        copies: of the pictures that are kept as observations.
-        world_mb: a world without pictures [MB].
+        pictures: images of one world.
+        copies: number of observations that are in memory at the same time.
+        world_mb: memory of a world without images [MB].
 
     Raises:
         UsageError: unknown observation mode.
@@ -106,7 +106,7 @@ def device_need(
     drawn = [
         size for name, size in WARP_PIXEL_BYTES.items() if name in wanted or "pointcloud" in wanted
     ]
-    # Scratch of a world: lists of what moves per tile of 16 x 16 pixels; with colours light by pixel and by 4 x 4 cell.
+    # Scratch of a world: lists of moving parts per tile of 16 x 16 pixels; with colours light per pixel and 4 x 4 cell.
     scratch = pixels / 256 * (4 + 2 * WARP_MOVERS) + pixels * (8 + 12 / 16)
     poses = 48 * (WARP_MOVERS + pictures.cameras)
     return Need(

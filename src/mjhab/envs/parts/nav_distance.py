@@ -1,4 +1,4 @@
-"""Length of the way of every world's robot to its navigation goal around furniture, looked up in every step."""
+"""Length of the path from every world's base to its navigation goal around furniture, from distance fields."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mjhab.scenes.freespace import FreeMap, look_up, shared_map
 
 
 class NavDistance:
-    """Distances to drive in W worlds, each with a home and a goal of its own.
+    """Path lengths in W worlds, each with its own home and goal.
 
     Args:
-        layout: what the homes belong to.
+        layout: layout of the homes.
         num_worlds: W.
-        maps: gives the free floor of a home by name, where somebody has it already (`SpawnSampler.map`).
+        maps: function from the name of a home to its free floor, to reuse existing maps (`SpawnSampler.map`).
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class NavDistance:
         self._shape = np.ones((num_worlds, 2), np.int64)
 
     def begin(self, world: int, home: str, goal_xy: np.ndarray) -> None:
-        """Set the goal of ``world`` to ``goal_xy`` (2,) [m] in ``home``; takes about 10 ms for a new goal.
+        """Set the goal of a world to ``goal_xy`` (2,) [m] in ``home``; computing the field of a new goal takes 10 ms.
 
         Raises:
             UsageError: no such home, or the base fits nowhere in it.
@@ -54,9 +54,9 @@ class NavDistance:
         self._begun[world] = True
 
     def at(self, base_xy: np.ndarray) -> np.ndarray:
-        """Distance (W,) [m] that each robot at ``base_xy`` (W, 2) has to drive to its goal; see `distances_to`.
+        """Path length (W,) [m] from base positions ``base_xy`` (W, 2) to the goals, see `FreeMap.distances_to`.
 
-        0 in worlds for which nothing has begun. Off the map it grows with the distance to it.
+        0 in worlds without a goal. Outside the map the distance to the map is added.
         """
         found = look_up(self._fields, self._origin, self._cell, self._shape, base_xy)
         return np.where(self._begun, found, 0.0)

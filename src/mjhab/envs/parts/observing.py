@@ -1,4 +1,4 @@
-"""Observations of a mode, computed from the simulator's state: state vector, camera images, point clouds."""
+"""Observations of a mode, computed on the host: state vector, camera images, point clouds."""
 
 from __future__ import annotations
 
@@ -34,19 +34,22 @@ if TYPE_CHECKING:
 
 
 class ObservedRows:
-    """The observation table of a mode: what observers on all backends compute.
+    """The observation table of a mode, the same on all backends.
 
     Args:
-        robot: who observes.
+        robot: the robot.
         mode: parts of OBS_MODES joined by "+", e.g. "state", "rgbd+seg".
-        cameras: names of its cameras, one or several, all if None; the order is that of the points in a point cloud.
-        size: side of the images [px], or (height, width). The vertical field of view stays as it is.
+        cameras: names of the robot's cameras, all if None; their order is that of the points in a point cloud.
+        size: side of the images [px], or (height, width). The vertical field of view does not depend on it.
 
     Attributes:
-        outputs: what is drawn or derived of pictures.
-        drawn: what a renderer must draw for that.
-        cameras, size: names; (height, width) [px].
-        state_rows: the rows of ``state``; camera_rows: those that need pictures; table: both.
+        outputs: images and point clouds of the mode, see `mode_outputs`.
+        drawn: images that a renderer must draw for them.
+        cameras: names of the cameras.
+        size: (height, width) of the images [px].
+        state_rows: rows of ``state``.
+        camera_rows: rows that need images.
+        table: all rows.
         single_space: observation space of one world.
 
     Raises:
@@ -75,8 +78,8 @@ class ObservedRows:
         """Calibration of each camera as plain data, by its name.
 
         "size": (height, width) [px]; "intrinsic": pinhole matrix [px], pixel centres lie at + 0.5; "body", "pos" [m],
-        "quat" (wxyz): where it is fixed to the robot, in the axes of MuJoCo's cameras (x right, y up, looks along -z).
-        Where it is in the world is told by the observations "sensor_param/<camera>/...".
+        "quat" (wxyz): its pose on the robot, with the axes of MuJoCo's cameras (x right, y up, looking along -z).
+        The observations "sensor_param/<camera>/..." give its pose in the world.
         """
         mounts = {name: self.robot.camera(name) for name in self.cameras}
         return {
@@ -91,9 +94,9 @@ class ObservedRows:
         }
 
     def describe(self, kinds: Sequence[str] | None = None) -> list[dict[str, Any]]:
-        """Rows of the table: key, shape, dtype, unit, frame, meaning.
+        """Describe the rows of the table as plain data: key, shape, dtype, unit, frame, meaning.
 
-        ``kinds``: subtasks that the rows of the task are explained for, all there are if None.
+        ``kinds``: subtasks for which the task rows are explained, all registered ones if None.
 
         Raises:
             UsageError: there is no such subtask.
@@ -111,9 +114,12 @@ class Observer(ObservedRows):
     doors and drawers, an object by its name in the layout, "robot/<link>".
 
     Args:
-        sim: worlds to look into. sensing: of the same layout.
-        mode, cameras, size: see `ObservedRows`.
-        threads: of the renderer, over images; 0 takes every core.
+        sim: simulator of the worlds.
+        sensing: sensing of the same layout.
+        mode: see `ObservedRows`.
+        cameras: see `ObservedRows`.
+        size: see `ObservedRows`.
+        threads: threads of the renderer, over images; 0 takes every core.
 
     Raises:
         UsageError: unknown mode or camera, size below 8 pixels.
@@ -160,15 +166,15 @@ class Observer(ObservedRows):
         known: Mapping[str, np.ndarray] | None = None,
         changed: np.ndarray | None = None,
     ) -> dict[str, np.ndarray]:
-        """Observations (W, ...) of all worlds.
+        """Compute observations (W, ...) of all worlds.
 
         Args:
-            state: of the simulator, after the control step or reset.
-            focus: what each world's active subtask is about; hides what it does not use.
-            signals: measured in this state.
+            state: state of the simulator after the control step or reset.
+            focus: the active subtasks; rows that a subtask does not use are zero.
+            signals: signals measured in this state.
             homes: (W,) name of each world's home.
-            known: observations made before of all worlds but those in ``changed`` (W,) bool, for which alone pictures
-                are drawn.
+            known: observations from earlier in this step, whose images are reused.
+            changed: (W,) bool, worlds whose state has changed since ``known``; their images are drawn again.
         """
         obs = state_observation(self.state_rows, self._sensing.context(state, focus, signals))
         if self.outputs:
@@ -184,7 +190,7 @@ class Observer(ObservedRows):
         return obs
 
     def draw(self, state: SimState, homes: Sequence[str]) -> dict[str, np.ndarray]:
-        """Camera images, and the observations computed from them, of the worlds of ``state``."""
+        """Draw the camera images of the worlds of ``state`` and compute the camera rows (W, ...) from them."""
         pos, mat = self.renderer.camera_poses(state, self.cameras)
         images = self.renderer.robot_views(state, homes, self.size, self.drawn, self.cameras)
         views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)

@@ -1,4 +1,4 @@
-"""Plans of all worlds as tables: which object, link and contact column every subtask is about."""
+"""Plans of all worlds as tables of object slots, link indices and contact columns. Letters: W worlds, S subtasks."""
 
 from __future__ import annotations
 
@@ -18,14 +18,22 @@ from mjhab.tasks.thresholds import TaskConfig
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Focus:
-    """What the active subtask of every world is about; the last one's where the plan is finished.
+    """Object, link and properties of the active subtask of every world; of the last one once the plan is finished.
 
-    ``kind`` (W,) int64, never -1 for a plan that has subtasks; ``obj``, ``link`` (W,) slot and index, -1 for none;
-    ``columns`` (W, 2): of the target and of what Navigate carries among objects then links, -1 for none;
-    ``has_columns`` (W, 2) and ``has_link`` (W,) bool; ``jointed``, ``navigates`` (W,) bool: properties of
-    its `SubtaskSpec`; ``shown`` (3, W, 1) bool: the observation has a tool, an object, a goal pose, the
-    last two only while the plan is not finished; ``has_obj`` (W, S, 1) bool: the subtasks
-    of the plan that have an object; ``active``: for `measure`.
+    Attributes:
+        kind: (W,) int64 kind; not -1 for a finished plan, unless the plan is empty.
+        obj: (W,) object slot, -1 for none.
+        link: (W,) link index, -1 for none.
+        columns: (W, 2) contact columns (objects, then links) of the target and of the object that a Navigate carries,
+            -1 for none.
+        has_columns: (W, 2) bool, the column is not -1.
+        has_link: (W,) bool, the link is not -1.
+        jointed: (W,) bool, `SubtaskSpec.jointed`.
+        navigates: (W,) bool, `SubtaskSpec.navigates`.
+        shown: (3, W, 1) bool, the observation has the pose of the tcp, of an object, of a goal; the last two are False
+            once the plan is finished.
+        has_obj: (W, S, 1) bool, each subtask of the plan has an object.
+        active: entries of the plan for `measure`.
     """
 
     kind: Array
@@ -42,7 +50,7 @@ class Focus:
 
 
 class Tables(Protocol):
-    """What `look_up` reads of `PlanTables` or of `Rows`."""
+    """Tables that `look_up` reads; `PlanTables`, which describes them, and `Rows` have them."""
 
     @property
     def arrays(self) -> PlanArrays: ...
@@ -58,7 +66,7 @@ class Tables(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rows:
-    """The tables of `PlanTables` alone, as arrays of any library."""
+    """The tables of `PlanTables` as arrays of any library."""
 
     arrays: PlanArrays
     obj: Array
@@ -68,7 +76,7 @@ class Rows:
 
 
 def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
-    """Look up the subtasks at ``pointer`` (W,). It is made of copies: later changes of the tables do not change it."""
+    """Look up the subtasks at ``pointer`` (W,) int64. The result holds copies, not views of the tables."""
     xp = namespace(pointer)
     active = active_entries(tables.arrays, pointer, config)
     columns = (tables.arrays.kind, tables.obj, tables.link, tables.target, tables.held)
@@ -94,11 +102,21 @@ def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
 
 
 class PlanTables:
-    """Plan arrays of W worlds with rows that change as episodes begin. S subtasks.
+    """Tables of the plans of W worlds; `set_row` replaces the plan of a world when an episode begins.
 
-    ``arrays``: the PlanArrays of tasks; ``target`` (W, S): column of the subtask's target among objects then links, -1
-    for none; ``held`` (W, S): column of the object that Navigate carries; ``obj`` (W, S) object slot, ``link`` (W, S)
-    link index, -1 for none. Every subtask reads its own.
+    Attributes:
+        plans: the plans.
+        arrays: the plans as `PlanArrays`.
+        target: (W, S) contact column (objects, then links) of each subtask's target, -1 for none.
+        held: (W, S) contact column of the object that a Navigate carries, -1 for none.
+        obj: (W, S) object slot, -1 for none.
+        link: (W, S) link index, -1 for none.
+
+    Args:
+        layout: layout of the worlds.
+        config: thresholds of the task.
+        num_worlds: W.
+        num_subtasks: S; shorter plans are padded.
     """
 
     def __init__(
@@ -119,7 +137,7 @@ class PlanTables:
         self.link = np.full(shape, -1)
 
     def set_row(self, world: int, plan: TaskPlan, boxes: dict[str, Box]) -> None:
-        """Give a world a new plan."""
+        """Set the plan of a world; ``boxes``: floor areas in front of links, see `stack_plans`."""
         row = stack_plans(
             [plan], self.config, [boxes], min_subtasks=self.num_subtasks, doors=self.layout.doors
         )
@@ -143,5 +161,5 @@ class PlanTables:
                 self.held[world, s] = slot
 
     def focus(self, pointer: np.ndarray) -> Focus:
-        """Look up the subtasks at ``pointer`` (W,). It is made of copies: later rows do not change it."""
+        """Look up the subtasks at ``pointer`` (W,) int64. The result holds copies, not views of the tables."""
         return look_up(self, pointer, self.config)

@@ -34,12 +34,12 @@ CHECKERS = (
 
 
 class Reporter:
-    """Describes the episodes of W worlds, each once.
+    """Describes the episodes of W worlds; each description is made once.
 
     Args:
         num_worlds: W.
-        layout: of the worlds.
-        config: of the environment.
+        layout: layout of the worlds.
+        config: options of the environment.
     """
 
     def __init__(self, num_worlds: int, layout: Layout, config: EnvConfig) -> None:
@@ -47,7 +47,7 @@ class Reporter:
         self._config = config
         self._described: list[TaskPlan | None] = [None] * num_worlds
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(num_worlds)]
-        # What `entries` told last; most worlds have the same plan and pointer in the next step.
+        # The last result of `entries`; most worlds have the same plan and pointer in the next step.
         self._told: list[TaskPlan | None] = [None] * num_worlds
         self._pointer = np.full(num_worlds, -1, np.int64)
         self._specs = np.full(num_worlds, None, object)
@@ -56,7 +56,7 @@ class Reporter:
     def describe(
         self, world: int, episode: Episode | None, plan: TaskPlan
     ) -> Mapping[str, Any] | None:
-        """The episode a world is in: see `describe_episode`; None for no episode."""
+        """Description of a world's episode, see `describe_episode`; None without an episode."""
         if episode is None:
             return None
         if self._described[world] is not plan:
@@ -69,13 +69,15 @@ class Reporter:
     def entries(
         self, episodes: Sequence[Episode | None], plans: Sequence[TaskPlan], pointer: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Entries of `info` about W episodes: "episode_spec", the description, and "instruction", the active one.
+        """Make the entries "episode_spec" and "instruction" of `info`.
 
         Args:
-            episodes: episode of every world. plans: its plan. pointer: (W,) index of its active subtask.
+            episodes: (W,) episodes.
+            plans: (W,) plans.
+            pointer: (W,) int64 index of the active subtask.
 
         Returns:
-            Two new (W,) arrays of objects.
+            New (W,) arrays of objects: descriptions of the episodes, and sentences of the active subtasks.
         """
         moved = (pointer != self._pointer).tolist()
         for world, plan in enumerate(plans):
@@ -91,13 +93,13 @@ class Reporter:
 def describe_episode(
     episode: Episode, plan: TaskPlan, config: EnvConfig, narrator: Narrator
 ) -> Mapping[str, Any]:
-    """Description of an episode in `info`: name, home, plan and instructions, read-only.
+    """Describe an episode for `info`: seed, index, home, plan and instructions, read-only.
 
     Args:
-        episode: which one.
-        plan: the subtasks that are asked for.
-        config: of the environment: what is done alone, and whether it navigates by teleport.
-        narrator: gives "instruction", the sentence for the whole episode, and "instructions", one per subtask.
+        episode: the episode.
+        plan: its subtasks.
+        config: options of the environment; gives the single subtask and whether navigation is a teleport.
+        narrator: makes "instruction", the sentence for the whole episode, and "instructions", one per subtask.
     """
     entries = ({"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
     sentences = narrator.instructions(episode, plan, alone=bool(config.subtask))

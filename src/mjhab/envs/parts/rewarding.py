@@ -1,4 +1,4 @@
-"""Rewards of a control step: computes the inputs of the reward tables, and keeps their memory between steps."""
+"""Rewards of a control step: inputs of the reward tables, and the state that they keep between steps."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class RewardInputs:
 
 
 GoalDistance = Callable[[RewardInputs], Array]
-"""Function for the length (W,) [m] of the way from the base to the goal of Navigate; entries of worlds with other
+"""Function for the length (W,) [m] of the path from the base to the goal of Navigate; entries of worlds with other
 subtasks are ignored."""
 
 
@@ -49,15 +49,16 @@ def straight_distance(inputs: RewardInputs) -> Array:
 class RewardRules:
     """Options of the reward of an environment.
 
-    config: the thresholds of the task.
-    mode: "dense": sum of the terms of the active subtask's table (`tasks.rewards`); "normalized_dense": the same,
-    divided by the normaliser of ``options``; "sparse": 1 while the active subtask succeeds; "pointer": the number of
-    completed subtasks, from ``inputs.progress``; "none": 0.
-    options: scales, formula and normaliser of the dense modes; None for the defaults.
-    nav_distance: distance to the navigation goal. The default is the straight line; MS-HAB uses the shortest path over
-    the navigation mesh (mshab/envs/navigate.py, with the straight line as an option).
-    kinds: names of the kinds of subtasks in the plans, None for all; terms of others are not reported. With torch the
-    terms of all these kinds are computed in every step, with numpy those of the active kinds.
+    Attributes:
+        config: thresholds of the task.
+        mode: "dense": sum of the terms of the active subtask's table (`tasks.rewards`); "normalized_dense": the same,
+            divided by the normaliser of ``options``; "sparse": 1 while the active subtask succeeds; "pointer": the
+            number of completed subtasks, from ``inputs.progress``; "none": 0.
+        options: scales, formula and normaliser of the dense modes; None for the defaults.
+        nav_distance: distance to the navigation goal. The default is the straight line; MS-HAB uses the shortest path
+            over the navigation mesh (mshab/envs/navigate.py, with the straight line as an option).
+        kinds: names of the kinds of subtasks in the plans, None for all; terms of others are not reported. With torch
+            the terms of all these kinds are computed in every step, with numpy those of the active kinds.
     """
 
     config: TaskConfig
@@ -72,9 +73,10 @@ class Rewarder:
 
     Args:
         num_worlds: number of worlds W.
-        rules: what the reward is.
-        layout, sensing: joints and handles of the links.
-        like: an array of the library, device and dtype of the simulator's; numpy float64 if not given.
+        rules: options of the reward.
+        layout: layout of the worlds, for the joints of links.
+        sensing: sensing of the same layout, for handle positions.
+        like: an array of the simulator's library, device and dtype; numpy float64 if not given.
 
     Raises:
         UsageError: unknown mode, kind or term, or a scale that is not a finite number.
@@ -118,7 +120,7 @@ class Rewarder:
         self._closed_near = self._closed_near & ~mask
 
     def step(self, inputs: RewardInputs) -> tuple[Array, dict[str, Array]]:
-        """Rewards of one control step, measured before the pointer moves.
+        """Compute the rewards of one control step, before the pointer moves.
 
         Returns:
             reward (W,), float64 on numpy; and, in the dense modes, raw x scale (W,) of every term in ``dense.names``,
@@ -152,7 +154,7 @@ class Rewarder:
             handle = self._sensing.handle_pos(state, rows, some)
             distance = norm3(world.tcp_pos - handle)
             self._closed_near = closed_near(self._closed_near, inputs.signals.closed, distance)
-        # A robot without a torso counts as one with its torso fully up.
+        # For a robot without a torso the torso counts as fully up.
         torso = zero + 1.0
         if self._torso is not None:
             torso = world.robot_q[:, self._torso] / self._torso_top
@@ -175,9 +177,9 @@ class Rewarder:
         )
 
     def get_state(self, world: int) -> dict[str, bool]:
-        """Memory of one world."""
+        """State of one world that is kept between steps."""
         return {"closed_near": bool(self._closed_near[world])}
 
     def set_state(self, world: int, state: Mapping[str, bool]) -> None:
-        """Restore the memory of one world from `get_state`; other worlds are not changed."""
+        """Restore one world from `get_state`; other worlds are not changed."""
         self._closed_near[world] = state["closed_near"]

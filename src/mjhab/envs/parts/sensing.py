@@ -22,10 +22,11 @@ class Sensing:
     """Gathers, for every world, the quantities of its active subtask.
 
     Args:
-        layout, addresses: of the simulator.
+        layout: layout of the simulator.
+        addresses: addresses of the layout in the simulator's arrays.
         num_worlds: W.
-        like: an array of the library, device and dtype of the simulator's; numpy float64 if not given.
-        handle_points: which points observations and rewards take for the handles, one of HANDLE_POINTS.
+        like: an array of the simulator's library, device and dtype; numpy float64 if not given.
+        handle_points: definition of the handle points in observations and rewards, one of HANDLE_POINTS.
     """
 
     def __init__(
@@ -55,7 +56,14 @@ class Sensing:
     def world_state(
         self, state: SimState, tables: Tables, focus: Focus, joint_start: Array
     ) -> WorldState:
-        """The input of `tasks.measure` for the subtasks in focus; ``joint_start`` (W,) of those with a joint."""
+        """Gather the input of `tasks.measure` for the active subtasks.
+
+        Args:
+            state: state of the simulator.
+            tables: plans of the worlds.
+            focus: the active subtasks.
+            joint_start: (W,) joint position of the active link when its subtask began [m or rad].
+        """
         rows = self._rows
         column = focus.columns
         force = state.finger_force[rows[:, None], :, column] * focus.has_columns[..., None, None]
@@ -82,15 +90,15 @@ class Sensing:
         )
 
     def joint_now(self, state: SimState, focus: Focus) -> Array:
-        """(W,) position of the joint of the subtask in focus, 0 where it has none."""
+        """(W,) joint position of the active subtask's link [m or rad], 0 without one."""
         return state.link_q[self._rows, focus.link] * focus.has_link
 
     def link_state(self, state: SimState, focus: Focus) -> Array:
-        """(W, 5) float32 of the link of the subtask in focus, zeros where it has none.
+        """(W, 5) float32 state of the active subtask's link, zeros without one.
 
-        Opening [share of its range], speed of its joint [rad/s or m/s], cosine and sine of the heading of its frame's
-        x axis in the frame of the base, and exp(-opening / NEARLY_CLOSED): of the opening alone, once normalized, a
-        network cannot tell 1 % (closed) from 3 %.
+        The columns are the opening as a share of its range, the joint speed [rad/s or m/s], cosine and sine of the
+        heading of its frame's x axis in the frame of the base, and exp(-opening / NEARLY_CLOSED). The last one resolves
+        small openings: a network cannot distinguish 1 % (closed) from 3 % by a normalised opening.
         """
         xp = namespace(state.robot_q)
         link = xp.where(focus.has_link, focus.link, 0)
@@ -112,12 +120,12 @@ class Sensing:
         )
 
     def tcp_pose(self, state: SimState) -> Array:
-        """(W, 7) world pose of the tool centre."""
+        """(W, 7) pose of the tcp in the world, xyz [m] + wxyz."""
         pos = state.body_pos[:, self._tcp]
         return namespace(pos).concat([pos, state.body_quat[:, self._tcp]], axis=1)
 
     def context(self, state: SimState, focus: Focus, signals: Signals) -> ObsContext:
-        """The input of the observation table, masked by each world's active subtask."""
+        """Gather the input of the observation table; entries that an active subtask does not use are zero."""
         rows = self._rows
         goal = focus.active.goal_pos
         jointed = focus.jointed

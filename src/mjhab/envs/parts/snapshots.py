@@ -1,4 +1,4 @@
-"""Full states of single worlds: read, restored, and stored in files."""
+"""Full states of single worlds: snapshot and restore."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ORDER = (
     "pending",
     "taint",
 )
-"""Order of the entries of a snapshot; those of other parts follow. The bytes of recorded episodes depend on it."""
+"""Order of the entries of a snapshot; further entries follow. The bytes of recorded episodes depend on the order."""
 
 
 class Restorable(Protocol):
@@ -58,15 +58,15 @@ class RestorableWorlds(Protocol):
         ...
 
     def get_columns(self, world: int) -> dict[str, Any]:
-        """What the environment itself keeps of a world, by its key in a snapshot."""
+        """State of a world that the environment itself holds, by its keys in a snapshot."""
         ...
 
     def set_columns(self, world: int, columns: Mapping[str, Any]) -> None:
-        """Restore what the environment itself keeps of a world from a snapshot."""
+        """Restore the state that the environment itself holds from a snapshot."""
         ...
 
     def make_episode(self, seed: int, index: int) -> Episode:
-        """An episode by its name."""
+        """Make the episode ``index`` of a seed."""
         ...
 
     def adopt(self, world: int, episode: Episode) -> object:
@@ -74,15 +74,15 @@ class RestorableWorlds(Protocol):
         ...
 
     def follow(self, progress: Progress) -> None:
-        """Set the progress of all worlds and look up what the subtasks are about."""
+        """Set the progress of all worlds and look up their active subtasks."""
         ...
 
 
 def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
-    """Full state of a world: a nested dict of arrays, numbers, strings and lists, which later steps do not change.
+    """Copy the full state of a world as a nested dict of arrays, numbers, strings and lists.
 
-    Its episode by name, physics, progress, signals, label notes, controller targets, reward memory, faults. Physics
-    holds no sleep: a restored world is awake, see `CpuSimulator.get_world`.
+    It contains the episode's seed and index, physics, progress, signals, label notes, controller targets, reward state
+    and faults. The sleep state of physics is not part of it: a restored world is awake, see `CpuSimulator.get_world`.
 
     Raises:
         UsageError: the world has not been reset yet.
@@ -103,7 +103,7 @@ def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
 
 
 def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
-    """Put a world into a state from `snapshot`, taken from any world of an environment of the same configuration.
+    """Restore a world from a `snapshot` of any world of an environment with the same configuration.
 
     Raises:
         UsageError: the state belongs to another layout or its episode does not exist here.
@@ -120,7 +120,7 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     env.adopt(world, episode)
     env.sim.add_taint(world, state["taint"])
     env.set_columns(world, state)
-    # States of versions without ``ee_contact``: any link that touched stands in for it, as in their labels.
+    # Snapshots of older versions lack ``ee_contact``; ``touch`` takes its place, as in their labels.
     env.signals = with_row(
         env.signals, world, {"ee_contact": state["signals"]["touch"], **state["signals"]}
     )

@@ -1,7 +1,7 @@
-"""Teleports: a Navigate of a chain puts the robot near its goal, as the evaluation of the MS-HAB paper does.
+"""Teleports: the environment moves the robot to the goal of a Navigate, as in the evaluation of the MS-HAB paper.
 
-A few spawn tries per world and control step, each checked by simulation on a scratch world, until one is valid: a
-world with a hard spawn waits, alone.
+In every control step a few poses are sampled per waiting world, and each is checked by simulation on a scratch world.
+A world waits until a pose is valid; the others step on.
 """
 
 from __future__ import annotations
@@ -26,7 +26,13 @@ TRIES_PER_STEP = 3
 
 @dataclass(frozen=True, eq=False)
 class Landing:
-    """Result of a teleport: state ``qpos`` (nq,), and whether no sampled pose was valid and the nearest one is used."""
+    """Result of a teleport.
+
+    Attributes:
+        world: index of the world.
+        qpos: (nq,) positions after the teleport.
+        fallback: no sampled pose was valid, and the nearest one is used.
+    """
 
     world: int
     qpos: np.ndarray
@@ -37,10 +43,12 @@ class Teleports:
     """Pending teleports: the worlds that wait, and the number of poses sampled for each.
 
     Args:
-        starts: tries places.
-        sensing, tables: of the worlds.
+        starts: samples and checks poses.
+        sensing: sensing of the worlds.
+        tables: plans of the worlds.
 
-    ``pending`` (W,): tries done for the active Navigate, -1 when none is due.
+    Attributes:
+        pending: (W,) number of poses sampled for the active Navigate, -1 if no teleport is due.
     """
 
     def __init__(self, starts: StartMaker, sensing: Sensing, tables: PlanTables) -> None:
@@ -55,7 +63,7 @@ class Teleports:
         return self.pending >= 0
 
     def get_state(self, world: int) -> int:
-        """Tries done for the teleport of a world, -1 when none is due."""
+        """Number of poses sampled for the teleport of a world, -1 if none is due."""
         return int(self.pending[world])
 
     def set_state(self, world: int, state: int) -> None:
@@ -63,7 +71,7 @@ class Teleports:
         self.pending[world] = state
 
     def begin(self, mask: np.ndarray, navigates: np.ndarray) -> None:
-        """Note for the worlds in ``mask`` (W,) whether their new subtask ``navigates`` (W,): then a teleport is due."""
+        """Begin new subtasks in the worlds of ``mask`` (W,) bool; a teleport is due where ``navigates`` (W,) bool."""
         self.pending = np.where(mask, np.where(navigates, 0, -1), self.pending)
 
     def run(
@@ -73,13 +81,13 @@ class Teleports:
         pointer: np.ndarray,
         episodes: Sequence[Episode | None],
     ) -> Iterator[Landing]:
-        """Try to find places for the worlds that wait; yields those that have one, which wait no longer.
+        """Sample poses for the waiting worlds and yield the teleports that are found; their worlds wait no longer.
 
         Args:
-            qpos: (W, nq) positions of the worlds.
-            state: of the worlds, at ``qpos``.
-            pointer: (W,) positions of the active subtasks in their plans.
-            episodes: (W,) those the worlds are in.
+            qpos: (W, nq) positions.
+            state: state of the worlds at ``qpos``.
+            pointer: (W,) int64 index of the active subtask in each plan.
+            episodes: (W,) episodes of the worlds.
         """
         for world in np.flatnonzero(self.waiting).tolist():
             episode = episodes[world]
@@ -108,7 +116,7 @@ class Teleports:
         return Landing(world, sampler.fallback(episode.home, qpos, goal, held), fallback=True)
 
     def _held(self, state: SimState, world: int, position: int) -> Held | None:
-        """What the robot carries to the Navigate at ``position``, if it has it between both fingers."""
+        """The object to carry in the Navigate at ``position``, if both fingers press it; else None."""
         slot = int(self._tables.held[world, position])
         if slot < 0:
             return None

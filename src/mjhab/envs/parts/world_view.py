@@ -1,4 +1,4 @@
-"""What scripted experts may know beyond observations: the full state of a world and the shapes of its home."""
+"""Privileged information for scripted experts: the full state of a world and the shapes of its home."""
 
 from __future__ import annotations
 
@@ -27,7 +27,14 @@ from mjhab.tasks.thresholds import TaskConfig
 
 @dataclass(frozen=True, eq=False)
 class JointedLink:
-    """A drawer or door of a home. ``origin`` (3,), ``rot`` (3, 3): world pose of the link frame at joint 0."""
+    """A drawer or door of a home.
+
+    Attributes:
+        id: id of the link.
+        spec: its description in the scene.
+        origin: (3,) world position of the link frame at joint value 0 [m].
+        rot: (3, 3) world rotation of the link frame at joint value 0.
+    """
 
     id: str
     spec: Link
@@ -45,7 +52,7 @@ class JointedLink:
         return self.spec.range
 
     def pose(self, q: float) -> tuple[np.ndarray, np.ndarray]:
-        """World position (3,) and rotation (3, 3) of the link frame at joint value ``q``."""
+        """World position (3,) [m] and rotation (3, 3) of the link frame at joint value ``q`` [m or rad]."""
         axis = np.asarray(self.spec.axis, float)
         if self.spec.joint == "slide":
             return self.origin + self.rot @ (axis * q), self.rot
@@ -53,27 +60,37 @@ class JointedLink:
         return self.origin, self.rot @ turn
 
     def handle_pose(self, q: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """World grasp point, bar direction and outward direction (3,) each at joint value ``q``."""
+        """Grasp point [m], bar direction and outward direction, each (3,) in the world, at joint value ``q``."""
         pos, rot = self.pose(q)
         h = self.handle
         return pos + rot @ np.array(h.pos), rot @ np.array(h.bar), rot @ np.array(h.out)
 
     def boxes(self, q: float) -> Boxes:
-        """Its collision boxes at joint value ``q``."""
+        """Collision boxes in the world at joint value ``q`` [m or rad]."""
         pos, rot = self.pose(q)
         return _moved(self._shapes, pos, rot)
 
     @cached_property
     def _shapes(self) -> Boxes:
-        """Its collision boxes in the link frame."""
+        """Collision boxes in the link frame."""
         return _boxes([g for g in self.spec.geoms if g.collide])
 
 
 @dataclass(frozen=True, eq=False)
 class HomeShapes:
-    """Static shapes of a home: boxes that collide (floor left out), links, receptacles, free-space map arrays.
+    """Static shapes of a home.
 
-    ``robot``: who works in it. ``derived``: what is computed from the shapes; the keys say what."""
+    Attributes:
+        name: name of the home.
+        robot: the robot that acts in it.
+        boxes: collision boxes of walls and furniture, without the floor and the moving links.
+        links: drawers and doors by id.
+        receptacles: receptacles with their world poses.
+        map_origin: (2,) world xy of the corner of cell (0, 0) of the free-space map [m].
+        map_cell: edge length of a cell [m].
+        map_clearance: (nx, ny) distance of each cell's centre to the nearest obstacle [m].
+        derived: cache of what is computed from the shapes, such as path planners.
+    """
 
     name: str
     robot: Robot
@@ -87,7 +104,7 @@ class HomeShapes:
 
 
 class WorldView:
-    """Live privileged view of one world of an environment. Arrays are copies; read them anew every step."""
+    """Privileged view of one world of an environment. It always shows the present state; arrays are copies."""
 
     def __init__(self, env: Worlds, world: int) -> None:
         self._env = env
@@ -95,7 +112,7 @@ class WorldView:
 
     @property
     def token(self) -> tuple[int, int, int]:
-        """Changes when another subtask becomes active: (seed, episode index, pointer)."""
+        """Identity of the active subtask: (seed, episode index, pointer)."""
         episode = self._env.episodes_now[self.world]
         seed, index = (-1, -1) if episode is None else (episode.seed, episode.index)
         return seed, index, int(self._env.progress.pointer[self.world])
@@ -107,7 +124,7 @@ class WorldView:
 
     @property
     def done(self) -> bool:
-        """The episode has ended."""
+        """Whether the episode has ended."""
         return bool(self._env.progress.done[self.world])
 
     @property
@@ -124,7 +141,7 @@ class WorldView:
 
     @property
     def home(self) -> HomeShapes:
-        """Shapes of the home this world holds."""
+        """Shapes of the world's home."""
         return home_shapes(self._env.layout, self._env.homes[self.world])
 
     @property
@@ -134,7 +151,7 @@ class WorldView:
 
     @property
     def q(self) -> np.ndarray:
-        """(J,) joint positions: base x, y, yaw in the world, then posture and fingers."""
+        """(J,) joint positions: base x, y [m], yaw [rad] in the world, then posture and fingers [m or rad]."""
         return self._env.state.robot_q[self.world].copy()
 
     @property
@@ -144,12 +161,12 @@ class WorldView:
 
     @property
     def qd(self) -> np.ndarray:
-        """(J,) joint velocities."""
+        """(J,) joint velocities [m/s or rad/s]."""
         return self._env.state.robot_qd[self.world].copy()
 
     @property
     def tcp_pose(self) -> np.ndarray:
-        """(7,) world pose of the tool centre."""
+        """(7,) pose of the tcp in the world, xyz [m] + wxyz."""
         return self._env.sensing.tcp_pose(self._env.state)[self.world]
 
     @property
@@ -158,7 +175,7 @@ class WorldView:
         return self._env.layout.object_names
 
     def object_pose(self, name: str) -> np.ndarray:
-        """(7,) world pose of an object: centre of its bounding box, wxyz."""
+        """(7,) pose of an object in the world: centre of its bounding box [m], wxyz."""
         return self._env.state.object_pose[self.world, self.object_names.index(name)].copy()
 
     def object_type(self, name: str) -> ObjectType:
@@ -166,7 +183,7 @@ class WorldView:
         return self._env.layout.objects[self.object_names.index(name)]
 
     def object_shape(self, name: str) -> ObjectShape:
-        """What a gripper sees of an object."""
+        """Shape of an object for grasp planning."""
         layout = self._env.layout
         return shape_of(self.object_type(name), layout.pack.meshes, layout.robot.gripper)
 
@@ -175,7 +192,7 @@ class WorldView:
         return float(self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)])
 
     def front_area(self, link: str) -> tuple[float, float, float, float] | None:
-        """Floor in front of a link, from which it is opened: x_min, x_max, y_min, y_max [m]; None where it has none."""
+        """Floor area in front of a link from which it is opened: x_min, x_max, y_min, y_max [m]; None without one."""
         return self._env.boxes[self.world].get(link)
 
     def finger_forces(self, target: str) -> np.ndarray:
@@ -186,7 +203,7 @@ class WorldView:
         )
 
     def signal(self, name: str) -> Any:
-        """One of the Signals of the active subtask, e.g. ``is_grasped``."""
+        """Value of one of the `Signals` of the active subtask, e.g. ``is_grasped``."""
         assert self._env.signals is not None
         return getattr(self._env.signals, name)[self.world].item()
 
@@ -196,14 +213,14 @@ class WorldView:
         return self._env.state.link_force[self.world].copy()
 
     def object_boxes(self, leave_out: tuple[str, ...] = ()) -> Boxes:
-        """Bounding boxes of all objects but some, in their present poses."""
+        """Bounding boxes, in the world, of all objects except those named in ``leave_out``."""
         keep = [i for i, name in enumerate(self.object_names) if name not in leave_out]
         pose = self._env.state.object_pose[self.world, keep]
         half = np.array([self._env.layout.objects[i].half for i in keep]).reshape(-1, 3)
         return Boxes(pose[:, :3].copy(), half, mat_from_quat(pose[:, 3:]))
 
     def link_boxes(self, leave_out: tuple[str, ...] = ()) -> Boxes:
-        """Collision boxes of all drawers and doors but some, at their present joints."""
+        """Collision boxes, in the world, of all drawers and doors except those named in ``leave_out``."""
         parts = [
             link.boxes(self.link_q(name))
             for name, link in self.home.links.items()
@@ -245,18 +262,18 @@ def _static_boxes(layout: Layout, home: Home) -> Boxes:
 
 
 def _placed(geoms: tuple[Geom, ...], at: Placement, pack: Pack) -> Boxes:
-    """Boxes of what collides; a convex mesh counts as the smallest box around it."""
+    """Collision boxes, in the world, of placed shapes; a convex mesh is replaced by the smallest box around it."""
     boxed = [boxed_hull(g, pack) if g.shape == "mesh" else g for g in geoms if g.collide]
     return _moved(_boxes(boxed), np.array(at.pos), mat_from_quat(np.array(at.rotation)))
 
 
 def _moved(boxes: Boxes, pos: np.ndarray, rot: np.ndarray) -> Boxes:
-    """Boxes in the frame of something that is at ``pos`` (3,), ``rot`` (3, 3), brought to the world."""
+    """Transform boxes to the world from a frame at ``pos`` (3,), ``rot`` (3, 3)."""
     return Boxes(pos + boxes.center @ rot.T, boxes.half, rot @ boxes.rot)
 
 
 def _boxes(geoms: list[Geom]) -> Boxes:
-    """Boxes around geoms, in the frame that the geoms are given in."""
+    """Bounding boxes of geoms, in the frame of the geoms."""
     half = []
     for g in geoms:
         a, b, c = g.size

@@ -1,4 +1,4 @@
-"""What scripted experts read of the worlds of an environment."""
+"""Interface of an environment that scripted experts read."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Observation wrappers for vector environments, right in every autoreset mode and under partial resets.
+"""Observation wrappers for vector environments, for every autoreset mode and partial resets.
 
-The usual order is FrameStack, then NormalizeImages (a whole stack of small integers is cheaper to keep than one of
-floats), then FlattenStatePixels. Episode returns: ``gymnasium.wrappers.vector.RecordEpisodeStatistics``.
+The usual order is FrameStack, NormalizeImages, FlattenStatePixels: a stack of integer images takes less memory than one
+of floats. For episode returns use ``gymnasium.wrappers.vector.RecordEpisodeStatistics``.
 """
 
 from mjhab.envs.wrappers.flatten import FlattenStatePixels

@@ -1,4 +1,4 @@
-"""What the observation wrappers share: spaces, image leaves of an observation, and the final observation."""
+"""Common parts of the observation wrappers: spaces, images in an observation, final observations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,13 @@ FINAL = "final_obs"
 
 @dataclass(frozen=True)
 class ImageLeaf:
-    """An image in an observation: keys that lead to it, its output ("depth", "rgb", "seg"), its axis of channels."""
+    """An image in an observation.
+
+    Attributes:
+        path: keys that lead to it.
+        output: "depth", "rgb" or "seg".
+        channels: axis of the channels.
+    """
 
     path: tuple[str, ...]
     output: str
@@ -60,10 +66,15 @@ def image_leaves(space: spaces.Dict) -> Iterator[ImageLeaf]:
 
 
 def require_images(env: VectorEnv, wrapper: str, flat: bool = False) -> tuple[ImageLeaf, ...]:
-    """The images of an environment's observations; ``flat``: those of FlattenStatePixels will do too.
+    """Find the images of an environment's observations.
+
+    Args:
+        env: vector environment.
+        wrapper: name of the wrapper, for messages.
+        flat: accept the images of FlattenStatePixels, too.
 
     Raises:
-        UsageError: there are none, or they are flat where they must not be.
+        UsageError: there are no images, or they are flat and must not be.
     """
     leaves = tuple(image_leaves(dict_space(env, wrapper)))
     if not leaves:
@@ -78,15 +89,19 @@ def require_images(env: VectorEnv, wrapper: str, flat: bool = False) -> tuple[Im
 
 
 def check_key(key: str, space: spaces.Dict) -> None:
-    """Raise a UsageError if a key is not in a space."""
+    """Check that a key is in a space.
+
+    Raises:
+        UsageError: it is not.
+    """
     if key not in space.spaces:
         raise unknown_name("observation key", key, space.spaces)
 
 
 class ObservationMap(VectorWrapper, ABC):
-    """Applies ``observation`` to what reset and step return and to the final observation in ``info``.
+    """Applies ``observation`` to the observations of reset and step, and to the final observation in ``info``.
 
-    It keeps nothing from step to step, so it is the same in every autoreset mode.
+    It has no state, so that it works alike in every autoreset mode.
     """
 
     def __init__(self, env: VectorEnv, single_space: spaces.Dict) -> None:
@@ -103,14 +118,14 @@ class ObservationMap(VectorWrapper, ABC):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict]:
-        """Reset, and transform what is seen."""
+        """Reset the environment and transform the observation."""
         obs, info = self.env.reset(seed=seed, options=options)
         return self.observation(obs), info
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step, and transform what is seen."""
+        """Step the environment and transform the observation."""
         obs, reward, terminated, truncated, info = self.env.step(actions)
         return (
             self.observation(obs),

@@ -1,4 +1,4 @@
-"""State and pixels, as learners read them (mshab/envs/wrappers/observation.py)."""
+"""Observations reduced to state and images, for learners (mshab/envs/wrappers/observation.py)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The last few frames of each world in one observation."""
+"""Frame stacking for vector environments."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class FrameStack(VectorWrapper):
             self._frames[key][world] = value
 
     def _final(self, final: dict[str, Any]) -> dict[str, Any]:
-        """The final observation behind the frames before it."""
+        """The final observation, stacked with the frames before it."""
         before = {key: self._frames[key][:, 1:] for key in self.keys}
         return {
             **final,
@@ -133,7 +133,7 @@ class FrameStack(VectorWrapper):
             self._frames[key][mask] = obs[key][mask][:, None]
 
     def _observation(self, obs: dict[str, Any]) -> dict[str, Any]:
-        # Copies: whoever gets them may keep or change them.
+        # Copies, because the caller may keep or modify them.
         return {**obs, **{key: frames.copy() for key, frames in self._frames.items()}}
 
 

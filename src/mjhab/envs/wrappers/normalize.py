@@ -1,4 +1,4 @@
-"""Images as small floats, and back."""
+"""Normalisation of images to floats, and its inverse."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ DEPTH_WAYS = ("tanh", "linear", "raw")
 RGB_WAYS = ("unit", "imagenet", "raw")
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
-"""Of sRGB in 0..1, as the models of torchvision expect it."""
+"""Mean and standard deviation of sRGB channels in 0..1, as the models of torchvision expect them."""
 DEPTH_CLIP = 10.0
-"""Default farthest distance [m] of "linear"."""
+"""Default of the distance [m] at which "linear" clips."""
 
 
 def normalize_depth(mm: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP) -> np.ndarray:
@@ -111,7 +111,7 @@ class NormalizeImages(ObservationMap):
         return np.clip(np.rint(image * std + mean), 0, 255).astype(np.uint8)
 
     def _scales(self, leaf: ImageLeaf, ndim: int) -> tuple[np.ndarray, np.ndarray]:
-        """What to subtract and divide by, of bytes, shaped to the axis of channels."""
+        """Mean and standard deviation in units of bytes, shaped to the axis of channels."""
         if self._rgb == "unit":
             return np.float32(0.0), np.float32(255.0)  # type: ignore[return-value]
         shape = [1] * ndim

@@ -1,6 +1,6 @@
-"""How far the robot is from boxes and from itself: spheres along its links against oriented boxes, in batches.
+"""Clearance of the robot to obstacles and to itself, from spheres that cover its links and oriented boxes, in batches.
 
-Letters: N configurations, M spheres, K boxes. Lengths [m], world frame unless said.
+Letters: N configurations, M spheres, K boxes, L links, Q joint columns. Lengths [m], world frame unless said.
 """
 
 from __future__ import annotations
@@ -23,16 +23,24 @@ Array = np.ndarray
 NOTHING_NEAR_M = 1e3
 """Distance that is reported when there are no boxes."""
 _THICK_RADIUS_M = 0.05
-"""Shapes whose covering spheres are larger than this get small spheres along their edges, too."""
+"""Boxes whose covering spheres have a larger radius also get small spheres along their edges."""
 _EDGE_RADIUS_M = 0.03
-"""Radius of these small spheres."""
+"""Radius of the small spheres along edges."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotSpheres:
-    """Spheres that cover the robot: ``link`` (M,) index among the chain's links, ``pos`` (M, 3) in the link's frame,
-    ``radius`` (M,). ``trunk``: boxes of the links the arm must not touch, each in the frame of its ``trunk_link`` (K,);
-    ``distal`` (M,) bool: spheres that are checked against them."""
+    """Spheres that cover the robot's links.
+
+    Attributes:
+        chain: kinematic chain with all covered links.
+        link: (M,) index of each sphere's link among the chain's links.
+        pos: (M, 3) centres in the frames of the links [m].
+        radius: (M,) radii [m].
+        trunk: (K) boxes of the links that the arm must not touch, each in the frame of its link.
+        trunk_link: (K,) index of each trunk box's link.
+        distal: (M,) bool, spheres that `self_clearance` checks against the trunk.
+    """
 
     chain: Chain
     link: Array
@@ -52,15 +60,15 @@ class RobotSpheres:
         trunk: Sequence[str] = (),
         distal: Sequence[str] = (),
     ) -> RobotSpheres:
-        """Cover collision shapes by spheres.
+        """Cover collision shapes with spheres.
 
         Args:
-            chain: a chain that holds every link of interest (``extra`` of `Chain.from_tree`).
-            geoms: per link its boxes and cylinders (fields ``shape``, ``size``, ``pos``, ``quat`` as in a scene's
-                description); links the chain lacks are left out.
-            skip: links to leave out, e.g. the base where a map of free floor already keeps it clear.
-            trunk: links kept as boxes for `self_clearance`.
-            distal: links whose spheres `self_clearance` looks at.
+            chain: chain that contains every link to be covered (``extra`` of `Chain.from_tree`).
+            geoms: collision shapes of each link (fields ``shape``, ``size``, ``pos``, ``quat`` as in a scene's
+                description); links that are not in the chain are ignored.
+            skip: links that are not covered, e.g. the base, which the map of free floor keeps clear.
+            trunk: links that are kept as boxes for `self_clearance`.
+            distal: links whose spheres `self_clearance` checks.
         """
         link = []
         pos = []
@@ -90,7 +98,7 @@ class RobotSpheres:
         )
 
     def with_held(self, pos: Array, radius: Array) -> RobotSpheres:
-        """The same robot with spheres ``pos`` (H, 3), ``radius`` (H,) fixed to the tip: an object in the gripper."""
+        """The robot with a held object: additional spheres ``pos`` (H, 3) in the tip's frame, ``radius`` (H,) [m]."""
         return dataclasses.replace(
             self,
             link=np.append(self.link, np.full(len(pos), self.chain.tip_index)),
@@ -100,7 +108,11 @@ class RobotSpheres:
         )
 
     def only(self, links: Sequence[str]) -> RobotSpheres:
-        """The spheres of some links, for cheaper or more specific tests."""
+        """The spheres of the named links alone.
+
+        Raises:
+            ValueError: a name is not among the chain's links.
+        """
         keep = np.isin(self.link, [self.chain.links.index(name) for name in links])
         return dataclasses.replace(
             self,
@@ -111,13 +123,16 @@ class RobotSpheres:
         )
 
     def centers(self, frames: Frames) -> Array:
-        """World centres (N, M, 3) at link frames from `Chain.forward`."""
+        """World positions (N, M, 3) [m] of the spheres' centres at link frames from `Chain.forward`."""
         return frames.pos[:, self.link] + np.einsum(
             "nmij,mj->nmi", frames.rot[:, self.link], self.pos
         )
 
     def clearance(self, q: Array, boxes: Boxes) -> Array:
-        """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q); negative: they overlap."""
+        """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q) or (Q,).
+
+        Negative where they overlap; `NOTHING_NEAR_M` without boxes or spheres.
+        """
         q = np.atleast_2d(q)
         if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), NOTHING_NEAR_M)
@@ -130,14 +145,14 @@ class RobotSpheres:
 
     @cached_property
     def _by_link(self) -> tuple[Array, Array, Array]:
-        """Where each link of `_bounds` begins among the spheres sorted by link (L + 1,), their ``pos``, ``radius``."""
+        """Spheres sorted by link: first index of each link of `_bounds` (L + 1,), centres (M, 3), radii (M,)."""
         order = np.argsort(self.link, kind="stable")
         first = np.searchsorted(self.link[order], np.unique(self.link))
         return np.append(first, len(order)), self.pos[order], self.radius[order]
 
     @cached_property
     def _bounds(self) -> tuple[Array, Array, Array]:
-        """Links (L,) that have spheres, centres (L, 3) in their frames and radii (L,) of spheres around them."""
+        """Bounding sphere of each covered link: link index (L,), centre (L, 3) in the link's frame, radius (L,)."""
         links = np.unique(self.link)
         middle = np.zeros((len(links), 3))
         around = np.zeros(len(links))
@@ -152,7 +167,10 @@ class RobotSpheres:
         return links, middle, around
 
     def self_clearance(self, q: Array) -> Array:
-        """Least distance (N,) [m] of the distal links to the trunk's boxes; negative: they overlap."""
+        """Least distance (N,) [m] of the distal spheres to the trunk's boxes at configurations ``q`` (N, Q) or (Q,).
+
+        Negative where they overlap; `NOTHING_NEAR_M` without distal spheres or trunk boxes.
+        """
         q = np.atleast_2d(q)
         link, points, radius = self._distal
         if not len(link) or not len(self.trunk_link):
@@ -162,7 +180,7 @@ class RobotSpheres:
 
     @cached_property
     def _distal(self) -> tuple[Array, Array, Array]:
-        """Link, position and radius of the spheres that `self_clearance` looks at."""
+        """Link, centre and radius of the spheres that `self_clearance` checks."""
         return self.link[self.distal], self.pos[self.distal], self.radius[self.distal]
 
     @cached_property
@@ -170,8 +188,14 @@ class RobotSpheres:
         return self.trunk.contiguous()
 
     def path_clearance(self, start: Array, ends: Array, boxes: Boxes, pieces: int = 8) -> Array:
-        """Least clearance (N,) to boxes and to the own trunk on the straight joint paths from ``start`` (Q,) or (N, Q)
-        to ``ends`` (N, Q), looked at in ``pieces`` places after the start."""
+        """Least clearance (N,) [m] to boxes and to the trunk along straight paths in joint space.
+
+        Args:
+            start: (Q,) or (N, Q) first configurations; they are not checked themselves.
+            ends: (N, Q) last configurations.
+            boxes: obstacles.
+            pieces: number of equally spaced configurations that are checked on each path, its end included.
+        """
         ends = np.atleast_2d(ends)
         share = np.linspace(0, 1, pieces + 1)[1:, None, None]
         q = (start + share * (ends - start)).reshape(-1, ends.shape[1])
@@ -180,7 +204,10 @@ class RobotSpheres:
 
 
 def _cover(geom: Any) -> list[tuple[Array, float]]:
-    """`_fill`, and small spheres along the long edges of thick boxes, where large ones leave much uncovered."""
+    """Cover one shape: groups of sphere centres (P, 3) in the link's frame, each group with its radius.
+
+    Thick boxes get a second group of small spheres along their long edges, which large spheres leave uncovered.
+    """
     points, size = _fill(geom)
     if geom.shape != "box" or size <= _THICK_RADIUS_M:
         return [(points, size)]
@@ -197,12 +224,12 @@ def _cover(geom: Any) -> list[tuple[Array, float]]:
 
 
 def _fill(geom: Any) -> tuple[Array, float]:
-    """Sphere centres (P, 3) in the link's frame and their common radius for a box, cylinder, capsule or sphere."""
+    """Centres (P, 3) in the link's frame and common radius [m] of spheres for a box, cylinder, capsule or sphere."""
     if geom.shape == "sphere":
         return np.asarray(geom.pos, dtype=np.float64)[None], float(geom.size[0])
     if geom.shape == "box":
         half = np.asarray(geom.size, dtype=np.float64)
-        # Flat boxes get rounder, somewhat thicker covers: their number matters more than a few millimetres.
+        # Flat boxes get spheres thicker than the box: a small number of spheres matters more than a few millimetres.
         small = max(float(half.min()), 0.7 * float(np.sort(half)[1]))
         local = _grid(np.maximum(half - small, 0.0), small)
     else:
@@ -223,7 +250,7 @@ def _fill(geom: Any) -> tuple[Array, float]:
 
 
 def _grid(room: Array, radius: float) -> Array:
-    """Points (P, 3) within ± ``room`` at most 1.2 radii apart."""
+    """Grid of points (P, 3) within ± ``room`` (3,) [m], at most 1.2 ``radius`` apart along each axis."""
     count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in room]
     axes = [
         np.linspace(-r, r, n) if n > 1 else np.zeros(1) for r, n in zip(room, count, strict=True)
@@ -232,7 +259,7 @@ def _grid(room: Array, radius: float) -> Array:
 
 
 def _bounding(geoms: Sequence[Any]) -> Boxes:
-    """Boxes around primitive shapes, in the frames the shapes are given in."""
+    """Bounding boxes of primitive shapes, in the frames of the shapes' links."""
     half = []
     for geom in geoms:
         size = np.asarray(geom.size, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Compiled frames of the links of a chain. Letters: N configurations, Q joint columns, L links."""
+"""Compiled forward kinematics of a chain. Letters: N configurations, Q joint columns, L links, J joints to the tip."""
 
 from __future__ import annotations
 
@@ -17,11 +17,19 @@ HINGE = 2
 
 
 class Tree(NamedTuple):
-    """A chain as arrays. Joint j leads from link ``parent[j]`` to link j + 1; link 0 is the root.
+    """A kinematic chain as arrays. Joint j leads from link ``parent[j]`` to link j + 1; link 0 is the root.
 
-    parent, kind, axis, column (L - 1,) i64: kind is `FIXED`, `SLIDE` or `HINGE`, column -1 where the joint is fixed;
-    sign (L - 1,); offset (L - 1, 3) of the joint in its parent's frame; path (J,) i64: the joints from the root to
-    the tip; height of the root; lower, upper (Q,): joint limits.
+    Attributes:
+        parent: (L - 1,) int64 parent link of each joint.
+        kind: (L - 1,) int64 `FIXED`, `SLIDE` or `HINGE`.
+        axis: (L - 1,) int64 axis of each joint in its own frame: 0 x, 1 y, 2 z.
+        column: (L - 1,) int64 column of a configuration that holds the joint's value; -1 for fixed joints.
+        sign: (L - 1,) 1 or -1, direction of each joint along its axis.
+        offset: (L - 1, 3) position of each joint in its parent's frame [m].
+        path: (J,) int64 joints from the root to the tip.
+        height: height of the root above the floor [m].
+        lower: (Q,) lower joint limits [m or rad].
+        upper: (Q,) upper joint limits [m or rad].
     """
 
     parent: Array
@@ -38,7 +46,7 @@ class Tree(NamedTuple):
 
 @lru_cache(maxsize=16)
 def tree_of(chain: Chain) -> Tree:
-    """The arrays of a chain."""
+    """Convert a chain to arrays for the kernels."""
     path: list[int] = []
     link = chain.tip_index
     while link > 0:
@@ -61,7 +69,10 @@ def tree_of(chain: Chain) -> Tree:
 
 @inline
 def place_link(tree: Tree, j: int, q: Array, pos: Array, rot: Array) -> None:
-    """Write the frame of the link behind joint ``j`` into ``pos`` (L, 3) and ``rot`` (L, 3, 3), links as rows."""
+    """Write the world frame of link ``j + 1`` at configuration ``q`` (Q,) into ``pos`` (L, 3) and ``rot`` (L, 3, 3).
+
+    The parent's frame must have been written before.
+    """
     up = tree.parent[j]
     link = j + 1
     offset = tree.offset[j]
@@ -91,6 +102,7 @@ def place_link(tree: Tree, j: int, q: Array, pos: Array, rot: Array) -> None:
 
 @inline
 def place_root(tree: Tree, pos: Array, rot: Array) -> None:
+    """Write the world frame of the root into the first row of ``pos`` (L, 3) and ``rot`` (L, 3, 3)."""
     for i in range(3):
         pos[0, i] = 0.0
         for k in range(3):

@@ -1,7 +1,7 @@
-"""Inverse kinematics in batches: damped least squares for goals, one bounded step for tracking.
+"""Inverse kinematics in batches by damped least squares.
 
-`solve` finds configurations for many goals from many seeds at once; `servo` gives the joint motion of one control
-step that brings the tip towards a pose while the base moves. Letters: M goals, S seeds, N configurations,
+`solve` finds configurations for many goals from many seeds at once; `servo` computes the joint motion of one control
+step that moves the tip towards a pose, also while the base drives. Letters: M goals, S seeds, N configurations,
 Q joint columns, D columns that may move.
 """
 
@@ -19,19 +19,27 @@ from mjhab.robots.kinematics import Chain, rotate, rotation_vector, wrap
 
 Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
-"""Which orientation counts: all of it, only the gripper's x axis, only its y axis (the fingers' line), or none."""
+"""Which part of the goal orientation counts: all of it ("pose"), only the direction of the gripper's x axis
+("approach"), only that of its y axis, along which the fingers close ("closing"), or none ("position")."""
 
 ARM_STEP_RAD = 0.038
-"""Joint motion of one control step at a full arm command: with kp 1e3 and kd 1e2, a joint covers 0.1 (1 -
-exp(-0.5)) rad of the way to a target 0.1 rad ahead in 50 ms."""
+"""Motion of an arm joint in one control step of 50 ms at a full command: with kp 1e3 and kd 1e2, a joint covers
+0.1 (1 - exp(-0.5)) rad of the way to a target 0.1 rad ahead."""
 TORSO_STEP_M = 0.02
-"""Motion of the torso in one control step that it makes reliably: it carries the arm and follows more slowly."""
+"""Motion that the torso reliably makes in one control step; the weight of the arm makes it slower than the arm."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How `solve` iterates. ``rest_gain``: share of the way to the preferred posture taken per iteration within the
-    null space; ``max_step``: largest change of a column per iteration; tolerances end the work on a goal early."""
+    """Options of `solve`.
+
+    Attributes:
+        iterations: largest number of iterations per goal and seed.
+        rest_gain: share of the difference to the preferred posture that one iteration takes out in the null space.
+        max_step: largest change of a column per iteration [m or rad].
+        pos_tolerance: position error [m] at which, together with ``rot_tolerance``, the iterations end.
+        rot_tolerance: orientation error [rad].
+    """
 
     iterations: int = 40
     rest_gain: float = 0.05
@@ -42,7 +50,14 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Solutions:
-    """``q`` (M, S, Q); ``pos_err`` [m], ``rot_err`` [rad] and ``ok`` (M, S): within three times the tolerances."""
+    """Results of `solve` for every goal and seed.
+
+    Attributes:
+        q: (M, S, Q) configurations.
+        pos_err: (M, S) remaining position errors [m].
+        rot_err: (M, S) remaining orientation errors [rad].
+        ok: (M, S) bool, whether both errors are within three times the tolerances.
+    """
 
     q: Array
     pos_err: Array
@@ -50,10 +65,13 @@ class Solutions:
     ok: Array
 
     def best(self, cost: Array) -> tuple[Array, Array]:
-        """The cheapest valid seed of every goal: configurations (M, Q) and their cost (M,), inf where none is valid.
+        """Select the valid solution with the least cost for every goal.
 
         Args:
             cost: (M, S), e.g. `travel_steps` from the present configuration.
+
+        Returns:
+            Configurations (M, Q) and their cost (M,), which is inf for goals without a valid solution.
         """
         masked = np.where(self.ok, cost, np.inf)
         pick = np.argmin(masked, axis=1)
@@ -62,7 +80,7 @@ class Solutions:
 
 
 def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> Array:
-    """Columns (D,) of the arm and, if asked for, of the torso and of the base."""
+    """Configuration columns (D,) of the arm and, as asked for, of the torso and the base."""
     groups = ("arm", *(("torso",) if torso else ()), *(("base",) if base else ()))
     return chain.columns_of([name for group in groups for name in chain.groups.get(group, ())])
 
@@ -70,9 +88,18 @@ def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> Array:
 def random_seeds(
     chain: Chain, q: Array, dofs: Array, count: int, rng: np.random.Generator, spread: float = 0.8
 ) -> Array:
-    """Seeds (count, Q) around ``q`` (Q,): the first is ``q``, half the rest are near it, half anywhere in the limits.
+    """Draw start configurations for `solve`.
 
-    Only the columns ``dofs`` vary; continuous joints stay within half a turn of ``q``.
+    Args:
+        chain: the robot.
+        q: (Q,) configuration that is the first seed.
+        dofs: (D,) columns that vary; continuous joints stay within half a turn of ``q``.
+        count: number of seeds.
+        rng: source of random numbers.
+        spread: standard deviation [m or rad] of the seeds near ``q``, reduced for joints with small ranges.
+
+    Returns:
+        (count, Q) seeds inside the limits: ``q``, then about half normally distributed around it, the rest uniform.
     """
     seeds = np.repeat(np.asarray(q, dtype=np.float64)[None], count, axis=0)
     low = np.maximum(chain.lower[dofs], q[dofs] - np.pi)
@@ -99,9 +126,9 @@ def solve(
     """Find configurations that bring the tip to goals.
 
     Args:
-        chain: the robot; pass one without extra links, they only cost time.
+        chain: the robot; a chain without extra links is faster.
         pos: (M, 3) goal positions in the world [m].
-        rot: (M, 3, 3) goal rotations; with ``mode`` "approach" or "closing" only that column is used.
+        rot: (M, 3, 3) goal rotations; ``mode`` "approach" uses only column 0, "closing" only column 1.
         seeds: (S, Q) or (M, S, Q) start configurations; columns outside ``dofs`` keep their values.
         dofs: (D,) columns that may move, see `columns`.
         rest: (Q,) preferred posture, approached in the null space.
@@ -109,7 +136,7 @@ def solve(
         options: iteration limits and tolerances.
 
     Returns:
-        One configuration per goal and seed, inside the joint limits, with the error it is left with.
+        One configuration per goal and seed, inside the joint limits, with its remaining errors.
     """
     options = options or Options()
     seeds = np.asarray(seeds, dtype=np.float64)
@@ -139,9 +166,11 @@ def solve(
 
 @dataclass(frozen=True)
 class ServoOptions:
-    """How `servo` moves.
+    """Options of `servo`.
 
-    ``mode``: which part of the orientation counts. ``rest_gain``: share of the way to the preferred posture per step.
+    Attributes:
+        mode: which part of the orientation counts.
+        rest_gain: share of the difference to the preferred posture that one step takes out in the null space.
     """
 
     mode: Mode = "pose"
@@ -162,25 +191,26 @@ def servo(
     base_next: Array | None = None,
     options: ServoOptions = USUAL_SERVO,
 ) -> Array:
-    """Joint motion (N, Q) of one control step that brings the tip towards a pose, bounded by the joints' speed.
+    """Compute the joint motion of one control step that moves the tip towards a pose.
 
-    The error is taken where the base *will be*: the arm makes up for the motion of the base (feed-forward), and the
-    tip can stay on a handle or on a straight line while the base drives (up to 0.1 m/s; joint speeds end it).
+    The pose error is computed for the base pose expected after the step (feed-forward). The arm thus compensates the
+    motion of the base, and the tip stays on a handle or a straight line while the base drives at up to 0.1 m/s; at
+    higher speeds the joint speeds limit it.
 
     Args:
         chain: the robot.
         q: (N, Q) present configurations, base columns in the world.
-        pos: (N, 3) where the tip should be at the end of the step [m]. Ask for points a few centimetres apart for a
+        pos: (N, 3) tip position in the world at the end of the step [m]; goals a few centimetres apart give a
             straight path.
-        rot: (N, 3, 3) rotation at the end of the step.
-        dofs: (D,) columns that may move; base columns do not belong here.
-        rest: (Q,) posture approached in the null space.
-        base_next: (N, 3) x, y, yaw expected after the step; None: the base stands.
-        options: what counts, and how much.
+        rot: (N, 3, 3) tip rotation at the end of the step.
+        dofs: (D,) columns that may move, without base columns.
+        rest: (Q,) preferred posture, approached in the null space.
+        base_next: (N, 3) x, y [m], yaw [rad] of the base expected after the step; None if the base stands.
+        options: which part of the orientation counts, and the gain of the null space.
 
     Returns:
-        Changes of the columns, zero outside ``dofs``; scaled together so that no joint exceeds `ARM_STEP_RAD` or
-        `TORSO_STEP_M`, and kept inside the joint limits.
+        (N, Q) changes of the columns, zero outside ``dofs``, inside the joint limits, and scaled together so that no
+        joint exceeds `ARM_STEP_RAD` or `TORSO_STEP_M`.
     """
     q = np.atleast_2d(_floats(q))
     ahead = q
@@ -214,7 +244,7 @@ def travel_steps(chain: Chain, start: Array, end: Array, dofs: Array) -> Array:
 
 
 def unwind(chain: Chain, q: Array, reference: Array) -> Array:
-    """``q`` (..., Q) with continuous joints moved by whole turns to lie next to ``reference`` (Q,)."""
+    """``q`` (..., Q) with continuous joints shifted by whole turns to within half a turn of ``reference`` (Q,)."""
     endless = ~np.isfinite(chain.lower)
     return np.where(endless, reference + wrap(q - reference), q)
 
@@ -222,13 +252,19 @@ def unwind(chain: Chain, q: Array, reference: Array) -> Array:
 def straight_line(
     pos: Array, goal: Array, rot: Array, goal_rot: Array, reach: float, turn: float
 ) -> tuple[Array, Array]:
-    """The next pose on the straight way to a goal: at most ``reach`` [m] and ``turn`` [rad] away.
+    """Compute the next pose on the straight path from a pose to a goal pose.
 
     Args:
-        pos, rot: (N, 3) and (N, 3, 3) present pose; ``goal``, ``goal_rot`` the same shapes.
+        pos: (N, 3) present positions [m].
+        goal: (N, 3) goal positions [m].
+        rot: (N, 3, 3) present rotations.
+        goal_rot: (N, 3, 3) goal rotations.
+        reach: largest translation [m].
+        turn: largest rotation [rad].
 
     Returns:
-        Position and rotation; turning and moving keep the same share of their way, so both end together.
+        Positions (N, 3) and rotations (N, 3, 3). Translation and rotation advance by the same share of what remains,
+        so that both end together.
     """
     way = goal - pos
     spin = rotation_vector(goal_rot @ rot.swapaxes(-1, -2))
@@ -239,5 +275,5 @@ def straight_line(
 
 
 def _floats(values: Array) -> Array:
-    """An array as the kernels take it."""
+    """An array in the layout that the kernels are compiled for: contiguous float64."""
     return np.ascontiguousarray(values, dtype=np.float64)

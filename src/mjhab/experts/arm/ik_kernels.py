@@ -1,8 +1,9 @@
-"""Compiled inverse kinematics: task errors, Jacobians and iterations of one configuration after the other.
+"""Compiled inverse kinematics: task error, Jacobian and iterations, one configuration after the other.
 
-The numbers are those of `mjhab.robots.kinematics`, which computes whole batches in numpy or torch; here every
-configuration stops as soon as it is done, and nothing is allocated in the loops. Letters: N configurations, Q joint
-columns, L links, J joints from the root to the tip, D columns that may move. Lengths [m], angles [rad], world frame.
+The results equal those of `mjhab.robots.kinematics`, which computes whole batches in numpy or torch. Here the
+iterations of a configuration stop as soon as it is within the tolerances, and the loops allocate nothing. Letters:
+N configurations, M goals, Q joint columns, L links, J joints from the root to the tip, D columns that may move.
+Lengths [m], angles [rad], world frame.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ MODES = {"pose": POSE, "approach": APPROACH, "closing": CLOSING, "position": POS
 
 @inline
 def _rotation_error(wish: Array, now: Array, m: Array, out: Array) -> None:
-    """Write into ``out[3:]`` the rotation vector that turns rotation matrix ``now`` (3, 3) into ``wish``.
+    """Write into ``out[3:]`` the rotation vector [rad] from rotation ``now`` (3, 3) to ``wish`` (3, 3).
 
-    ``m`` (3, 3): space.
+    ``m`` (3, 3) is scratch memory.
     """
     for i in range(3):
         for k in range(3):
@@ -66,9 +67,9 @@ def _rotation_error(wish: Array, now: Array, m: Array, out: Array) -> None:
 
 @inline
 def _axis_error(rot: Array, wish: Array, column: int, axis: Array, out: Array) -> None:
-    """Write into ``out[3:]`` the rotation vector that turns a column of ``rot`` (3, 3) into that of ``wish``.
+    """Write into ``out[3:]`` the rotation vector [rad] from a column of ``rot`` (3, 3) to that of ``wish`` (3, 3).
 
-    ``axis`` (3,) becomes the column of ``rot``.
+    ``axis`` (3,) is overwritten with the column of ``rot``.
     """
     for i in range(3):
         axis[i] = rot[i, column]
@@ -81,7 +82,7 @@ def _axis_error(rot: Array, wish: Array, column: int, axis: Array, out: Array) -
     sine = np.sqrt(out[3] * out[3] + out[4] * out[4] + out[5] * out[5])
     angle = np.arctan2(sine, cosine)
     if sine < 1e-9 and angle > 1.0:
-        # Opposite axes: any perpendicular direction leads out.
+        # For opposite axes the rotation axis is undetermined: take any perpendicular one.
         if abs(axis[0]) < 0.9:
             out[3] = 0.0
             out[4] = axis[2]
@@ -100,9 +101,16 @@ def _axis_error(rot: Array, wish: Array, column: int, axis: Array, out: Array) -
 def _task(
     tree: Tree, q: Array, goal_pos: Array, goal_rot: Array, mode: int, slot: Array, s: Space
 ) -> None:
-    """Set error and Jacobian of one configuration (Q,), of what counts in ``mode``.
+    """Write task error and Jacobian of configuration ``q`` (Q,) for a goal into ``s``.
 
-    ``slot`` (L - 1,): place of each joint's column among the D that may move, -1: it may not.
+    Args:
+        tree: the robot.
+        q: (Q,) configuration.
+        goal_pos: (3,) goal position.
+        goal_rot: (3, 3) goal rotation.
+        mode: part of the orientation that counts, one of `MODES`.
+        slot: (L - 1,) index of each joint's column among the D columns that may move, -1 if it may not.
+        s: workspace; frames, ``error``, ``jac`` and ``axis`` are overwritten.
     """
     place_root(tree, s.pos, s.rot)
     for j in tree.path:
@@ -139,7 +147,7 @@ def _task(
         row[2] = x * dy - y * dx
         about = 0.0
         if mode in (APPROACH, CLOSING):
-            # Turning about the axis itself is free: take it out.
+            # Rotation about the axis itself does not count: remove it from the Jacobian.
             about = x * s.axis[0] + y * s.axis[1] + z * s.axis[2]
         counts = 0.0 if mode == POSITION else 1.0
         row[3] = counts * (x - about * s.axis[0])
@@ -149,7 +157,7 @@ def _task(
 
 @kernel
 def _one_step(tree: Tree, q: Array, rest: Array, rest_gain: float, dofs: Array, s: Space) -> None:
-    """Set the step that takes out the error of configuration ``q`` (Q,) and keeps it in its limits."""
+    """Write into ``s.step`` (D,) the damped step that reduces the task error of ``q`` (Q,) within its joint limits."""
     for d in range(len(dofs)):
         column = dofs[d]
         s.pull[d] = (rest[column] - q[column]) * rest_gain
@@ -160,7 +168,7 @@ def _one_step(tree: Tree, q: Array, rest: Array, rest_gain: float, dofs: Array, 
 
 @inline
 def _slots(tree: Tree, dofs: Array) -> Array:
-    """Place (L - 1,) of each joint's column among ``dofs`` (D,), -1 where it is not there."""
+    """Index (L - 1,) of each joint's column in ``dofs`` (D,), -1 where it is not in it."""
     slot = np.full(len(tree.parent), -1)
     for j in range(len(tree.parent)):
         for d in range(len(dofs)):
@@ -184,10 +192,24 @@ def reach(
     pos_tolerance: float,
     rot_tolerance: float,
 ) -> tuple[Array, Array]:
-    """Move configurations ``q`` (N, Q) in place towards goals (M, 3), (M, 3, 3); N / M of them share each goal.
+    """Move configurations in place towards goals, see `ik.solve`.
+
+    Args:
+        tree: the robot.
+        q: (N, Q) configurations, overwritten; each goal has N / M consecutive ones.
+        goal_pos: (M, 3) goal positions.
+        goal_rot: (M, 3, 3) goal rotations.
+        mode: part of the orientation that counts, one of `MODES`.
+        dofs: (D,) columns that may move.
+        rest: (Q,) preferred posture.
+        iterations: largest number of iterations per configuration.
+        rest_gain: gain of the null space in the first iteration; it falls to 0 after two thirds of the iterations.
+        max_step: largest change of a column per iteration.
+        pos_tolerance: position error at which, together with ``rot_tolerance``, the iterations end.
+        rot_tolerance: orientation error.
 
     Returns:
-        The errors that are left: (N,) [m] and (N,) [rad].
+        Remaining errors (N,) [m] and (N,) [rad].
     """
     pos_err = np.empty(len(q))
     rot_err = np.empty(len(q))
@@ -227,9 +249,19 @@ def servo_steps(
     rest_gain: float,
     largest: Array,
 ) -> Array:
-    """Changes (N, Q) of one control step for configurations ``q`` (N, Q) that will be at ``ahead`` (N, Q).
+    """Changes (N, Q) of configurations ``q`` (N, Q) in one control step, see `ik.servo`.
 
-    See `ik.servo`. ``largest`` (Q,): most that a column changes.
+    Args:
+        tree: the robot.
+        ahead: (N, Q) the configurations with the base poses expected after the step; the error is computed here.
+        q: (N, Q) present configurations.
+        goal_pos: (N, 3) goal positions.
+        goal_rot: (N, 3, 3) goal rotations.
+        mode: part of the orientation that counts, one of `MODES`.
+        dofs: (D,) columns that may move.
+        rest: (Q,) preferred posture.
+        rest_gain: gain of the null space.
+        largest: (Q,) largest change of each column.
     """
     delta = np.zeros(q.shape)
     slot = _slots(tree, dofs)

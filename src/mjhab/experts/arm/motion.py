@@ -1,7 +1,8 @@
-"""Motions of one robot as scripts: generators that yield one action per control step.
+"""Motions of one robot as generators that yield one action (A,) per control step.
 
-A script reads its world through a `WorldView` before each action, so every motion is closed-loop. Scripts compose with
-``yield from``; each motion gives up after a bounded number of steps and says in its return value whether it arrived.
+A motion reads the state of its world through a `WorldView` before each action, so that it is closed-loop. Motions
+compose with ``yield from``. Each ends after a bounded number of control steps, except `stay_at_rest`, and returns
+whether it reached its goal.
 """
 
 from __future__ import annotations
@@ -26,21 +27,21 @@ from mjhab.robots.robot import Robot
 Array = np.ndarray
 Motion = Generator[Array, None, bool]
 Until = Callable[[WorldView], bool]
-"""Tells whether a wait is over."""
+"""Condition that ends a wait."""
 OPEN = 1.0
 CLOSED = -1.0
 """Gripper commands."""
 QUIET_RAD_S = 0.3
-"""Speed of the arm's joints below which what it reached for no longer shakes."""
+"""Speed of every arm joint below which the arm counts as settled."""
 OPENED_M = 0.004
-"""Distance of a finger from where it was told to go at which the hand counts as opened."""
+"""Distance of a finger from its commanded position at which the hand counts as opened."""
 ARM_STEP_SHARE = 1.0 - np.exp(-0.5)
 """Share of a commanded change that an arm joint covers in one control step (kp/kd = 10 per second, 50 ms)."""
 
 
 @lru_cache(maxsize=8)
 def spheres(robot: Robot) -> RobotSpheres:
-    """The links of a robot covered by spheres, for clearances."""
+    """Spheres that cover all links of a robot but its base, for clearances."""
     geoms = robot.body.collision
     links = tuple(name for name in geoms if name not in (robot.base_link, robot.tcp))
     return RobotSpheres.from_geoms(
@@ -54,19 +55,22 @@ def spheres(robot: Robot) -> RobotSpheres:
 
 @lru_cache(maxsize=8)
 def arm_spheres(robot: Robot) -> RobotSpheres:
-    """`spheres` without the trunk, which hardly reaches farther than the base: the map keeps both clear, and knows the
-    shapes of furniture better than boxes around it do."""
+    """`spheres` without the trunk links.
+
+    The trunk extends hardly beyond the base, and the map of free floor keeps both clear. The map is also more accurate
+    than the boxes around furniture.
+    """
     whole = spheres(robot)
     return whole.only([name for name in whole.chain.links if name not in robot.trunk_links])
 
 
 def planner(home: HomeShapes) -> Planner:
-    """Path planner of a home, made once."""
+    """Path planner of the base for a home with its doors and drawers closed; built once per home."""
     return home.derived.get("planner", lambda: _planner(home))
 
 
 def _planner(home: HomeShapes) -> Planner:
-    # There is little time: a base that knows its way needs no wide berth.
+    # Time limits are short: little comfort clearance gives short paths.
     return Planner(
         FloorClearance(home.map_origin, home.map_cell, home.map_clearance),
         radius=home.robot.footprint.wide,
@@ -90,9 +94,15 @@ def action(
     drive: tuple[float, float] = (0.0, 0.0),
     speed: float = 1.0,
 ) -> Array:
-    """The action that moves arm, head and torso towards the configuration ``goal`` (J,) and the base as told.
+    """Compute the action (A,) float32 that moves arm, head and torso towards a configuration while the base drives.
 
-    ``drive``: forward speed [m/s], yaw rate [rad/s]. ``speed`` 0..1 bounds the joints; they arrive together.
+    Args:
+        view: the world.
+        goal: (J,) configuration; None leaves arm, head and torso commands at 0.
+        gripper: gripper command, from `CLOSED` to `OPEN`.
+        drive: forward speed [m/s] and yaw rate [rad/s] of the base.
+        speed: largest command of an arm joint, 0..1. All arm commands are scaled by the same factor, so that the arm
+            moves straight in joint space.
     """
     robot = view.robot
     columns = robot.action
@@ -110,13 +120,13 @@ def action(
 
 
 def gripper_at(robot: Robot, opening: float) -> float:
-    """The gripper command that opens the fingers to a width [m]."""
+    """Gripper command for a distance ``opening`` [m] between the fingers, clipped to the range of the gripper."""
     low, high = robot.limits.gripper
     return float(np.clip((opening - low - high) / (high - low), CLOSED, OPEN))
 
 
 def never(view: WorldView) -> bool:
-    """A wait that ends after its number of control steps."""
+    """Condition of a wait that only ends after its number of control steps."""
     return False
 
 
@@ -126,7 +136,7 @@ def is_quiet(view: WorldView) -> bool:
 
 
 def has_opened(command: float) -> Until:
-    """Whether the fingers are about where the gripper ``command`` brings them."""
+    """Make the condition that the fingers are within `OPENED_M` of where the gripper ``command`` opens them to."""
 
     def opened(view: WorldView) -> bool:
         finger = float(view.q[view.robot.columns.fingers].mean())
@@ -143,9 +153,14 @@ def hold(
     goal: Array | None = None,
     until: Until = never,
 ) -> Motion:
-    """Stand still for some steps, keeping the configuration ``goal`` (J,) (default: the present one).
+    """Stand still in a configuration.
 
-    ``until``: ends it earlier.
+    Args:
+        view: the world.
+        steps: control steps.
+        gripper: gripper command.
+        goal: (J,) configuration; the present one if not given.
+        until: condition that ends the wait earlier.
     """
     goal = view.q if goal is None else goal
     for _ in range(steps):
@@ -164,7 +179,19 @@ def move_joints(
     max_steps: int = 80,
     speed: float = 1.0,
 ) -> Motion:
-    """Bring arm, head and torso to ``goal`` (J,) in joint space; the base stands."""
+    """Move arm, head and torso straight in joint space while the base stands.
+
+    Args:
+        view: the world.
+        goal: (J,) configuration.
+        gripper: gripper command.
+        tolerance: largest distance of an arm joint [rad] and the torso [m] from the goal at which the motion ends.
+        max_steps: control steps after which the motion gives up.
+        speed: see `action`.
+
+    Returns:
+        Whether arm and torso arrived.
+    """
     columns = _arm_and_torso(view.robot)
     for _ in range(max_steps):
         if np.abs(goal - view.q)[columns].max() <= tolerance:
@@ -174,7 +201,10 @@ def move_joints(
 
 
 def drive_to(view: WorldView, goal: Array, *, gripper: float, max_steps: int = 120) -> Motion:
-    """Drive the base to ``goal`` (3,) x, y [m], yaw [rad] around furniture, the arm held as it is."""
+    """Drive the base around furniture to ``goal`` (3,) x, y [m], yaw [rad], with the arm in its present configuration.
+
+    Returns whether the base arrived; False when there is no path.
+    """
     path = planner(view.home).plan(view.base[:2], goal[BASE_XY])
     if path is None:
         return False
@@ -192,18 +222,21 @@ def drive_to(view: WorldView, goal: Array, *, gripper: float, max_steps: int = 1
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HandMove:
-    """A straight motion of the tool centre, by differential inverse kinematics over arm and torso.
+    """A straight motion of the tcp, by differential inverse kinematics over arm and torso.
 
     Attributes:
-        pos, rot: goal (3,) [m], (3, 3) in the world.
-        gripper: command, from CLOSED to OPEN.
-        speed, turn: along the way [m/s], [rad/s].
-        tolerance, angle_tolerance: how near [m], [rad] to the goal it ends.
-        max_steps: control steps after which it gives up.
+        pos: (3,) goal position in the world [m].
+        rot: (3, 3) goal rotation in the world.
+        gripper: gripper command, from `CLOSED` to `OPEN`.
+        speed: translation speed [m/s].
+        turn: rotation speed [rad/s].
+        tolerance: distance to the goal at which the motion ends [m].
+        angle_tolerance: angle to the goal rotation at which the motion ends [rad].
+        max_steps: control steps after which the motion gives up.
         rest: (J,) posture preferred in the null space, None for the present one.
-        drive: forward speed [m/s] and yaw rate [rad/s] of the base meanwhile; the arm makes up for it.
+        drive: forward speed [m/s] and yaw rate [rad/s] of the base meanwhile; the arm compensates them.
         torso: whether the torso may move.
-        stop_on_force: give up when the contact force on the arm exceeds this [N].
+        stop_on_force: the motion gives up when the contact forces on the robot's links sum up to more [N].
     """
 
     pos: Array
@@ -221,7 +254,7 @@ class HandMove:
 
 
 def move_tcp(view: WorldView, move: HandMove) -> Motion:
-    """Move the tool centre on a straight line to a pose. Returns whether it arrived."""
+    """Move the tcp on a straight line to a pose. Returns whether it arrived."""
     robot = view.robot.chain
     rest = view.q if move.rest is None else move.rest
     dofs = ik.columns(robot, torso=move.torso)
@@ -235,7 +268,7 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
             return True
         if view.link_forces.sum() > move.stop_on_force:
             return False
-        # The aim moves at the wanted speed but stays within reach of where the hand really is.
+        # The aim moves at the wanted speed, but stays within 6 cm of the present tcp position.
         carrot, carrot_rot = ik.straight_line(
             carrot,
             move.pos[None],
@@ -258,9 +291,15 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
 def still_tcp(
     view: WorldView, pos: Array, rot: Array, *, gripper: float, steps: int, until: Until = never
 ) -> Motion:
-    """Keep the tool centre at a pose (3,), (3, 3) near the present one, until nothing moves any more.
+    """Hold the tcp at a pose near the present one.
 
-    ``until``: ends it earlier.
+    Args:
+        view: the world.
+        pos: (3,) position in the world [m].
+        rot: (3, 3) rotation in the world.
+        gripper: gripper command.
+        steps: control steps.
+        until: condition that ends the motion earlier.
     """
     robot = view.robot.chain
     dofs = ik.columns(robot, torso=False)
@@ -275,7 +314,18 @@ def still_tcp(
 def raise_tcp(
     view: WorldView, pos: Array, rot: Array, *, rest: Array, max_steps: int = 16
 ) -> Motion:
-    """Bring what the closed hand holds to a pose nearby; gently at first, a jerk would shift it between the pads."""
+    """Move the tcp with a held object to a pose nearby, slowly at first: a jerk would shift the object in the fingers.
+
+    Args:
+        view: the world.
+        pos: (3,) goal position in the world [m].
+        rot: (3, 3) goal rotation in the world.
+        rest: (J,) posture preferred in the null space.
+        max_steps: control steps at full speed after which the motion gives up.
+
+    Returns:
+        Whether the tcp arrived.
+    """
     near = min(0.02, 0.3 * float(np.linalg.norm(pos - tcp(view)[0])))
     for speed, steps in ((0.05, 1), (0.1, 1), (0.15, 1), (0.25, max_steps)):
         move = HandMove(
@@ -295,13 +345,14 @@ def raise_tcp(
 
 
 def base_speeds(view: WorldView) -> tuple[float, float]:
-    """Forward speed [m/s] and yaw rate [rad/s] of the base."""
+    """Present forward speed [m/s] and yaw rate [rad/s] of the base."""
     v_x, v_y, turn = view.qd[BASE]
     yaw = float(view.base[2])
     return float(np.cos(yaw) * v_x + np.sin(yaw) * v_y), float(turn)
 
 
 def base_motion(yaw: float, drive: tuple[float, float]) -> Array:
+    """Motion (1, 3) x, y [m], yaw [rad] of a base at heading ``yaw`` in one control step at speeds ``drive``."""
     step = drive[0] * STEP_SECONDS
     return np.array([[step * np.cos(yaw), step * np.sin(yaw), drive[1] * STEP_SECONDS]])
 
@@ -314,11 +365,18 @@ def angle_between(now: Array, goal: Array) -> float:
 def close_fingers(
     view: WorldView, target: str, *, steps: int = 12, settle: int = 3, rate: float = math.inf
 ) -> Motion:
-    """Close the gripper until both fingers press ``target`` for ``settle`` steps. Returns whether they do.
+    """Close the gripper until both fingers press a target.
 
     Args:
-        rate: how far [m] the commanded position of the fingers moves per control step until both press, then three
-            times as far; without it they close with full force at once, and meet the target at 0.3 m/s.
+        view: the world.
+        target: name of an object or link.
+        steps: control steps after which the motion gives up.
+        settle: consecutive control steps with more than 1 N on both fingers that end the motion.
+        rate: change of the commanded finger position per control step [m], three times as much once both fingers
+            press. The default closes with full force at once; the fingers then meet the target at 0.3 m/s.
+
+    Returns:
+        Whether both fingers press the target.
     """
     goal = view.q
     pressed = 0
@@ -333,7 +391,7 @@ def close_fingers(
 
 
 def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
-    """Bring arm, torso and head to the rest pose."""
+    """Move arm, torso and head to the rest configuration. Returns whether arm and torso arrived."""
     return (
         yield from move_joints(
             view, rest_goal(view), gripper=gripper, tolerance=0.02, max_steps=max_steps
@@ -342,7 +400,7 @@ def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
 
 
 def rest_goal(view: WorldView) -> Array:
-    """The rest configuration (J,) next to the present one: continuous joints take the short way."""
+    """Rest configuration (J,) at the present base pose; continuous joints within half a turn of the present."""
     q = view.q
     goal = view.robot.rest.copy()
     goal[BASE] = q[BASE]
@@ -350,20 +408,20 @@ def rest_goal(view: WorldView) -> Array:
 
 
 def steps_home(robot: Robot, q: Array) -> Array:
-    """Control steps (...,) that the arm needs from configurations (..., J) to rest."""
+    """Control steps (...,) that arm and torso need from configurations ``q`` (..., J) to rest."""
     rest = ik.unwind(robot.chain, robot.rest, q)
     return ik.travel_steps(robot.chain, q, rest, ik.columns(robot.chain))
 
 
 def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
-    """Hold the rest pose until the subtask is over."""
+    """Hold the rest configuration; never ends by itself."""
     goal = rest_goal(view)
     while True:
         yield action(view, goal, gripper=gripper)
 
 
 def joint_gap(view: WorldView, goal: Array) -> float:
-    """Largest distance of the arm from ``goal`` (J,) [rad]; 1 cm of the torso counts as 0.03 rad."""
+    """Largest distance of an arm joint from ``goal`` (J,) [rad], or three times that of the torso [m] if larger."""
     off = np.abs(goal - view.q)
     arm = float(off[list(view.robot.arm_columns)].max())
     return max(arm, 3.0 * float(off[list(view.robot.torso_columns)].max(initial=0.0)))
@@ -374,6 +432,6 @@ def _arm_and_torso(robot: Robot) -> list[int]:
 
 
 def drives(view: WorldView, xy: Array, yaw: float) -> bool:
-    """Whether the base has to move to stand at ``xy`` (2,) with heading ``yaw``."""
+    """Whether the base has to move to be at ``xy`` (2,) [m] with heading ``yaw`` [rad], within 15 mm and 0.03 rad."""
     turn = (yaw - view.base[2] + np.pi) % (2 * np.pi) - np.pi
     return bool(np.linalg.norm(xy - view.base[:2]) > 0.015 or abs(turn) > 0.03)

@@ -1,4 +1,4 @@
-"""Releasing an object: where it comes to rest, how far the fingers open, how the hand draws back.
+"""Release of an object: its motion when it tips over, the opening of the fingers, the retreat of the hand.
 
 Lengths [m], angles [rad], world frame.
 """
@@ -15,33 +15,40 @@ from mjhab.experts.planning.workplace import surroundings
 
 Array = np.ndarray
 TIGHT_PLAY_M = 0.008
-"""Fingers that can each open by less than this brush against the object when the hand draws back."""
+"""Fingers that can each open by less than this may touch the object while the hand retreats."""
 JAMMED_PLAY_M = 0.002
-"""Fingers that can each open by less than this do not come off the object: the hand is pulled off it."""
+"""Fingers that can each open by less than this stay in contact with the object while the hand retreats."""
 AWAY_SPEED_M_S = 0.3
-"""Speed with which the hand draws back."""
+"""Speed of the hand while it retreats."""
 TIGHT_AWAY_SPEED_M_S = 0.12
-"""The same where the fingers brush against the object: at the start of a fast motion the hand deviates from its
-straight way by millimetres."""
+"""Speed of the hand while it retreats and the fingers may touch the object: at the start of a faster motion the hand
+deviates from the straight line by millimetres."""
 EXTRA_OPENINGS_M = (0.03, 0.045, 0.06)
-"""How much wider than now the fingers may open to let go; the widest for which there is room is taken."""
+"""Candidates for the increase of the finger opening on release; the largest with enough clearance is taken."""
 DRAW_BACK_M = (0.04, 0.06, 0.08, 0.10, 0.12, 0.14)
-"""Distances that the hand may draw back."""
+"""Candidates for the distance of the retreat."""
 DRAW_BACK_CLEARANCE_M = 0.01
-"""Clearance of hand and arm while it draws back."""
+"""Least clearance of hand and arm during the retreat."""
 FREE_CLEARANCE_M = 0.025
-"""Clearance between the hand and what it has let go of from which on the arm may move in any direction."""
+"""Clearance between the hand and the released object from which on the arm may move in any direction."""
 
 
 def tipped(shape: ObjectShape, rot: Array) -> Array:
-    """How far (3,) the centre of an object moves that is let go in orientation ``rot`` (3, 3) with its lowest point on
-    a level floor: it tips over that onto the side through which its weight pulls."""
+    """Displacement (3,) [m] of an object's centre when it is released on a level surface and tips over.
+
+    The object touches the surface with its lowest point and tips about it onto the face through which the line of
+    gravity from its centre leaves it.
+
+    Args:
+        shape: shape of the object.
+        rot: (3, 3) orientation at the release.
+    """
     if shape.kind == "sphere":
         return np.zeros(3)
     turn = rot
     half = np.array(shape.half)
     if shape.kind in ("cylinder", "bowl"):
-        # Its lowest line is on the x-z plane of a frame turned about its axis.
+        # Turn the frame about the symmetry axis so that the lowest point is in its x-z plane.
         yaw = np.arctan2(-rot[2, 1], -rot[2, 0])
         turn = rot @ ik.rotate(np.array([[0.0, 0.0, yaw]]))[0]
     down = -turn[2]
@@ -49,32 +56,39 @@ def tipped(shape: ObjectShape, rot: Array) -> Array:
     side = int(np.argmax(np.abs(down) / half))
     lowest = turn @ (np.sign(down) * half)
     normal = turn[:, side] * np.sign(down[side])
-    # The axis it tips about is the cross product of ``normal`` and the direction of gravity.
+    # The tipping axis is the cross product of ``normal`` and the direction of gravity.
     axis = np.array([-normal[1], normal[0], 0.0])
     across = _cross(axis, lowest)
     return -(across + _cross(axis, across) / (1.0 - normal[2]))
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross product of two vectors (3,); numpy's takes ten times as long for one pair."""
+    """Cross product of two vectors (3,), ten times as fast as numpy's for a single pair."""
     ax, ay, az = a.tolist()
     bx, by, bz = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def play(view: WorldView) -> float:
-    """How far [m] each finger can still open."""
+    """Distance [m] by which each finger can still open."""
     robot = view.robot
     return robot.limits.gripper[1] - float(view.q[robot.columns.fingers].mean())
 
 
 def away_speed(view: WorldView) -> float:
-    """Speed [m/s] with which the hand may draw back from what it still holds."""
+    """Speed [m/s] of the hand's retreat from the object that is still between the fingers."""
     return TIGHT_AWAY_SPEED_M_S if JAMMED_PLAY_M < play(view) < TIGHT_PLAY_M else AWAY_SPEED_M_S
 
 
 def let_go_width(view: WorldView, obj: str, pos: Array, rot: Array) -> float:
-    """How far the fingers open [m] to let go: as far as there is room beside what they hold."""
+    """Choose the distance [m] between the opened fingers for a release, from `EXTRA_OPENINGS_M` and the clearance.
+
+    Args:
+        view: the world.
+        obj: name of the held object.
+        pos: (3,) tcp position.
+        rot: (3, 3) tcp rotation.
+    """
     near = surroundings(view, obj, pos)[0].near(pos, 0.3)
     now = 2.0 * float(view.q[view.robot.columns.fingers].mean())
     widths = now + np.array([0.0, *EXTRA_OPENINGS_M])
@@ -87,10 +101,18 @@ def let_go_width(view: WorldView, obj: str, pos: Array, rot: Array) -> float:
 
 
 def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -> Array:
-    """Where (3,) the hand may draw back to between what it let go of and the arm's way to rest: out of reach of the
-    object, as far as hand and arm keep clear of trunk and furniture.
+    """Choose the tcp position (3,) to which the hand retreats after a release, before the arm moves to rest.
 
-    Along the hand, or else straight up, or else towards the robot, but never across the fingers.
+    The retreat goes along the hand's axis, else straight up, else towards the robot, without a component along the
+    fingers' closing direction. It ends where the hand has `FREE_CLEARANCE_M` to the object, or as far as hand and arm
+    keep `DRAW_BACK_CLEARANCE_M` to trunk and furniture.
+
+    Args:
+        view: the world.
+        obj: name of the released object.
+        pos: (3,) tcp position at the release.
+        rot: (3, 3) tcp rotation at the release.
+        rest: (J,) preferred posture of the inverse kinematics.
     """
     robot = view.robot.chain
     whole = motion.spheres(view.robot)

@@ -1,4 +1,4 @@
-"""The inner loop of the experts' planning, compiled: how near spheres on moving links come to boxes."""
+"""Compiled clearance kernels: least distances between spheres on links and oriented boxes. World frame, lengths [m]."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = np.ndarray
 
 @inline
 def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
-    """A point of a link in the world."""
+    """World position of point ``local`` (3,) of a link with frame ``pos`` (3,), ``rot`` (3, 3)."""
     x = pos[0] + rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
     y = pos[1] + rot[1, 0] * local[0] + rot[1, 1] * local[1] + rot[1, 2] * local[2]
     z = pos[2] + rot[2, 0] * local[0] + rot[2, 1] * local[1] + rot[2, 2] * local[2]
@@ -21,7 +21,7 @@ def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
 
 @inline
 def _turned(rot: Array, local: Array) -> tuple[float, float, float]:
-    """A direction of a link in the world."""
+    """World direction of vector ``local`` (3,) of a link with rotation ``rot`` (3, 3)."""
     x = rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
     y = rot[1, 0] * local[0] + rot[1, 1] * local[1] + rot[1, 2] * local[2]
     z = rot[2, 0] * local[0] + rot[2, 1] * local[1] + rot[2, 2] * local[2]
@@ -44,13 +44,21 @@ def least_gaps(
 ) -> Array:
     """Least distance (N,) [m] of any sphere to any box; negative: they overlap.
 
-    Spheres around whole links tell which few pairs of link and box can be nearest; only their spheres are looked at.
+    The bounding spheres of the links select the pairs of link and box that can be nearest; only the spheres of these
+    pairs are compared with the box.
 
     Args:
-        pos, rot: (N, Q, 3), (N, Q, 3, 3) frames of the chain's links in N configurations.
-        links: (L,) those that have spheres. middle, around: (L, 3), (L,) spheres around all of a link, in its frame.
-        first: (L + 1,) where each link's spheres begin among ``points`` (M, 3), in its frame, and ``radius`` (M,).
-        center, half, turn: (K, 3), (K, 3), (K, 3, 3) the boxes.
+        pos: (N, I, 3) positions of the chain's I links in N configurations.
+        rot: (N, I, 3, 3) rotations of these links.
+        links: (L,) indices of the links that have spheres.
+        middle: (L, 3) centre of each link's bounding sphere, in the link's frame.
+        around: (L,) radius of each link's bounding sphere.
+        first: (L + 1,) index of each link's first sphere.
+        points: (M, 3) centres of the spheres, sorted by link, in the frames of the links.
+        radius: (M,) radii of the spheres.
+        center: (K, 3) centres of the boxes.
+        half: (K, 3) half sizes of the boxes.
+        turn: (K, 3, 3) rotations of the boxes.
     """
     found = np.empty(len(pos))
     least = np.empty((len(links), len(center)))
@@ -89,9 +97,15 @@ def own_gaps(
     """Least distance (N,) [m] of spheres on links to boxes on other links of the same robot; negative: they overlap.
 
     Args:
-        pos, rot: (N, Q, 3), (N, Q, 3, 3) frames of the chain's links in N configurations.
-        link, points, radius: (M,), (M, 3), (M,) spheres in their links' frames.
-        trunk, center, half, turn: (K,), (K, 3), (K, 3), (K, 3, 3) links of the boxes, and the boxes in their frames.
+        pos: (N, I, 3) positions of the chain's I links in N configurations.
+        rot: (N, I, 3, 3) rotations of these links.
+        link: (M,) index of each sphere's link.
+        points: (M, 3) centres of the spheres in the frames of their links.
+        radius: (M,) radii of the spheres.
+        trunk: (K,) index of each box's link.
+        center: (K, 3) centres of the boxes in the frames of their links.
+        half: (K, 3) half sizes of the boxes.
+        turn: (K, 3, 3) rotations of the boxes in the frames of their links.
     """
     found = np.empty(len(pos))
     spheres = np.empty((len(link), 3))

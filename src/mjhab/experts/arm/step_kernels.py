@@ -1,7 +1,7 @@
-"""Compiled damped least squares: the step of a configuration that takes out an error within bounds.
+"""Compiled damped least squares: the bounded step of one configuration that reduces its task error.
 
-The same arithmetic as `robots.kinematics.limited_step`, one configuration at a time. Letters: D columns that may move,
-L links.
+The arithmetic is that of `robots.kinematics.limited_step`, for one configuration at a time. Letters: D columns that may
+move, L links.
 """
 
 from __future__ import annotations
@@ -18,11 +18,25 @@ Array = np.ndarray
 
 
 class Space(NamedTuple):
-    """What one configuration needs while it is worked on; made once per call, so that the loops allocate nothing.
+    """Workspace for one configuration, allocated once per kernel call so that the loops allocate nothing.
 
-    pos, rot: (L, 3), (L, 3, 3) link frames; turn (3, 3), axis (3,): the error's rotation and a direction; error (6,),
-    jac (D, 6): task error and transposed Jacobian; pull, low, high, largest, step (D,): what `kinematics.limited_step`
-    takes and gives; stopped (D,), free (D,) bool, remaining, wanted (6,), square (6, 6): its intermediate values.
+    Attributes:
+        pos: (L, 3) link positions in the world [m].
+        rot: (L, 3, 3) link rotations.
+        turn: (3, 3) rotation from the present to the goal orientation.
+        axis: (3,) direction of the tip's axis that counts.
+        error: (6,) task error: translation [m] and rotation vector [rad].
+        jac: (D, 6) transposed Jacobian.
+        pull: (D,) step towards the preferred posture, applied in the null space.
+        low: (D,) lower bound of the step, from the joint limits.
+        high: (D,) upper bound of the step.
+        largest: (D,) largest magnitude of the step.
+        step: (D,) result.
+        stopped: (D,) step of the columns that are fixed at a bound, else 0.
+        free: (D,) bool, columns that are not fixed at a bound.
+        remaining: (6,) task error after the steps of the fixed columns.
+        wanted: (6,) right-hand side, then solution, of the damped normal equations.
+        square: (6, 6) matrix of the damped normal equations; overwritten by its Cholesky factor.
     """
 
     pos: Array
@@ -45,12 +59,13 @@ class Space(NamedTuple):
 
 @inline
 def make_space(tree: Tree, columns: int) -> Space:
+    """Allocate the workspace for a robot with ``columns`` columns that may move."""
     links = len(tree.parent) + 1
     return Space(
         np.empty((links, 3)),
         np.empty((links, 3, 3)),
         np.empty((3, 3)),
-        # Multiplied by 0 where no axis counts: what an empty array holds may be NaN.
+        # Zeros, not np.empty: where no axis counts it is multiplied by 0, which leaves NaN as NaN.
         np.zeros(3),
         np.empty(6),
         np.zeros((columns, 6)),
@@ -69,7 +84,10 @@ def make_space(tree: Tree, columns: int) -> Space:
 
 @inline
 def _solve(square: Array, x: Array) -> None:
-    """Replace ``x`` (6,) by the solution of ``square`` (6, 6) times it; ``square`` is positive definite and is lost."""
+    """Solve ``square @ y = x`` by Cholesky factorisation and write ``y`` into ``x`` (6,).
+
+    ``square`` (6, 6) is positive definite; its lower triangle is overwritten.
+    """
     for i in range(6):
         for k in range(i + 1):
             value = square[i, k]
@@ -88,7 +106,7 @@ def _solve(square: Array, x: Array) -> None:
 
 @inline
 def _set_damped_step(s: Space) -> None:
-    """Set the damped step of the free columns for the remaining error, see `kinematics.damped_step`."""
+    """Write the damped step of the free columns for ``s.remaining`` into ``s.step``, see `kinematics.damped_step`."""
     size = 0.0
     for i in range(6):
         size += s.remaining[i] * s.remaining[i]
@@ -116,7 +134,7 @@ def _set_damped_step(s: Space) -> None:
 
 @inline
 def set_limited_step(s: Space) -> None:
-    """Set the step that keeps to the room ``low``, ``high``, see `kinematics.limited_step`."""
+    """Write the step within the bounds ``s.low``, ``s.high`` into ``s.step``, see `kinematics.limited_step`."""
     columns = len(s.step)
     s.stopped[:] = 0.0
     s.free[:] = True

@@ -1,1 +1,1 @@
-"""Motion planning and driving of the base: maps of free floor, lattices, routes, following."""
+"""Motion planning and control of the base: maps of free floor, lattice search, routes, path following."""

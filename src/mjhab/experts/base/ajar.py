@@ -11,11 +11,11 @@ from mjhab.experts.arm.clearance import Boxes
 from mjhab.experts.base.navigation import FloorClearance, Planner
 
 OVERHANG_M = 0.05
-"""The robot is narrower by this length at the height of drawers and doors than at its base."""
+"""Added to the clearance to open drawers and doors: at their height the robot is narrower than at its base."""
 
 
 def planner(view: WorldView) -> Planner:
-    """Path planner of the world's home that knows which doors and drawers stand open now."""
+    """Path planner of the world's home, with the doors and drawers that are open now as obstacles."""
     ajar = {name: round(view.link_q(name), 1) for name in view.home.links}
     ajar_now = tuple((name, q) for name, q in ajar.items() if q > 0.05)
     if not ajar_now:
@@ -33,7 +33,7 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1).reshape(
         -1, 3
     )
-    # Seen from above: doors and drawers stand upright, so that height plays no part.
+    # Doors and drawers are upright: distances in the horizontal plane suffice.
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
     gap = nearest_box_distance(cells, flat).reshape(nx, ny) + OVERHANG_M
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))

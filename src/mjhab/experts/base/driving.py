@@ -1,4 +1,4 @@
-"""Driving along the legs of a way: speeds, curves or turns on the spot, and the base poses that result.
+"""Driving along a path of legs: base commands, the choice of curves or turns on the spot, simulated base poses.
 
 Lengths [m], angles [rad], world frame. Letters: T control steps, P points.
 """
@@ -19,23 +19,30 @@ from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 WANTED_CLEARANCE_M = 0.02
-"""Clearance beyond the least one that a drive should keep."""
+"""Clearance that a drive should keep beyond the least one."""
 CLOSENESS_PRICE_S_M2 = 5000.0
-"""Price of a drive with less clearance: seconds per square metre of what is missing."""
+"""Cost of a drive with less clearance, per square of the missing clearance [s/m2]."""
 AMPLE_CLEARANCE_M = 0.08
-"""Clearance with which way points may be skipped."""
+"""Clearance of a straight line with which it may replace way points that have more."""
 TURN_END_RATE_RAD_S = 0.5
-"""Yaw rate that `Pilot` commands a tenth of a radian before the end of a turn."""
+"""Yaw rate below which a turn between two legs counts as done; `Pilot` commands it 0.1 rad before the end."""
 MAX_SPLITS = 8
-"""Greatest number of curves that are replaced by turns on the spot where they come too close to something."""
+"""Greatest number of curves that are replaced by turns on the spot for lack of clearance."""
 MAX_CURVE_RAD = 2.0
 """Turns up to this are driven as curves, not on the spot."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How the base is driven: ``speed`` [m/s], ``rise`` [m/s2] that it gains at most and half of what it loses,
-    ``turn`` part of the yaw rate that `Pilot` asks for, ``spin`` [rad/s] and ``jerk`` [rad/s2] its bounds."""
+    """Limits on the base commands.
+
+    Attributes:
+        speed: largest forward speed [m/s].
+        rise: largest acceleration [m/s2]; deceleration may be twice as large.
+        turn: factor on the yaw rate that `Pilot` commands.
+        spin: largest yaw rate [rad/s].
+        jerk: largest change of the yaw rate [rad/s2].
+    """
 
     speed: float = 1.0
     rise: float = 20.0
@@ -46,12 +53,19 @@ class Pace:
 
 BRISK = Pace()
 GENTLE = Pace(0.7, 1.5, 0.5, 1.2, 3.0)
-"""With an empty hand, and with an object in it that must not slip."""
+"""`BRISK` is for an empty hand, `GENTLE` for a held object that must not slip."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trip:
-    """A drive: its legs, how far ahead to steer on each, how fast, and the base poses (T, 3) it should lead through."""
+    """A planned drive.
+
+    Attributes:
+        legs: pieces of the path, in order.
+        lookahead: look-ahead distance of `Pilot` [m].
+        pace: limits on the commands.
+        poses: (T, 3) simulated base poses x, y, yaw, one per control step.
+    """
 
     legs: Sequence[Leg]
     lookahead: float
@@ -60,7 +74,15 @@ class Trip:
 
 
 class Driver:
-    """Drives the legs of a trip, one after the other; ``leg`` is the present one, None at the end."""
+    """Controller that drives legs one after the other; ``leg`` is the present one, None at the end.
+
+    Args:
+        legs: pieces of the path.
+        lookahead: look-ahead distance of `Pilot` [m].
+        pace: limits on the commands.
+        v: present forward speed of the base [m/s].
+        w: present yaw rate of the base [rad/s].
+    """
 
     def __init__(
         self, legs: Sequence[Leg], lookahead: float, pace: Pace, v: float = 0.0, w: float = 0.0
@@ -82,12 +104,12 @@ class Driver:
             self._left = 60 + int(length(leg) / (0.2 * STEP_SECONDS))
 
     def step(self, pose: Array) -> tuple[float, float]:
-        """Forward speed and yaw rate for the base at ``pose`` (3,)."""
+        """Forward speed [m/s] and yaw rate [rad/s] for the base at ``pose`` (3,). Call once per control step."""
         v = w = 0.0
         while self.leg is not None:
             v, w, done = self._pilot.step(pose)
             self._left -= 1
-            # Only the last leg has to end exactly: a turn on the spot that is nearly done leads into the next one.
+            # Only the last leg has to end exactly: the others pass on to the next leg when their turn is nearly done.
             done = done or (bool(self._legs) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S)
             if not done and self._left >= 0:
                 break
@@ -103,15 +125,21 @@ class Driver:
 
 
 def towards(wish: float, now: float, gain: float) -> float:
-    """A speed nearer to the wished one, by ``gain`` where it grows and by twice as much where it falls."""
+    """Speed ``now`` moved towards ``wish``: by at most ``gain`` where its magnitude grows, else twice that."""
     up, down = (gain, 2.0 * gain) if now >= 0.0 else (2.0 * gain, gain)
     return float(np.clip(wish, now - down, now + up))
 
 
 def plan_drive(plan: Floorplan, pose: Array, legs: Sequence[Leg], pace: Pace) -> Trip:
-    """The quickest way for the base at ``pose`` (3,) to drive legs that keeps the room they have.
+    """Plan the quickest drive along legs that keeps about the clearance that the legs have.
 
-    Curves, and turns on the spot where they come too close to something.
+    The drive uses curves, and turns on the spot where a curve comes too close to an obstacle.
+
+    Args:
+        plan: free space.
+        pose: (3,) present base pose x, y, yaw.
+        legs: the path, with turns on the spot.
+        pace: limits on the commands.
     """
     curves = _joined(legs)
     pulled = _pulled(plan, curves)
@@ -136,7 +164,7 @@ def plan_drive(plan: Floorplan, pose: Array, legs: Sequence[Leg], pace: Pace) ->
 
 
 def _split(legs: Sequence[Leg], near: Array) -> list[Leg] | None:
-    """Legs with a turn on the spot at the curve nearest to a point (2,); None when no curve is left."""
+    """Legs with the way point nearest to ``near`` (2,) driven as a turn on the spot; None when none is left."""
     best: tuple[float, int, int] | None = None
     for i, leg in enumerate(legs):
         for k in range(1, len(leg.points) - 1):
@@ -157,7 +185,7 @@ def _split(legs: Sequence[Leg], near: Array) -> list[Leg] | None:
 
 
 def _joined(legs: Sequence[Leg]) -> list[Leg]:
-    """Pieces that go on in the same direction after a moderate turn as one leg with several points."""
+    """Legs with consecutive ones in the same direction joined into one, if the turn between them is moderate."""
     out: list[Leg] = []
     pending: list[Leg] = []
     for leg in legs:
@@ -180,7 +208,7 @@ def _joined(legs: Sequence[Leg]) -> list[Leg]:
 
 
 def _pulled(plan: Floorplan, legs: Sequence[Leg]) -> list[Leg]:
-    """Legs without the points that a straight line with as much room (or plenty) makes needless."""
+    """Legs without the points that a straight line with as much or ample clearance can skip."""
     out = []
     for leg in legs:
         kept = [0]
@@ -192,7 +220,10 @@ def _pulled(plan: Floorplan, legs: Sequence[Leg]) -> list[Leg]:
 
 
 def _farthest(plan: Floorplan, points: Array, i: int, back: float) -> int:
-    """The last of ``points`` (P, 2) that a straight line from the i-th one may lead to."""
+    """Index of the last of ``points`` (P, 2) that a straight line from point ``i`` may lead to.
+
+    ``back``: 0 forwards, pi backwards.
+    """
     for j in range(len(points) - 1, i + 1, -1):
         if _line_room(plan, points[[i, j]], back) >= min(
             AMPLE_CLEARANCE_M, _line_room(plan, points[i : j + 1], back)
@@ -202,7 +233,7 @@ def _farthest(plan: Floorplan, points: Array, i: int, back: float) -> int:
 
 
 def _line_room(plan: Floorplan, points: Array, back: float) -> float:
-    """Least room on straight lines along ``points`` (P, 2), headed along them (``back`` pi: the other way)."""
+    """Least clearance on straight lines between ``points`` (P, 2), facing along them (``back`` pi: against them)."""
     poses = []
     for a, b in pairwise(points):
         way = b - a
@@ -213,7 +244,7 @@ def _line_room(plan: Floorplan, points: Array, back: float) -> float:
 
 
 def simulate(pose: Array, legs: Sequence[Leg], lookahead: float, pace: Pace) -> Array:
-    """Base poses (T, 3) that driving the legs should give."""
+    """Simulate the base poses (T, 3) of a drive from ``pose`` (3,) along legs, one per control step."""
     pose = pose.copy()
     speed = 0.0
     rate = 0.0

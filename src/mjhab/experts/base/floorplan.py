@@ -1,6 +1,6 @@
-"""Free space in the present state of a home: clearances of the base on the floor and of the arm at its heights.
+"""Free space in the present state of a home: clearance of the base on the floor and of the arm in slices of height.
 
-Lengths [m], angles [rad], world frame. Letters: X, Y cells, L levels of height, M arm spheres, N base poses, K boxes.
+Lengths [m], angles [rad], world frame. Letters: X, Y cells, L slices of height, M arm spheres, N base poses, K boxes.
 """
 
 from __future__ import annotations
@@ -22,27 +22,32 @@ from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 BASE_CLEARANCE_M = 0.29
-"""Clearance that the base needs; it is 0.285 m wide at its widest."""
+"""Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m."""
 ARM_CLEARANCE_M = 0.02
 """Clearance that the arm needs: it swings a little, and cells are coarse."""
 SLICES_M = np.arange(0.7, 1.75, 0.1)
-"""Lower ends of the slices of height in which the arm at rest may touch something. Below them, the map of the base
-holds."""
+"""Lower ends of the slices of height in which the arm is checked. Below them, the map of the base decides."""
 EMPTY_DISTANCE_M = 100.0
-"""Distance to the nearest thing where a slice of height is empty."""
+"""Distance to the nearest obstacle that is reported where a slice of height is empty."""
 AT_REST_RAD = 0.05
-"""The arm is at rest when no joint is farther from its rest position than this."""
+"""Largest distance of a joint from the rest position at which the arm counts as at rest."""
 FALLEN_HEIGHT_M = 0.4
-"""Objects below this height that are no larger than `FALLEN_SIZE_M` lie where the base may want to drive."""
+"""Objects below this height with half sizes below `FALLEN_SIZE_M` are obstacles of the base."""
 FALLEN_SIZE_M = 0.15
 """See `FALLEN_HEIGHT_M`."""
 _STEP = 0.1
+"""Height of a slice."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The arm at rest with what it holds, in the frame of the base: ``offset`` (M, 2), ``radius`` (M,), and ``level``
-    (M, 2): first and last slice it passes through."""
+    """Spheres of the arm and the held object that extend beyond the base, seen from above.
+
+    Attributes:
+        offset: (M, 2) centres in the frame of the base.
+        radius: (M,) radii plus `ARM_CLEARANCE_M`.
+        level: (M, 2) first and last slice of height that each sphere intersects.
+    """
 
     offset: Array
     radius: Array
@@ -50,7 +55,13 @@ class Arm:
 
     @classmethod
     def of(cls, view: WorldView, posture: Array, held: str = "") -> Arm:
-        """The arm in a configuration (J,) and as it is now, with an object as it sits in the hand now."""
+        """Spheres of the arm in configuration ``posture`` (J,) and, where it differs, in the present one.
+
+        Args:
+            view: the world.
+            posture: (J,) configuration of the arm during the drive.
+            held: name of the object in the hand, at its present pose relative to the hand; "" for none.
+        """
         robot = motion.arm_spheres(view.robot)
         if held:
             robot = robot.with_held(*held_spheres(view, held))
@@ -71,11 +82,16 @@ class Arm:
 
 @dataclass(frozen=True, eq=False)
 class Floorplan:
-    """Free room in a world as it is now.
+    """Free space of a world in its present state, on a grid.
 
-    ``base`` (X, Y): clearance of the base at the cells' centres beyond `BASE_CLEARANCE_M`; ``free`` (L, X, Y):
-    distance to what stands in each slice of height; ``sight`` (L, X, Y) bool: walls and furniture alone, which hide
-    things."""
+    Attributes:
+        origin: (2,) world position of the corner of cell (0, 0).
+        cell: edge length of a cell.
+        base: (X, Y) clearance at the cells' centres beyond `BASE_CLEARANCE_M`.
+        free: (L, X, Y) distance to the nearest obstacle in each slice of height.
+        sight: (L, X, Y) bool, cells of walls and furniture, which occlude the goal.
+        arm: spheres of the arm.
+    """
 
     origin: Array
     cell: float
@@ -88,12 +104,13 @@ class Floorplan:
     def of(
         cls, view: WorldView, arm: Arm, held: str = "", blocks: Array | None = None
     ) -> Floorplan:
-        """The floor plan of a world.
+        """Build the floor plan of a world.
 
         Args:
-            arm: see `Arm`.
-            held: name of the object in the hand, which is in nobody's way.
-            blocks: (B, 3) x, y, radius of places where something unknown was felt.
+            view: the world.
+            arm: spheres of the arm.
+            held: name of the object in the hand, which is no obstacle.
+            blocks: (B, 3) x, y, radius of places where the robot touched an unknown obstacle.
         """
         cells = planner(view)
         sight = _solid(view.home)
@@ -107,7 +124,7 @@ class Floorplan:
         )
         base = cells.clearance
         height = objects.center[:, 2]
-        # What an episode has no use for is parked below the floor.
+        # Objects that an episode does not use are parked below the floor.
         low = objects.take(
             (height > -0.1)
             & (height < FALLEN_HEIGHT_M)
@@ -125,12 +142,12 @@ class Floorplan:
         return cls(cells.origin, cells.cell, base - BASE_CLEARANCE_M, free, sight, arm)
 
     def slimmer(self, base: float, arm: float) -> Floorplan:
-        """The same for a base and an arm that are so much smaller [m]: what still may go when nothing else does."""
+        """The floor plan for smaller safety margins: ``base`` and ``arm`` [m] are subtracted from their clearances."""
         less = dataclasses.replace(self.arm, radius=np.maximum(self.arm.radius - arm, 0.0))
         return dataclasses.replace(self, base=self.base + base, arm=less)
 
     def room(self, poses: Array) -> Array:
-        """Room (N,) that base and arm have to spare at base poses (N, 3); negative: they touch something."""
+        """Clearance (N,) of base and arm beyond what they need at base poses (N, 3); negative: too close."""
         poses = np.atleast_2d(poses)
         found = self._at(self.base, poses[:, :2], -BASE_CLEARANCE_M)
         cos = np.cos(poses[:, 2, None])
@@ -144,7 +161,7 @@ class Floorplan:
         return found
 
     def turning(self, xy: Array, start: float, turn: float) -> float:
-        """Least room while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
+        """Least `room` while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
         yaw = start + np.linspace(0.0, turn, 2 + int(abs(turn) / 0.1))
         return float(
             self.room(
@@ -153,7 +170,7 @@ class Floorplan:
         )
 
     def rooms(self, yaws: Array) -> Array:
-        """Room (H, X, Y) at the centres of all cells for headings (H,)."""
+        """`room` (H, X, Y) at the centres of all cells for headings (H,); arm spheres are rounded to whole cells."""
         pad = 1 + int(
             np.ceil(float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0)) / self.cell)
         )
@@ -181,8 +198,10 @@ class Floorplan:
         return out
 
     def hidden(self, points: Array, goal: Array, near: float) -> Array:
-        """Part (N,) of the lines from ``points`` (N, 2) to ``goal`` (3,) that leads through walls or furniture, a
-        little above the goal; the last piece of length ``near`` [m] does not count."""
+        """Share (N,) of the lines of sight from ``points`` (N, 2) to ``goal`` (3,) inside walls or furniture.
+
+        The lines run in the slice 0.15 m above the goal; their last ``near`` [m] do not count.
+        """
         level = self.sight[
             int(np.clip((goal[2] + 0.15 - SLICES_M[0]) / _STEP, 0, len(SLICES_M) - 1))
         ]
@@ -195,13 +214,13 @@ class Floorplan:
         return level[i, j].mean(axis=0)
 
     def cells(self, points: Array) -> tuple[Array, Array]:
-        """Indices of the cells that hold points (..., 2), moved into the map."""
+        """Indices (...,), (...,) of the cells that contain points (..., 2), clipped to the map."""
         index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
         index = np.clip(index, 0, np.array(self.base.shape) - 1)
         return index[..., 0], index[..., 1]
 
     def _at(self, values: Array, points: Array, outside: float) -> Array:
-        """Values (...,) between those of the four cells around points (..., 2)."""
+        """Bilinear interpolation (...,) of ``values`` (X, Y) at points (..., 2); ``outside`` beyond the map."""
         at = (points - self.origin) / self.cell - 0.5
         last = np.array(values.shape) - 1
         inside = ((at >= 0) & (at <= last)).all(axis=-1)
@@ -215,7 +234,7 @@ class Floorplan:
 
     @cached_property
     def _groups(self) -> list[tuple[Array, Array]]:
-        """Spheres (indices) that pass through the same slices, and the distances (X, Y) there."""
+        """Groups of spheres that intersect the same slices: indices, and least distances (X, Y) over these slices."""
         kinds, which = np.unique(self.arm.level, axis=0, return_inverse=True)
         return [
             (np.flatnonzero(which.ravel() == k), self.free[low : high + 1].min(axis=0))
@@ -224,7 +243,7 @@ class Floorplan:
 
 
 def _solid(home: HomeShapes) -> Array:
-    """Cells (L, X, Y) bool that walls and furniture take, doors and drawers left out. Read-only."""
+    """Cells (L, X, Y) bool of walls and furniture, without doors and drawers. Read-only."""
     return home.derived.get("solid", lambda: _find_solid(home))
 
 
@@ -236,14 +255,14 @@ def _find_solid(home: HomeShapes) -> Array:
 
 
 def _distance(taken: Array, cell: float) -> Array:
-    """Distance (X, Y) from cells' centres to the nearest taken cell."""
+    """Distance (X, Y) from the cells' centres to the nearest of the cells ``taken`` (X, Y) bool."""
     if not taken.any():
         return np.full(taken.shape, EMPTY_DISTANCE_M)
     return np.maximum(np.asarray(distance_transform_edt(~taken)) * cell - cell / 2, 0.0)
 
 
 def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
-    """Mark the cells (L, X, Y) whose centres are inside of boxes or less than half a cell beside them."""
+    """Mark in ``solid`` (L, X, Y) bool the cells whose centres are inside a box or less than half a cell beside it."""
     reach = np.einsum("kij,kj->ki", np.abs(boxes.rot), boxes.half)
     low = np.floor((boxes.center - reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]).astype(
         int
@@ -259,7 +278,7 @@ def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
         (i, j, a) = low[k]
         (m, n, b) = high[k]
         at = origin + (np.moveaxis(np.mgrid[i:m, j:n], 0, -1) + 0.5) * cell
-        # Seen from above: what stands upright is turned about the vertical alone.
+        # An upright box is rotated about the vertical alone; a leaning one is replaced by its bounding rectangle.
         local = (at - boxes.center[k, :2]) @ boxes.rot[k, :2, :2]
         leaning = abs(boxes.rot[k, 2, 2]) < 0.99
         inside = (np.abs(local) <= (np.inf if leaning else boxes.half[k, :2] + cell / 2)).all(

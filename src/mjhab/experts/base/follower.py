@@ -1,4 +1,4 @@
-"""A follower of paths for a base with differential drive: speeds for every control step.
+"""Path following for a base with differential drive: base commands for every control step.
 
 Lengths [m], angles [rad], speeds [m/s] and [rad/s], world frame.
 """
@@ -18,8 +18,23 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """Bounds and gains of `Follower`. The gains act on the pose expected ``preview`` seconds ahead, which makes up for
-    the base's time constant of about 0.15 s. ``reverse_below``: ways shorter than this may be driven backwards."""
+    """Bounds and gains of `Follower`.
+
+    The gains act on the pose expected ``preview`` seconds ahead, which compensates the base's time constant of about
+    0.15 s.
+
+    Attributes:
+        speed: largest forward speed [m/s].
+        turn_rate: largest yaw rate [rad/s].
+        brake_gain: speed per distance to the end of the path [1/s].
+        turn_gain: yaw rate per angle to the wanted heading [1/s].
+        preview: see above [s].
+        lookahead: arc length between the base and the point that it steers at [m].
+        turn_first: angle to the wanted heading beyond which the base turns on the spot [rad].
+        reverse_below: paths shorter than this may be driven backwards [m].
+        pos_tolerance: distance to the goal at which the base has arrived [m].
+        yaw_tolerance: angle to the final heading at which the base has arrived [rad].
+    """
 
     speed: float = 0.8
     turn_rate: float = 2.4
@@ -34,7 +49,13 @@ class DriveLimits:
 
 
 class Drive(NamedTuple):
-    """Commands of one control step: forward speed [m/s], yaw rate [rad/s], and whether the base stands at its goal."""
+    """Commands of one control step.
+
+    Attributes:
+        v: forward speed [m/s].
+        w: yaw rate [rad/s].
+        done: whether the base stands still at its goal.
+    """
 
     v: float
     w: float
@@ -46,9 +67,9 @@ class Follower:
 
     Args:
         path: (P, 2) way points; the first is where the base is.
-        final_yaw: heading at the end; None: whatever it is on arrival.
+        final_yaw: heading at the end; None leaves the heading of the arrival.
         limits: speeds, gains, tolerances.
-        direction: 1 forwards, -1 backwards, 0 chosen from the first pose: backwards only on ways shorter than
+        direction: 1 forwards, -1 backwards, 0 chosen from the first pose: backwards only on paths shorter than
             ``limits.reverse_below`` and when that takes less turning.
     """
 
@@ -73,7 +94,7 @@ class Follower:
 
     @property
     def length(self) -> float:
-        """Length of the way [m]."""
+        """Length of the path [m]."""
         return float(self._along[-1])
 
     def step(self, pose: Array) -> Drive:
@@ -105,7 +126,7 @@ class Follower:
         return Drive(self._creep(pose), self._turn_rate(turn), done)
 
     def _creep(self, pose: Array) -> float:
-        """Speed that takes out what is left along the heading, while the base turns on the spot."""
+        """Forward speed that removes the remaining error along the heading while the base turns on the spot."""
         left = self._ahead(pose) - self.limits.preview * self._speed
         return float(np.clip(2.0 * left, -0.2, 0.2)) if abs(left) > 0.003 else 0.0
 
@@ -134,7 +155,7 @@ class Follower:
         return float(np.clip(rate, -limits.turn_rate, limits.turn_rate))
 
     def _advance(self, point: Array) -> float:
-        """Move the projection onto the way forward (never back) and return its arc length."""
+        """Arc length of the base's projection onto the path; it never decreases."""
         for i in range(len(self.path) - 1):
             start = self.path[i]
             leg = self.path[i + 1] - self.path[i]
@@ -151,7 +172,7 @@ class Follower:
         return np.array([np.interp(at, self._along, self.path[:, k]) for k in range(2)])
 
     def _to_corner(self, left: float) -> float:
-        """Arc length to the next inner way point, for slowing down before it turns."""
+        """Arc length to the next inner way point, before which the base slows down."""
         ahead = self._along[1:-1] - (self.length - left)
         ahead = ahead[ahead > -0.05]
         return float(max(ahead[0], 0.0)) if len(ahead) else np.inf
@@ -161,7 +182,7 @@ class Follower:
         return float(np.cos(pose[2]) * to_goal[0] + np.sin(pose[2]) * to_goal[1])
 
     def _beside(self, pose: Array, gap: float) -> bool:
-        """The goal lies sideways within tolerance: driving on would not come nearer."""
+        """Whether the goal is within tolerance beside the base, where driving on does not reduce the distance."""
         return (
             gap < self.limits.pos_tolerance
             and abs(self._ahead(pose)) < 0.3 * self.limits.pos_tolerance

@@ -1,7 +1,8 @@
-"""Ways over position and heading: straight pieces, forwards or backwards, and turns on the spot.
+"""Lattice search over position and heading: straight pieces, forwards or backwards, and turns on the spot.
 
-Sixteen headings that lead from grid point to grid point exactly. What the arm sweeps is looked at, so that the robot
-turns where it has room to and backs out of where it has not. Lengths [m], angles [rad], costs in seconds.
+The lattice has sixteen headings, along which a straight step leads exactly from grid point to grid point. Clearance
+includes the arm, so that the robot turns where the arm has room and backs out of where it has not. Lengths [m],
+angles [rad], world frame, costs [s].
 """
 
 from __future__ import annotations
@@ -32,22 +33,28 @@ BACKWARDS_FACTOR = 2.0
 TURN_RATE_RAD_S = 1.8
 """Yaw rate of turns on the spot, from which their cost follows."""
 TURN_COST_S = 0.15
-"""Cost of every turn to the next heading beside its duration."""
+"""Cost of every turn to the next heading in addition to its duration."""
 COMFORT_CLEARANCE_M = 0.15
-"""Clearance up to which more of it is worth a detour."""
+"""Clearance below which costs increase."""
 CAUTION_FACTOR = 3.0
-"""Where there is no clearance to spare, a metre costs 1 + CAUTION_FACTOR times as much as in the open."""
+"""Without spare clearance, a metre costs 1 + CAUTION_FACTOR times as much as with `COMFORT_CLEARANCE_M`."""
 START_WAYS_M = np.array([0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4])
-"""Lengths of the straight piece, negative backwards, with which a way may begin before its first turn."""
+"""Candidates for the length of the straight piece before the first turn, negative backwards."""
 LACKING_PRICE_S_M = 40.0
-"""Price of every metre of clearance that is missing where the robot first turns [s/m]."""
+"""Cost of missing clearance during the first turn [s/m]."""
 MAX_ENTRY_M = 0.12
-"""Greatest distance of the robot from the grid point at which it gets onto the grid."""
+"""Greatest distance between the robot and the first node of the path."""
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A piece of a way: along ``points`` (P, 2), forwards (1) or backwards (-1), then turned to ``yaw``."""
+    """A piece of a path.
+
+    Attributes:
+        points: (P, 2) way points.
+        direction: 1 forwards, -1 backwards.
+        yaw: heading at the end, to which the base turns on the spot.
+    """
 
     points: Array
     direction: int
@@ -55,9 +62,12 @@ class Leg:
 
 
 class Lattice:
-    """The grid of one floor plan. H headings, X, Y grid points; node (h * X + x) * Y + y.
+    """Lattice of one floor plan: H headings, X times Y grid points; the number of a node is (h * X + x) * Y + y.
 
-    ``points`` (X, Y, 2): where they are; ``room`` (H, X, Y): what base and arm have to spare there.
+    Attributes:
+        points: (X, Y, 2) positions of the grid points.
+        room: (H, X, Y) clearance of base and arm at the nodes beyond what they need.
+        shape: (H, X, Y).
     """
 
     def __init__(self, plan: Floorplan) -> None:
@@ -73,13 +83,14 @@ class Lattice:
         self._edges = self._make_edges()
 
     def search(self, pose: Array, price: Array) -> tuple[float, list[Leg]] | None:
-        """The cheapest way from a base pose (3,) to a node, what it costs there included.
+        """Search the path with the least cost from a base pose to any node, including the node's end cost.
 
         Args:
-            price: (H, X, Y) seconds that each node costs as an end, infinite where the way must not end.
+            pose: (3,) base pose x, y, yaw.
+            price: (H, X, Y) cost of each node as the end of the path [s], infinite where it must not end.
 
         Returns:
-            Cost [s] and legs, or None when no such node can be reached.
+            Cost [s] and legs, or None when no node with a finite end cost can be reached.
         """
         entries = self._entries(pose)
         if not entries:
@@ -110,7 +121,7 @@ class Lattice:
         return float(total[best]), self._legs(pose, entries[way[0]][1:], way)
 
     def _make_edges(self) -> tuple[Array, Array, Array]:
-        """Start, end and cost of all moves between nodes with room."""
+        """Start nodes, end nodes and costs [s] of all moves between nodes with enough clearance."""
         number = np.arange(int(np.prod(self.shape))).reshape(self.shape)
         fits = self.room >= 0.0
         lack = np.clip((COMFORT_CLEARANCE_M - self.room) / COMFORT_CLEARANCE_M, 0.0, 1.0)
@@ -142,15 +153,15 @@ class Lattice:
         return joined[0], joined[1], joined[2]
 
     def _midway(self, h: int, a: tuple[slice, slice], dx: int, dy: int) -> Array:
-        """Whether there is room halfway, for moves that start in the window ``a``."""
+        """Whether the midpoint has enough clearance, for moves with heading ``h`` that start in the window ``a``."""
         rows = np.arange(self.shape[1])[a[0]] * CELLS_PER_STEP + dx * CELLS_PER_STEP // 2
         columns = np.arange(self.shape[2])[a[1]] * CELLS_PER_STEP + dy * CELLS_PER_STEP // 2
         return self._fine[h][np.ix_(rows, columns)] >= 0.0
 
     def _entries(self, pose: Array) -> dict[int, tuple[float, float, float]]:
-        """Nodes at which a way may begin: cost, how far straight on to there, and how far the robot turns there.
+        """Nodes at which a path may begin: cost [s], length of the straight piece to the node, turn there (signed).
 
-        A robot that stands too close to something may go wherever it does not get closer.
+        A robot that is too close to an obstacle may move wherever it does not get closer.
         """
         asked = min(0.0, float(self.plan.room(pose[None])[0]) - 0.015)
         ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
@@ -179,8 +190,7 @@ class Lattice:
         return found
 
     def _near(self, xy: Array, h: int) -> int:
-        """The node with heading ``h`` nearest to ``xy`` (2,) that has room; -1 if there is none within
-        `MAX_ENTRY_M`."""
+        """Node with heading ``h`` and enough clearance nearest to ``xy`` (2,); -1 if none is within `MAX_ENTRY_M`."""
         at = (xy - self.plan.origin) / self.plan.cell - 0.5
         low = np.floor(at / CELLS_PER_STEP).astype(int)
         x, y = np.meshgrid([low[0], low[0] + 1], [low[1], low[1] + 1], indexing="ij")
@@ -196,7 +206,7 @@ class Lattice:
         )
 
     def _legs(self, pose: Array, entry: tuple[float, float], way: Sequence[int]) -> list[Leg]:
-        """Strict legs: a turn on the spot wherever the heading changes."""
+        """Legs along the nodes ``way``, with a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(way), self.shape)
         far, turn = entry
         here = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])])
@@ -226,7 +236,10 @@ class Lattice:
 
 
 def turns(xy: Array, start: float, turn: float) -> list[Leg]:
-    """Legs that turn on the spot by a signed angle, each by less than half a turn, so that the side is certain."""
+    """Legs that turn on the spot at ``xy`` (2,) by a signed angle.
+
+    Each leg turns by less than pi, because a leg gives only its final heading and the base takes the shorter turn.
+    """
     if abs(turn) < 1e-6:
         return []
     pieces = 1 + int(abs(turn) / 2.2)
@@ -235,14 +248,14 @@ def turns(xy: Array, start: float, turn: float) -> list[Leg]:
 
 
 def length(leg: Leg) -> float:
-    """Length of a leg, 0 for a turn on the spot."""
+    """Length of a leg [m], 0 for a turn on the spot."""
     return float(np.linalg.norm(np.diff(leg.points, axis=0), axis=1).sum())
 
 
 def _windows(
     shape: Sequence[int], dx: int, dy: int
 ) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """The grid points from which a step (dx, dy) stays on the grid, and where it leads."""
+    """Windows of the grid points from which a step (dx, dy) stays on the grid, and of those that it leads to."""
     starts = []
     ends = []
     for size, d in zip(shape, (dx, dy), strict=True):

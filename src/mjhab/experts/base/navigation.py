@@ -18,15 +18,20 @@ from mjhab.core.memory_cache import MemoryCache
 
 Array = np.ndarray
 KEPT_SOURCES = 4
-"""Number of starts whose ways to everywhere a `Planner` keeps."""
+"""Number of starts whose shortest-path trees a `Planner` keeps."""
 NARROW_FACTOR = 20.0
 """Factor on the cost of a metre where the clearance is less than ``radius``: larger than any detour through a home."""
 
 
 @dataclass(frozen=True, eq=False)
 class FloorClearance:
-    """A map of a floor: ``origin`` (2,): world xy [m] of the corner of cell (0, 0); ``cell``: edge length [m];
-    ``clearance`` (nx, ny): distance of each cell's centre to the nearest obstacle [m]."""
+    """Map of free floor.
+
+    Attributes:
+        origin: (2,) world xy of the corner of cell (0, 0) [m].
+        cell: edge length of a cell [m].
+        clearance: (nx, ny) distance of each cell's centre to the nearest obstacle [m].
+    """
 
     origin: Sequence[float] | Array
     cell: float
@@ -34,15 +39,18 @@ class FloorClearance:
 
 
 class Planner:
-    """Shortest ways over one map; build it once per home, it holds the graph of the free cells.
+    """Shortest-path planner on one map; it builds the graph of the free cells once.
 
     Args:
         floor: the map.
-        radius: clearance the base should have.
-        narrow: clearance it can do with where there is no other way; as ``radius`` if not given.
-        comfort: clearance beyond ``radius`` that is worth a detour; a cell at ``radius`` costs ``1 + caution`` times
-            its length.
-        caution: see ``comfort``.
+        radius: clearance that the base should have [m].
+        comfort: clearance beyond ``radius`` below which costs increase [m].
+        caution: a path of some length at clearance ``radius`` costs ``1 + caution`` times its length.
+        narrow: clearance with which the base can still pass, at `NARROW_FACTOR` times the cost [m]; ``radius`` if not
+            given.
+
+    Raises:
+        UsageError: no cell has a clearance of ``radius``.
     """
 
     def __init__(
@@ -72,7 +80,7 @@ class Planner:
         self._ways = MemoryCache("distance fields", KEPT_SOURCES)
 
     def clearance_at(self, points: Array) -> Array:
-        """Clearance (...,) of the cells that hold world points (..., 2); 0 outside the map."""
+        """Clearance (...,) [m] of the cells that contain world points (..., 2); 0 outside the map."""
         index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
         inside = ((index >= 0) & (index < self.clearance.shape)).all(axis=-1)
         index = np.clip(index, 0, np.array(self.clearance.shape) - 1)
@@ -88,10 +96,10 @@ class Planner:
         return centres[np.argmin(np.sum((centres - point) ** 2, axis=1))]
 
     def plan(self, start: Array, goal: Array) -> Array | None:
-        """Way points (P, 2) from ``start`` (2,) to ``goal`` (2,), or None when they are not connected.
+        """Plan way points (P, 2) from ``start`` (2,) to ``goal`` (2,); None when they are not connected.
 
-        A start too near to an obstacle first leads to the nearest free cell. A goal where the base does not fit is
-        replaced by the nearest free cell: the last way point says where the way really ends.
+        From a start without enough clearance the path first leads to the nearest free cell. A goal without enough
+        clearance is replaced by the nearest free cell, which is then the last way point.
         """
         start = np.asarray(start, dtype=np.float64)[:2]
         goal = self.nearest_free(goal)
@@ -111,37 +119,37 @@ class Planner:
         return path if np.allclose(entry, start) else np.concatenate([start[None], path])
 
     def distance(self, start: Array, goal: Array) -> float:
-        """Length [m] of the planned way, infinite when there is none."""
+        """Length [m] of the planned path, infinite when there is none."""
         path = self.plan(start, goal)
         return (
             np.inf if path is None else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         )
 
     def costs(self, start: Array) -> Array:
-        """Cost (nx, ny) of the ways from ``start`` (2,) to all cells [m, more where it is narrow], inf if no way."""
+        """Cost (nx, ny) of the paths from ``start`` (2,) to all cells: metres, weighted by clearance; inf if none."""
         cost, _ = self._ways_from(self._node(self.nearest_free(start)))
         return cost.reshape(self.clearance.shape)
 
     def costs_to(self, cells: Array) -> Array:
-        """Cost (nx, ny) of the ways from all cells to the nearest of ``cells`` (nx, ny) bool, inf if no way."""
+        """Cost (nx, ny) of the paths from all cells to the nearest of ``cells`` (nx, ny) bool; inf if none."""
         found = dijkstra(self._graph, directed=False, indices=np.flatnonzero(cells), min_only=True)
         return np.asarray(found).reshape(self.clearance.shape)
 
     def cells(self, points: Array) -> tuple[Array, Array]:
-        """Indices (...,), (...,) of the cells that hold world points (..., 2), moved into the map."""
+        """Indices (...,), (...,) of the cells that contain world points (..., 2), clipped to the map."""
         index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
         index = np.clip(index, 0, np.array(self.clearance.shape) - 1)
         return index[..., 0], index[..., 1]
 
     def line_clearance(self, start: Array, ends: Array) -> Array:
-        """Least clearance (E,) on the straight lines from ``start`` (2,) to ``ends`` (E, 2)."""
+        """Least clearance (E,) [m] on the straight lines from ``start`` (2,) to ``ends`` (E, 2)."""
         ends = np.atleast_2d(ends)
         longest = np.max(np.linalg.norm(ends - start, axis=1), initial=0.0)
         share = np.linspace(0.0, 1.0, 2 + int(longest / (0.5 * self.cell)))[:, None, None]
         return self.clearance_at(start + share * (ends - start)).min(axis=0)
 
     def _pull(self, points: Array) -> Array:
-        """Drop way points where a straight line keeps the clearance of what it replaces (up to the comfortable one)."""
+        """Drop way points that a straight line can skip with the same clearance, or with the comfortable one."""
         own = self.clearance_at(points)
         kept = [0]
         i = 0
@@ -154,9 +162,9 @@ class Planner:
         return points[kept]
 
     def _ways_from(self, source: int) -> tuple[Array, Array]:
-        """Cost of the ways from a node to all nodes, and the node before each of them.
+        """Costs of the paths from a node to all nodes, and the predecessor of each node.
 
-        The last ones are kept: many goals are compared from where the robot stands.
+        The latest results are kept, because many goals are compared from the same start.
         """
         return self._ways.get(source, lambda: self._find_ways(source))
 

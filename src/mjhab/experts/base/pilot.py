@@ -1,4 +1,4 @@
-"""Steering the base along a way, compiled: what drives it also tells beforehand where it will be.
+"""Compiled path following for the base, and a simulation of it that predicts the base poses.
 
 Lengths [m], angles [rad], world frame. Letters: P way points, T control steps.
 """
@@ -26,17 +26,23 @@ _PREVIEW = 0.1
 _NEAR = 0.02
 _TURNED = 0.05
 _ENDING = 0.25
-"""Length of the way whose direction counts as that of its end."""
+"""Length of the last part of the path that gives the direction of its end."""
 _PROGRESS_REACH = 0.3
 _PROGRESS_STEP = 0.01
-"""How far beyond the last place, and in which steps, the nearest place on the way is looked for."""
+"""Range of arc length beyond the last projection, and its resolution, in which the next projection is searched."""
 
 
 class Way(NamedTuple):
-    """What the base drives along: ``path`` (P, 2), arc length ``along`` (P,), direction ``ending`` (2,) of its end.
+    """A path for the kernels.
 
-    ``yaw``: heading at the end; ``direction``: 1 forwards, -1 backwards; ``lookahead``: how far ahead it steers;
-    ``speed``: bound [m/s].
+    Attributes:
+        path: (P, 2) way points.
+        along: (P,) arc length at the way points.
+        ending: (2,) unit vector of the direction at the end.
+        yaw: heading at the end.
+        direction: 1 forwards, -1 backwards.
+        lookahead: arc length between the base and the point that it steers at.
+        speed: largest forward speed [m/s].
     """
 
     path: Array
@@ -49,14 +55,16 @@ class Way(NamedTuple):
 
 
 class Pilot:
-    """Steers the base quickly along a way, then turns it; ends within centimetres, the arm makes up for them.
+    """Controller that drives the base along a path, then turns it to a heading.
+
+    It is faster than `Follower` and ends within centimetres of the goal; the arm compensates the rest.
 
     Args:
-        path: (P, 2) way points from where the base is.
+        path: (P, 2) way points; the first is where the base is.
         yaw: heading at the end.
         direction: 1 forwards, -1 backwards.
-        lookahead: how far ahead it steers.
-        speed: bound [m/s].
+        lookahead: arc length between the base and the point that it steers at.
+        speed: largest forward speed [m/s].
     """
 
     def __init__(
@@ -71,14 +79,26 @@ class Pilot:
         self._state = _fresh_state(self._way)
 
     def step(self, pose: Array) -> tuple[float, float, bool]:
-        """Forward speed, yaw rate, and whether it has arrived, for the base at ``pose`` (3,)."""
+        """Forward speed [m/s], yaw rate [rad/s] and whether the base has arrived, for the base at ``pose`` (3,).
+
+        Call once per control step.
+        """
         return _steer(self._way, self._state, float(pose[0]), float(pose[1]), float(pose[2]))
 
 
 def simulate(
     pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
 ) -> Array:
-    """Base poses (T, 3), one per control step, that a `Pilot` at ``pose`` (3,) should lead through."""
+    """Simulate the base poses (T, 3) of a `Pilot` from ``pose`` (3,) on, one per control step.
+
+    Args:
+        pose: (3,) present base pose x, y, yaw.
+        path: (P, 2) way points.
+        yaw: heading at the end.
+        direction: 1 forwards, -1 backwards.
+        lookahead: arc length between the base and the point that it steers at.
+        care: limits on changes of the commands; None for none.
+    """
     way = _way_along(path, yaw, direction, lookahead, MAX_SPEED_M_S)
     start = np.array(pose[:3], dtype=np.float64)
     return _drive(way, _fresh_state(way), start, care or _NO_CARE, care is not None)
@@ -97,7 +117,7 @@ def _way_along(path: Array, yaw: float, direction: int, lookahead: float, speed:
 
 
 def _fresh_state(way: Way) -> Array:
-    """State (6,) of `_steer` before its first step: arc length, arrived, last pose (3,), whether there is one."""
+    """State (6,) of `_steer` before its first step: arc length, arrived (0, 1), last pose (3,), is there one (0, 1)."""
     state = np.zeros(6)
     state[1] = way.along[-1] < _NEAR
     return state
@@ -115,7 +135,7 @@ def _clipped(value: float, low: float, high: float) -> float:
 
 @inline
 def _point(way: Way, at: float) -> tuple[float, float]:
-    """The point at an arc length; past the end straight on, so that the heading settles before it."""
+    """Point at arc length ``at``; beyond the end on the straight extension, so that the heading settles before it."""
     last = len(way.along) - 1
     over = at - way.along[last]
     if over >= 0.0:
@@ -131,7 +151,7 @@ def _point(way: Way, at: float) -> tuple[float, float]:
 
 @inline
 def _progress(way: Way, at: float, x: float, y: float) -> float:
-    """Arc length of the place nearest to a point, not far beyond the last one and never back."""
+    """Arc length of the point of the path nearest to (x, y), searched from arc length ``at`` forwards."""
     length = way.along[len(way.along) - 1]
     count = int(np.ceil((min(at + _PROGRESS_REACH, length) + 1e-9 - at) / _PROGRESS_STEP))
     best = at
@@ -148,7 +168,7 @@ def _progress(way: Way, at: float, x: float, y: float) -> float:
 
 @kernel
 def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[float, float, bool]:
-    """Forward speed, yaw rate and arrival of one control step; renews ``state`` (6,)."""
+    """Forward speed [m/s], yaw rate [rad/s] and arrival of one control step; updates ``state`` (6,)."""
     dx = 0.0
     dy = 0.0
     rate = 0.0
@@ -170,7 +190,7 @@ def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[floa
         gap_y = way.path[last, 1] - y
         near = np.sqrt(gap_x * gap_x + gap_y * gap_y)
         to_end = way.direction * (gap_x * np.cos(yaw) + gap_y * np.sin(yaw))
-        # Turning sideways for the last centimetres takes longer than reaching a little further.
+        # A goal at the side of the base counts as reached: the arm compensates centimetres faster than the base turns.
         if left < _NEAR or (near < 0.12 and to_end < 0.5 * near):
             state[1] = 1.0
     if state[1] > 0.0:
@@ -189,7 +209,7 @@ def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[floa
 
 @kernel
 def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Array:
-    """The poses (T, 3) of `simulate`, from ``pose`` (3,) on."""
+    """Base poses (T, 3) of `simulate`; the first is ``pose`` (3,)."""
     poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
     poses[0] = pose
     speed_share = 1.0 - np.exp(-STEP_SECONDS / SPEED_LAG_S)
@@ -208,7 +228,7 @@ def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Ar
         if careful:
             asked = eased((forward, rate), asked, care)
             forward, rate = asked
-        # The base moves along two axes of the world: in a bend it slides on the way that it was heading before.
+        # The base is driven along the two world axes with a lag: in a bend it keeps sliding along its former heading.
         speed_x += speed_share * (forward * np.cos(yaw) - speed_x)
         speed_y += speed_share * (forward * np.sin(yaw) - speed_y)
         turn += turn_share * (rate - turn)

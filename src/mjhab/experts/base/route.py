@@ -34,30 +34,44 @@ LOW_HEIGHT_M = 0.3
 BLOCKED_FORCE_N = 60.0
 """Least contact force at which the robot counts as blocked."""
 BLOCKED_STEPS = 4
+"""Consecutive control steps with `BLOCKED_FORCE_N` after which a drive is given up."""
 LOST_STEPS = 3
+"""Consecutive control steps without contact after which a held object counts as lost."""
 STALLED_STEPS = 10
 STALLED_RAD = 0.02
 """Progress of the arm in STALLED_STEPS below which it counts as stuck, while the base stands."""
 LOOKAHEADS_M = (0.30, 0.20, 0.10)
-"""Distances ahead at which the base may steer. Short ones keep to the way at corners, long ones are faster."""
+"""Candidates for the look-ahead distance of `Pilot`. Short ones follow corners more closely, long ones are faster."""
 _SHARES = (0.35, 0.6, 0.8, 0.9)
+"""Shares of the drive's duration after which the arm may start."""
 SETTLED_RAD = 0.01
 """Distance [rad, m] from its goal within which arm and torso have arrived."""
 TORSO_STEP_M = 0.04
 """Greatest motion of the torso in a control step; measured."""
 TORSO_GAIN = 0.18
-"""Share of a change of the torso's speed that one control step makes; measured."""
+"""Share of a change of the torso's speed that takes place within one control step; measured."""
 PASSED_RAD = 0.08
-"""Distance of the arm from a posture on its way at which it goes on to the next one."""
+"""Distance of the arm from an intermediate posture at which it goes on to the next one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A drive along ``path`` (P, 2) to ``yaw`` (see `Pilot`), the arm going to ``arm`` (J,) from step ``delay`` on.
+    """A planned motion of base and arm.
 
-    ``steps``: how long it should take; ``room``: least clearance on the way beyond what was asked for [m].
-    ``via``: (V, J) postures that the arm passes one after the other, see `sampled`; it keeps the one with the index
-    ``carried`` until the step ``delay``. The base starts at the step ``lead``. ``care``: how gently it drives.
+    Attributes:
+        path: (P, 2) way points of the base.
+        yaw: heading of the base at the end.
+        direction: 1 forwards, -1 backwards.
+        lookahead: look-ahead distance of `Pilot` [m].
+        arm: (J,) configuration at the end, of which arm and torso count.
+        delay: control step at which the arm starts its (last) motion.
+        steps: predicted duration [control steps].
+        room: least clearance along the route beyond the wanted one [m]; negative: a deficit.
+        speed: largest forward speed [m/s].
+        via: (V, J) intermediate postures of the arm, see `sampled`; None for a straight motion in joint space.
+        carried: index in ``via`` of the posture that the arm keeps until the step ``delay``.
+        lead: control step at which the base starts.
+        care: limits on changes of the base commands; None for none.
     """
 
     path: Array
@@ -77,13 +91,14 @@ class Route:
 
 @dataclass(frozen=True, eq=False)
 class RouteWish:
-    """How a route should be.
+    """Options of `plan_route`.
 
     Attributes:
-        margin_m: room wanted.
-        direction: 1 forwards, -1 backwards, 0 whatever is quicker.
-        straight: do not plan around furniture.
-        care: how gently the base drives. Something is in the hand then, and a base that bumps into things loses it.
+        margin_m: wanted clearance [m].
+        direction: 1 forwards, -1 backwards, 0 the quicker one.
+        straight: drive on a straight line instead of around furniture.
+        care: limits on changes of the base commands while an object is held; None for an empty hand. With a held
+            object the clearance of the base counts, too, because a collision of the base can shake the object loose.
     """
 
     margin_m: float = MARGIN_M
@@ -103,15 +118,21 @@ def plan_route(
     boxes: Boxes,
     wish: RouteWish = USUAL_ROUTE,
 ) -> Route | None:
-    """The quickest way to the base pose ``goal`` (3,) with the arm at ``arm`` (J,) that keeps clear of ``boxes``.
+    """Plan the quickest collision-free route to a base pose with the arm in a configuration.
 
-    The arm starts at once if there is room, otherwise later; when even the whole way with the arm as it is comes too
-    close, the route with the most room is given: look at its ``room``. None when furniture cuts the goal off.
+    The arm starts at once if the clearance suffices, otherwise later. If it does not suffice even with the arm
+    unmoved during the whole drive, the route with the most clearance is returned; its ``room`` is then negative.
 
     Args:
-        robot: what moves, the held object included.
+        view: the world.
+        goal: (3,) base pose x, y, yaw.
+        arm: (J,) configuration at the end, of which arm and torso count.
+        robot: spheres that move, with those of the held object.
         boxes: obstacles.
-        wish: how it should be.
+        wish: options.
+
+    Returns:
+        The route; None when furniture separates base and goal.
     """
     start = view.q
     care = wish.care
@@ -130,7 +151,7 @@ def plan_route(
         delay = round(share * len(poses))
         swept = _swept(view.robot, start, poses, arm, delay)
         some = np.arange(0, len(swept), max(1, len(swept) // 40))
-        # While the base drives, the robot is only about where it is expected to be.
+        # While the base drives, it deviates from the prediction: more clearance is asked for.
         asked = np.minimum(
             np.where(some < len(poses) - 1, wish.margin_m + DRIVE_ERROR_M, wish.margin_m),
             before - 0.004,
@@ -156,8 +177,19 @@ def drive_of(
     straight: bool = False,
     care: Care | None = None,
 ) -> tuple[Array, int, float, Array] | None:
-    """How to drive to the base pose ``goal`` (3,), see `plan_route`: way points (P, 2), direction, look-ahead, and the
-    base poses (T, 3) that this should give, one per control step. None when furniture cuts the goal off."""
+    """Plan the drive of a route, see `plan_route`.
+
+    Args:
+        view: the world.
+        goal: (3,) base pose x, y, yaw.
+        direction: 1 forwards, -1 backwards, 0 the quicker one.
+        straight: drive on a straight line instead of around furniture.
+        care: limits on changes of the base commands.
+
+    Returns:
+        Way points (P, 2), direction, look-ahead distance and predicted base poses (T, 3), one per control step; None
+        when furniture separates base and goal.
+    """
     path = np.stack([view.base[:2], goal[:2]]) if straight else _way(view, goal[:2])
     if path is None:
         return None
@@ -167,7 +199,7 @@ def drive_of(
 
 
 def drive_steps(now: Array, poses: Array, length: Array) -> Array:
-    """Rough number (B,) of control steps to drive from ``now`` (3,) to poses (B, 3) over a ``length`` (B,)."""
+    """Estimate the control steps (B,) from pose ``now`` (3,) to ``poses`` (B, 3) on paths of ``length`` (B,) [m]."""
     way = poses[:, :2] - now[:2]
     far = np.linalg.norm(way, axis=1)
     bearing = np.arctan2(way[:, 1], way[:, 0])
@@ -180,7 +212,7 @@ def drive_steps(now: Array, poses: Array, length: Array) -> Array:
 
 
 def _way(view: WorldView, goal: Array) -> Array | None:
-    """Way points (P, 2) to ``goal`` (2,) around furniture and what stands open."""
+    """Way points (P, 2) to ``goal`` (2,) around furniture and open doors and drawers; None if there is no path."""
     path = planner(view).plan(view.base[:2], goal)
     if path is not None and np.linalg.norm(path[-1] - goal) > 1e-6:
         path = np.concatenate([path, goal[None]])
@@ -190,9 +222,17 @@ def _way(view: WorldView, goal: Array) -> Array | None:
 def follow(
     view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05, held: str = ""
 ) -> Motion:
-    """Drive a route. Returns whether base and arm arrived; not when something is in the way.
+    """Execute a route.
 
-    ``held``: the object in the hand. The drive ends when it is lost.
+    Args:
+        view: the world.
+        route: the route.
+        gripper: gripper command.
+        tolerance: largest `motion.joint_gap` to the configuration at the end.
+        held: name of the object in the hand, "" for none; the motion ends when the object is lost.
+
+    Returns:
+        Whether base and arm arrived; False when the robot is blocked or stuck, or the object is lost.
     """
     pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
     arm = _ArmWay(view.q, route)
@@ -226,7 +266,7 @@ def follow(
             return False
         speed = (0.0, 0.0) if arrived else (forward, turn)
         before = speed = eased(speed, before, care) if care else speed
-        # The arm starts gently, from every posture on its way anew: what hangs at the fingers' tips would fall out.
+        # The arm starts slowly from every intermediate posture: a jerk can shake out an object at the fingertips.
         began, last = (began, last) if np.array_equal(goal, last) else (step, goal)
         ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay if route.via is None else began)))
         yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
@@ -238,7 +278,7 @@ def follow(
 
 
 class _ArmWay:
-    """Where the arm goes while a route is driven, from configuration ``start`` (J,)."""
+    """Sequence of goals of the arm while a route is executed, from configuration ``start`` (J,)."""
 
     def __init__(self, start: Array, route: Route) -> None:
         self._start = start
@@ -246,7 +286,7 @@ class _ArmWay:
         self._at = 0
 
     def goal(self, view: WorldView, step: int, arrived: bool) -> Array:
-        """The configuration (J,) to go to in a control step."""
+        """Goal configuration (J,) in control step ``step``; ``arrived``: the base has arrived."""
         via = self._route.via
         on_time = step >= self._route.delay or arrived
         if via is None:
@@ -259,12 +299,12 @@ class _ArmWay:
 
 
 def holds(view: WorldView, obj: str) -> bool:
-    """Whether the fingers press an object."""
+    """Whether a finger presses an object with more than 0.1 N."""
     return bool((view.finger_forces(obj) > 0.1).any())
 
 
 def _direction(pose: Array, path: Array, yaw: float) -> int:
-    """Backwards only on short ways and when that takes less turning."""
+    """Direction of a drive from ``pose`` (3,): -1 (backwards) only on short paths and when that takes less turning."""
     way = path[1] - path[0]
     last = path[-1] - path[-2]
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
@@ -283,7 +323,7 @@ def _smoothest(
     care: Care | None,
     lookaheads: tuple[float, ...],
 ) -> tuple[float, Array]:
-    """The quickest steering that keeps the base clear of furniture: look-ahead and base poses (T, 3)."""
+    """First look-ahead distance with enough clearance of the base, else that with the most; and base poses (T, 3)."""
     cells = planner(view)
     best: tuple[float, float, Array] | None = None
     for lookahead in lookaheads:
@@ -298,7 +338,7 @@ def _smoothest(
 
 
 def _swept(robot: Robot, start: Array, poses: Array, arm: Array, delay: int) -> Array:
-    """Configurations (T, Q), one per control step, until base and arm have arrived."""
+    """Predicted configurations (T, Q) of a route, one per control step, until base and arm have arrived."""
     way = arm - start
     way[BASE] = 0.0
     columns = list(robot.arm_columns)
@@ -316,11 +356,14 @@ def _swept(robot: Robot, start: Array, poses: Array, arm: Array, delay: int) -> 
 
 
 def arm_gone(far: float, delta: float) -> Array:
-    """Share (T,) of its way that the arm has gone after so many control steps, ``far`` [rad] the longest of a joint.
+    """Predict the share (T,) of a straight motion in joint space that the arm has covered after each control step.
 
-    ``delta``: change of a joint that an action of 1 asks for. It starts as `follow` lets it, and
-    slows down before its end: with the base on the move, a tenth of a radian that it lags behind is a decimetre at the
-    hand.
+    The prediction includes the slow start of `follow` and the deceleration before the end: while the base drives, an
+    error of 0.1 rad is an error of about 0.1 m at the hand.
+
+    Args:
+        far: largest motion of a joint [rad].
+        delta: change of a joint that an action of 1 commands [rad].
     """
     gone = [0.0]
     while far - gone[-1] > SETTLED_RAD:
@@ -331,7 +374,7 @@ def arm_gone(far: float, delta: float) -> Array:
 
 
 def torso_gone(far: float, delta: float) -> Array:
-    """The same for the torso, ``far`` [m]. It carries the arm and gathers speed slowly."""
+    """Predict as `arm_gone` for the torso (``far``, ``delta`` [m]), which accelerates slowly under the arm's weight."""
     gone = [0.0]
     speed = 0.0
     while far - gone[-1] > SETTLED_RAD:
@@ -341,7 +384,7 @@ def torso_gone(far: float, delta: float) -> Array:
 
 
 def within_reach(boxes: Boxes, way: Array) -> Boxes:
-    """The boxes that the robot can touch somewhere near a straight way (2, 2)."""
+    """Boxes that the robot can touch near the straight line between two base positions ``way`` (2, 2)."""
     middle = way.mean(axis=0)
     far = float(np.linalg.norm(way[1] - way[0])) / 2
     near = boxes.near(np.array([*middle, 0.9]), far + 1.35)
@@ -349,6 +392,6 @@ def within_reach(boxes: Boxes, way: Array) -> Boxes:
 
 
 def _own_room(start: Array, arm: Array, robot: RobotSpheres) -> float:
-    """Least distance of the arm to the trunk on the way from ``start`` to ``arm`` (J,), beyond the one that is due."""
+    """Least clearance of the arm to the trunk between ``start`` and ``arm`` (J,), beyond `SELF_CLEARANCE_M`."""
     gap = robot.self_clearance(start + np.linspace(0.0, 1.0, 10)[:, None] * (arm - start))
     return float(gap.min() - min(SELF_CLEARANCE_M, gap[0] - 0.004))

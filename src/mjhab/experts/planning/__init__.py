@@ -1,1 +1,1 @@
-"""Where to stand and how to reach: stances, approaches, ways around obstacles."""
+"""Planning of stances, base poses, approaches to objects and handles, and arm paths around obstacles."""

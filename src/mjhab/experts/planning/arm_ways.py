@@ -1,6 +1,7 @@
-"""Ways of arm and torso around obstacles while the base stands, found by RRT-Connect of OMPL.
+"""Collision-free paths of arm and torso while the base stands, found by RRT-Connect of OMPL.
 
-Lengths [m], angles [rad], world frame. Letters: N configurations, V ends, P configurations of a way, J joints.
+Lengths [m], angles [rad], world frame. Letters: N configurations, V ends, P configurations of a path, J joints, D
+joints of arm and torso.
 """
 
 from __future__ import annotations
@@ -18,19 +19,28 @@ from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 EDGE_STEPS = 1.5
-"""Distance between the configurations of an edge that are checked, in control steps of the slowest joint."""
+"""Distance between the checked configurations of an edge, in control steps of the slowest joint."""
 MAX_EDGE_STEPS = 12.0
 """Longest edge of the trees, in control steps of the slowest joint."""
 MAX_ROUNDS = 300
-"""Rounds after which RRT-Connect gives up; one takes about a millisecond."""
+"""Iterations after which RRT-Connect gives up; one takes about a millisecond."""
 PLANNING_SEED = 1
 _PIECES = 10
+"""Number of configurations that `Free.likely` checks per motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """Which configurations are clear: the ``robot`` at least ``room`` from ``boxes`` and ``own`` from itself [m];
-    ``drive`` from boxes while the base drives. ``body``: whose joints and links they are."""
+    """Definition of collision-free configurations.
+
+    Attributes:
+        body: the robot, for its joints.
+        robot: spheres of the robot, with those of the held object.
+        boxes: obstacles.
+        room: least clearance to the boxes [m].
+        own: least clearance of arm and trunk [m].
+        drive: least clearance to the boxes while the base drives [m].
+    """
 
     body: Robot
     robot: RobotSpheres
@@ -41,7 +51,7 @@ class Free:
 
     @classmethod
     def near(cls, body: Robot, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
-        """As clear as `plan_route` asks for or nearly as clear as the configuration ``q`` (J,)."""
+        """The definition with the clearances of `plan_route`, or nearly those of configuration ``q`` (J,) if less."""
         room = float(robot.clearance(q, boxes)[0]) - 0.004
         own = float(robot.self_clearance(q[None])[0]) - 0.004
         return cls(
@@ -54,33 +64,40 @@ class Free:
         )
 
     def spare(self, q: Array) -> Array:
-        """How much clearer (N,) [m] than asked configurations (N, J) are while the base stands."""
+        """Clearance (N,) [m] of configurations ``q`` (N, J) beyond the least one, while the base stands."""
         return np.minimum(
             self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own
         )
 
     def likely(self, start: Array, ends: Array) -> Array:
-        """Whether straight motions from ``start`` (J,) to ``ends`` (V, J) are clear in a few places: (V,) bool."""
+        """Whether straight motions from ``start`` (J,) to ``ends`` (V, J) are free at `_PIECES` points: (V,) bool."""
         share = np.linspace(0.0, 1.0, _PIECES + 1)[1:, None, None]
         gap = self.spare((start + share * (ends - start)).reshape(-1, len(start)))
         return gap.reshape(_PIECES, -1).min(axis=0) >= 0.0
 
     def edge(self, start: Array, end: Array) -> bool:
-        """Whether the straight motion between two configurations (J,) is clear."""
+        """Whether the straight motion between two configurations (J,) is collision-free, checked every `EDGE_STEPS`."""
         pieces = 1 + int(way_length(self.body, np.stack([start, end])) / EDGE_STEPS)
         share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
 
 
 def arm_way(start: Array, end: Array, free: Free, rounds: int = MAX_ROUNDS) -> Array | None:
-    """Configurations (P, J) from ``start`` to ``end`` (J,) with clear straight motions between them.
+    """Plan a path of arm and torso between two configurations.
 
-    Only the arm and the torso of the two differ. None when ``rounds`` of RRT-Connect do not find any.
+    Args:
+        start: (J,) first configuration.
+        end: (J,) last configuration; it differs from ``start`` in arm and torso only.
+        free: definition of collision-free configurations.
+        rounds: iterations after which RRT-Connect gives up.
+
+    Returns:
+        (P, J) configurations with collision-free straight motions between them; None when no path is found.
     """
     from ompl import base, geometric, util
 
-    # Every generator of random numbers is made after this, with numbers that follow from it: the same way every time.
-    # OMPL calls that an error, once there was another generator before.
+    # OMPL seeds every generator that it makes after this call from the seed: the same path every time. It logs an
+    # error when a generator was made before, as in the second call, though the seed takes effect: hence no log.
     util.setLogLevel(util.LogLevel.LOG_NONE)
     util.RNG.setSeed(PLANNING_SEED)
     info: Any = _space(start, end, free)
@@ -102,11 +119,11 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = MAX_ROUNDS) -> A
 
 
 def _space(start: Array, end: Array, free: Free) -> Any:
-    """What OMPL has to know (``SpaceInformation``) of arm and torso, within half a turn of both ends (J,)."""
+    """OMPL's ``SpaceInformation`` of arm and torso, in control steps, within half a turn of both ends (J,)."""
     from ompl import base
 
     class Edges(base.MotionValidator):
-        """Looks at all of an edge at once."""
+        """Checks all configurations of an edge in one batch."""
 
         def checkMotion(self, s1: Any, s2: Any, *_: Any) -> bool:
             return free.edge(_joints(free.body, s1, start), _joints(free.body, s2, start))
@@ -132,7 +149,7 @@ def _space(start: Array, end: Array, free: Free) -> Any:
 
 
 def _joints(robot: Robot, state: Any, like: Array) -> Array:
-    """The configuration (J,) of a state of OMPL, ``like`` (J,) but for arm and torso."""
+    """Configuration (J,) of an OMPL state; all joints but arm and torso as in ``like`` (J,)."""
     q = like.copy()
     dofs = ik.columns(robot.chain)
     q[dofs] = joint_scale(robot) * [state[i] for i in range(len(dofs))]
@@ -140,7 +157,7 @@ def _joints(robot: Robot, state: Any, like: Array) -> Array:
 
 
 def _state(robot: Robot, info: Any, q: Array) -> Any:
-    """The state of OMPL for a configuration (J,), inside its bounds."""
+    """OMPL state of configuration ``q`` (J,), clipped to the bounds of the space."""
     state = info.allocState()
     for i, value in enumerate(q[ik.columns(robot.chain)] / joint_scale(robot)):
         state[i] = float(value)
@@ -149,7 +166,7 @@ def _state(robot: Robot, info: Any, q: Array) -> Any:
 
 
 def _shortened(way: Array, free: Free) -> Array:
-    """Without the configurations that a straight motion can leave out."""
+    """Path (P, J) without the configurations that a collision-free straight motion can skip."""
     kept = [way[0]]
     at = 0
     while at < len(way) - 1:
@@ -161,7 +178,7 @@ def _shortened(way: Array, free: Free) -> Array:
 
 
 def way_length(robot: Robot, way: Array) -> float:
-    """Control steps that the arm needs along configurations (P, J)."""
+    """Control steps that arm and torso need along the configurations ``way`` (P, J)."""
     return float(
         np.max(
             np.abs(np.diff(way, axis=0))[:, ik.columns(robot.chain)] / joint_scale(robot), axis=1
@@ -171,5 +188,5 @@ def way_length(robot: Robot, way: Array) -> float:
 
 @lru_cache(maxsize=8)
 def joint_scale(robot: Robot) -> Array:
-    """Motion (D,) of arm and torso in one control step."""
+    """Largest motion (D,) [m or rad] of the joints of arm and torso in one control step."""
     return ik.step_limits(robot.chain)[ik.columns(robot.chain)]

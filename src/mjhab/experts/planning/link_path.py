@@ -1,4 +1,4 @@
-"""Motions of base and arm that lead a drawer or door by its handle: a configuration for every value of its joint."""
+"""Motions of base and arm that move a drawer or door by its handle, parameterised by the link's joint value."""
 
 from __future__ import annotations
 
@@ -17,15 +17,19 @@ from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 LEAD_M = 0.08
-"""Largest distance between the hand and where it should be that one control step makes up for."""
+"""Largest position error of the tcp that one control step is asked to correct."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinkPath:
-    """Configurations ``q`` (K, J) of a robot for the joint values ``values`` (K,) [m or rad] of a link, which rise or
-    fall, and the way to the first one.
+    """Robot configurations along the motion of a link, interpolated linearly between way points.
 
-    The hand's pose comes from the configurations, relative to where the base should be: no frames to keep."""
+    Attributes:
+        robot: the robot.
+        q: (K, J) configurations, base columns in the world.
+        values: (K,) joint values of the link at these configurations [m or rad], monotonic.
+        route: motion to the first configuration.
+    """
 
     robot: Robot
     q: Array
@@ -33,7 +37,7 @@ class LinkPath:
     route: Route
 
     def at(self, value: float) -> Array:
-        """Configuration (J,) at a joint value of the link."""
+        """Configuration (J,) at a joint value of the link [m or rad], clipped to the ends of the path."""
         values, q = self._rising
         if value <= values[0]:
             return q[0].copy()
@@ -49,25 +53,25 @@ class LinkPath:
         return self.values[order], self.q[order]
 
     def hand_at(self, value: float) -> tuple[Array, Array]:
-        """Hand position (3,) and rotation (3, 3) in the world at a joint value of the link."""
+        """Tcp position (3,) [m] and rotation (3, 3) in the world at a joint value of the link [m or rad]."""
         pos, rot = self.robot.chain.tip_pose(self.at(value))
         return pos[0], rot[0]
 
     @property
     def height(self) -> float:
-        """Height of the hand [m]."""
+        """Height of the tcp at the end of the path [m]."""
         return float(self.hand_at(self.values[-1])[0][2])
 
 
 def action(view: WorldView, path: LinkPath, aim: float, step: float, gripper: float) -> Array:
-    """One action that moves hand and base to where the path has them at a joint value.
+    """Compute the action (A,) that moves tcp and base towards their poses on the path at a joint value.
 
     Args:
-        aim: joint value of the link [m or rad]. step: how far it moves on per control step, with its sign.
-        gripper: action of the gripper.
-
-    Returns:
-        (A,) action.
+        view: the world.
+        path: the path.
+        aim: joint value of the link [m or rad].
+        step: change of ``aim`` per control step, with its sign; feed-forward for the base.
+        gripper: gripper command.
     """
     wish = path.at(aim)
     pos, rot = path.hand_at(aim)

@@ -1,11 +1,13 @@
 """Sampling-based planning of base and arm for Pick and Place, used where straight motions of the arm collide.
 
-`plan_route` moves the arm on one straight line in joint space. Between the open door of a fridge
-and a counter there is often no room to drive so. `plan_around` draws postures, takes those with which the whole drive
-is clear, and brings the arm into one before it and out of it after: straight where that is clear, else along a way
-that RRT-Connect of OMPL finds. What it gives is a function of its arguments alone.
+`plan_route` moves the arm on one straight line in joint space, which often collides in narrow places, for instance
+between the open door of a fridge and a counter. `plan_around` samples postures of the arm and selects those with which
+the whole drive is collision-free. The arm moves into such a posture before the drive and out of it afterwards: straight
+in joint space where that is collision-free, else along a path found by RRT-Connect. The random seed is fixed, so that
+equal arguments give equal results.
 
-Lengths [m], angles [rad], world frame. Letters: T control steps, V postures, P pieces, Q joints.
+Lengths [m], angles [rad], world frame. Letters: T control steps, V postures, P configurations of a path, J joints, N
+configurations.
 """
 
 from __future__ import annotations
@@ -35,31 +37,41 @@ from mjhab.robots.robot import Robot
 
 Array = np.ndarray
 MAX_POSTURES = 1000
-"""Postures of the arm that are sampled."""
+"""Greatest number of postures of the arm that are sampled."""
 MAX_CLEAR_POSTURES = 80
-"""Number of postures with a clear drive that are tried, fastest first."""
+"""Greatest number of postures with a collision-free drive that are tried, fastest first."""
 BASES_TRIED = 3
-"""Base poses per kind of reach for which a way is searched."""
+"""Base poses of each `Blocked` reach for which a route is searched."""
 WAYS_TIMED = 6
-"""Ways to each base pose whose duration is computed."""
+"""Candidate arm motions per base pose whose duration is computed."""
 POSTURES_SEARCHED = 1
-"""Postures for which RRT-Connect searches a way where no straight motion of the arm leads to them, or from them."""
+"""Postures for which RRT-Connect searches the motion into them, or out of them, if the straight one collides."""
 MAX_DEFICIT_M = -0.03
-"""Straight ways whose room is less than this (negative: a deficit, see `Route`) are worse than ways around, which
+"""Straight routes with less ``room`` than this (negative: a deficit, see `Route`) are replaced by sampled ones, which
 take longer."""
 MIN_WAY_STEPS = 30
-"""Least number of control steps of a way around."""
+"""Least number of control steps of a sampled route."""
 MIN_TOTAL_STEPS = 70
-"""Least number of control steps of a way around and of what follows it."""
+"""Control steps that must remain after a sampled route."""
 _PLACES = 14
+"""Base poses of a drive at which a posture is checked."""
 
 
 Found = tuple[Stance, HandGoals, float]
-"""A stance, the hand poses that it refers to, and how far the base comes straight in at the end [m]."""
+"""A stance, the hand poses that it refers to, and the length of the straight drive in at the end [m]."""
 
 
 def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Found | None:
-    """What was ``found``, or a way around to something ``blocked`` where that touches something on its way."""
+    """Replace a reach whose route collides by one with a sampled route.
+
+    Args:
+        view: the world.
+        found: result of the search with straight routes; None if there is none.
+        blocked: reaches whose straight routes lack clearance.
+
+    Returns:
+        ``found`` if its route has enough clearance, if time is short, or if no sampled route is found.
+    """
     if (
         found is not None and found[0].route.room >= MAX_DEFICIT_M
     ) or view.steps_left < MIN_WAY_STEPS + MIN_TOTAL_STEPS:
@@ -68,7 +80,7 @@ def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Fou
 
 
 def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
-    """The quickest way to one kind of reach after the other, if it leaves enough time for the rest."""
+    """Quickest sampled route to the first of the ``blocked`` reaches for which one leaves `MIN_TOTAL_STEPS`."""
     for reach in blocked:
         robot = reach.scene.robot()
         boxes = reach.scene.all
@@ -98,10 +110,19 @@ def plan_around(
     *,
     care: Care | None = None,
 ) -> Route | None:
-    """A way to the base pose ``goal`` (3,) with the arm at ``arm`` (J,) that passes other postures before and after.
+    """Plan a collision-free route with intermediate postures of the arm before and after the drive.
 
-    ``robot`` is what moves, the held object included; ``care`` as in `plan_route`. None when nothing is found: all of
-    the way that is given keeps as clear as `plan_route` asks for or, at its ends, nearly as clear as they are.
+    Args:
+        view: the world.
+        goal: (3,) base pose x, y, yaw.
+        arm: (J,) configuration at the end, of which arm and torso count.
+        robot: spheres that move, with those of the held object.
+        boxes: obstacles.
+        care: limits on changes of the base commands, see `RouteWish`.
+
+    Returns:
+        A route with the clearances of `plan_route`, or nearly those of its first and last configuration if they have
+        less; None when none is found.
     """
     found = drive_of(view, goal, care=care)
     if found is None:
@@ -141,8 +162,18 @@ def plan_around(
 def _timed(
     first: Array, last: Array, poses: Array, here: Free, there: Free
 ) -> tuple[int, int, int]:
-    """How soon base and arm may move at the same time, on ways of the arm (P, J) before and after a drive over base
-    poses (T, 3): steps of it all, steps that the base waits, and the step at which the arm goes on."""
+    """Choose how far the motions of base and arm may overlap in time.
+
+    Args:
+        first: (P, J) path of the arm before the drive.
+        last: (P, J) path of the arm after the drive.
+        poses: (T, 3) base poses of the drive.
+        here: collision-free configurations at the first base pose.
+        there: collision-free configurations at the last base pose.
+
+    Returns:
+        Total control steps, the step at which the base starts, and the step at which the arm starts its last path.
+    """
     before = _along(here.body, first)
     after = _along(here.body, last)
     out = len(before)
@@ -176,7 +207,7 @@ def _timed(
 
 
 def _along(robot: Robot, way: Array) -> Array:
-    """Configurations (N, J) after so many control steps on a way (P, J) of the arm."""
+    """Predicted configurations (N, J), one per control step, of an arm that follows the path ``way`` (P, J)."""
     torso = list(robot.torso_columns)
     arm = list(robot.arm_columns)
     delta = robot.limits.joint_delta
@@ -198,7 +229,10 @@ def _along(robot: Robot, way: Array) -> Array:
 def _legs(
     start: Array, end: Array, postures: Array, here: Free, there: Free
 ) -> list[tuple[Array, Array]]:
-    """Ways of the arm from ``start`` (J,) to one of postures (V, J), quickest first, and from there to ``end``."""
+    """Pairs of arm paths (P, J): from ``start`` (J,) into one of ``postures`` (V, J), and out of it to ``end`` (J,).
+
+    The order of ``postures`` is kept.
+    """
     if not len(postures):
         return []
     before = postures.copy()
@@ -213,7 +247,7 @@ def _legs(
             found.append((np.stack([start, before[i]]), np.stack([after[i], end])))
         if len(found) == WAYS_TIMED:
             break
-    # One leg by sampling, of postures for which the other is clear.
+    # RRT-Connect for one of the two paths, for postures whose other path is straight and free.
     for i in np.flatnonzero(out ^ back)[: 0 if found else POSTURES_SEARCHED]:
         first = _leg(start, before[i], here) if out[i] else arm_way(start, before[i], here)
         last = (
@@ -229,12 +263,12 @@ def _legs(
 
 
 def _leg(start: Array, end: Array, free: Free) -> Array | None:
-    """The straight way between two configurations (J,), if it is clear."""
+    """Straight path (2, J) between two configurations (J,); None if it collides."""
     return np.stack([start, end]) if free.edge(start, end) else None
 
 
 def _postures(robot: Robot, start: Array, end: Array) -> Array:
-    """Postures (V, J) of the arm, those first that take the least time from ``start`` and on to ``end`` (J,)."""
+    """Candidate postures (V, J), ordered by the control steps from ``start`` (J,) by way of them to ``end`` (J,)."""
     dofs = ik.columns(robot.chain)
     others = np.setdiff1d(np.arange(BASE.stop, len(start)), dofs)
     drawn = _library(robot).copy()
@@ -248,7 +282,7 @@ def _postures(robot: Robot, start: Array, end: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def _library(robot: Robot) -> Array:
-    """Postures (V, J) around the one at rest that keep clear of the trunk."""
+    """Sampled postures (V, J) around the rest configuration without self-collisions."""
     drawn = ik.random_seeds(
         robot.chain,
         robot.rest,
@@ -261,8 +295,7 @@ def _library(robot: Robot) -> Array:
 
 
 def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
-    """The first `MAX_CLEAR_POSTURES` postures (indices) with which a drive over base poses (T, 3) is clear, its
-    errors included."""
+    """Indices of the first `MAX_CLEAR_POSTURES` of postures (V, J) that are free at base poses (T, 3) of a drive."""
     found: list[Any] = []
     for start in range(0, len(postures), 2 * MAX_CLEAR_POSTURES):
         rows = np.arange(start, min(start + 2 * MAX_CLEAR_POSTURES, len(postures)))

@@ -1,1 +1,1 @@
-"""One script per subtask, and what only one of them uses."""
+"""Scripts of the subtasks, and modules that only one script uses."""

@@ -1,4 +1,4 @@
-"""The experts for Open and Close, for drawers and for doors on hinges."""
+"""Scripts of the subtasks Open and Close, for drawers and for hinged doors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Motion = motion.Motion
 
 
 def open_link(view: WorldView) -> Motion:
-    """Open the active subtask's link and return to rest."""
+    """Open the link of the active subtask, then stay at rest."""
     subtask = view.subtask
     assert subtask is not None
     link = view.home.links[subtask.link]
@@ -20,7 +20,7 @@ def open_link(view: WorldView) -> Motion:
 
 
 def close_link(view: WorldView) -> Motion:
-    """Close the active subtask's link and return to rest."""
+    """Close the link of the active subtask, then stay at rest."""
     subtask = view.subtask
     assert subtask is not None
     link = view.home.links[subtask.link]

@@ -1,10 +1,12 @@
-"""What Pick and Place by a rule share: a stance, a hand pose there, and a funnel that leads the hand to it.
+"""Common part of Pick and Place by a rule: choice of stance and hand pose, and a feedback law for the hand.
 
-What such a script does next depends on what can be observed, hardly on what it did before. A policy can imitate that
-better than a search, which chooses one of many stances, hand poses and ways: where demonstrations in the same
-situation differ, a policy learns their mean. The stance is the nearest one from which the place lies at a fixed
-distance ahead; the hand pose is the one nearest to how the hand is held at rest; and the farther the hand is beside the
-straight way to it, the farther it stays back.
+The action of such a script depends on the observable state and hardly on the past. A policy imitates it better than a
+search, which chooses one of many stances, hand poses and paths: where demonstrations in the same situation differ, a
+policy learns their mean. The stance is the nearest base pose from which the place is straight ahead at a fixed
+distance. The hand pose is the one nearest to the hand's orientation at rest. The hand approaches within a funnel: the
+farther it is beside the straight line to its goal, the farther it stays back.
+
+Lengths [m], angles [rad], world frame. Letters: G hand poses, P way points, J joints.
 """
 
 from __future__ import annotations
@@ -26,47 +28,55 @@ Array = np.ndarray
 Drive = tuple[float, float]
 """Forward speed [m/s] and yaw rate [rad/s] of the base."""
 DISTANCES_M = (0.78, 0.74, 0.82, 0.70, 0.86, 0.66)
-"""Distances between the base and the place, most wanted first."""
+"""Candidates for the distance between base and place, best first."""
 BEARINGS = 36
 """Number of directions around the place that are tried."""
 DISTANCE_PRICE = 4.0
-"""Driving [m] that a metre off the most wanted distance is worth."""
+"""Cost of a deviation from the best distance, in metres of driving per metre."""
 MAX_STANCES = 40
+"""Greatest number of base poses that are tried."""
 LOOKAHEAD_M = 0.3
+"""Look-ahead distance of `Pilot`."""
 STANCE_ROOM_M = 0.01
-"""Room that a stance has beyond what the base needs to drive."""
+"""Clearance of a stance beyond what the base needs to drive."""
 PATH_END_M = 0.02
-"""Greatest distance between a stance and the end of the way to it."""
+"""Greatest distance between a stance and the end of the planned path to it."""
 PITCH = np.deg2rad(60.0)
-"""Angle below the horizontal at which the hand points at rest, and at the place where it can choose."""
+"""Preferred angle of the hand below the horizontal, that of the hand at rest."""
 ROLL_WEIGHT = 0.5
-"""Weight of the angle between the fingers' line and the left-right line, against that between hand and `PITCH`."""
+"""Weight of the angle between the closing direction and the robot's left, relative to the angle to `PITCH`."""
 MAX_GOALS = 12
-"""Number of hand poses that inverse kinematics is asked for at a stance."""
+"""Number of hand poses at a stance for which inverse kinematics is solved."""
 LEAST_ROOM_M = 0.0
 """Least clearance of the arm at the hand pose."""
 ARM_FROM_M = 0.35
-"""The arm reaches out when the base is nearer than this to its stance."""
+"""Distance between base and stance below which the arm leaves its rest position."""
 STANDOFF_M = 0.12
-"""Greatest distance that the hand keeps from its goal."""
+"""Greatest distance that the hand keeps from its goal along the approach direction."""
 FUNNEL_SLOPE = 4.0
-"""Distance kept from the goal per distance beside the straight way to it."""
+"""Distance kept from the goal per distance beside the approach line."""
 FUNNEL_TURN_M = 0.25
-"""Distance kept from the goal per angle of the hand [m/rad]."""
+"""Distance kept from the goal per angle between the hand and its goal [m/rad]."""
 FREE_ASIDE_M = 0.006
 FREE_TURN = 0.06
-"""Distance beside the straight way [m] and angle [rad] that do not keep the hand back."""
+"""Distance beside the approach line [m] and angle [rad] below which the hand does not stay back."""
 SERVO = ik.ServoOptions(rest_gain=0.02)
 REACH_SPEED_M_S = 0.5
 NEAR_SPEED_M_S = 0.25
-"""Speeds of the hand farther and nearer than `STANDOFF_M` from its goal."""
+"""Speeds of the tcp farther than, and within, `STANDOFF_M` from its goal."""
 TURN_SPEED_RAD_S = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """Base pose ``base`` (3,), the way ``path`` (P, 2) to it, the row of the hand pose that is taken there, and the
-    configuration ``ready`` (J,) with the hand `STANDOFF_M` before it."""
+    """A base pose from which a hand pose is reached.
+
+    Attributes:
+        base: (3,) base pose x, y, yaw.
+        path: (P, 2) way points to it.
+        row: index of the hand pose in `Hands`.
+        ready: (J,) configuration with the hand at the pose before it.
+    """
 
     base: Array
     path: Array
@@ -74,18 +84,25 @@ class Stance:
     ready: Array
 
     def pilot(self) -> Pilot:
-        """What drives the base there."""
+        """Make the controller that drives the base there."""
         return Pilot(self.path, float(self.base[2]), 1, LOOKAHEAD_M)
 
     def far(self, view: WorldView) -> bool:
-        """Whether the base has to come nearer before the arm reaches out."""
+        """Whether the base is still too far away for the arm to leave its rest position."""
         return float(np.linalg.norm(view.base[:2] - self.base[BASE_XY])) > ARM_FROM_M
 
 
 @dataclass(frozen=True, eq=False)
 class Hands:
-    """Hand poses ``pos`` (G, 3), ``rot`` (G, 3, 3), where the hand is ``before`` and ``after`` them (G, 3) without
-    turning, and a ``price`` (G,) that is added to the angles [rad] by which they differ from the wanted one."""
+    """Candidate hand poses in the world.
+
+    Attributes:
+        pos: (G, 3) tcp positions.
+        rot: (G, 3, 3) rotations.
+        before: (G, 3) tcp positions before them, with the same rotation.
+        after: (G, 3) tcp positions after them, with the same rotation.
+        price: (G,) cost that is added to the angles [rad] between the poses and the preferred orientation.
+    """
 
     pos: Array
     rot: Array
@@ -95,7 +112,17 @@ class Hands:
 
 
 def find_stance(view: WorldView, scene: Scene, point: Array, hands: Hands) -> Stance | None:
-    """The stance for one of the hand poses around a ``point`` (3,)."""
+    """Find the nearest stance from which one of the hand poses is reached.
+
+    Args:
+        view: the world.
+        scene: obstacles of the arm.
+        point: (3,) place that the robot faces.
+        hands: candidate hand poses.
+
+    Returns:
+        The stance; None if no hand pose is reached from any base pose.
+    """
     if not len(hands.pos):
         return None
     planner = motion.planner(view.home)
@@ -110,7 +137,7 @@ def find_stance(view: WorldView, scene: Scene, point: Array, hands: Hands) -> St
 
 
 def _bases(view: WorldView, point: Array) -> Iterator[Array]:
-    """Base poses (3,) that face a point, cheapest first."""
+    """Generate base poses (3,) that face ``point`` (3,), in order of increasing cost of the drive to them."""
     angles = np.linspace(-np.pi, np.pi, BEARINGS, endpoint=False)
     yaw, distance = (grid.ravel() for grid in np.meshgrid(angles, DISTANCES_M, indexing="ij"))
     xy = point[:2] - distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
@@ -126,8 +153,11 @@ def _bases(view: WorldView, point: Array) -> Iterator[Array]:
 def _nearest_to_rest(
     view: WorldView, scene: Scene, base: Array, hands: Hands
 ) -> tuple[int, Array] | None:
-    """Row of the hand pose nearest to the hand at rest that is reached from a base pose (3,) without a collision, and
-    the configuration (J,) before it."""
+    """Find the collision-free hand pose at base pose ``base`` (3,) that is nearest to the preferred orientation.
+
+    Returns:
+        Index of the hand pose and the configuration (J,) before it; None if none is reached.
+    """
     ahead = np.array([np.cos(base[2]), np.sin(base[2]), 0.0])
     down = np.array([0.0, 0.0, -1.0])
     left = np.array([-ahead[1], ahead[0], 0.0])
@@ -154,14 +184,19 @@ def _nearest_to_rest(
 
 
 def _angles(axes: Array, wanted: Array) -> Array:
+    """Angles (G,) [rad] between unit vectors ``axes`` (G, 3) and ``wanted`` (3,)."""
     return np.arccos(np.clip(axes @ wanted, -1.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Funnel:
-    """A way to a hand pose ``pos`` (3,), ``rot`` (3, 3) that ends along ``approach`` (3,), a unit vector.
+    """Feedback law that moves the hand to a pose along an approach line.
 
-    ``ready`` (J,): posture that the arm prefers.
+    Attributes:
+        pos: (3,) goal position of the tcp in the world.
+        rot: (3, 3) goal rotation.
+        approach: (3,) unit vector of the approach direction.
+        ready: (J,) posture preferred in the null space.
     """
 
     pos: Array
@@ -170,15 +205,15 @@ class Funnel:
     ready: Array
 
     def distance(self, view: WorldView) -> float:
-        """Distance of the tool centre from the pose [m]."""
+        """Distance [m] of the tcp from the goal position."""
         return float(np.linalg.norm(motion.tcp(view)[0] - self.pos))
 
     def turn(self, view: WorldView) -> float:
-        """Angle of the hand to the pose [rad]."""
+        """Angle [rad] between the hand and the goal rotation."""
         return motion.angle_between(motion.tcp(view)[1], self.rot)
 
     def step(self, view: WorldView, gripper: float, drive: Drive) -> Array:
-        """The action (A,) that brings the hand nearer."""
+        """Action (A,) that moves the hand towards the goal while the base drives."""
         here, here_rot = motion.tcp(view)
         off = here - self.pos
         aside = float(np.linalg.norm(off - (off @ self.approach) * self.approach))
@@ -199,8 +234,16 @@ class Funnel:
 def move_hand(
     view: WorldView, pos: Array, rot: Array, gripper: float, drive: Drive, posture: Array
 ) -> Array:
-    """The action (A,) that brings the tool centre to a pose nearby while the base drives; ``posture`` (J,) is preferred
-    in the null space."""
+    """Compute the action (A,) that moves the tcp to a pose nearby while the base drives.
+
+    Args:
+        view: the world.
+        pos: (3,) tcp position in the world [m].
+        rot: (3, 3) tcp rotation in the world.
+        gripper: gripper command.
+        drive: forward speed [m/s] and yaw rate [rad/s] of the base; the arm compensates them.
+        posture: (J,) posture preferred in the null space.
+    """
     chain = view.robot.chain
     delta = ik.servo(
         chain,

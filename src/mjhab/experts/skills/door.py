@@ -1,4 +1,7 @@
-"""Opening and closing a hinged door: the hand follows the door's arc while the base drives along."""
+"""Scripts that open and close a hinged door: the hand follows the door's arc while the base drives along.
+
+Lengths [m], angles [rad], world frame. Letters: K way points of a motion, N and M configurations, J joints.
+"""
 
 from __future__ import annotations
 
@@ -23,64 +26,65 @@ from mjhab.tasks.style import PUSH
 Array = np.ndarray
 Motion = motion.Motion
 AROUND_BAR_M = 0.045
-"""Free space beside the bar in a hand that closes around it; wide open, the inner finger would push the door."""
+"""Distance between the open fingers beyond the thickness of the bar that they close around; with the fingers wide open,
+the inner finger would push the door."""
 LET_GO_BAR_M = 0.03
-"""Free space beside the bar in a hand that lets go of it."""
+"""Distance between the fingers beyond the thickness of the bar that they release."""
 OPEN_ENOUGH_SHARE = 0.753
-"""Share of the range from which on an open door is left alone; success asks for 0.75."""
+"""Share of the range from which on a door counts as open for the script; success requires 0.75."""
 OPEN_SPARE_SHARE = 0.008
-"""How much farther than `OPEN_TO_SHARE` a door is pulled, as a share of the range: what brushes against it later
-must not close it below what success asks for."""
+"""Share of the range by which a door is pulled beyond `OPEN_TO_SHARE`, so that a later contact does not close it below
+what success requires."""
 STILL_STEPS = 3
-"""Control steps for which the hand holds the bar at the end: it would hit it on its way if the door went on."""
+"""Control steps for which the hand holds the bar at the end, so that the door is at rest when the fingers open."""
 SHUT_SHARE = 0.006
-"""Share of the range to which a door is pressed shut; success asks for 0.01."""
+"""Share of the range to which a door is pressed shut; success requires 0.01."""
 AJAR_SHARE = 0.009
-"""Share of the range from which on it is pressed again."""
+"""Share of the range above which a door is pushed again."""
 IN_LINE_M = 0.025
-"""Greatest distance of the hand beside its way in behind the door."""
+"""Distance of the hand beside its straight line behind the door up to which it moves forward at full speed."""
 ENTERED_M = 0.04
-"""Distance from the end of that way at which the hand is in."""
+"""Distance from the end of that line at which the hand has arrived."""
 STRUCK_RAD = 0.15
-"""How far the arm may push a door open on its way before the hand moves elsewhere."""
+"""Angle by which the approach may push the door open; beyond it, the approach is planned again."""
 ENTER_STEP_M = 0.04
-"""Motion of the hand per control step on its way in behind the door."""
+"""Motion of the hand per control step on the line behind the door."""
 ENTER_STEPS = 22
-"""Way of the hand per control step [m], and control steps, to get in behind the door."""
+"""Greatest number of control steps on the line behind the door."""
 BEHIND_WAY_M = 0.25
-"""Length of the straight way of the hand in behind an open door."""
+"""Length of the straight line of the hand behind an open door."""
 STANCES_TRIED = 16
-"""Number of stances whose surroundings are checked."""
+"""Number of stances whose clearance is checked."""
 JOINT_STEP_RAD = 0.037
-"""Motion of a joint per control step while the hand leads the door by its bar."""
+"""Largest motion of an arm joint per control step while the hand pushes the door shut."""
 PULL_STEP_RAD = 0.046
-"""The same while it pulls: a door that is pushed must not leave the hand."""
+"""Largest motion of an arm joint per control step while the hand pulls the door open."""
 MAX_SWING_RAD = 0.045
-"""Largest motion of the hand's aim along the door's arc per control step."""
+"""Largest change of the commanded door angle per control step."""
 PUSH_STEP_RAD = 0.02, 0.045
-"""Motion per control step of a door that is pushed all the way: a constant, and an addition per radian that it is
-open. A slower door does not leave the hand."""
+"""Change of the commanded angle per control step of a door that is pushed all the way: a constant, and an addition per
+radian that it is open. A slow door does not leave the hand."""
 MAX_LAG_STEPS = 12
-"""Control steps that the door may lag behind the end of the path before the hand gives up."""
+"""Control steps for which the door may lag behind the end of the path before the motion gives up."""
 COAST_TIME_S = 1.4
-"""A door that is let go slows down by (speed + COAST_STOP_RAD_S) / COAST_TIME_S. Both follow from inertia, damping and
-friction of the doors here, and tell how far a thrown door goes."""
+"""A released door decelerates by (speed + COAST_STOP_RAD_S) / COAST_TIME_S. Both constants follow from inertia, damping
+and friction of the doors of the built-in homes, and predict how far a released door swings."""
 COAST_STOP_RAD_S = 0.5
 """See `COAST_TIME_S`."""
 COAST_SPARE_RAD = 0.1
-"""A door is let go when it will coast this much farther than it has to; one that is much faster bounces open again."""
+"""A door is released when it will swing this much farther than needed; a much faster door bounces open again."""
 AT_REST_RAD = 0.002
 """Largest motion per control step of a door at rest."""
 PRESS_STEPS = 2
-"""Control steps for which a closed door has to rest."""
+"""Control steps for which a closed door must be at rest."""
 JAMMED_FORCE_N = 300.0
-"""Contact force on the arm at which a motion is given up."""
+"""Sum of the contact forces on the robot's links at which a motion is given up."""
 
 
 def open_door(view: WorldView, link: JointedLink) -> Motion:
-    """Grasp the bar, follow its arc, let go and return to rest; anew after a slip."""
+    """Open a hinged door: grasp the bar, follow its arc, release it, return to rest; again after a slip."""
     enough = OPEN_ENOUGH_SHARE * link.range[1]
-    # Stances are searched for once per value: a range of values must not mean one search per episode.
+    # Stances are cached per value: rounding limits the number of searches over a continuous range of styles.
     further = round(style_of(view).open_further, 2)
     end = (OPEN_TO_SHARE + OPEN_SPARE_SHARE + further) * link.range[1]
     job = f"pull {further}" if further else "pull"
@@ -107,8 +111,10 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
 
 
 def close_door(view: WorldView, link: JointedLink) -> Motion:
-    """Reach behind the door and throw it shut along its arc, folding the arm while it swings, or push it all the way
-    where that is asked for; anew if it stays ajar."""
+    """Close a hinged door: reach behind it and accelerate it along its arc, then fold the arm while it swings shut.
+
+    With the style ``close=push`` the hand pushes the door all the way. Both are repeated while the door is ajar.
+    """
     throws = style_of(view).close != PUSH
     while view.steps_left > 40 and view.link_q(link.id) > AJAR_SHARE * link.range[1]:
         start = view.link_q(link.id) + PRESS_AHEAD_RAD
@@ -148,8 +154,19 @@ def _follow_arc(
     gripper: float,
     throws: bool = False,
 ) -> Motion:
-    """Move hand and base along the path until the door is at ``goal``, or gets there by itself where the hand
-    ``throws`` it; False when the hand loses the door."""
+    """Move hand and base along a path until the door has reached an angle.
+
+    Args:
+        view: the world.
+        link: the door.
+        path: configurations along the door's arc.
+        goal: door angle [rad].
+        gripper: gripper command.
+        throws: end as soon as the released door would swing to ``goal`` by itself.
+
+    Returns:
+        Whether the door has reached ``goal``, or will; False when the hand loses the door, or the motion is stuck.
+    """
     way = 1.0 if goal > view.link_q(link.id) else -1.0
     aim = float(path.values[1 if way > 0 else 0])
     end = float(path.values[-1])
@@ -165,7 +182,7 @@ def _follow_arc(
             and _coasts(style_of(view).speed * (last - now) / STEP_SECONDS) > now + COAST_SPARE_RAD
         ):
             return True
-        # A door that was thrown shut may swing back.
+        # A closing door counts as closed only at rest: it may bounce.
         there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST_RAD)
         done = done + 1 if there else 0
         last = now
@@ -193,7 +210,7 @@ def _follow_arc(
 
 
 def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
-    """Fold the arm while a door swings shut; False when it comes to rest too early."""
+    """Fold the arm while a released door swings shut. Returns False when the door comes to rest ajar."""
     last = np.inf
     for action in approach.fold(view, shut=link, gripper=motion.CLOSED):
         now = view.link_q(link.id)
@@ -205,15 +222,18 @@ def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
 
 
 def _coasts(speed: float) -> float:
-    """How far a door goes on by itself [rad] at a closing speed [rad/s]."""
+    """Angle [rad] by which a released door swings on at a closing speed [rad/s], see `COAST_TIME_S`."""
     if not 0.0 < speed < np.inf:
         return 0.0
     return COAST_TIME_S * (speed - COAST_STOP_RAD_S * float(np.log1p(speed / COAST_STOP_RAD_S)))
 
 
 def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
-    """Bring the hand to the beginning of a path straight along its axis, and forward only as far as it is in line: with
-    the base not quite in place it would meet the door's edge."""
+    """Move the hand straight along its axis to the beginning of a path, behind the edge of an open door.
+
+    The hand moves forward only while it is close to its line: with an error of the base pose it would hit the edge.
+    Returns whether it arrived.
+    """
     robot = view.robot.chain
     wish = path.q[0]
     pos, rot = path.hand_at(float(path.values[0]))
@@ -245,12 +265,16 @@ def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
 
 
 def _far(view: WorldView, link: JointedLink, path: LinkPath) -> bool:
+    """Whether the tcp is more than 6 cm from the handle, measured horizontally."""
     handle = link.handle_pose(view.link_q(link.id))[0]
     return bool(np.linalg.norm(motion.tcp(view)[0][:2] - handle[:2]) > 0.06)
 
 
 def _pace(path: LinkPath, angle: float, way: float) -> float:
-    """Door motion per control step that the arm's joints can follow [rad]."""
+    """Change of the door angle [rad] per control step that the arm's joints can follow at ``angle``.
+
+    ``way``: 1 while the door opens, -1 while it closes.
+    """
     here = path.at(angle)
     there = path.at(angle + way * 0.1)
     most = float(np.abs(there - here)[list(path.robot.arm_columns)].max())
@@ -262,8 +286,18 @@ def _pace(path: LinkPath, angle: float, way: float) -> float:
 def _reachable(
     view: WorldView, link: JointedLink, found: Stances, angles: Array, back: float = 0.0
 ) -> LinkPath | None:
-    """The soonest reached stance whose whole motion has room in this home; ``back`` [m]: how far from its beginning the
-    hand comes straight in."""
+    """Select the stance that is reached first among those whose whole motion is collision-free in this home.
+
+    Args:
+        view: the world.
+        link: the door.
+        found: stances in the plan frame.
+        angles: (K,) door angles of their way points [rad].
+        back: length of the hand's straight line to the first way point; 0 for none.
+
+    Returns:
+        The motion in the world, with the route to it; None if there is none.
+    """
     goals, _ = stances.rank(view, Frame.of(link), found)
     walls = Boxes.join([view.home.boxes, view.link_boxes((link.id,))])
     goals = goals[_distinct(goals[:, 0, :3])[:STANCES_TRIED]]
@@ -278,13 +312,13 @@ def _reachable(
 
 
 def _distinct(base: Array) -> Array:
-    """Indices of the first of every group of like base poses (N, 3), in order."""
+    """Indices of the first base pose (N, 3) in every grid cell of 0.1 m, 0.1 m, 0.2 rad, in ascending order."""
     _, first = np.unique(np.round(base / [0.1, 0.1, 0.2]), axis=0, return_index=True)
     return np.sort(first)
 
 
 def _withdrawn(body: Robot, q: Array, back: float) -> Array:
-    """Configurations (M, Q) with the hand drawn back along its own axis, where the arm can do that."""
+    """Configurations ``q`` (M, J) with the hand moved back by ``back`` along its axis; unchanged where that fails."""
     robot = body.chain
     pos, rot = robot.tip_pose(q)
     found = ik.solve(
@@ -306,7 +340,7 @@ def _withdrawn(body: Robot, q: Array, back: float) -> Array:
 
 
 def _from_angle(body: Robot, found: Stances, angles: Array, start: float) -> tuple[Stances, Array]:
-    """What is left of the motions when they begin at the door angle ``start``, and the angles of what is left."""
+    """Cut closing motions so that they start at the door angle ``start``; returns them and their angles."""
     k = int(np.searchsorted(-angles, -start))
     if k == 0:
         return found, angles

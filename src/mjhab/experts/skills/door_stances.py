@@ -1,4 +1,7 @@
-"""Where to stand and how to hold the arm to pull a hinged door open or to push it shut: searches in the plan frame."""
+"""Searches, in the plan frame of a door, for stances from which it can be pulled open or pushed shut.
+
+The plan frame is that of `planning.stances.Frame`. Lengths [m], angles [rad]. Letters: N base paths, K way points.
+"""
 
 from __future__ import annotations
 
@@ -19,35 +22,35 @@ Array = np.ndarray
 PRE_GRASP_M = 0.11
 """Distance from which the open hand moves straight onto the bar."""
 ABOVE_MIDDLE_M = 0.13
-"""Height above the middle of the bar at which it is taken: nearer to where the hand rests."""
+"""Height above the middle of the bar at which it is grasped; it is nearer to the rest position of the hand."""
 THICK_BAR_M = 0.035
-"""Thickness from which on a bar hardly turns between the pads, and the hand must take it squarely."""
+"""Thickness above which a bar hardly rotates between the finger pads, so that the hand must stay square to it."""
 PRESS_AHEAD_RAD = 0.2
-"""Angle between an open door and where the hand begins to push it."""
+"""Angle between an open door and the door angle at which the hand's path behind it begins."""
 PRESS_PAST_RAD = 0.02
-"""Angle beyond the closed door that the hand aims at."""
+"""Angle beyond the closed door at which the hand's path ends."""
 ABOVE_BAR_M = 0.13
-"""Height above the end of the bar at which the door is pushed: a lower hand catches the bar with its side."""
+"""Height above the end of the bar at which the door is pushed; lower, the hand's side touches the bar."""
 FROM_EDGE_M = 0.06
 """Least distance from the free edge of the door at which it is pushed."""
 HALF_OPEN_SHARE = 0.95
-"""Share of the range up to which the hand need not begin as far behind the door as for a wide open one."""
+"""Share of the range below which a door counts as half open: the hand's path begins there, see `push_half_open`."""
 OPEN_TO_SHARE = 0.775
 """Share of the range to which a door is pulled; 0.75 counts as open."""
 TIP_M = 0.031
-"""Distance of the fingertips before the tool centre."""
+"""Distance of the fingertips before the tcp."""
 FINGER_SIDE_M = 0.0144
 """Half-width of the closed fingers."""
 PUSH_YAWS_RAD = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
-"""Yaws of the pushing hand on the open and on the closed door; 0 points straight at the furniture. Behind a door
-that is open by 2.2 rad, a hand at 0.6 lies along it, and one at 0 would touch the door's edge with its side on its
-way in: the first pair is for doors that are not wide open."""
+"""Pairs of yaws of the pushing hand, at the open and at the closed door; 0 points straight at the furniture. The first
+pair is for half open doors only: behind a door that is open by 2.2 rad, a hand at yaw 0.6 is parallel to it, and at
+smaller yaws the hand touches the edge of the door on its way in."""
 
 
 def pull_angles(link: JointedLink, further: float = 0.0) -> Array:
-    """Door angles (10,) [rad] of the way points of `pull_stances`; the first is the hand before the bar.
+    """Door angles (10,) [rad] of the way points of `pull_stances`; at the first the hand is in front of the bar.
 
-    ``further``: share of the range beyond `OPEN_TO_SHARE`.
+    ``further``: share of the range beyond `OPEN_TO_SHARE` to which the door is pulled.
     """
     return np.append(-0.01, np.linspace(0.0, (OPEN_TO_SHARE + further + 0.03) * link.range[1], 9))
 
@@ -59,13 +62,12 @@ def push_angles(link: JointedLink, half: bool) -> Array:
 
 
 def _hand_side(link: JointedLink) -> float:
-    """1 for a door with its bar at negative y, to the left as seen from outside, for which the searches are written
-    down; -1 for its mirror image."""
+    """1 for a door with its bar at negative y, the left as seen from outside; -1 for its mirror image."""
     return -float(np.sign(link.handle.pos[1]))
 
 
 def _inward(link: JointedLink) -> float:
-    """Way along y [m] from the bar to where the door is pushed: 0 unless the bar is at the door's very edge."""
+    """Offset along y from the bar to the pushed point, at least `FROM_EDGE_M` from the edge; 0 for most doors."""
     m = _hand_side(link)
     (low, high) = _panel(link)
     edge = (low if m > 0 else high)[1]
@@ -76,7 +78,15 @@ def _inward(link: JointedLink) -> float:
 def _line(
     near: Array, side: Array, headings: Iterable[float], ways: tuple[float, ...], share: Array
 ) -> Array:
-    """Base paths (N, K, 3): from points of a grid backwards along a heading, ``share`` (K,) of the way."""
+    """Generate straight base paths (N, K, 3) for all combinations of start point, heading and length.
+
+    Args:
+        near: (X,) x of the start points.
+        side: (Y,) y of the start points.
+        headings: directions of the paths; the base faces the opposite direction.
+        ways: lengths of the paths, negative towards the furniture.
+        share: (K,) share of the path at every way point.
+    """
     out = []
     for x, y, heading, way in product(near, side, headings, ways):
         back = np.array([np.cos(heading), np.sin(heading)]) * way
@@ -87,7 +97,7 @@ def _line(
 
 
 def _in_reach(robot: Robot, base: Array, hands: Array) -> Array:
-    """Base paths (N, K, 3) whose shoulder is at a workable distance of the hands (K, 3) all the way."""
+    """(N,) bool: base paths (N, K, 3) along which the shoulder stays within arm's reach of the hand (K, 3)."""
     yaw = base[..., 2]
     shoulder_ahead = robot.reach.ahead + robot.reach.out
     nearest, farthest = robot.reach.level
@@ -97,7 +107,7 @@ def _in_reach(robot: Robot, base: Array, hands: Array) -> Array:
 
 
 def _panel(link: JointedLink) -> tuple[Array, Array]:
-    """Least and greatest corner (3,) of the closed door without its bar and shelves."""
+    """Least and greatest corner (3,) of the closed door's largest box, its panel."""
     boxes = link.boxes(0.0)
     k = int(np.argmax(boxes.half.prod(axis=1)))
     reach = np.abs(boxes.rot[k]) @ boxes.half[k]
@@ -105,25 +115,27 @@ def _panel(link: JointedLink) -> tuple[Array, Array]:
 
 
 def _carcass(link: JointedLink) -> Boxes:
+    """Box of the furniture behind the closed door."""
     low, high = _panel(link)
     middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
     return Boxes(middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None])
 
 
 def _with_door(link: JointedLink, angle: float) -> Boxes:
+    """Boxes of the furniture and of the door at an angle [rad]."""
     parts = (_carcass(link), link.boxes(max(angle, 0.0)))
     return Boxes.join(parts)
 
 
 def _level(yaw: Array) -> Array:
-    """Hands (K, 3, 3) that point level against the directions ``yaw`` (K,), fingers side by side."""
+    """Hand rotations (K, 3, 3): horizontal, opposite to the directions ``yaw`` (K,), with the fingers side by side."""
     forward = -np.stack([np.cos(yaw), np.sin(yaw), 0.0 * yaw], axis=-1)
     return stances.hand(forward, np.stack([-forward[:, 1], forward[:, 0], 0.0 * yaw], axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
 class _HandPath:
-    """Hand poses ``pos`` (K, 3), ``rot`` (K, 3, 3) in the plan frame at K angles (K,) of a door [rad]."""
+    """Hand positions ``pos`` (K, 3) and rotations ``rot`` (K, 3, 3) in the plan frame at door ``angles`` (K,)."""
 
     pos: Array
     rot: Array
@@ -138,7 +150,10 @@ def _search(
     tries: int,
     mode: ik.Mode = "pose",
 ) -> Stances:
-    """Stances along one path of the hand, for those of the base paths (N, K, 3) from which the arm may reach it."""
+    """Find stances that follow one hand path, among the base paths (N, K, 3) within arm's reach of it.
+
+    ``tries``: see `stances.track`. ``mode``: part of the orientation that counts, see `ik.Mode`.
+    """
     base = base[_in_reach(robot, base, hands.pos)]
     n = len(base)
     return stances.track(
@@ -153,7 +168,15 @@ def _search(
 
 
 def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stances:
-    """Hand before the bar, on it, and along its arc. The hand turns less than the door: the pads let the bar turn."""
+    """Find stances for pulling a door open: hand in front of the bar, on it, and along its arc.
+
+    The hand rotates less than the door, because the bar can rotate between the finger pads.
+
+    Args:
+        robot: the robot.
+        link: the door.
+        further: share of the range beyond `OPEN_TO_SHARE` to which the door is pulled.
+    """
     angles = pull_angles(link, further)
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
     grip[:, 2] += ABOVE_MIDDLE_M
@@ -173,17 +196,17 @@ def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stanc
 
 
 def push_open(robot: Robot, link: JointedLink) -> Stances:
-    """Ways to push a door shut from wherever it stands."""
+    """Find stances for pushing a door shut that may be open up to its limit."""
     return _push_stances(robot, link, half=False)
 
 
 def push_half_open(robot: Robot, link: JointedLink) -> Stances:
-    """Ways to push a door shut that is not wide open."""
+    """Find stances for pushing a door shut that is open by less than `HALF_OPEN_SHARE`."""
     return _push_stances(robot, link, half=True)
 
 
 def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
-    """The closed fingers on the outside of the door above its bar, from behind the open door to the closed one."""
+    """Stances with the closed fingers on the outside of the door above its bar, from the open to the closed door."""
     angles = push_angles(link, half)
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
     ways = (-1.0, -0.8, -0.6, -0.4)
@@ -206,7 +229,7 @@ def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
             across = np.array([-out[1], out[0], 0.0])
             pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR_M) * bar)
         hands = _HandPath(np.array(pos), _level(m * yaw), angles)
-        # Few stances reach behind a wide open door: a finer search there.
+        # Few stances reach behind a wide open door: more tries there.
         tries = 5 if half else 8
         found.append(_search(robot, link, base, hands, tries=tries, mode="approach"))
     return Stances.join(found)

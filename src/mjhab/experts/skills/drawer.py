@@ -1,4 +1,7 @@
-"""Opening and closing a drawer: the arm holds its posture and the base drives, or the arm pulls, too."""
+"""Scripts that open and close a drawer: the base drives with the arm held, or base and arm move together.
+
+Lengths [m], angles [rad]. Letters: N configurations, J joints.
+"""
 
 from __future__ import annotations
 
@@ -22,35 +25,35 @@ PRE_GRASP_M = 0.11
 BACK_OFF_M = 0.08
 """Distance between handle and hand at which the arm folds."""
 AROUND_BAR_M = 0.045
-"""Free space beside the bar in the hand that closes around it: bars in a recess leave no more."""
+"""Distance between the open fingers beyond the thickness of the bar; bars in a recess leave no more."""
 CLOSED_SHARE = 0.01
 """Share of the range at which a link counts as closed."""
 SPEED_M_S = 0.45
 """Speed at which the drawer moves."""
 HELD_SPEED_M_S = 0.3
-"""Speed at which a drawer is shut by its handle: a hand that is pressed deep onto the bar is caught in its recess."""
+"""Speed at which a drawer is closed by its handle; faster, the hand gets stuck in the recess of the bar."""
 OPEN_TO_SHARE = 0.95
 """Share of the range to which a drawer is pulled; 0.9 counts as open."""
 ARM_WAYS_M = (0.4, 0.36)
-"""How much of the way the arm pulls, where it is asked to; the base drives the rest."""
+"""Candidates for the part of the motion that the arm does with the style ``pull=arm``; the base does the rest."""
 PULL_POINTS = 5
 """Way points from the closed to the open drawer."""
 PULL_STEP_M = 0.018
 """Motion of the drawer per control step that the arm can follow."""
 PULL_LEAD_M = 0.05
-"""How far the hand's aim runs ahead of the drawer."""
+"""Largest distance of the hand's goal ahead of the drawer."""
 FOLD_POINTS = 16
-"""Points of the way back to rest at which its clearance is checked."""
+"""Configurations of the motion back to rest at which its clearance is checked."""
 FOLD_ROOM_M = 0.02
-"""Room that the arm must have there."""
+"""Least clearance of the arm during that motion."""
 PULL_STEPS = 60
-"""Control steps to pull; then the handle is taken anew."""
+"""Control steps after which a pull is given up and the handle grasped again."""
 MAX_GRASPS = 2
-"""How often the handle is grasped to close the drawer before the closed fingers push it."""
+"""Attempts to close the drawer by its handle before the closed fingers push it."""
 
 
 def open_drawer(view: WorldView, link: JointedLink) -> Motion:
-    """Grasp the bar, back up with it, let go and return to rest; anew after a slip."""
+    """Open a drawer: grasp the bar, pull it, release it, return to rest; again after a slip."""
     full = link.range[1]
     pulls = style_of(view).pull == ARM
     while view.steps_left > 30 and view.link_q(link.id) < 0.92 * full:
@@ -64,12 +67,15 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
             continue
         yield from _drive_link(view, link, OPEN_TO_SHARE * full, -SPEED_M_S)
         yield from approach.let_go(view, BACK_OFF_M)
-    # So near the drawer, open fingers would catch its handle on their way.
+    # After a pull by the arm the hand is so close that open fingers could catch the handle.
     return (yield from approach.fold(view, gripper=motion.CLOSED if pulls else motion.OPEN))
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
-    """Push the handle with the closed fingers by driving forward; or hold it, where that is asked for and goes."""
+    """Close a drawer: push its handle with the closed fingers by driving forward.
+
+    With the style ``close=grasp`` the hand holds the handle instead, in up to `MAX_GRASPS` attempts.
+    """
     goal = 0.4 * CLOSED_SHARE * link.range[1]
     grasps = MAX_GRASPS if style_of(view).close == GRASP else 0
     while view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED_SHARE * link.range[1]:
@@ -77,7 +83,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
             grasps -= 1
             if (yield from _take_handle(view, link, 0.0)):
                 yield from _drive_link(view, link, goal, HELD_SPEED_M_S)
-            # Opened wide, fingers in a recess would pull the drawer along.
+            # Wide open fingers would be stuck in a recess and pull the drawer along.
             yield from approach.let_go(view, BACK_OFF_M, gripper=_around(view.robot, link))
             continue
         found = stances.cached(view.robot, link, "push", _push_stances)
@@ -93,7 +99,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
 
 
 def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
-    """Hold the bar from where the base can move with it until the drawer is open by ``goal`` [m]."""
+    """Grasp the bar from a stance from which the base can drive until the drawer is open by ``goal`` [m]."""
     found = stances.cached(view.robot, link, "pull", _pull_stances)
     q = view.link_q(link.id)
     end = found.q[:, :1, BASE_XY] + np.array([goal, 0.0])
@@ -110,7 +116,7 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
 
 
 def _arm_path(view: WorldView, link: JointedLink) -> LinkPath | None:
-    """How the arm pulls the drawer from where it is; None where there is no room."""
+    """Plan the motion in which the arm pulls the drawer from its present opening; None if none is collision-free."""
     found = stances.cached(view.robot, link, "pull by arm", _arm_stances)
     q = view.link_q(link.id)
     goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q))
@@ -121,7 +127,7 @@ def _arm_path(view: WorldView, link: JointedLink) -> LinkPath | None:
 
 
 def _take_on(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
-    """Go to the beginning of a path and take the handle."""
+    """Move to the beginning of a path and grasp the handle. Returns whether the hand holds it."""
     gripper = _around(view.robot, link)
     yield from approach.go(view, path.route, gripper)
     q = view.link_q(link.id)
@@ -130,7 +136,7 @@ def _take_on(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
 
 
 def _pull(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
-    """Move hand and base along the path until the drawer is open; False when the hand loses it."""
+    """Move hand and base along the path until the drawer is open. Returns False when the hand loses the handle."""
     goal = OPEN_TO_SHARE * link.range[1]
     aim = view.link_q(link.id)
     for _ in range(PULL_STEPS):
@@ -145,18 +151,24 @@ def _pull(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
 
 
 def _around(robot: Robot, link: JointedLink) -> float:
-    """Gripper action for a hand that goes around the bar."""
+    """Gripper command with which the open fingers fit around the bar."""
     return motion.gripper_at(robot, link.handle.thickness + AROUND_BAR_M)
 
 
 def _drive_link(
     view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0
 ) -> Motion:
-    """Drive with the arm held until the link's joint has reached ``goal``; False when it stays where it is.
+    """Drive straight with the arm held until the link's joint has reached ``goal``.
 
     Args:
-        speed: forward [m/s]; negative pulls.
-        press: control steps to go on at the goal, so that the link does not bounce.
+        view: the world.
+        link: the drawer.
+        goal: joint value [m].
+        speed: forward speed of the base [m/s]; negative pulls.
+        press: control steps for which the base drives on at the goal, so that the link does not bounce.
+
+    Returns:
+        Whether the joint has reached ``goal``; False when it stops before.
     """
     posture = view.q
     heading = float(view.base[2])
@@ -181,13 +193,14 @@ def _drive_link(
 
 
 def _square(handle: Array, near: Array, side: Array) -> Array:
-    """Base poses (N, 3) that face the furniture squarely, ``near`` before a handle and ``side`` beside it."""
+    """Base poses (N, 3) that face the furniture squarely: all combinations of ``near`` (X,) and ``side`` (Y,) offsets
+    from the position (3,) of a handle."""
     x, y = np.meshgrid(handle[0] + near, handle[1] + side, indexing="ij")
     return np.stack([x.ravel(), y.ravel(), np.full(x.size, np.pi)], axis=1)
 
 
 def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
-    """Before the closed drawer: hand before the handle, then on it, fingers above and below the bar."""
+    """Find stances at the closed drawer: hand in front of the handle, then on it, fingers above and below the bar."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.62, 0.96, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + PRE_GRASP_M * out, handle])
@@ -197,20 +210,20 @@ def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
 
 
 def _arm_values(link: JointedLink) -> Array:
-    """Joint values (1 + PULL_POINTS,) [m] of the way points of `_arm_stances`; the first is the hand before the bar."""
+    """Joint values (1 + PULL_POINTS,) [m] of the way points of `_arm_stances`; at first the hand is before the bar."""
     return np.append(
         -PRE_GRASP_M, np.linspace(0.0, (OPEN_TO_SHARE + 0.05) * link.range[1], PULL_POINTS)
     )
 
 
 def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
-    """Before the closed drawer as in `_pull_stances`; then the hand draws nearer while the base drives the rest."""
+    """Find stances as `_pull_stances`, followed by the pull, in which arm and base move together."""
     out = link.handle_pose(0.0)[2]
     values = _arm_values(link)
     handles = [link.handle_pose(max(float(value), 0.0))[0] for value in values]
     pos = np.stack([handles[0] + PRE_GRASP_M * out, *handles[1:]])
     boxes = [link.boxes(max(float(value), 0.0)) for value in values]
-    # Wide to both sides: a near stance needs less turning on the way, which is hard to imitate.
+    # Wide to both sides: a nearby stance needs less turning on the way, and turns are hard to imitate.
     base = _square(handles[0], np.arange(0.78, 1.03, 0.04), np.linspace(-0.54, 0.54, 19))
     opened = np.clip(values, 0.0, None)
     found = []
@@ -235,8 +248,13 @@ def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
 
 
 def _folds(robot: Robot, end: Array, boxes: Boxes) -> Array:
-    """(N,) bool: from configurations ``end`` (N, J), drawn back by `BACK_OFF_M`, the arm folds without touching what is
-    in front of it: then the base need not back away first."""
+    """(N,) bool: the arm can fold to rest without a collision after the base has backed up by `BACK_OFF_M`.
+
+    Args:
+        robot: the robot.
+        end: (N, J) configurations at the end of the pull.
+        boxes: collision boxes of the open drawer.
+    """
     start = end.copy()
     start[:, 0] += BACK_OFF_M
     rest = ik.unwind(robot.chain, robot.rest, start)
@@ -248,7 +266,7 @@ def _folds(robot: Robot, end: Array, boxes: Boxes) -> Array:
 
 
 def _push_stances(robot: Robot, link: JointedLink) -> Stances:
-    """Before the handle of the closed drawer (for an open one everything moves along): the fist before the bar."""
+    """Find stances at the closed drawer with the closed fingers in front of the bar; an open drawer shifts them."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.58, 0.92, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + 0.09 * out, handle + 0.04 * out])
@@ -265,6 +283,10 @@ def _push_stances(robot: Robot, link: JointedLink) -> Stances:
 def _still(
     robot: Robot, base: Array, pos: Array, rot: Array, boxes: list, mode: motion.ik.Mode = "pose"
 ) -> Stances:
+    """Find stances with unmoved base poses (N, 3) for K hand positions ``pos`` (K, 3) at one rotation (3, 3).
+
+    ``boxes``: K obstacles, one `Boxes` per hand position.
+    """
     n = len(base)
     k = len(pos)
     return stances.track(

@@ -1,4 +1,4 @@
-"""The expert for Navigate: it drives to where the next subtask is done, the arm at rest, keeping its grip.
+"""Script of the subtask Navigate: drive to where the next subtask takes place, with the arm at rest.
 
 Lengths [m], angles [rad], world frame. Letters: N base poses, H headings, X, Y grid points.
 """
@@ -26,36 +26,43 @@ from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 WANTED_DISTANCE_M = 0.95
-"""Distance from its goal at which the robot stands if it can: the hand then gets there without much driving."""
+"""Preferred distance between base and goal, from which the next subtask needs little driving."""
 MIN_DISTANCE_M = 0.65
-"""Least distance from its goal at which it stands."""
+"""Distance from the goal below which costs increase."""
 LIMIT_MARGIN_M = 0.12
-"""How far inside the limits of success the robot ends: the distance to the goal and the edges of the area."""
+"""Margin to the limits of success at the end: to the greatest distance from the goal and to the edges of the area."""
 MAX_GRID_BEARING_RAD = 0.3
-"""Greatest bearing of the goal at the last heading on the grid; the robot then turns to face it if it has room."""
+"""Greatest bearing of the goal at the last lattice node; the base then turns to face the goal if there is room."""
 SUPPORT_DISTANCE_M = 0.5
-"""Furniture this near to a goal may be what the goal lies on: it does not hide the goal."""
+"""Furniture within this distance of the goal may be its support: it counts less as an occlusion."""
 SLIMMER_M = ((0.0, 0.0), (0.015, 0.02), (0.03, 0.05))
-"""By how much base and arm are taken to be smaller, tried in this order until there is a way."""
+"""Reductions of the safety margins of base and arm, tried in this order until a path is found."""
 DOOR_MOVED = 0.08
-"""Change of a drawer or door [m or rad] after which a way is planned again."""
+"""Change of a drawer or door [m or rad] after which the path is planned again."""
 STUCK_STEPS = 15
 STUCK_M = 0.02
-"""Motion in STUCK_STEPS below which the robot is stuck."""
+"""Motion in STUCK_STEPS below which the robot counts as stuck."""
 WORK_DISTANCES_M = (0.5, 0.95)
-"""Least and greatest distance of the base from what the hand works on."""
+"""Least and greatest distance of the base from the goal in the next subtask."""
 LONG_DETOUR_M = 1.5
-"""From this length of the remaining way on, the work counts as out of reach from where the robot ends."""
+"""Length of the path from the end pose to the next work place above which it is added to the cost."""
 MAX_DETOUR_M = 20.0
-"""Greatest length of the remaining way that is counted."""
+"""Upper bound on that length in the cost."""
 DETOUR_PRICE_S_M = 1.5
-"""Price of the remaining way."""
+"""Cost per metre of that path."""
 FELT_RADIUS_M = 0.12
-"""Radius of what is assumed to be where the robot hit something unknown."""
+"""Assumed radius of an unknown obstacle that the robot has touched."""
 
 
 class Aim(NamedTuple):
-    """Where a Navigate leads: to face ``point`` (3,) from about ``distance``, within ``reach``, in ``area`` (4,)."""
+    """Goal of a Navigate: the base faces a point from a distance.
+
+    Attributes:
+        point: (3,) point to face.
+        distance: preferred distance between base and point.
+        reach: greatest distance with which the subtask succeeds.
+        area: (4,) x_min, x_max, y_min, y_max that the base must be in; None for no such area.
+    """
 
     point: Array
     distance: float
@@ -64,7 +71,7 @@ class Aim(NamedTuple):
 
     @classmethod
     def of(cls, view: WorldView) -> Aim:
-        """The aim of the active subtask."""
+        """Goal of the active subtask."""
         subtask = view.subtask
         assert subtask is not None
         point = np.array(subtask.goal_pos)
@@ -75,11 +82,11 @@ class Aim(NamedTuple):
         )
 
     def bearing(self, xy: Array) -> Array:
-        """Heading (...,) that faces the goal from ``xy`` (..., 2)."""
+        """Heading (...,) [rad] that faces the goal from ``xy`` (..., 2)."""
         return np.arctan2(self.point[1] - xy[..., 1], self.point[0] - xy[..., 0])
 
     def allows(self, xy: Array, within: float) -> Array:
-        """(...,) bool: near enough and in the area, by ``within`` [m]."""
+        """(...,) bool: ``xy`` (..., 2) is near enough and in the area, with a margin of ``within`` [m]."""
         good = np.linalg.norm(xy - self.point[:2], axis=-1) <= self.reach - within
         if self.area is not None:
             low = self.area[::2] + within
@@ -88,7 +95,7 @@ class Aim(NamedTuple):
         return good
 
     def price(self, lattice: Lattice, detour: Array) -> Array:
-        """Seconds (H, X, Y) that ending in each node is worth, infinite where it would be no success.
+        """End cost (H, X, Y) [s] of each lattice node, infinite where the subtask would not succeed.
 
         ``detour`` (X, Y): see `detours`.
         """
@@ -114,7 +121,7 @@ class Aim(NamedTuple):
 
 
 def navigate(view: WorldView) -> Motion:
-    """Drive to the goal of the active Navigate, face it and stand still."""
+    """Drive to the goal of the active subtask, face it and stand still; never ends by itself."""
     subtask = view.subtask
     assert subtask is not None
     held = subtask.obj if subtask.must_hold else ""
@@ -138,8 +145,11 @@ def navigate(view: WorldView) -> Motion:
 
 
 def detours(view: WorldView, aim: Aim, points: Array) -> Array:
-    """Way (X, Y) [m, more where it is narrow] from ``points`` (X, Y, 2) to where the hand gets at the goal, if that is
-    far: a chair between table and wall may be near and yet a long way round. Zero for what stands in furniture."""
+    """Cost (X, Y) of the paths from ``points`` (X, Y, 2) to where the next subtask takes place, if they are long.
+
+    A position can be near to the goal and yet need a long way around furniture to reach it by hand. The cost is in
+    metres, weighted by clearance; 0 below `LONG_DETOUR_M`, and everywhere for goals inside furniture.
+    """
     cells = planner(view)
     centres = (
         cells.origin + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
@@ -161,10 +171,17 @@ def detours(view: WorldView, aim: Aim, points: Array) -> Array:
 
 
 def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array) -> Trip | None:
-    """The cheapest way to where the goal is faced, None when there is none.
+    """Plan the drive with the least cost to a pose that faces the goal.
 
     Args:
-        posture: (J,) of the arm on the way. held: what is in the hand. felt: (B, 3) x, y, radius of what was met.
+        view: the world.
+        aim: the goal.
+        posture: (J,) configuration of the arm during the drive.
+        held: name of the object in the hand, "" for none.
+        felt: (B, 3) x, y, radius of unknown obstacles that the robot has touched.
+
+    Returns:
+        The drive; None when there is no path.
     """
     arm = Arm.of(view, posture, held)
     whole = Floorplan.of(view, arm, held, felt)
@@ -179,7 +196,7 @@ def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array)
 
 
 def _facing(plan: Floorplan, aim: Aim, pose: Array, legs: list[Leg]) -> list[Leg]:
-    """Legs from ``pose`` (3,) that end with facing the goal, where there is room to."""
+    """Legs from ``pose`` (3,) with a final turn that faces the goal, where there is room for it."""
     end, yaw = (legs[-1].points[-1], legs[-1].yaw) if legs else (pose[:2], float(pose[2]))
     last = turn_between(yaw, float(aim.bearing(end)))
     return (
@@ -190,9 +207,10 @@ def _facing(plan: Floorplan, aim: Aim, pose: Array, legs: list[Leg]) -> list[Leg
 def _drive(
     view: WorldView, trip: Trip, posture: Array, gripper: float
 ) -> Generator[Array, None, Array | None]:
-    """Drive the legs; returns (1, 3) x, y, radius of what was met on the way, None if nothing was.
+    """Drive the legs of a trip; end early when a door or drawer moves.
 
-    It ends early when a door or drawer has moved since the trip was planned.
+    Returns:
+        (1, 3) x, y, radius of an unknown obstacle that stopped the robot; None if nothing did.
     """
     pressed = 0
     track = [view.base]
@@ -214,13 +232,13 @@ def _drive(
 
 
 def _still(track: Sequence[Array]) -> bool:
-    """Hardly any motion from the first to the last of some poses."""
+    """Whether the first and the last of some base poses (3,) differ by less than `STUCK_M` [m, rad]."""
     moved = track[-1] - track[0]
     return bool(np.abs([*moved[:2], wrap(moved[2])]).max() < STUCK_M)
 
 
 def _ahead(view: WorldView, leg: Leg) -> Array:
-    """Where something must be that stops the base on a leg: before it, or before the hand."""
+    """Assumed obstacle (1, 3) x, y, radius that stops the robot on a leg: in front of the base or of the hand."""
     q = view.q
     ahead = leg.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     arm_felt = (
@@ -234,7 +252,7 @@ def _ahead(view: WorldView, leg: Leg) -> Array:
 
 
 def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Motion:
-    """Drive a little way back to where the trip came from."""
+    """Drive back for 14 control steps towards an earlier position of the trip."""
     q = view.q
     gap = np.linalg.norm(trip.poses[:, :2] - q[BASE_XY], axis=1)
     passed = trip.poses[: int(np.argmin(gap)) + 1] if len(gap) else trip.poses
@@ -258,6 +276,7 @@ def _joints(view: WorldView) -> Array:
 
 
 def _arrived(view: WorldView, aim: Aim) -> bool:
+    """Whether the base faces the goal from an allowed position."""
     q = view.q
     facing = (
         abs(float(wrap(aim.bearing(q[BASE_XY]) - q[BASE_YAW]))) <= view.config.nav_bearing - 0.05
@@ -266,7 +285,7 @@ def _arrived(view: WorldView, aim: Aim) -> bool:
 
 
 def _stand(view: WorldView, aim: Aim, posture: Array, gripper: float) -> Motion:
-    """Hold still with the arm at rest for as long as the robot stands right."""
+    """Stand still with the arm at rest while the base is at its goal. Returns when it no longer is."""
     while _arrived(view, aim):
         yield motion.action(view, posture, gripper=gripper)
     return False

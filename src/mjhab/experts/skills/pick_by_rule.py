@@ -1,4 +1,7 @@
-"""Pick by a rule, see `by_rule`, and the entry point that chooses between rule and search."""
+"""Script of Pick by a rule, see `by_rule`, and the entry point that chooses between rule and search.
+
+Lengths [m], angles [rad], world frame unless said.
+"""
 
 from __future__ import annotations
 
@@ -26,29 +29,29 @@ from mjhab.tasks.style import RULE
 
 Array = np.ndarray
 LEAST_CLEAR_M = 0.004
-"""Least room between hand and neighbours on the approach."""
+"""Least clearance between hand and neighbouring objects on the approach."""
 SCORE_PRICE = 0.03
-"""Angle [rad] that a point of a grasp's score is worth."""
+"""Angle that a difference of 1 in the grasp score is worth in the choice of a grasp."""
 AT_GRASP_M = 0.012
-"""The fingers begin to close when the tool centre is nearer than this to the grasp."""
+"""Distance between tcp and grasp below which the fingers begin to close."""
 NEAR_GRASP_M = 0.03
-"""Fingers that have begun to close go on when it is nearer than this."""
+"""Distance between tcp and grasp below which closing fingers continue to close."""
 BEGUN_M = 0.004
-"""Distance of a finger from wide open at which it has begun to close."""
+"""Distance of a finger from its open position above which it counts as closing."""
 PRESSED_N = 0.4
-"""Force of each finger from which on the object counts as held."""
+"""Force on each finger above which the object counts as held."""
 LIFT_M = 0.08
 """Height by which the object is lifted before the arm goes to rest."""
 LIFT_STEP_M = 0.03
 
 
 def pick(view: WorldView) -> Motion:
-    """Pick up the active subtask's object, by the rule or by a search as the style says."""
+    """Pick up the object of the active subtask, by the rule or by a search as the style demands."""
     return (yield from (pick_by_rule(view) if style_of(view).plan == RULE else search.pick(view)))
 
 
 def pick_by_rule(view: WorldView) -> Motion:
-    """Pick up the active subtask's object by the rule; by a search on shelves and where the rule finds no grasp."""
+    """Pick up the object of the active subtask by the rule; by a search on shelves and if the rule finds no grasp."""
     subtask = view.subtask
     assert subtask is not None
     obj = subtask.obj
@@ -77,7 +80,7 @@ def pick_by_rule(view: WorldView) -> Motion:
 
 
 def _carry(view: WorldView, low: bool, drive: Drive) -> Array:
-    """Lift the held object, then bring it to rest."""
+    """Action (A,) with a held object: lift it while it is ``low``, then move the arm to rest."""
     if not low:
         return motion.action(view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive)
     here, rot = motion.tcp(view)
@@ -87,7 +90,7 @@ def _carry(view: WorldView, low: bool, drive: Drive) -> Array:
 
 
 def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> Array:
-    """Come nearer to a grasp, and close the fingers at it."""
+    """Action (A,) that moves the hand towards a grasp and closes the fingers there."""
     fingers = float(view.q[view.robot.columns.fingers].mean())
     begun = fingers < view.robot.limits.gripper[1] - BEGUN_M
     there = funnel.distance(view) < (NEAR_GRASP_M if begun else AT_GRASP_M)
@@ -95,7 +98,7 @@ def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> Array:
 
 
 def plan(view: WorldView, obj: str) -> tuple[Stance, Array, Array] | None:
-    """A stance, and the grasp in the frame of the object: position (3,) and rotation (3, 3)."""
+    """Choose a stance, and a grasp in the frame of the object: tcp position (3,) and rotation (3, 3); None if none."""
     pose = view.object_pose(obj)
     if inside_depth(view, pose[:3]):
         return None

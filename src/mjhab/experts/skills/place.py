@@ -1,4 +1,7 @@
-"""The expert for Place: onto tables and seats, or into the fridge."""
+"""Script of Place by a search: onto open surfaces, or into furniture such as a fridge.
+
+Lengths [m], angles [rad], world frame. Letters: N attempts, J joints.
+"""
 
 from __future__ import annotations
 
@@ -50,9 +53,9 @@ from mjhab.tasks.style import DROP as DROP_IT
 
 Array = np.ndarray
 DROP_HEIGHT_M = 0.006
-"""Height above the surface at which an object is let go."""
+"""Height above the surface at which an object is released."""
 ABOVE_M = 0.10
-"""Height at which the straight way down begins."""
+"""Height above the release pose at which the straight downward motion begins."""
 SHELF_ABOVE_M = 0.035
 """The same on a shelf."""
 YAWS = 16
@@ -68,47 +71,45 @@ SHELF_OFFSETS = (
     (0.08, 0.06),
     (0.08, -0.06),
 )
-"""How far [m] nearer to the robot, and to its side, than the goal an object may be put; success asks for 0.15. The last
-ones are for later attempts."""
+"""Candidate offsets of the object from its goal, towards the robot and to its side; success allows 0.15.
+`LAST_OFFSETS` are for later attempts."""
 TILTS = (0.0, 0.3)
 BALL_TILTS = (0.0, 0.35, 0.7, 1.0)
 SHELF_TILTS = (0.0, 0.35, 0.6, 0.85, 1.1)
-"""Leans of the hand [rad]: they reach further, and under a shelf a hand that comes from above has no room."""
+"""Candidate tilts of the held object [rad]: a tilted hand reaches further and fits under a shelf."""
 HAND_CLEARANCE_M = -0.008
-"""Least clearance of the hand: the spheres that stand for it are up to so much too large."""
+"""Least clearance of the hand; negative because the shapes that model it are up to 8 mm too large."""
 HAND_NEARER_M = 0.014
-"""How much nearer than the arm the hand may come to its surroundings before it goes down."""
+"""Difference between the least clearances of arm and hand above the release pose."""
 LEAN_PRICE = 2.5
-"""Score lost per radian that an object leans when it is let go under a shelf."""
+"""Score lost per radian of tilt at the release under a shelf."""
 LAID_PRICE = 2.6
-"""Score lost when another side of it is down: round things roll then, and lean until they fall."""
+"""Score lost when the object is placed on another side; round objects then roll or fall over."""
 STUCK_FACTOR = 3.0
-"""Factor on `LEAN_PRICE` where the fingers cannot open much farther: the object stays between them at that angle, and
-falls when the hand draws back."""
+"""Factor on the loss by tilt where the fingers can hardly open: the tilted object stays between them and falls when the
+hand retreats."""
 MAX_BESIDE_M = 0.09
-"""Greatest distance beside its place at which an object is put when the base stands where the arm does not reach it."""
+"""Greatest accepted deviation from the release position when the arm does not reach it from the present base pose."""
 GOAL_SHARE = 0.87
-"""Share of the tolerance at the goal within which an object is put, measured where it comes to rest after it tipped
-over."""
+"""Share of the goal tolerance within which the object must come to rest after it has tipped over."""
 MAX_DEFICIT_M = -0.01
-"""Ways whose room is less than this (negative: a deficit) may knock the object out of the hand: others are tried
-first."""
+"""Routes with less ``room`` than this (negative: a deficit) may shake the object loose: others are tried first."""
 AFTER_STEPS = 35
-"""Control steps to put an object down and draw back."""
+"""Control steps to put an object down and to retreat."""
 INSIDE_AFTER_STEPS = 70
-"""The same where the base has to drive straight in before."""
+"""The same where the base first has to drive straight in."""
 HOME_WEIGHT = 0.6
 """Weight of the control steps back to rest, relative to those to the goal."""
 DROP_HEIGHTS_M = (0.0, 0.05, 0.12)
-"""Heights from which an object is dropped in the open, tried in this order, where there is no way to put it down."""
+"""Heights from which an object is dropped on open surfaces, in this order, where it cannot be put down."""
 SOFT_START = (0.25, 0.5, 0.75)
-"""Shares of its speed with which the arm starts: an object that hangs at the fingertips would fall out otherwise."""
+"""Speeds of the arm in its first control steps: a jerk can shake out an object at the fingertips."""
 WAIT_STEPS = 60
-"""Control steps to wait once every way to put an object was tried without success."""
+"""Control steps of waiting once all release poses have failed."""
 
 
 def place(view: WorldView) -> Motion:
-    """Put the held object to the active subtask's goal and return to rest."""
+    """Place the held object at the goal of the active subtask and return to rest; pick it up again if it is lost."""
     subtask = view.subtask
     assert subtask is not None
     obj = subtask.obj
@@ -117,7 +118,7 @@ def place(view: WorldView) -> Motion:
         if holds(view, obj):
             yield from _bring(view, obj, goal)
         elif not view.signal("at_goal"):
-            # Lost on the way: it lies somewhere, mostly not far off.
+            # The object was lost on the way: pick it up again.
             yield from pick_up(view, obj, keep=False)
             continue
         yield from go_home(view, obj, holding=False)
@@ -125,7 +126,7 @@ def place(view: WorldView) -> Motion:
 
 
 def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
-    """Put the held object to ``goal`` (3,). Returns whether the hand has let go of it."""
+    """Place the held object at ``goal`` (3,) [m]. Returns whether the hand has released it."""
     style = style_of(view)
     failed = np.zeros((0, 3))
     hurry = False
@@ -151,7 +152,7 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
         if best is None:
             failed = failed[:0]
             nothing += 1
-            # In the open things can fall; inside there is only what has failed to be looked at once more.
+            # On open surfaces the next drop height is tried; inside furniture, failed base poses are tried once more.
             if nothing >= (2 if inside_depth(view, goal) else len(DROP_HEIGHTS_M)):
                 yield from motion.hold(view, WAIT_STEPS, gripper=motion.CLOSED)
             continue
@@ -165,7 +166,7 @@ def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
 
 
 def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
-    """Whether a way to put an object leaves the time to come back to rest, and the room on its route [m]."""
+    """Rank of a plan: whether it leaves enough time to return to rest, and the room of its route [m]."""
     stance, _, depth = found
     after = (INSIDE_AFTER_STEPS if depth else AFTER_STEPS) + float(
         motion.steps_home(view.robot, stance.at)
@@ -174,7 +175,7 @@ def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
 
 
 def _rest(view: WorldView) -> Motion:
-    """Stay at rest with an open hand for as long as the object is at its goal. Returns when it is not."""
+    """Stay at rest with an open hand while the object is at its goal. Returns when it has left it."""
     goal = motion.rest_goal(view)
     off = 0
     while off < 4:
@@ -185,13 +186,13 @@ def _rest(view: WorldView) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """One try to put an object to its goal.
+    """One attempt to place an object.
 
     Attributes:
-        number: of the tries before it.
-        failed: (N, 3) base poses from which it did not come off.
-        drop: height above its place in the open in which the hand lets go [m].
-        hurry: drive faster and no farther than needed, where the time or the room on the way would not do.
+        number: number of attempts before it.
+        failed: (N, 3) base poses from which attempts have failed.
+        drop: height above an open surface from which the object is dropped [m].
+        hurry: drive faster and to nearer stances, because time or clearance is short.
     """
 
     number: int
@@ -202,12 +203,12 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Release:
-    """How the hand may let go of an object.
+    """Constraints on release poses.
 
     Attributes:
-        shelf: something is above: lean the hand forwards too, and begin lower.
-        any_side: the object may come to lie on any of its sides.
-        drop: height that it falls [m].
+        shelf: there is a board above: also tilt the hand, and begin the downward motion lower.
+        any_side: the object may be placed on any of its sides.
+        drop: height from which it is dropped [m].
     """
 
     shelf: bool
@@ -216,7 +217,11 @@ class Release:
 
 
 def plan_place(view: WorldView, obj: str, goal: Array, attempt: Attempt) -> Found | None:
-    """The best way to put an object near ``goal`` (3,): stance, hand poses it refers to, depth as in `plan_pick`."""
+    """Plan how to place an object near ``goal`` (3,) [m].
+
+    Returns:
+        Stance, the hand poses that it refers to, and the length of the straight drive in [m]; None if none is found.
+    """
     near, _ = surroundings(view, obj, goal)
     support = float(goal[2]) - view.object_type(obj).half[2]
     scene = Scene(
@@ -228,13 +233,13 @@ def plan_place(view: WorldView, obj: str, goal: Array, attempt: Attempt) -> Foun
         care_for(view, attempt.hurry),
     )
     depth = inside_depth(view, goal)
-    # Under a shelf the choice is often between one of its other sides and letting go of it at an angle.
+    # Under a shelf the object often fits only on another side or tilted.
     late = attempt.number > 1
     inside = depth > 0.0
     release = Release(inside, inside or late, 0.0 if depth else attempt.drop)
     goals = roomy(view, obj, goal, near, release)
     if not len(goals) and not depth:
-        # A board above leaves no room to come from above, though nothing calls the place a shelf.
+        # A place that is no shelf can still have a board above it.
         goals = roomy(view, obj, goal, near, Release(shelf=True, any_side=True))
     blocked: list[Blocked] = []
     work = Work(
@@ -253,7 +258,7 @@ def plan_place(view: WorldView, obj: str, goal: Array, attempt: Attempt) -> Foun
 
 
 def roomy(view: WorldView, obj: str, goal: Array, near: Boxes, release: Release) -> HandGoals:
-    """`hand_goals` with room for the hand among the boxes ``near``."""
+    """Those of the `hand_goals` at which the hand is clear of the boxes ``near``."""
     goals = hand_goals(view, obj, goal, release)
     return goals.take(
         np.flatnonzero(
@@ -263,7 +268,17 @@ def roomy(view: WorldView, obj: str, goal: Array, near: Boxes, release: Release)
 
 
 def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> HandGoals:
-    """Hand poses that put the object, as it sits in the hand, upright near ``goal`` (3,)."""
+    """Compute hand poses that release the held object near its goal, from its present pose relative to the hand.
+
+    Args:
+        view: the world.
+        obj: name of the held object.
+        goal: (3,) goal of the object's centre [m].
+        release: constraints.
+
+    Returns:
+        Hand poses with scores: less for tilted objects, other sides, and distance from the goal.
+    """
     shelf = release.shelf
     any_side = release.any_side
     drop = release.drop
@@ -273,7 +288,7 @@ def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> Hand
     turn = hand.T @ mat_from_quat(pose[3:])
     offset = hand.T @ (pose[:3] - tcp)
     floor = float(goal[2]) - shape.half[2]
-    # Tall things fall over when they are let go at an angle.
+    # Tall objects fall over when they are released tilted.
     ball = shape.kind == "sphere"
     upset = 0.2 if ball else LEAN_PRICE if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
     upset *= STUCK_FACTOR if not ball and play(view) < TIGHT_PLAY_M else 1.0
@@ -298,7 +313,7 @@ def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> Hand
         low = height_below(shape, stand)
         tips = tipped(shape, stand)
         for spot in spots:
-            # Where it is let go, such that it comes to rest at the spot.
+            # The release position is chosen such that the object comes to rest at the spot after it has tipped over.
             if np.linalg.norm(np.array([*spot, floor + low + tips[2]]) - goal) > most:
                 continue
             rot.append(stand @ turn.T)
@@ -314,7 +329,7 @@ def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> Hand
 
 
 def _sides(every: bool) -> list[tuple[Array, float]]:
-    """Turns of an object that bring one of its sides down, with their price: upright costs nothing."""
+    """Rotations (3, 3) of an object onto its sides, with the score they lose: upright, with ``every`` all."""
     sides = [(np.eye(3), 0.0)]
     if every:
         half = np.pi / 2
@@ -333,7 +348,7 @@ def _on_surface(view: WorldView, goal: Array, xy: Array) -> bool:
 
 
 def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float) -> Motion:
-    """Drive there, lower, let go, draw back. Returns whether the hand has let go."""
+    """Execute a plan: drive to the stance, lower the object, release it, retreat. Returns whether it is released."""
     pos = goals.pos[stance.goal]
     rot = goals.rot[stance.goal]
     pre = goals.pre[stance.goal]
@@ -346,7 +361,7 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         yield from drive_in(view, ReachIn(stance.pre, pre, rot), boxes, gripper=closed)
     joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
     if joints is None:
-        # Out of reach from here: as planned then, beside its place by as much as the base is.
+        # The release pose is out of reach from here: use the planned posture, which deviates as the base does.
         joints, (pos, pre), rot = _beside(view, stance, goals)
         if np.linalg.norm(pos - goals.pos[stance.goal]) > MAX_BESIDE_M:
             return False
@@ -387,13 +402,17 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         yield from motion.move_tcp(view, away)
         if not holds(view, obj):
             return True
-    # Wide things touch the open fingers a little longer; to take them again would be to carry them off.
+    # Wide objects can still touch the open fingers: at the goal they count as released.
     return bool(view.signal("at_goal"))
 
 
 def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, Array, Array]:
-    """The planned postures of the arm (2, J) from where the base really stands, before and at the end of the way down,
-    and where they bring the hand: at and before (2, 3), rotation (3, 3)."""
+    """Planned arm postures at the present base pose, for a base that stands beside its stance.
+
+    Returns:
+        Configurations (2, J) above and at the release pose; tcp positions (2, 3) at and above it, in this order; and
+        the tcp rotation (3, 3) at the release pose.
+    """
     q = np.stack([stance.pre, stance.at])
     q[:, BASE] = view.base
     chain = view.robot.chain

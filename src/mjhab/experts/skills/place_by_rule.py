@@ -1,4 +1,4 @@
-"""Place by a rule, see `by_rule`, and the entry point that chooses between rule and search."""
+"""Script of Place by a rule, see `by_rule`, and the entry point that chooses between rule and search."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ Array = np.ndarray
 DOWN = np.array([0.0, 0.0, -1.0])
 AT_GOAL_M = 0.012
 AT_GOAL_RAD = 0.12
-"""The fingers open when the hand is nearer than this to where it lets go."""
+"""Distance and angle between hand and release pose below which the fingers open."""
 SCORE_PRICE = 0.1
-"""Angle [rad] that a point of a hand pose's score is worth."""
+"""Angle [rad] that a difference of 1 in the score of a hand pose is worth."""
 AWAY_M = 0.11
-"""Distance from where it let go from which on the arm goes to rest."""
+"""Distance from the release pose above which the arm moves to rest."""
 AWAY_STEP_M = 0.02
 
 
 def place(view: WorldView) -> Motion:
-    """Put the held object to the active subtask's goal, by the rule or by a search as the style says."""
+    """Place the held object at the goal of the active subtask, by the rule or by a search as the style demands."""
     return (yield from (place_by_rule(view) if style_of(view).plan == RULE else search.place(view)))
 
 
 def place_by_rule(view: WorldView) -> Motion:
-    """Put the held object to its goal by the rule; by a search on shelves and where the rule finds no way.
+    """Place the held object at its goal by the rule; by a search on shelves and where the rule finds no stance.
 
-    Ends when the object is lost: the way back to it would be a search again.
+    Ends when the object is lost: to pick it up again would need a search.
     """
     subtask = view.subtask
     assert subtask is not None
@@ -76,13 +76,14 @@ def place_by_rule(view: WorldView) -> Motion:
 
 
 def _away(view: WorldView, funnel: Funnel, held: bool) -> Array:
-    """Open the fingers, then draw the hand back."""
+    """Action (A,) that opens the fingers while the object is ``held``, then moves the hand back along its axis."""
     here, rot = motion.tcp(view)
     aim = funnel.pos if held else here - AWAY_STEP_M * rot[:, 0]
     return move_hand(view, aim, rot, motion.OPEN, (0.0, 0.0), funnel.ready)
 
 
 def plan(view: WorldView, obj: str, goal: Array) -> tuple[Stance, Funnel] | None:
+    """Choose a stance and a release pose for an object at ``goal`` (3,) [m]; None on shelves and if none is found."""
     if inside_depth(view, goal):
         return None
     near, _ = surroundings(view, obj, goal)

@@ -8,9 +8,9 @@ from __future__ import annotations
 from mjhab.tasks.household.spec import TargetRule, TaskSpec
 
 FRIDGE_PREOPEN_RAD = 1.5
-"""The door of the fridge stands open by so much from the start (HAB prepare_groceries, ao_states)."""
+"""Angle of the fridge door at the start (HAB prepare_groceries, ao_states)."""
 SHELF_REGION = 0.9
-"""Two targets and the goal of a third do not fit into HAB's half of our shelf without touching."""
+"""Share of the shelf in which objects are placed. HAB uses 0.5, in which two targets and a goal do not fit here."""
 _OUT = TargetRule(start=("fridge_shelf",), goal=("counter_top",))
 _IN = TargetRule(start=("counter_top",), goal=("fridge_shelf",))
 

@@ -1,4 +1,4 @@
-"""The household tasks there are."""
+"""Registry of household tasks."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ TASKS: Registry[TaskSpec] = Registry(
 
 
 def register_task(spec: TaskSpec) -> TaskSpec:
-    """Make a household task known; returns it.
+    """Register a household task and return it.
 
     Raises:
-        UsageError: it is no `TaskSpec`, the name is taken, or its plan has a subtask that is not registered.
+        UsageError: it is not a `TaskSpec`, the name is taken, or its plan has a subtask that is not registered.
     """
     check_item("register_task", spec, TaskSpec)
     spec.subtasks  # noqa: B018 - its chain is tried here, where the error tells who is to blame
@@ -30,7 +30,7 @@ def register_task(spec: TaskSpec) -> TaskSpec:
 
 
 def chain(task: str, targets: Sequence[Target], home: str = "") -> TaskPlan:
-    """The plan of a task for the targets of an episode, see `TaskSpec.plan`.
+    """Make the plan of a task for the targets of an episode, see `TaskSpec.plan`.
 
     Raises:
         UsageError: unknown task, wrong number of targets, or one without a link that the plan opens.
@@ -39,7 +39,7 @@ def chain(task: str, targets: Sequence[Target], home: str = "") -> TaskPlan:
 
 
 def task_with(subtask: str) -> str:
-    """The first task that has a kind of subtask: where it is trained if nobody says otherwise.
+    """Name of the first task that has a kind of subtask: the default for its training.
 
     Raises:
         UsageError: no task has it.

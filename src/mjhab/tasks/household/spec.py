@@ -1,4 +1,4 @@
-"""What a household task is: one `TaskSpec` says which objects go where, and by which subtasks."""
+"""Specification of household tasks: which objects are moved, from where to where, by which subtasks."""
 
 from __future__ import annotations
 
@@ -25,20 +25,26 @@ _NEEDED = {
     "words": 'words=("set the table", ...), wordings of its name',
     "targets": 'targets=(TargetRule(start=("sink",), goal=("counter_top",)), ...), one per object that is handled',
 }
-"""Fields that have no default, and what to give."""
+"""Required fields, with an example for the error message."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _SAMPLE = Target("object", (0.0, 0.0, 0.0), start_link="link", goal_link="link")
 
 
 @dataclass(frozen=True)
 class TargetRule:
-    """How one target of a task is drawn, and what is done with it.
+    """Rule for one target of a task: how it is sampled, and the subtasks that move it.
 
-    start, goal: roles of the receptacles that it starts on and goes to (`scenes.roles`), drawn by their area.
-    object: its type; "" draws any object of the roster.
-    opens: the plan opens the drawer or door of the "start" or of the "goal" before and closes it after; "" leaves doors
-    as they are. link: role of that drawer or door.
-    chain: other subtasks than these. distance_m: smallest and largest distance between start and goal.
+    Attributes:
+        start: roles of the receptacles on which the object starts (`scenes.roles`), sampled by their area.
+        goal: roles of the receptacles on which its goal is, sampled by their area.
+        object: object type; "" samples any object of the roster.
+        opens: "start" or "goal": the plan opens the drawer or door there before and closes it after; "" opens none.
+        link: role of that drawer or door.
+        chain: function from a target to its subtasks, in place of the usual ones.
+        distance_m: smallest and largest distance between start and goal [m].
+
+    Raises:
+        UsageError: an unknown ``opens``, no roles, or ``opens`` without ``link`` or the reverse.
     """
 
     start: tuple[str, ...]
@@ -62,23 +68,28 @@ class TargetRule:
             )
 
     def subtasks(self, target: Target) -> list[Subtask]:
-        """What is done with a target."""
+        """Subtasks for a target, in order."""
         return (self.chain or _CHAINS[self.opens])(target)
 
 
 @dataclass(frozen=True, eq=False)
 class TaskSpec:
-    """A household task. Registering one (`mjhab.register_task`) makes it known to all of mjhab.
+    """A household task; `mjhab.register_task` registers it.
 
     Attributes:
-        name: lower case, as in ``task="set_table"``. words: wordings of its name in instructions (`instructions`).
-        targets: one rule per target, in the order in which they are handled.
-        objects: types of the objects that the roster has beside the clutter. clutter_copies: how many of every clutter
-            type it has.
-        openings: (role, joint position [rad or m]) of links that stand open from the start.
-        shelf_region: share of a shelf behind a door, about its centre, in which objects stand; in HAB it is 0.5
-            (sample_region_ratio). shelf_clutter: how many clutter objects may stand there.
-        departs_from_last_goal: a Navigate done alone begins where the plan was before, not anywhere in the home.
+        name: lower case, as in ``task="set_table"``.
+        words: wordings of its name in instructions (`instructions`).
+        targets: one rule per target, in the order of the plan.
+        objects: object types in the roster besides the clutter.
+        clutter_copies: number of objects of every clutter type in the roster.
+        openings: (role, joint position [rad or m]) of links that are open at the start.
+        shelf_region: share of a shelf behind a door, about its centre, in which objects are placed; in HAB it is 0.5
+            (sample_region_ratio).
+        shelf_clutter: largest number of clutter objects on such a shelf.
+        departs_from_last_goal: a single Navigate starts at the goal of the subtask before, not anywhere in the home.
+
+    Raises:
+        UsageError: an invalid name, a required field is missing, or a field has another type.
     """
 
     name: str = ""
@@ -140,11 +151,11 @@ class TaskSpec:
         return sum(len(rule.subtasks(_SAMPLE)) for rule in self.targets)
 
     def plan(self, targets: Sequence[Target], home: str = "") -> TaskPlan:
-        """The plan for the targets of an episode (MS-HAB paper Sec. 3.2, mshab/utils/gen/gen_task_plans.py).
+        """Make the plan for the targets of an episode (MS-HAB paper Sec. 3.2, mshab/utils/gen/gen_task_plans.py).
 
         Args:
-            targets: in the order of the rules; imported episodes may have fewer.
-            home: name of the home, carried along.
+            targets: one per rule, in their order; imported episodes may have fewer.
+            home: name of the home, stored in the plan.
 
         Raises:
             UsageError: no targets or too many, or one without a link that its rule opens.

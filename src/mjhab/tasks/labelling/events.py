@@ -1,4 +1,4 @@
-"""What happened in a step: named events as edges between the signals of two consecutive steps.
+"""Events of a control step: named edges between the signals of two consecutive steps.
 
 Names and meaning follow mshab/utils/label_dataset.py; ``contact`` and ``grasped`` come from the fingers only.
 """
@@ -30,7 +30,7 @@ _AT_GOAL = WATCHED.index("at_goal")
 
 
 def blank(signals: Watched) -> History:
-    """The state mshab/utils/label_dataset.py assumes before the first action: nothing holds, no force spent."""
+    """Signals that mshab/utils/label_dataset.py assumes before the first action: all False, force within its limit."""
     no = signals.success & ~signals.success
     return History(
         **{f.name: ~no if f.name == "force_ok" else no for f in dataclasses.fields(History)}
@@ -42,7 +42,8 @@ def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
 
     Args:
         kind: (W,) int64 kinds of the active subtasks; -1 has no events.
-        previous, current: signals of two consecutive steps of the same subtask.
+        previous: signals of a step.
+        current: signals of the next step of the same subtask.
 
     Returns:
         (W, E) bool with the columns `event_columns`.
@@ -51,7 +52,7 @@ def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
 
 
 def edge_events(kind: Array, before: Array, now: Array) -> Array:
-    """``step_events`` of two consecutive watched steps, (K, W) bool each with the rows ``WATCHED``."""
+    """`step_events` (W, E) bool of two consecutive watched steps, each (K, W) bool with the rows ``WATCHED``."""
     check_kinds(kind)
     changed = before ^ now
     rise = changed & now

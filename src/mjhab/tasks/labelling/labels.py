@@ -1,11 +1,11 @@
-"""How a subtask went: exactly one label per subtask, from boolean signals.
+"""Outcome labels of subtasks: exactly one label per subtask, from boolean signals.
 
-The published labels (MS-HAB paper App. A.6) are counts over event lists, which overlap and leave gaps. Here each kind
-has a decision list (`SubtaskSpec.label_rules`) over signals of the steps t = 0 (the state at the start) to T: the first
-rule that holds gives the label, and the last one always holds, so every history has exactly one label.
+The published labels (MS-HAB paper App. A.6) are rules on event lists, which overlap and leave gaps. Here each kind has
+a decision list (`SubtaskSpec.label_rules`) over the signals of the steps t = 0 (start state) to T. The first rule that
+holds gives the label, and the last one always holds, so that every history has exactly one label.
 
-"Reached" and "touched" in a label speak of the end effector, fingers and hand, as ``F_ee,a`` of the paper does:
-an elbow that pushes a door has not reached its handle.
+"Reached" and "touched" in labels refer to the end effector (fingers and hand), as ``F_ee,a`` of the paper: contact of
+another link, such as the elbow, does not count.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What labels and events need of the steps seen so far, folded step by step into a small ``LabelState``.
+"""State from which labels and events are computed: the steps of a subtask, folded one by one into a `LabelState`.
 
-A recorded history goes through the same fold (``fold``).
+Recorded histories go through the same fold (`fold`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mjhab.core.errors import unknown_name
 
 
 class Watched(Protocol):
-    """What labels and events look at: ``Signals`` has all of it, and so has one row of a ``History``."""
+    """Signals that labels and events read, (W,) bool each; `Signals` and rows of a `History` have them."""
 
     @property
     def is_grasped(self) -> Array: ...
@@ -95,13 +95,13 @@ WATCHED: tuple[str, ...] = (
 )
 """Rows of a watched step, named as in ``Signals``; ``excess``: more force than allowed has been accumulated."""
 _FALLS = ("released", "left_goal")
-"""The object was let go, the object left its goal: the first two rows stopped to hold."""
+"""Falling edges of the first two rows: the object was released, the object left its goal."""
 _NOW = {name: row for row, name in enumerate(WATCHED)}
 _EVER = {name: row for row, name in enumerate((*WATCHED, *_FALLS))}
 
 
 def watch(signals: Watched) -> Array:
-    """Return what labels and events look at in one step as (K, W) bool, rows ``WATCHED``."""
+    """Stack the signals that labels and events read in one step: (K, W) bool with the rows ``WATCHED``."""
     s = signals
     return pile(
         (
@@ -123,19 +123,19 @@ def watch(signals: Watched) -> Array:
 
 @dataclass(frozen=True)
 class LabelState:
-    """What a label needs of the steps seen so far. Bool."""
+    """Summary of the steps of a subtask so far, from which its label follows. All arrays are bool."""
 
     now: Array
     """(K, W) the last step, rows ``WATCHED``."""
     seen: Array
-    """(K + 2, W) what held in some step, the start state included; then whether the object was let go and whether it
-    left its goal at least once."""
+    """(K + 2, W) rows ``WATCHED``: the check has held in some step, the start state included; then whether the object
+    was released, and whether it left its goal, at least once."""
     must_hold: Array
-    """(W,) at the start, like the next two."""
+    """(W,) the signal at the start of the subtask."""
     release_at_goal: Array
-    """At the last release the object was at its goal; before any release: it started there."""
+    """(W,) at the last release the object was at its goal; before any release: at the start it was."""
     first_success_release: Array
-    """``release_at_goal`` as it was at the first success."""
+    """(W,) ``release_at_goal`` at the first success."""
 
     def holds(self, name: str) -> Array:
         """(W,) bool: the check of ``WATCHED`` holds in the last step.
@@ -162,7 +162,7 @@ def _row(name: str, rows: Mapping[str, int]) -> int:
 
 
 def uneventful(num_worlds: int) -> LabelState:
-    """The state of W worlds, as numpy arrays, in which nothing holds and nothing has happened."""
+    """State of W worlds, as numpy arrays, in which every check is and was False."""
     no = np.zeros(num_worlds, bool)
     return LabelState(
         np.zeros((len(_NOW), num_worlds), bool),

@@ -1,6 +1,6 @@
-"""Follow the running subtask of every world: its events, its label, its published label.
+"""Tracking of the active subtask of every world: its events, its label, its published label.
 
-This is the one stateful thing in ``tasks``: a notebook beside the pure functions, for whoever steps worlds.
+`SubtaskTracker` is the only class in ``tasks`` with state; all other modules are pure functions.
 """
 
 from __future__ import annotations
@@ -23,18 +23,21 @@ _AT_GOAL = lb.WATCHED.index("at_goal")
 
 @dataclass
 class _Notes:
-    """What is written down about one world's subtask."""
+    """Events of one world's subtask: (step, name) pairs, and the event list of the published labels."""
 
     events: list[tuple[int, str]] = field(default_factory=list)
     legacy: list[str] = field(default_factory=list)
 
 
 class SubtaskTracker:
-    """Notes on the active subtask of W worlds.
+    """Tracks the active subtask of W worlds.
 
-    Made with the signals at the reset. After each control step call ``step`` with the signals measured before the
-    pointer moves; read ``labels``, ``legacy_label`` and ``events`` of the worlds whose subtask ended; then ``restart``
-    those with signals measured after the pointer has moved.
+    After each control step call ``step`` with the signals measured before the pointer moves; read ``labels``,
+    ``legacy_label`` and ``events`` of the worlds whose subtask ended; then ``restart`` these with the signals measured
+    after the pointer has moved.
+
+    Args:
+        signals: signals (W,) at the reset.
     """
 
     def __init__(self, signals: lb.Watched) -> None:
@@ -52,7 +55,7 @@ class SubtaskTracker:
         self._begun[rows] = self._success[rows] = self._at_goal_first[rows] = False
 
     def get_row(self, w: int) -> dict[str, Any]:
-        """Copy of everything noted about world ``w``."""
+        """Copy of the state of world ``w`` as plain data and arrays."""
         return {
             "labels": lb.get_row(self._labels, w),
             "events": [[step, name] for step, name in self._notes[w].events],
@@ -61,7 +64,7 @@ class SubtaskTracker:
         }
 
     def set_row(self, w: int, row: dict[str, Any]) -> None:
-        """Put what ``get_row`` gave into world ``w``."""
+        """Restore world ``w`` from ``get_row``."""
         self._labels = lb.set_row(self._labels, w, row["labels"])
         self._notes[w] = _Notes(
             [(int(step), str(name)) for step, name in row["events"]], list(row["legacy"])
@@ -76,8 +79,8 @@ class SubtaskTracker:
         Args:
             kind: (W,) int64 kinds of the active subtasks.
             signals: measured after the step.
-            step: (W,) int64 number of the step, written beside the events.
-            live: (W,) bool, False for worlds that are done and only wait for their reset; they are left alone.
+            step: (W,) int64 number of the step, stored with the events.
+            live: (W,) bool, False for worlds that are done and wait for their reset; they are not changed.
 
         Returns:
             Names of this step's events per world.
@@ -85,7 +88,7 @@ class SubtaskTracker:
         before = self._labels.now
         now = lb.watch(signals)
         if self._begun.all() and not to_numpy(before ^ now).any():
-            # Nothing changed in any world: there are no events, and every note says so already.
+            # No check changed in any world: there are no events, and the state stays the same.
             return [[] for _ in self._notes]
         labels = lb.add(self._labels, now)
         if live is not None:
@@ -99,7 +102,7 @@ class SubtaskTracker:
     def _write(
         self, kinds: np.ndarray, names: list[list[str]], now: np.ndarray, step: np.ndarray
     ) -> None:
-        """Write the step's events into the notes; the published labels see the first step as if from nothing."""
+        """Store the step's events; for the published labels all checks count as False before the first step."""
         live = kinds >= 0
         self._success |= live & now[_SUCCESS]
         first = live & ~self._begun

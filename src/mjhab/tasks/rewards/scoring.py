@@ -41,14 +41,15 @@ REWARD_NORMALISERS: tuple[str, ...] = ("attainable", "published")
 
 @dataclass(frozen=True)
 class RewardOptions:
-    """How dense rewards are computed from their tables.
+    """Options of dense rewards.
 
-    scales: other scales for some terms, by kind, as ``{"pick": {"reach": 4.0}}``.
-    formula: "bounded": every raw value is between 0 and 1, and Open's ``gentle`` looks at the speed of the joint;
-        "published": as in mshab/envs/open.py and close.py, ``gentle`` looks at its velocity with the sign, ``progress``
-        falls below 0 where a joint is beyond its limit, and the torso's share of its travel is not clipped.
-    normaliser: what "normalized_dense" divides by: "attainable", the largest sum that the terms can reach with these
-        scales; "published", the constant of the original: 28, 44, 28, 27, 37 (Pick, Place, Navigate, Open, Close).
+    Attributes:
+        scales: scales that replace those of some terms, by kind, as ``{"pick": {"reach": 4.0}}``.
+        formula: "bounded": every raw value is between 0 and 1, and ``gentle`` of Open reads the absolute joint speed;
+            "published": as in mshab/envs/open.py and close.py, ``gentle`` reads the signed joint velocity, ``progress``
+            is negative where a joint is beyond its limit, and the torso's share of its travel is not clipped.
+        normaliser: divisor of "normalized_dense": "attainable", the largest possible sum of the terms with these
+            scales; "published", the constant of the original: 28, 44, 28, 27, 37 (Pick, Place, Navigate, Open, Close).
 
     Raises:
         UsageError: no such formula or normaliser, or scales of another shape.
@@ -97,13 +98,13 @@ class Scored:
 
 
 class DenseReward:
-    """Scores worlds by the tables. It holds no state.
+    """Computes the dense rewards of worlds from the tables; it has no state.
 
     Args:
-        config: the thresholds.
+        config: thresholds.
         options: scales, formula and normaliser.
-        kinds: names of the kinds of subtasks there are, all that have a dense reward if not given; terms of others are
-            left out of ``names``.
+        kinds: names of the kinds of subtasks, all that have a dense reward if not given; ``names`` lacks the terms of
+            others.
 
     Raises:
         UsageError: no such kind or term, a kind without a dense reward, or a scale that is not a finite number.
@@ -140,11 +141,11 @@ class DenseReward:
             _normaliser(tables[name], options.normaliser) if name in tables else 0.0
             for name in SUBTASKS
         ]
-        # A table whose scales are all zero or negative has nothing to be measured against. Kind -1 reads the end.
+        # A table whose scales are all zero or negative has the divisor 1. Kind -1 reads the last entry.
         self._normaliser = Table((*(divisor or 1.0 for divisor in divisors), 1.0))
 
     def score(self, view: RewardView) -> Scored:
-        """Score every world by the table of its active subtask (``view.signals.kind``).
+        """Compute the reward of every world from the table of its active subtask (``view.signals.kind``).
 
         Raises:
             UsageError: a world does a subtask that is not among ``kinds`` (numpy only; elsewhere it scores 0).
@@ -160,7 +161,7 @@ class DenseReward:
         terms = zeros((len(self.names), kind.shape[0]), like)
         total = xp.zeros_like(terms[0])
         for number in sorted(present):
-            # Of all worlds, as picking out those of the kind costs more; the others come out as 0.
+            # For all worlds, because selecting those of the kind costs more; the others get 0.
             values, sums = self._score_kind(kind, number, view)
             terms[indices(self._rows[number], kind), :] += values
             total = total + sums
@@ -175,26 +176,26 @@ class DenseReward:
         scales = constant(self._scales[kind], view.tcp_vel)
         xp = namespace(scales)
         given = pile(gates) & mine
-        # A term without a raw value is worth 1 where its condition holds: its condition, as a number.
+        # A term without a raw value is 1 where its condition holds.
         values = pile([raw.get(t.name, gate) for t, gate in zip(table.terms, gates, strict=True)])
         values = xp.where(given, values, 0.0)
-        # One row per world, summed by itself: the last bit must not depend on the number of worlds.
+        # One contiguous row per world: the last bit of a sum must not depend on the number of worlds.
         by_world = values.T.reshape(-1).reshape(values.T.shape)
         return values * scales[:, None], xp.vecdot(by_world, scales)
 
 
 def _normaliser(table: RewardTable, which: str) -> float:
-    """What the sum of a table is divided by; where the original has none, what is attainable."""
+    """Divisor of the sum of a table; "attainable" where the original has no such subtask."""
     if which == "published" and table.published is not None:
         return table.published
     return table.attainable
 
 
 def kinds_at_hand(kind: Array, known: Collection[int]) -> set[int]:
-    """Those of the ``known`` kinds that need work: of numpy the ones among ``kind`` (W,), else all of them.
+    """The ``known`` kinds whose tables must be computed: on numpy those among ``kind`` (W,), else all.
 
     Raises:
-        UsageError: a kind that is not known (numpy only, because asking a device would stall it).
+        UsageError: a kind that is not known (numpy only, because reading device arrays would wait for the device).
     """
     if not isinstance(kind, np.ndarray):
         return set(known)

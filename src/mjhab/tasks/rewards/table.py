@@ -149,11 +149,11 @@ class RewardTable:
 
 
 def near(sharpness: Mapping[str, float], distances: Mapping[str, Array]) -> dict[str, Array]:
-    """``1 - tanh(sharpness x)``: 1 at zero, falling to 0.
+    """Compute ``1 - tanh(sharpness * distance)``, 1 at zero and falling to 0, for several terms in one call.
 
     Args:
-        sharpness: by name; a dict that stays as it is, the array made of it is kept.
-        distances: (W,) each, of the same names. All in one call, because calls are the cost.
+        sharpness: factor by name; do not modify the dict later, because the array made from it is cached.
+        distances: (W,) each, with the same names.
 
     Raises:
         UsageError: the names differ.
@@ -176,8 +176,8 @@ def above_zero(x: Array) -> Array:
 def length(x: Array) -> Array:
     """Euclidean length (W,) of the rows of (W, n).
 
-    The rows are laid out anew, so that the order of summation, and with it the last bit, does not depend on where
-    they come from or on how many worlds there are.
+    The rows are made contiguous, so that the order of summation, and so the last bit, depends neither on the memory
+    layout of ``x`` nor on the number of worlds.
     """
     xp = namespace(x)
     x = x.reshape(-1).reshape(x.shape)
@@ -185,7 +185,7 @@ def length(x: Array) -> Array:
 
 
 def force_excess(robot_force: Array, per_newton: float) -> Array:
-    """What counts of contact forces (W,) [N], ``max(m F, 0.2) - 0.2``; the force term is 1 - tanh(3 x)."""
+    """Scaled excess of contact forces F (W,) [N], ``max(per_newton * F, 0.2) - 0.2``; the term is 1 - tanh(3 x)."""
     return above_zero(per_newton * robot_force - FREE_FORCE)
 
 
@@ -213,7 +213,7 @@ def lengths(*vectors: Array) -> list[Array]:
 
 
 def rest_distance(world: WorldState, config: TaskConfig) -> Array:
-    """(W,) distance of the tool centre from where it rests in front of the base [m]."""
+    """(W,) distance of the tcp from its rest position in front of the base [m]."""
     base = world.base_pose
     tcp = world.tcp_pos
     xp = namespace(base)
@@ -227,10 +227,12 @@ def rest_distance(world: WorldState, config: TaskConfig) -> Array:
 
 
 def share_left(gap: Array, whole: Array, *, bounded: bool = True) -> Array:
-    """(W,) ``gap / whole``, at least 0: how much of a way is left; 0 where there is no way to go.
+    """(W,) remaining share ``gap / whole`` of a motion, at least 0; 0 for motions without length.
 
     Args:
-        bounded: at most 1; else more where a joint is beyond its limit, as in the original.
+        gap: (W,) remaining distance.
+        whole: (W,) whole distance.
+        bounded: clip to 1; without it the share exceeds 1 where a joint is beyond its limit, as in the original.
     """
     xp = namespace(gap)
     left = above_zero(gap) / xp.where(whole > 0, whole, 1.0)

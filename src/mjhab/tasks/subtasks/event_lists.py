@@ -1,4 +1,4 @@
-"""What the labels of the published code share: they are counts and orders over lists of events."""
+"""Common functions for the labels of the published code, which are rules on the counts and order of events."""
 
 from __future__ import annotations
 

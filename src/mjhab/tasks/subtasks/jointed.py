@@ -1,4 +1,4 @@
-"""What Open and Close share: they bring the joint of a drawer or door to one of its ends, and the hand back to rest."""
+"""Common part of Open and Close, which move the joint of a drawer or door to an end and the hand back to rest."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ class JointNames:
     """Names of signals, which are events too, and of labels.
 
     Attributes:
-        there: the joint is at the wanted end. back: it is at the other end. slightly: it has left the other end.
+        there: signal that the joint is at the wanted end.
+        back: signal that the joint is at the other end.
+        slightly: signal that the joint has left the other end.
         done: label of a success.
         undone: label of a failure in which the joint reached the wanted end and left it again.
-        slight: label of a failure in which it only left the other end. unmoved: in which it did not.
+        slight: label of a failure in which the joint only left the other end.
+        unmoved: label of a failure in which the joint did not leave the other end.
     """
 
     there: str
@@ -96,10 +99,12 @@ def _published_label(
 
 
 def jointed_subtask(names: JointNames, reward: RewardTable, **own: Any) -> SubtaskSpec:
-    """The spec of Open or of Close (MS-HAB paper App. A.2).
+    """Make the spec of Open or Close (MS-HAB paper App. A.2).
 
     Args:
-        own: fields of `SubtaskSpec` that the two do not share.
+        names: names of signals and labels.
+        reward: the dense reward.
+        own: fields of `SubtaskSpec` that differ between the two.
     """
     published = published_labels(names)
     return SubtaskSpec(

@@ -28,9 +28,9 @@ from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, Subta
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
 FORCE_PER_NEWTON = 0.005
-"""Contact forces below 40 N cost nothing."""
+"""Scale of contact forces [1/N]; with FREE_FORCE, forces below 40 N are free."""
 TRAIN_HORIZON_STEPS = 1000
-"""Navigation is trained over more control steps than it is judged over (mshab/envs/navigate.py)."""
+"""Horizon in training, longer than in evaluation (mshab/envs/navigate.py)."""
 
 NAVIGATE_TERMS = (
     Term("ready", 2.0, "ready", "what must be carried is grasped, or nothing has to be"),

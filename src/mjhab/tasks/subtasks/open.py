@@ -23,7 +23,7 @@ from mjhab.tasks.subtasks.jointed import JointNames, jointed_subtask
 from mjhab.tasks.thresholds import TaskConfig
 
 STARTED = 0.01
-"""The joint has left its closed end by so much [m or rad]."""
+"""Opening [m or rad] above which the joint has left its closed end."""
 
 OPEN_TERMS = (
     Term("reach", 3.0, "reaching", "hand to the handle: 1 - tanh(d)"),

@@ -28,7 +28,7 @@ from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, Subta
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
 TORSO_FREE_RANGE = 0.3
-"""This close to the object [m] the torso may move."""
+"""Distance of the tcp to the object [m] below which motions of the torso are not penalised."""
 
 PICK_TERMS = (
     Term("reach", 5.0, ALWAYS, "hand to the object: 1 - tanh(3 d)"),

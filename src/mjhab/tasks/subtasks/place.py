@@ -29,7 +29,7 @@ from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, Subta
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
 GOAL_RISE = 0.05
-"""Hand and object come in at this height above the goal [m]."""
+"""Height above the goal [m] at which the term "height" rewards hand and object."""
 
 PLACE_TERMS = (
     Term("slow_hand", 1.0, ALWAYS, "hand speed: 1 - tanh(v / 5)"),

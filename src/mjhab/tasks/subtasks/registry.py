@@ -1,4 +1,4 @@
-"""The subtasks there are, their numbers in arrays, and tables of their properties over these numbers."""
+"""Registry of kinds of subtasks, their numbers in arrays, and tables of their properties by number."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ SUBTASKS: Registry[SubtaskSpec] = Registry(
 )
 """Their order gives the numbers in arrays; the first five are those of mshab/envs/planner.py."""
 PADDING = -1
-"""Number in arrays where there is no subtask: behind the end of a plan, and once a plan is finished."""
+"""Number in arrays for no subtask: after the end of a plan, and once a plan is finished."""
 
 
 def register_subtask(spec: SubtaskSpec) -> SubtaskSpec:
-    """Make a kind of subtask known; returns it.
+    """Register a kind of subtask and return it.
 
     Raises:
-        UsageError: it is no `SubtaskSpec`, or the name is taken.
+        UsageError: it is not a `SubtaskSpec`, or the name is taken.
     """
     check_item("register_subtask", spec, SubtaskSpec)
     return SUBTASKS.add(spec.name, spec)
@@ -51,7 +51,7 @@ def number_of(name: str) -> int:
 
 
 def recorded_number(name: str) -> int:
-    """The number of a kind that recorded data name.
+    """Number of a kind that is named in recorded data.
 
     Raises:
         UsageError: there is no such subtask; the message says how a plugin is loaded.
@@ -87,7 +87,7 @@ def spec_of(kind: int) -> SubtaskSpec:
 
 
 def check_kinds(kind: Array) -> None:
-    """Refuse kinds (W,) that are not registered; only of numpy, because asking a device would stall it.
+    """Check that kinds (W,) are registered; numpy only, because reading device arrays would wait for the device.
 
     Raises:
         UsageError: names the number and the kinds there are.
@@ -123,7 +123,7 @@ def _property_table(names: tuple[str, ...], version: int) -> Table:
 
 
 def shown(kind: Array) -> Array:
-    """(2, W) bool: the observation of the kinds (W,) has an object, a goal; kind -1 has neither."""
+    """(2, W) bool: whether the observation of the kinds (W,) has an object, and a goal; kind -1 has neither."""
     check_kinds(kind)
     return constant(_shown_table(SUBTASKS.version), kind < kind)[:, kind]
 

@@ -1,4 +1,4 @@
-"""What a kind of subtask is: one `SubtaskSpec` says everything that the rest of mjhab asks about it."""
+"""Specification of a kind of subtask: one `SubtaskSpec` holds everything that is specific to the kind."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mjhab.tasks.signals import CHECKS, Active, WorldState
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
 
 About = Literal["object", "link", "way"]
-"""What a subtask is about: an object, a drawer or door, or a place to drive to."""
+"""Type of a subtask's target: an object, a drawer or door, or a place to drive to."""
 
 COMMON_CHECKS = frozenset(CHECKS) - {
     "at_goal",
@@ -32,19 +32,19 @@ COMMON_CHECKS = frozenset(CHECKS) - {
     "near",
     "oriented",
 }
-"""Checks that mean something for every kind; the others only for the kinds that name them in ``checks``."""
+"""Checks that apply to every kind; the others apply only to kinds that name them."""
 AT_REST = ("ee_rest", "robot_rest", "is_static", "force_ok")
-"""Conditions that most kinds end with: hand and joints at rest, nothing moves, the force is within its limit."""
+"""Conditions of success of most kinds: hand and joints at rest, no motion, force within its limit."""
 
 RELEASES = ("released_at_goal", "released_outside_goal")
-"""The object is let go: at its goal, elsewhere."""
+"""Edges of a release: the object is released at its goal, or elsewhere."""
 EDGES: tuple[str, ...] = (
     *(f"+{name}" for name in WATCHED),
     *(f"-{name}" for name in WATCHED),
     *RELEASES,
     "none",
 )
-"""Edges of a step: every watched signal rises (+) and falls (-), then the two kinds of release, then nothing."""
+"""Edges of a step: rising (+) and falling (-) edge of every watched signal, the two kinds of release, and no edge."""
 EVENT_EDGES: dict[str, str] = {
     "contact": "+contact",
     "lost_contact": "-contact",
@@ -64,10 +64,10 @@ EVENT_EDGES: dict[str, str] = {
     "lost_success": "-success",
     "excessive_collisions": "+excess",
 }
-"""Events that every subtask can use, and the edge each is."""
+"""Events that every subtask can use, with their edges."""
 
 USUAL_JOINT_GROUPS = ("base", "arm", "fingers")
-"""Every action has columns for the base, an arm and a gripper, and every observation has the arm's tool centre."""
+"""Joint groups that every robot needs: all actions command base, arm and gripper, and all observations have a tcp."""
 USUAL_LIMITS = SubtaskConfig(horizon=200, force_limit=10000.0)
 
 _TEXTS = (
@@ -86,9 +86,9 @@ _NEEDED = {
     "label_rules": 'label_rules=(LabelRule("done", lambda s: s.ever("success")), ..., LabelRule("failed"))',
     "start": "start=, an object of a subclass of mjhab.episodes.starts.SubtaskStart, or a reference to one",
 }
-"""Fields that have no default, and what to give."""
+"""Required fields, with an example for the error message."""
 PLACEHOLDERS = ("object", "link", "destination", "source", "goal")
-"""What wordings of subtasks may name in braces; `tasks.instructions` fills them in."""
+"""Placeholders in wordings of subtasks; `tasks.instructions` fills them in."""
 _TRIED_WORLDS = 2
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
@@ -99,7 +99,12 @@ Measure = Callable[[WorldState, Active, TaskConfig], Array]
 
 @dataclass(frozen=True)
 class LabelRule:
-    """One line of a decision list: the label, and when it is given, (W,) bool; None: whenever no earlier rule holds."""
+    """One rule of a decision list.
+
+    Attributes:
+        label: name of the label.
+        when: function from the state to the rule's condition, (W,) bool; None for the last rule, which always holds.
+    """
 
     label: str
     when: Callable[[LabelState], Array] | None = None
@@ -112,11 +117,13 @@ class LabelRule:
 
 @dataclass(frozen=True)
 class PublishedLabels:
-    """How the code that was published with MS-HAB labels a subtask, for comparison with its tables.
+    """Labels of a subtask in the published code of MS-HAB, for comparison with its tables.
 
-    events: what it counts. label: from the list of events, whether the subtask succeeded, and whether the object was at
-    its goal after the first action. columns: labels in the order of the columns i, ii, ... of the paper's tables (App.
-    A.6); empty where there is none.
+    Attributes:
+        events: events that the rule reads.
+        label: function from the list of events, whether the subtask succeeded, and whether the object was at its goal
+            after the first action, to the label.
+        columns: labels in the order of the columns i, ii, ... of the paper's tables (App. A.6); empty without a table.
     """
 
     events: tuple[str, ...]
@@ -126,30 +133,36 @@ class PublishedLabels:
 
 @dataclass(frozen=True)
 class SubtaskSpec:
-    """A kind of subtask. Registering one (`mjhab.register_subtask`) makes it known to all of mjhab.
+    """A kind of subtask; `mjhab.register_subtask` registers it.
 
     Attributes:
-        name: lower case, as in ``subtask="pick"``. color: in reports, "#rrggbb".
+        name: lower case, as in ``subtask="pick"``.
         words: wordings of its instruction, with {object}, {source}, {goal}, {link} or {destination}; see
             `tasks.instructions`.
-        about: "object", "link" (a drawer or door, whose handle is then observed and rewarded as the goal), or "way" (a
-            place to drive to; with ``navigate="teleport"`` the environment does that).
-        limits: horizon and force. train_horizon: horizon in `make_train`, None for the same.
+        color: color in reports, "#rrggbb".
+        about: type of its target: "object"; "link", a drawer or door, whose handle is observed and rewarded as the
+            goal; or "way", a place to drive to, which the environment does with ``navigate="teleport"``.
+        limits: horizon and force limit.
+        train_horizon: horizon in `make_train`, None for that of ``limits``.
         conditions: checks (`signals.CHECKS`) that must hold together for success.
-        arm_conditions: those of them that are dropped where `TaskConfig.ignore_arm` is set.
-        checks: checks besides `COMMON_CHECKS` that mean something for it; those among ``conditions`` need no mention.
-        measures: functions that give a check in place of the common one, by the name of the check.
-        label_rules: decision list; the last rule has no condition. published: labels of the original, None if it has
-            no such subtask.
-        events: names in the order in which they are listed within a step; of `EVENT_EDGES` or of ``edges``.
-        edges: event to edge (`EDGES`), for events of its own or with another meaning than usual.
-        reward: the dense reward, None if there is none.
-        shows: what the observation has of "object" (pose of the object) and "goal" (position of the goal).
-        starts_holding: the robot begins with the object in its hand. rests_holding: it ends so, and then the arm may be
-            further from rest. keeps_goal: in the rest of a plan the object must stay at its goal.
-        joint_groups: groups of joints (`core.joints.GROUPS`) that a robot must have to do it.
-        start: how the home and the robot begin, an `episodes.starts.SubtaskStart` or a reference "module:NAME" to one.
-        expert: script that does it, ``(view) -> generator of actions``, or a reference; None: no expert can do it.
+        arm_conditions: conditions that are dropped if `TaskConfig.ignore_arm` is set.
+        checks: checks that apply to it besides `COMMON_CHECKS`, ``conditions`` and ``measures``.
+        measures: functions that replace the common measure of a check, by the name of the check.
+        label_rules: decision list; the last rule has no condition.
+        published: labels of the published code, None if it lacks the subtask.
+        events: names of its events, in their order within a step; from `EVENT_EDGES` or ``edges``.
+        edges: edge (`EDGES`) of each event that is not in `EVENT_EDGES`, or differs from it.
+        reward: the dense reward, None for none.
+        shows: non-zero parts of the observation: "object" (pose of the object), "goal" (position of the goal).
+        starts_holding: the robot starts with the object in its hand.
+        rests_holding: the robot ends with the object in its hand; the arm may then be further from rest.
+        keeps_goal: the object must stay at its goal in the rest of a plan.
+        joint_groups: groups of joints (`core.joints.GROUPS`) that a robot needs for it.
+        start: start states of home and robot: an `episodes.starts.SubtaskStart` or a reference "module:NAME" to one.
+        expert: script ``(view) -> generator of actions``, or a reference to one; None if no expert can do it.
+
+    Raises:
+        UsageError: a required field is missing, or a field is invalid.
     """
 
     name: str = ""
@@ -245,13 +258,17 @@ class SubtaskSpec:
             self._try_rule(rule)
 
     def _try_rule(self, rule: LabelRule) -> None:
-        """Ask a rule about worlds in which nothing has happened, so that a wrong name is told before any episode."""
+        """Evaluate a rule on a state without events, so that a wrong name is refused before any episode.
+
+        Raises:
+            UsageError: the rule raises, or does not return one bool per world.
+        """
         where = f"subtask {self.name!r}: label rule {rule.label!r}"
         try:
             given = rule.holds(uneventful(_TRIED_WORLDS))
         except UsageError as error:
             raise UsageError(f"{where}: {error}") from error
-        # A rule is code of others, which raises whatever it likes.
+        # A plugin's rule can raise any exception.
         except Exception as error:
             raise UsageError(f"{where} raised {raised_text(error)}.") from error
         if not (isinstance(given, np.ndarray) and given.shape == (_TRIED_WORLDS,)) or (
@@ -269,36 +286,36 @@ class SubtaskSpec:
 
     @property
     def navigates(self) -> bool:
-        """It is a way to drive."""
+        """Whether it is a drive to a place."""
         return self.about == "way"
 
     @property
     def jointed(self) -> bool:
-        """It moves the joint of a drawer or door."""
+        """Whether it moves the joint of a drawer or door."""
         return self.about == "link"
 
     @property
     def opens_link(self) -> bool:
-        """It leaves a drawer or door open."""
+        """Whether a success leaves a drawer or door open."""
         return self.jointed and "opened" in self.conditions
 
     @property
     def closes_link(self) -> bool:
-        """It leaves a drawer or door closed."""
+        """Whether a success leaves a drawer or door closed."""
         return self.jointed and "closed" in self.conditions
 
     @property
     def brings_to_goal(self) -> bool:
-        """It leaves its object at its goal."""
+        """Whether a success leaves its object at its goal."""
         return "at_goal" in self.conditions
 
     @property
     def may_hold(self) -> bool:
-        """The robot may begin it with an object in its hand."""
+        """Whether the robot may start it with an object in its hand."""
         return self.starts_holding or self.navigates
 
     def applies(self, check: str) -> bool:
-        """Whether a check means something for it; elsewhere it is False."""
+        """Whether a check applies to it; a check that does not apply is False."""
         return check in COMMON_CHECKS or check in (*self.checks, *self.conditions, *self.measures)
 
     def needs(self, ignore_arm: bool) -> tuple[str, ...]:
@@ -307,7 +324,7 @@ class SubtaskSpec:
         return tuple(name for name in self.conditions if name not in dropped)
 
     def edge(self, event: str) -> str:
-        """The edge that is an event of it, "none" for what is no event of it."""
+        """Edge of an event; "none" if the kind does not have the event."""
         if event not in self.events:
             return "none"
         return self.edges.get(event) or EVENT_EDGES[event]

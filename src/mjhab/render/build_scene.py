@@ -1,4 +1,4 @@
-"""Builds a RenderScene from scene descriptions: meshes of primitives, materials, textures, instances, lamps."""
+"""Build a `RenderScene` from geoms, meshes, materials, textures, instances and lamps."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from mjhab.scenes.spec import Geom, Light, Vec3
 
 UNIT: Vec3 = (1.0, 1.0, 1.0)
 PLAIN_FACE = 0
-"""Material 0: light grey, for meshes without a material."""
+"""Id of the light grey material of meshes without colours or textures of their own."""
 MESH_GLOSS = 0.2
-"""Gloss of meshes with their own colours."""
+"""Gloss (0 to 1) of meshes with colours or textures of their own."""
 
 
 def srgb_to_linear(color: ArrayLike) -> np.ndarray:
@@ -50,11 +50,11 @@ class _HomeLook:
 
 
 class SceneBuilder:
-    """Collects meshes, materials and instances of a layout; ``build`` makes the RenderScene.
+    """Collect meshes, materials, instances and lamps of a layout; `build` returns the `RenderScene`.
 
     Args:
         num_homes: number of homes H in the layout.
-        materials: materials by name, for ``material``.
+        materials: materials by name, for `material`.
     """
 
     def __init__(self, num_homes: int, materials: Mapping[str, Material] = MATERIALS) -> None:
@@ -75,11 +75,14 @@ class SceneBuilder:
         self.add_material(Material((0.8, 0.8, 0.8)))
 
     def add_material(self, material: Material, texture: np.ndarray | None = None) -> int:
-        """Id of a material; equal materials share an id.
+        """Add a material and return its id; equal materials share an id.
 
         Args:
             material: its colour is multiplied with the texture.
-            texture: image (h, w, 3) uint8 as in ``scenes.shapes.meshes.Mesh``, placed by the mesh's uv; or None.
+            texture: image (h, w, 3) uint8 sRGB, mapped by the mesh's uv (see `scenes.shapes.meshes.Mesh`); or None.
+
+        Raises:
+            UsageError: the sides of the texture are not powers of two, or are too large.
         """
         number = -1
         if texture is not None:
@@ -89,17 +92,26 @@ class SceneBuilder:
         return self._materials.setdefault((material, number), len(self._materials))
 
     def material(self, name: str) -> int:
-        """Id of the named material. Raises UsageError with the nearest name if there is none."""
+        """Return the id of the named material.
+
+        Raises:
+            UsageError: there is no such material; the message has the nearest name.
+        """
         if name not in self._named:
             raise unknown_name("material", name, self._named)
         return self.add_material(self._named[name])
 
     def segment(self, name: str) -> int:
-        """Id of a name in segmentation images; 0 is "background"."""
+        """Return the id of a name in segmentation images, new names getting the next id; 0 is "background"."""
         return self._segments.setdefault(name, len(self._segments))
 
     def add_mesh(self, key: Hashable, mesh: Mesh) -> int:
-        """Id of a mesh; a key that was added before returns the first mesh."""
+        """Add a mesh with its levels of detail and return the id of its finest level.
+
+        Args:
+            key: identifies the mesh; if it was added before, the mesh of that call is used and ``mesh`` is ignored.
+            mesh: vertices [m] in the frame of the mesh.
+        """
         if key in self._meshes:
             return self._meshes[key]
         first = len(self._levels)
@@ -112,7 +124,7 @@ class SceneBuilder:
         return self._meshes.setdefault(key, first)
 
     def _own_materials(self, mesh: Mesh) -> np.ndarray:
-        """Material id (F,) i32 of every face of a mesh: from its colours and textures, else `PLAIN_FACE`."""
+        """Add the materials of a mesh's colours and textures; returns the id (F,) i32 per face, else `PLAIN_FACE`."""
         count = len(mesh.faces)
         if mesh.face_color is None and not mesh.textures:
             return np.full(count, PLAIN_FACE, np.int32)
@@ -131,10 +143,17 @@ class SceneBuilder:
     def add_geom_mesh(
         self, geom: Geom, meshes: Mapping[str, object] | None = None
     ) -> tuple[int, Vec3]:
-        """Mesh id and instance scale (3,) of a geom; geoms of all sizes share the meshes of unit primitives.
+        """Add the mesh of a geom; boxes, cylinders and spheres of all sizes share one unit mesh each.
 
         Args:
-            geom: any shape; for "mesh" its name must be in ``meshes``.
+            geom: of any shape; its pose is ignored.
+            meshes: meshes by name, for geoms of shape "mesh".
+
+        Returns:
+            Mesh id, and the scale (3,) that gives the mesh the size of the geom.
+
+        Raises:
+            UsageError: ``meshes`` lacks the geom's mesh.
         """
         a, b, c = geom.size
         if geom.shape == "mesh":
@@ -162,11 +181,15 @@ class SceneBuilder:
         """Attach a mesh to a body of the model; returns the instance id.
 
         Args:
-            mesh: id from ``add_mesh``. body_id: of the body, above 0.
+            mesh: id from `add_mesh`.
+            body_id: id of the body in the MjModel, above 0.
             pose: position (3,) [m] and quaternion (4,) wxyz in the body's frame.
-            material: id, or -1 for the colours of the mesh.
+            material: id, or -1 for the materials of the mesh.
             seg: name in segmentation images.
             scale: (3,) along the axes of the instance.
+
+        Raises:
+            UsageError: ``body_id`` is 0 or less, or ``mesh`` is not an id of this builder.
         """
         if body_id <= 0:
             raise UsageError(
@@ -185,13 +208,16 @@ class SceneBuilder:
         material: ArrayLike = -1,
         seg: str = "background",
     ) -> int:
-        """Place a mesh in the world, with a pose, scale and material per home; returns the instance id.
+        """Place a static mesh in the world, with a pose, scale and material per home; returns the instance id.
 
         Args:
-            mesh: id from ``add_mesh``.
+            mesh: id from `add_mesh`.
             pos, quat, scale: (H, 3) [m], (H, 4) wxyz, (H, 3), or one value for all homes; scale 0 hides it.
-            material: (H,) ids or one id; -1 for the colours of the mesh.
+            material: (H,) ids or one id; -1 for the materials of the mesh.
             seg: name in segmentation images.
+
+        Raises:
+            UsageError: ``mesh`` is not an id of this builder.
         """
         self._local.append((np.zeros(3), np.eye(3)))
         mat = mat_from_quat(np.asarray(quat, float))
@@ -221,7 +247,19 @@ class SceneBuilder:
         seg: str = "background",
         meshes: Mapping[str, object] | None = None,
     ) -> int:
-        """Attach a geom with its named material to a body; returns the instance id."""
+        """Attach a geom to a body; returns the instance id.
+
+        Its named material is used unless its mesh has colours or textures of its own.
+
+        Args:
+            geom: its pose is in the body's frame.
+            body_id: id of the body in the MjModel, above 0.
+            seg: name in segmentation images.
+            meshes: meshes by name.
+
+        Raises:
+            UsageError: the material, the mesh or the body is not valid.
+        """
         mesh, scale = self.add_geom_mesh(geom, meshes)
         material = -1 if self._colored(mesh) else self.material(geom.material)
         return self.add_body_instance(mesh, body_id, (geom.pos, geom.quat), material, seg, scale)
@@ -240,8 +278,12 @@ class SceneBuilder:
         Args:
             geom: its pose is relative to the frame of the piece.
             pos, quat: world pose of that frame per home, (H, 3) [m] and (H, 4) wxyz.
-            seg: name in segmentation images. present: (H,) bool, homes that have the piece.
+            seg: name in segmentation images.
+            present: (H,) bool, homes that have the piece.
             meshes: meshes by name.
+
+        Raises:
+            UsageError: the material or the mesh is unknown.
         """
         mesh, scale = self.add_geom_mesh(geom, meshes)
         material = -1 if self._colored(mesh) else self.material(geom.material)
@@ -255,15 +297,15 @@ class SceneBuilder:
         return self._add(mesh, 0, seg, _HomeLook(where, mat, shown, material))
 
     def _colored(self, mesh: int) -> bool:
-        """Whether the mesh has its own face colours."""
+        """Whether the mesh has colours or textures of its own."""
         return bool((self._face_materials[mesh] != PLAIN_FACE).any())
 
     def add_light(self, home: int, light: Light) -> None:
-        """Add a point light to one home."""
+        """Add a point light to the home with this index."""
         self._lights[home].append(light)
 
     def build(self) -> RenderScene:
-        """Build the arrays of the scene.
+        """Return the arrays of the scene.
 
         Raises:
             UsageError: no instance was added.

@@ -16,7 +16,7 @@ from mjhab.core.errors import MjhabError, UsageError
 
 
 class FilmWriter:
-    """Writes an mp4 (H.264, yuv420p, index first) atomically.
+    """Write an mp4 (H.264, yuv420p, index before the frames) to a temporary file that `close` renames to its path.
 
     Use it as a context manager; an exception inside leaves no file behind. Odd sizes are extended by one repeated row
     or column, because yuv420p needs even sizes.
@@ -25,7 +25,7 @@ class FilmWriter:
         path: the mp4 to write; its folder is made if necessary.
         fps: frames per second.
         quality: x264 constant rate factor, 18 (large file) to 30 (small file).
-        keyframes: number of frames per keyframe; 0 lets x264 choose. A small number makes random access fast.
+        keyframes: distance between keyframes [frames]; 0 lets x264 choose. A small number makes random access fast.
     """
 
     def __init__(
@@ -59,7 +59,8 @@ class FilmWriter:
         """Append a frame (H, W, 3) uint8 sRGB; all frames have the size of the first.
 
         Raises:
-            UsageError: another shape or dtype; MjhabError: ffmpeg failed.
+            UsageError: the frame has another shape or dtype.
+            MjhabError: ffmpeg failed.
         """
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
             raise UsageError(
@@ -157,7 +158,11 @@ class FilmWriter:
 
 
 def join_films(parts: Sequence[Path], path: Path) -> None:
-    """Concatenate videos of equal size and encoding into a new file without re-encoding.
+    """Concatenate videos of equal size and encoding without re-encoding.
+
+    Args:
+        parts: the videos, in order.
+        path: the file to write.
 
     Raises:
         MjhabError: ffmpeg failed.
@@ -176,7 +181,16 @@ def join_films(parts: Sequence[Path], path: Path) -> None:
 
 
 def write_film(path: str | Path, frames: Iterable[np.ndarray], fps: float = 20.0) -> int:
-    """Write frames (H, W, 3) uint8 to an mp4; returns their number. See `FilmWriter`."""
+    """Write frames to an mp4 with `FilmWriter`, whose errors it raises.
+
+    Args:
+        path: the mp4 to write.
+        frames: (H, W, 3) uint8 sRGB each, all of one size; at least one.
+        fps: frames per second.
+
+    Returns:
+        Number of frames written.
+    """
     with FilmWriter(path, fps) as film:
         for frame in frames:
             film.add(frame)

@@ -1,4 +1,4 @@
-"""Where a camera stands that follows the robot: behind its shoulder, with nothing tall in between."""
+"""Pose of the follow camera: behind the robot's shoulder, chosen so that no tall furniture hides the robot."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ TALL = 1.3
 
 
 class FollowCamera:
-    """Chooses the place of the follow camera.
+    """Choose the position of the follow camera for a pose of the robot's base.
 
     Args:
-        model: the compiled model of a home, by its name.
+        model: returns the compiled model of a home, given the home's name.
     """
 
     def __init__(self, model: Callable[[str], mujoco.MjModel]) -> None:
@@ -37,7 +37,15 @@ class FollowCamera:
         self._tall_boxes: dict[str, Boxes] = {}
 
     def look(self, home: str, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) and target (3,) of the camera [m] for a robot base at x, y [m], yaw [rad] (3,)."""
+        """Compute where the camera stands and what it looks at.
+
+        Args:
+            home: name of the home.
+            base: (3,) pose of the robot's base: x, y [m], yaw [rad].
+
+        Returns:
+            Position (3,) and target (3,) in the world [m]. The last of `FOLLOW_EYES` is used if all are obstructed.
+        """
         x, y, yaw = base
         forward = np.array([np.cos(yaw), np.sin(yaw)])
         left = np.array([-np.sin(yaw), np.cos(yaw)])
@@ -47,14 +55,14 @@ class FollowCamera:
         return next((e for e in eyes if self._in_view(home, e, target)), eyes[-1]), target
 
     def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
-        """Whether no tall furniture lies between the camera and the target."""
+        """Whether the first 3/4 of the line from ``eye`` to ``target``, both (3,) [m], are clear of tall furniture."""
         share = np.linspace(0.0, 0.75, 12)[:, None]
         return bool(
             (sphere_box_distance(eye + share * (target - eye), self.tall(home)) > 0.05).all()
         )
 
     def tall(self, home: str) -> Boxes:
-        """Boxes of the furniture and walls of a home that can hide the robot."""
+        """Bounding boxes, in the world, of the static geoms of a home whose top is above `TALL`; cached per home."""
         if home not in self._tall_boxes:
             model = self._model(home)
             rot = mat_from_quat(model.geom_quat)

@@ -1,4 +1,4 @@
-"""Tests which renderers work on this machine. OpenGL is tried in a subprocess, as a bad driver may kill its process."""
+"""Test which renderers work on this machine; OpenGL in a subprocess, because a faulty driver may crash the process."""
 
 from __future__ import annotations
 
@@ -45,11 +45,15 @@ def _probe() -> tuple[tuple[str, bool], ...]:
 
 
 def renderer_probe() -> dict[str, bool]:
-    """Whether each renderer works here: "rasterizer" (always), "egl", "osmesa". Tested once per process."""
+    """Test whether each renderer works here: "rasterizer" (always True), "egl", "osmesa"; once per process."""
     return dict(_probe())
 
 
 def best_renderer(probe: Mapping[str, bool] | None = None) -> str:
-    """Name of the renderer for large images for people: the first GL backend that works, else "rasterizer"."""
+    """Choose the renderer for large images for people: the first GL backend that works, else "rasterizer".
+
+    Args:
+        probe: result of `renderer_probe`; None runs it.
+    """
     found = renderer_probe() if probe is None else probe
     return next((backend for backend in GL_BACKENDS if found.get(backend)), "rasterizer")

@@ -1,4 +1,4 @@
-"""The render scene of a layout and its views: robot cameras, a follow camera for films, images of a home."""
+"""The render scene of a layout and images of it: robot cameras, the follow camera of films, views of a home."""
 
 from __future__ import annotations
 
@@ -28,18 +28,23 @@ from mjhab.sim.protocol import SimState
 
 VIEWS = ("top", "inside")
 ROBOT_LEVEL_ERROR = 0.4
-"""Error of coarser meshes [px] in pictures of the robot's cameras. In `mjhab/PickSubtaskTrain-v1` it puts 0.13 % of the
-pixels of 128 x 128 and 0.53 % of those of 32 x 32 off by more than 1 cm; the mean is 0.6 mm and 1.4 mm."""
+"""Allowed error of levels of detail [px] in images of the robot's cameras. In `mjhab/PickSubtaskTrain-v1` it changes
+the depth of 0.13 % of the pixels at 128 x 128, and of 0.53 % at 32 x 32, by more than 1 cm; the mean change is 0.6 mm
+and 1.4 mm."""
 FLOOR_HALF_THICKNESS = 0.02
+"""Half the thickness of drawn floors [m]."""
 FOLLOW_FOVY = 0.85
+"""Vertical field of view of the follow camera [rad]."""
 HOME_FOVY = 0.8
+"""Vertical field of view of the "top" view [rad]."""
 INSIDE_HEIGHT = 2.0
+"""Height of the camera of the "inside" view [m]."""
 FAR = 1e4
 """A body farther than this from the origin means that the physics has diverged [m]."""
 
 
 class BodyPoses(Protocol):
-    """Poses of the bodies of W worlds; a `SimState` has them."""
+    """World poses of the B bodies of W worlds; `SimState` is one."""
 
     @property
     def body_pos(self) -> Any:
@@ -48,12 +53,17 @@ class BodyPoses(Protocol):
 
     @property
     def body_mat(self) -> Any:
-        """(W, B, 3, 3) orientations in the world."""
+        """(W, B, 3, 3) rotation matrices from body to world."""
         ...
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
-    """Everything visible in the homes of a layout, hung on the bodies of its models."""
+    """Build the render scene of all homes of a layout.
+
+    Args:
+        layout: robot, homes, furniture and objects.
+        model: the compiled model of any home of the layout; gives the body ids, which all homes share.
+    """
     homes = layout.pack.homes
     builder = SceneBuilder(len(homes), {**MATERIALS, **layout.robot.materials})
     meshes = layout.pack.meshes
@@ -129,11 +139,11 @@ def _add_standing(
 
 
 class HomeRenderer:
-    """Renders the worlds of a simulator with the CPU rasterizer.
+    """Render the worlds of a simulator with the CPU rasterizer.
 
     Args:
         sim: provides the layout and the compiled models.
-        num_threads: threads over images; 0 uses every core.
+        num_threads: number of threads; 0 uses one per core.
     """
 
     def __init__(self, sim: CpuSimulator, num_threads: int = 0) -> None:
@@ -153,15 +163,19 @@ class HomeRenderer:
         outputs: Sequence[str],
         cameras: Sequence[str] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Images (W, C, height, width[, 3]) of robot cameras in all worlds, by output.
+        """Render robot cameras in all worlds.
 
-        A world whose physics has diverged (poses not finite, or beyond FAR) gets images of zeros.
+        A world whose physics has diverged (poses not finite, or beyond `FAR`) gets images of zeros.
 
         Args:
-            state: poses of the bodies. homes: (W,) names of the worlds' homes.
+            state: poses of the bodies.
+            homes: (W,) names of the worlds' homes.
             size: side, or (height, width) [px].
             outputs: any of "rgb", "depth", "seg".
-            cameras: names of robot cameras; None takes all.
+            cameras: names of C robot cameras; None takes all.
+
+        Returns:
+            (W, C, height, width[, 3]) by output, as `Rasterizer.render` returns them.
 
         Raises:
             UsageError: unknown camera or output.
@@ -195,7 +209,15 @@ class HomeRenderer:
     def camera_poses(
         self, state: BodyPoses, cameras: Sequence[str] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """World positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of robot cameras.
+        """Compute the world poses of robot cameras.
+
+        Args:
+            state: poses of the bodies.
+            cameras: names of C robot cameras; None takes all.
+
+        Returns:
+            Positions (W, C, 3) [m] and orientations (W, C, 3, 3), whose columns are the camera's axes: x right, y up,
+            z backwards.
 
         Raises:
             UsageError: unknown camera.
@@ -215,15 +237,22 @@ class HomeRenderer:
     def follow_view(
         self, state: SimState, home: str, world: int, width: int, height: int
     ) -> np.ndarray:
-        """RGB (height, width, 3) of the follow camera in one world, see `follow_views`."""
+        """Render the follow camera in one world: (height, width, 3) uint8, see `follow_views`."""
         return self.follow_views(state, [home], [world], width, height)[0]
 
     def follow_views(
         self, state: SimState, homes: Sequence[str], worlds: Sequence[int], width: int, height: int
     ) -> np.ndarray:
-        """RGB (n, height, width, 3) of the follow camera, which looks from behind the robot over its shoulder.
+        """Render the follow camera, which looks from behind the robot over its shoulder, in n worlds.
 
-        ``worlds`` has the indices (n,) of the worlds and ``homes`` the names (n,) of their homes.
+        Args:
+            state: of all worlds.
+            homes: (n,) names of the homes of these worlds.
+            worlds: (n,) indices of the worlds.
+            width, height: of the images [px].
+
+        Returns:
+            (n, height, width, 3) uint8 sRGB.
         """
         looks = [
             self._follow.look(home, state.robot_q[world, BASE])
@@ -247,7 +276,15 @@ class HomeRenderer:
         return images["rgb"][:, 0]
 
     def home_view(self, home: str, view: str, width: int, height: int) -> np.ndarray:
-        """RGB (height, width, 3) of a furnished home without objects: from the top or from inside.
+        """Render a furnished home without objects, the robot in its parked pose.
+
+        Args:
+            home: name of the home.
+            view: "top" (the whole floor from above) or "inside" (across the home, at a height of `INSIDE_HEIGHT`).
+            width, height: of the image [px].
+
+        Returns:
+            (height, width, 3) uint8 sRGB.
 
         Raises:
             UsageError: unknown view or home.
@@ -277,7 +314,10 @@ class HomeRenderer:
 
     @staticmethod
     def _from_top(home: Home, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """Camera position, target and field of view for a whole floor; deep floors are rotated in wide images."""
+        """Camera position (3,), target (3,) [m] and vertical field of view [rad] that show a whole floor.
+
+        The image is rotated by 90 deg if that makes the long side of the floor the long side of the image.
+        """
         x0, y0, x1, y1 = home.floor
         size = np.array([x1 - x0, y1 - y0])
         up = np.array([0.0, 1.0])
@@ -293,8 +333,10 @@ class HomeRenderer:
         )
 
     def _from_inside(self, home: Home) -> tuple[np.ndarray, np.ndarray, float]:
-        """Camera position, target and field of view for a look across the home, from the place far from its middle
-        with the least obstructed view."""
+        """Camera position (3,), target (3,) [m] and vertical field of view [rad] of the view from inside.
+
+        Of free floor cells far from the middle, the one that sees most of the other cells is taken.
+        """
         fmap = free_map(home, self.layout.pack, cell=0.25)
         floor = fmap.to_xy(np.argwhere(fmap.navigable(0.2)))
         middle = floor.mean(axis=0)

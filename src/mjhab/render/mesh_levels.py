@@ -1,7 +1,7 @@
-"""Levels of detail of a mesh, with what shading needs of every face; kept on disk for large meshes.
+"""Levels of detail of a mesh, with the shading attributes of every face; cached on disk for large meshes.
 
-What varies over a face (normal, place in the texture) is stored as an affine map of the point in mesh coordinates, so
-that a pixel needs no barycentric coordinates.
+Attributes that vary over a face (normal, texture coordinates) are stored as an affine map of the point in the frame of
+the mesh, so that shading a pixel needs no barycentric coordinates.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.simplify import Simplified, simplify
 
 CREASE = np.cos(np.radians(40.0))
-"""Faces that meet at less than 40 deg are shaded as one curved surface."""
+"""Cosine of the crease angle: faces whose normals differ by less than 40 deg are shaded as one smooth surface."""
 MIN_FACES = 64
 """Meshes with fewer faces have one level only."""
 _STEP = 2.0
+"""Ratio of the targeted numbers of faces of consecutive levels."""
 _FEWEST = 16
-"""Every level has so many times fewer faces than the one before, down to about so many."""
+"""Approximate number of faces of the coarsest level that is tried."""
 MOST_KEPT = 0.7
-"""A level with more than this share of the faces of the one before is left out."""
+"""A level with more than this fraction of the faces of the one before is left out."""
 MOST_COLLAPSED = 5_000
-"""Meshes with more faces are first simplified roughly to so many."""
+"""Meshes with more faces are first reduced to about this number by `simplify`, which is faster but less exact."""
 Array = np.ndarray
 
 
@@ -39,10 +40,14 @@ Array = np.ndarray
 class Level:
     """One level of detail. V vertices, F faces.
 
-    vertices (V, 3) f32, no two alike; faces (F, 3) i32; source (F,) i32: the face of the mesh that each one stands
-    for; normal (F, 3, 4) f32: unnormalised normal at point p is ``normal @ (p, 1)``, constant on flat faces; uv
-    (F, 2, 4) f32: place in the texture; density (F,) f32: length in the texture (0..1) per length on the face [1/m];
-    error: (1,) f64, largest distance of vertices of the mesh to the level [m].
+    Attributes:
+        vertices: (V, 3) f32 [m] in the frame of the mesh, without duplicates.
+        faces: (F, 3) i32, indices into ``vertices``.
+        source: (F,) i32, face of the original mesh whose material and texture each face takes.
+        normal: (F, 3, 4) f32; ``normal @ (p, 1)`` is the unnormalised normal at point p, constant on flat faces.
+        uv: (F, 2, 4) f32; ``uv @ (p, 1)`` are the texture coordinates at point p.
+        density: (F,) f32, length in texture coordinates (0..1) per length on the face [1/m].
+        error: (1,) f64, upper bound of the distance of the original mesh's vertices to this level [m].
     """
 
     vertices: Array
@@ -55,7 +60,11 @@ class Level:
 
 
 def mesh_levels(mesh: Mesh) -> list[Level]:
-    """Levels of a mesh, finest (the mesh itself) first."""
+    """Compute the levels of detail of a mesh, or read them from the cache.
+
+    Returns:
+        The levels, finest first; the first has the faces of the mesh itself. One level below `MIN_FACES` faces.
+    """
     if len(mesh.faces) < MIN_FACES:
         return _make(mesh)
     path = cache_dir() / "meshes" / f"{_digest(mesh)}.npz"
@@ -80,7 +89,7 @@ def _digest(mesh: Mesh) -> str:
 
 
 def _load(path: Path) -> list[Level] | None:
-    """Levels of a cache file, None when there is none or it cannot be read: they are then made anew."""
+    """Levels from a cache file; None if it does not exist or cannot be read, in which case they are computed again."""
     names = [f.name for f in fields(Level)]
     try:
         with np.load(path, allow_pickle=False) as arrays:
@@ -106,13 +115,13 @@ def _make(mesh: Mesh) -> list[Level]:
 
 
 def _coarser(vertices: Array, faces: Array) -> Iterator[tuple[Simplified, float]]:
-    """Ever coarser meshes, and how far vertices of the finest one are off from them."""
+    """Simplified meshes, from fine to coarse, each with its ``error`` [m] as in `Level`."""
     if len(faces) < MIN_FACES:
         return
     steps = int(np.log(len(faces) / _FEWEST) / np.log(_STEP))
     targets = [int(len(faces) / _STEP**k) for k in range(1, steps + 1)]
     start = simplify(vertices, faces, MOST_COLLAPSED)
-    # Vertices that ``simplify`` merged are as far off as their faces' corners moved.
+    # The error of ``simplify`` is bounded by how far it moved the corners of faces.
     off = 0.0
     if len(start.faces) < len(faces):
         way = start.vertices[start.faces] - vertices[faces[start.source]]
@@ -128,9 +137,10 @@ def _coarser(vertices: Array, faces: Array) -> Iterator[tuple[Simplified, float]
 
 
 def _error(vertices: Array, few: Simplified, merged: Array) -> float:
-    """Largest distance [m] of vertices (V, 3) to the faces at the vertices (V,) they were merged into.
+    """Largest distance [m] of vertices (V, 3) to the faces adjacent to the vertex that each was merged into.
 
-    Of pieces that have vanished (-1): to the nearest vertex that is left.
+    ``merged`` (V,): index of that vertex in ``few``, or -1 for vertices of a removed component, whose distance to the
+    nearest remaining vertex counts.
     """
     order = np.argsort(few.faces.ravel(), kind="stable")
     count = np.bincount(few.faces.ravel(), minlength=len(few.vertices))
@@ -149,10 +159,13 @@ def _error(vertices: Array, few: Simplified, merged: Array) -> float:
 
 
 def _slip(old: Array, new: Array, uv: Array) -> Array:
-    """Change (f, 3, 2) of texture places that keeps a picture where it was when corners move (f, 3, 3)."""
+    """Change (f, 3, 2) of the texture coordinates ``uv`` (f, 3, 2) that keeps the texture in place on the surface.
+
+    ``old``, ``new``: corners (f, 3, 3) of faces before and after simplification.
+    """
     slope = _slopes(old, uv)
     size = np.linalg.norm(slope, axis=(1, 2))
-    # Slivers would throw their corners across the picture.
+    # The gradients of slivers are unreliable: limit them, else their corners get distant texture coordinates.
     slope *= np.minimum(1.0, 2.0 * np.median(size) / np.maximum(size, 1e-12))[:, None, None]
     return np.einsum("fuc,fkc->fku", slope, new - old)
 
@@ -175,7 +188,7 @@ def _slopes(corners: Array, values: Array) -> Array:
 
 
 def _affine(corners: Array, values: Array) -> Array:
-    """Maps (F, n, 4) f32 that give the values (F, 3, n) at the corners."""
+    """Affine maps (F, n, 4) f32 of points that interpolate the values (F, 3, n) at the corners (F, 3, 3) of faces."""
     slope = _slopes(corners, values)
     middle = corners.mean(axis=1)
     mean = values.mean(axis=1)
@@ -211,10 +224,18 @@ def _level(
 
 
 def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (F, 3, 3) f32 per face corner: averaged over touching faces that meet below the crease angle,
-    each weighted by its angle at the corner.
+    """Compute unit normals per face corner.
 
-    Vertices at the same place count as one, so split seams and STL triangle soups come out smooth.
+    A normal is the mean over the faces at the vertex whose normals differ by less than the crease angle, weighted by
+    their angles at the corner. Vertices at the same position count as one, so that texture seams and STL triangle soups
+    are smooth.
+
+    Args:
+        vertices: (V, 3) [m].
+        faces: (F, 3) indices into ``vertices``.
+
+    Returns:
+        (F, 3, 3) f32: face, corner, xyz.
     """
     points = np.asarray(vertices, np.float64)[faces]
     away = np.roll(points, -1, 1) - points

@@ -1,7 +1,7 @@
 """Procedural patterns of surfaces, baked into tileable images.
 
-An image has two channels: the mix of the material's two colours (0: first, 1: second), and a shade that multiplies
-them, in steps of ``SHADE_TOP / 255``.
+The first channel of an image is the blend factor between the material's two colours (0: first, 255: second). The second
+is a factor on the blended colour, in steps of ``SHADE_TOP / 255``.
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ PERIODS: dict[str, tuple[float, float]] = {
     "fabric": (8.0, 8.0),
     "stripes": (1.0, 1.0),
 }
-"""Size (u, v) of an image in units of the material's ``scale``; grain, boards and normals of stripes run along u."""
+"""Size (u, v) of an image in units of the material's ``scale``; wood grain and boards run along u, stripes along v."""
 SHADE_TOP = 1.25
-"""Largest shade."""
+"""Largest value of the shade factor."""
 _BOARD = 8.0
 """Length of a board in units of its width."""
 
 
 def pattern_tile(kind: str) -> Array:
-    """Image (h, w, 3) uint8 of a pattern with the channels mix, shade, 0. Its sides are powers of two.
+    """Compute the image of a pattern.
+
+    Args:
+        kind: a key of `PERIODS`.
+
+    Returns:
+        (h, w, 3) uint8 with the channels mix, shade, 0; h and w are powers of two.
 
     Raises:
         KeyError: there is no such pattern; "plain" has none.
@@ -69,7 +75,7 @@ def _noise(seed: int, u: Array, v: Array, cells_u: int, cells_v: int) -> Array:
 
 
 def _grain(seed: int, u: Array, v: Array, length: float, width: float) -> Array:
-    """Wood grain along u for ``length`` x ``width`` units: stretched noise in two octaves with a slow wave."""
+    """Wood grain along u on ``length`` x ``width`` units: stretched noise of two octaves, bent by slow noise."""
     bend = 0.6 * _noise(seed, u, v, max(1, round(0.25 * length)), max(1, round(0.5 * width)))
     ring = v + bend / width
     coarse = _noise(seed + 1, u, ring, max(1, round(0.22 * length)), max(1, round(3.4 * width)))
@@ -84,7 +90,7 @@ def _wood() -> tuple[Array, Array]:
 
 
 def _planks() -> tuple[Array, Array]:
-    """Boards of width 1, each with its own tint, with dark joints of width 0.04."""
+    """Boards of 1 x `_BOARD` units with one random tint each, separated by dark joints 0.04 units wide."""
     length, width = PERIODS["planks"]
     u, v = _grid(512, 1024)
     rng = np.random.default_rng(7)
@@ -103,12 +109,15 @@ def _planks() -> tuple[Array, Array]:
 
 
 def _seam(distance: Array, width: float, pixel: float) -> Array:
-    """Coverage of pixels by a line of ``width``, for the ``distance`` of a pixel's centre from the line's middle."""
+    """Coverage 0..1 of pixels by a line of ``width`` whose centre line is at ``distance`` from the pixels' centres.
+
+    ``pixel`` is the size of a pixel; all lengths are in the same units.
+    """
     return np.clip((0.5 * width - distance) / pixel + 0.5, 0.0, 1.0) * min(1.0, width / pixel)
 
 
 def _tiles() -> tuple[Array, Array]:
-    """Square tiles of size 1 with grout (mix 1); each tile has its own shade."""
+    """Square tiles of 1 unit separated by grout (mix 1); each tile has a random shade."""
     count = int(PERIODS["tiles"][0])
     u, v = _grid(512, 512)
     p = u * count
@@ -121,13 +130,13 @@ def _tiles() -> tuple[Array, Array]:
 
 
 def _fabric() -> tuple[Array, Array]:
-    """Woven threads of 1/8 with soft blotches."""
+    """Random threads 1/8 unit wide, with blotches of low-frequency noise."""
     u, v = _grid(256, 256)
     thread = np.random.default_rng(3).random((64, 64))[(v * 64).astype(int), (u * 64).astype(int)]
     return 0.4 + 0.5 * (thread - 0.5) + 0.6 * (_noise(4, u, v, 12, 12) - 0.5), np.ones(1)
 
 
 def _stripes() -> tuple[Array, Array]:
-    """Two equal stripes."""
+    """Two stripes of equal width, along v."""
     u, _ = _grid(64, 2)
     return (np.abs(u - 0.5) < 0.25).astype(float), np.ones(1)

@@ -19,7 +19,7 @@ def _mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
 
 
 def box_mesh(half: Sequence[float]) -> Mesh:
-    """A box with half-extents (3,) [m]: 8 vertices, 12 faces."""
+    """Make a box with half-extents (3,) [m], centred at the origin: 8 vertices, 12 faces."""
     corners = np.array(
         [[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float
     ) * np.asarray(half)
@@ -28,7 +28,7 @@ def box_mesh(half: Sequence[float]) -> Mesh:
 
 
 def _lathe(profile: Sequence[tuple[float, float]], segments: int = SEGMENTS) -> Mesh:
-    """Surface of revolution about z of (radius, z) points from bottom to top; both ends on the axis."""
+    """Surface of revolution about z; ``profile`` has (radius, z) [m] from bottom to top, both ends on the axis."""
     angle = np.arange(segments) * (2 * np.pi / segments)
     rings = [
         np.stack([r * np.cos(angle), r * np.sin(angle), np.full(segments, z)], 1)
@@ -49,14 +49,14 @@ def _lathe(profile: Sequence[tuple[float, float]], segments: int = SEGMENTS) -> 
 
 
 def cylinder_mesh(radius: float, half_length: float) -> Mesh:
-    """A closed cylinder about z [m]."""
+    """Make a closed cylinder about z, centred at the origin [m]."""
     return _lathe(
         [(0.0, -half_length), (radius, -half_length), (radius, half_length), (0.0, half_length)]
     )
 
 
 def capsule_mesh(radius: float, half_length: float) -> Mesh:
-    """A cylinder about z with half-spheres at its ends [m]; ``half_length`` 0 is a sphere."""
+    """Make a cylinder about z with half-spheres at its ends [m]; ``half_length``, without them, is 0 for a sphere."""
     arc = [(radius * np.cos(a), radius * np.sin(a)) for a in np.linspace(-np.pi / 2, 0.0, 7)]
     lower = [(r, z - half_length) for r, z in arc]
     upper = [(r, half_length - z) for r, z in reversed(arc)]
@@ -64,7 +64,11 @@ def capsule_mesh(radius: float, half_length: float) -> Mesh:
 
 
 def primitive_mesh(geom: Geom) -> Mesh:
-    """Mesh of a box, cylinder, capsule or sphere in the geom's own frame (``pos`` and ``quat`` not applied)."""
+    """Make the mesh of a box, cylinder, capsule or sphere in the geom's own frame (``pos`` and ``quat`` not applied).
+
+    Raises:
+        UsageError: the geom has another shape.
+    """
     if geom.shape == "box":
         return box_mesh(geom.size)
     if geom.shape == "cylinder":

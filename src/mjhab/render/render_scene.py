@@ -1,7 +1,7 @@
 """The render scene: meshes and instances shared by all worlds of a layout, outside the MjModel.
 
-An instance hangs on a body of the model (robot links, drawers, doors, objects) or stands in the world
-(furniture, walls; its pose depends on the home).
+An instance is attached to a body of the model (robot links, drawers, doors, objects), or to the world (furniture,
+walls), where its pose depends on the home.
 """
 
 from __future__ import annotations
@@ -15,22 +15,34 @@ from mjhab.render.textures import Texels
 
 @dataclass(frozen=True, eq=False)
 class RenderScene:
-    """Arrays for the rasterizer. I instances, N meshes, V vertices, F faces, M materials, H homes.
+    """Arrays for the renderers. H homes, I instances, N meshes (one per level of detail), V vertices, F faces, M
+    materials, L lamps.
 
-    vertices (V, 3) f32 in instance frame [m]; faces (F, 3) i32, indices into ``vertices``; face_material (F,) i32;
-    face_normal (F, 3, 4) f32, face_uv (F, 2, 4) f32: affine maps from the point in the instance frame to its normal and
-    to its place in the texture (see ``mesh_levels.Level``); face_density (F,) f32: texture per length [1/m];
-    mesh_face_start, mesh_face_count (N,) i32; mesh_coarser (N,) i32: mesh that stands for this one from afar or -1;
-    mesh_error (N,) f64: how far a mesh is off from the finest one [m];
-    instance_mesh (I,) i32: finest mesh; instance_body (I,) i32 (0: the world);
-    instance_pos (I, 3), instance_mat (I, 3, 3): pose in the body's frame, or for world instances: ignored;
-    home_pos (H, I, 3), home_mat (H, I, 3, 3): world pose of world instances per home; home_scale (H, I, 3): scale
-    of the mesh along the axes of the instance, for body instances too (unit boxes become walls; zeros hide);
-    instance_seg (I,) i32: id in segmentation images (0 is background); seg_names: its names, index = id.
-    instance_material (H, I) i32 or -1: overrides face_material (walls and floors of homes).
-    mat_* (M, ...): base colours (linear rgb), second colour, texture or -1, whether it is a pattern of the two colours
-    (else a picture), size of a pattern (u, v) [m], gloss.
-    light_pos (H, L, 3), light_color (H, L, 3) (zero colour: unused slot).
+    Attributes:
+        vertices: (V, 3) f32 [m] in the frame of their mesh.
+        faces: (F, 3) i32, indices into ``vertices``; the faces of a mesh are contiguous.
+        face_material: (F,) i32 material ids.
+        face_normal, face_uv: (F, 3, 4), (F, 2, 4) f32, affine maps from a point in the frame of the mesh to its normal
+            and its texture coordinates, see `mesh_levels.Level`.
+        face_density: (F,) f32, length in texture coordinates per length on the face [1/m].
+        mesh_face_start, mesh_face_count: (N,) i32.
+        mesh_coarser: (N,) i32, the next coarser level of detail, -1 for none.
+        mesh_error: (N,) f64, bound of the distance to the finest level [m].
+        instance_mesh: (I,) i32, finest level of the instance's mesh.
+        instance_body: (I,) i32, body id in the MjModel; 0 is the world.
+        instance_pos, instance_mat: (I, 3) [m], (I, 3, 3), pose in the body's frame; not used for world instances.
+        instance_seg: (I,) i32, id in segmentation images; 0 is background.
+        instance_material: (H, I) i32, replaces ``face_material``; -1 keeps it.
+        home_pos, home_mat: (H, I, 3) [m], (H, I, 3, 3), world pose of world instances per home.
+        home_scale: (H, I, 3), scale of the mesh along the axes of every instance; 0 hides the instance.
+        mat_color, mat_color2: (M, 3) linear rgb; the second colour is used by patterns.
+        mat_texture: (M,) i32, index into ``texels``, -1 for none.
+        mat_pattern: (M,) bool, whether the texture is a pattern (see `patterns`) rather than an image.
+        mat_size: (M, 2), size (u, v) of one period of a pattern [m].
+        mat_gloss: (M,), 0 to 1.
+        light_pos, light_color: (H, L, 3) [m], (H, L, 3) linear rgb times intensity; 0 marks an unused slot.
+        texels: the textures.
+        seg_names: names of the segments, by id.
     """
 
     vertices: np.ndarray

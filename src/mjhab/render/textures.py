@@ -1,4 +1,4 @@
-"""Textures for the kernels: images with their mipmap levels in one array, and their sampling."""
+"""Textures for the kernels: images with their mip levels in one array, and bilinear sampling."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from mjhab.render.raster.jit import color_inline, kernel
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE
 
 LEVELS = MAX_TEXTURE.bit_length() + 1
-"""Number of mipmap levels of a texture; each has half the side of the one before, down to one pixel."""
+"""Number of mip levels of a texture; each has half the sides of the one before, down to one texel."""
 _STEPS = 4096
+"""Steps of linear light 0..1 in the tables that average texels."""
 
 
 class Texels(NamedTuple):
-    """T textures with their mipmap levels.
+    """T textures with their mip levels.
 
-    pixels (P,) u32: ``r | g << 8 | b << 16``. start (T, LEVELS) i64: index of each level's first pixel.
-    bits (T, 2) i32: log2 of width and height of the first level.
+    Attributes:
+        pixels: (P,) u32 texels of all levels by rows, ``r | g << 8 | b << 16``.
+        start: (T, LEVELS) i64, index of each level's first texel.
+        bits: (T, 2) i32, log2 of width and height of level 0.
     """
 
     pixels: np.ndarray
@@ -30,7 +33,7 @@ class Texels(NamedTuple):
 
 
 class TexturePool:
-    """Collects textures; equal ones are stored once."""
+    """Collect textures; equal ones are stored once."""
 
     def __init__(self) -> None:
         self._numbers: dict[bytes, int] = {}
@@ -54,7 +57,7 @@ class TexturePool:
         )
 
     def add_pattern(self, kind: str) -> int:
-        """Add the image of a pattern; returns its number."""
+        """Add the image of a pattern (see `patterns.pattern_tile`); returns its number."""
         key = kind.encode()
         return (
             self._numbers[key] if key in self._numbers else self._add(key, pattern_tile(kind), True)
@@ -67,7 +70,7 @@ class TexturePool:
         return self._numbers[key]
 
     def build(self) -> Texels:
-        """All textures with their mipmap levels."""
+        """Compute the mip levels of all textures."""
         bits = np.array(
             [(i.shape[1].bit_length() - 1, i.shape[0].bit_length() - 1) for i, _ in self._images],
             np.int32,
@@ -96,7 +99,14 @@ class TexturePool:
 
 
 def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Tables from bytes (256,) to light in steps of 1 / `_STEPS`, and back; ``linear`` treats bytes as light."""
+    """Tables from bytes to linear light and back.
+
+    Args:
+        linear: bytes are linear (patterns) rather than sRGB.
+
+    Returns:
+        decode (256,): light in units of 1 / `_STEPS`; encode (`_STEPS` + 1,) u32: the nearest byte.
+    """
     value = np.arange(256) / 255.0
     light = (
         value
@@ -110,7 +120,11 @@ def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
 
 @kernel
 def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
-    """Write the next mipmap level with half the sides; a side of one pixel stays."""
+    """Write the next mip level: the mean light of 2 x 2 texels; a side of one texel stays.
+
+    ``source``, ``target``: first texels of the two levels in ``pixels``; ``width_bits``, ``height_bits``: log2 of the
+    sides of the source; ``decode``, ``encode``: see `_curves`.
+    """
     width = 1 << width_bits
     height = 1 << height_bits
     step_x = 1 if width > 1 else 0
@@ -132,7 +146,7 @@ def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
 
 @color_inline
 def copy_for(texels_per_pixel):
-    """Mipmap level whose texels are about as large as a pixel."""
+    """Mip level whose texels are about as large as a pixel, for this number of level-0 texels per pixel side."""
     level = 0
     while texels_per_pixel > 1.42 and level < LEVELS - 1:
         texels_per_pixel *= 0.5
@@ -163,7 +177,7 @@ def sample(texels, texture, level, u, v):
     p01 = np.int64(pixels[np.uint64(j0 + i1)])
     p10 = np.int64(pixels[np.uint64(j1 + i0)])
     p11 = np.int64(pixels[np.uint64(j1 + i1)])
-    # Two bytes of a word are weighted at once: the weights sum to 256.
+    # Red and blue are weighted in one word: the weights sum to 256, so that no byte overflows into the other.
     w00 = (16 - a) * (16 - b)
     w01 = a * (16 - b)
     w10 = (16 - a) * b

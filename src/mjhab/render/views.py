@@ -1,4 +1,4 @@
-"""Pictures of homes for people."""
+"""Images of whole homes, for people."""
 
 from __future__ import annotations
 
@@ -15,7 +15,16 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 def render_home(
     pack: Pack, home: str, view: str = "top", width: int = 960, height: int = 720
 ) -> np.ndarray:
-    """RGB (height, width, 3) of one home of a pack, without objects.
+    """Render one home of a pack, without objects.
+
+    Args:
+        pack: has the home.
+        home: name of the home.
+        view: one of `home_scene.VIEWS`.
+        width, height: of the image [px].
+
+    Returns:
+        (height, width, 3) uint8 sRGB.
 
     Raises:
         UsageError: unknown home or view.
@@ -26,6 +35,6 @@ def render_home(
 def render_homes(
     pack: Pack, homes: Sequence[str], view: str = "top", width: int = 960, height: int = 720
 ) -> Iterator[np.ndarray]:
-    """The same for several homes, one after the other; the scene is built once."""
+    """Render several homes one after the other, building the scene once; arguments and errors as `render_home`."""
     renderer = HomeRenderer(CpuSimulator(Layout(pack, ()), 1, 1))
     return (renderer.home_view(home, view, width, height) for home in homes)

@@ -1,8 +1,8 @@
-"""Who may touch whom: MuJoCo contype/conaffinity bits of every class of geom.
+"""Collision filtering: MuJoCo contype/conaffinity bits of every class of geom.
 
-Two geoms collide when the contype of one shares a bit with the conaffinity of the other. Furniture never
-meets furniture, and the robot neither meets rugs (a base that is driven would scrape them in every step and
-pile up "collision force") nor, floating 2 cm up, the floor.
+Two geoms collide if the contype of one shares a bit with the conaffinity of the other. Furniture does not collide with
+furniture. The robot does not collide with rugs, because a driven base would touch them in every step and accumulate
+collision force, and its base is 2 cm above the floor.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ ROBOT = 2
 OBJECT = 4
 """Movable objects."""
 JOINTED = 8
-"""Doors and drawers; conaffinity 0, so that they do not rub against their own frame."""
+"""Doors and drawers; conaffinity 0, so that they do not collide with their own frame."""
 DISTAL = 16
-"""The robot's forearm and hand, which its own trunk must feel."""
+"""The robot's forearm and hand, which collide with its trunk."""
 RUG = 32
-"""Rugs and mats: objects lie on them, the robot drives over them; conaffinity 0."""
+"""Rugs and mats, which support objects but do not collide with the robot; conaffinity 0."""
 
 ROBOT_AFFINITY = STATIC | OBJECT | JOINTED
 """conaffinity of robot links; trunk links add DISTAL."""

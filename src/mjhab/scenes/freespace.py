@@ -1,7 +1,7 @@
-"""Where a mobile base can be: a raster of what blocks it and the distance to the nearest block.
+"""Free space of a mobile base: an occupancy grid of a home, its clearance, and shortest paths.
 
-Made from the scene description alone, without a simulator: every colliding geom between the floor and the
-height of the robot is drawn as the convex outline of its points, doors and drawers in their closed pose.
+It is computed from the scene description, without a simulator: every colliding geom between the floor and the height of
+the robot is rasterised as the convex hull of its horizontal projection, doors and drawers closed.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mjhab.scenes.shapes.footprints import all_geoms, outline, rectangle
 from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
 
 NAVMESH_BASE_RADIUS_M = 0.3
-"""Radius [m] of the robot for which HAB makes its navigation meshes."""
+"""Radius [m] of the robot that HAB computes its navigation meshes for."""
 ROBOT_HEIGHT_M = 1.4
-"""What hangs above this [m] does not block the base; the head camera of the benchmark's robot is at 1.41 m."""
+"""Geoms entirely above this height [m] do not block the base; the head camera of the benchmark's robot is at 1.41 m."""
 MAX_KEPT_FIELDS = 4
-"""Distance fields a map remembers; one of an apartment takes about 0.2 MB."""
+"""Number of distance fields that a map caches; one of an apartment takes about 0.2 MB."""
 _BORDER_M = 0.3
-"""Border around the floor that the raster covers, so that outer walls are in it [m]."""
+"""Margin of the raster around the floor [m], so that it includes the outer walls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class FreeMap:
     clearance: np.ndarray
 
     def navigable(self, radius: float = NAVMESH_BASE_RADIUS_M) -> np.ndarray:
-        """Cells (X, Y) bool where a disc of ``radius`` [m] fits, in the largest connected piece of them."""
+        """Compute the cells (X, Y) bool where a disc of ``radius`` [m] fits, restricted to the largest component."""
         fits = self.clearance >= radius
         pieces = np.empty(fits.shape, np.int32)
         label(fits, structure=np.ones((3, 3)), output=pieces)
@@ -57,28 +57,33 @@ class FreeMap:
         return pieces == sizes.argmax()
 
     def to_cell(self, xy: np.ndarray) -> np.ndarray:
-        """Cell indices (..., 2) int of world positions (..., 2) [m], clipped to the raster."""
+        """Convert world positions (..., 2) [m] to cell indices (..., 2) int, clipped to the raster."""
         index = np.floor((np.asarray(xy, float) - np.array(self.origin)) / self.cell).astype(int)
         return np.clip(index, 0, np.array(self.blocked.shape) - 1)
 
     def to_xy(self, cells: np.ndarray) -> np.ndarray:
-        """World positions (..., 2) [m] of the centres of cells (..., 2)."""
+        """Convert cell indices (..., 2) to the world positions (..., 2) [m] of the cells' centres."""
         return (np.asarray(cells) + 0.5) * self.cell + np.array(self.origin)
 
     def clearance_at(self, xy: np.ndarray) -> np.ndarray:
-        """Clearance (...,) [m] at world positions (..., 2); 0 outside the raster."""
+        """Look up the clearance (...,) [m] at world positions (..., 2) [m]; 0 outside the raster."""
         index = np.floor((np.asarray(xy, float) - np.array(self.origin)) / self.cell).astype(int)
         inside = np.all((index >= 0) & (index < np.array(self.blocked.shape)), axis=-1)
         index = np.clip(index, 0, np.array(self.blocked.shape) - 1)
         return np.where(inside, self.clearance[index[..., 0], index[..., 1]], 0.0)
 
     def distances_to(self, xy: np.ndarray) -> np.ndarray:
-        """Length (X, Y) float32 [m] of the shortest way of the base from every cell to ``xy`` (2,).
+        """Compute the length (X, Y) float32 [m] of the shortest path of the base from every cell to a goal.
 
-        Ways lead through cells where a base of `NAVMESH_BASE_RADIUS_M` fits; they are up to 3 % longer than the true
-        ones, and begin at a cell's centre. A place where the base does not fit, as start or as goal, counts as the
-        nearest one where it does, and the straight line to there is added: every cell has a finite distance.
-        Read-only; the last `MAX_KEPT_FIELDS` goals are remembered.
+        Paths lead through the cells of `navigable`, from centre to centre on a 16-connected grid, and are up to 3 %
+        longer than the shortest ones. A start or goal outside of them is replaced by the nearest cell of them, and the
+        straight distance to it is added, so that every cell has a finite distance.
+
+        Args:
+            xy: (2,) goal in the world [m].
+
+        Returns:
+            Read-only array; those of the last `MAX_KEPT_FIELDS` goals are cached.
 
         Raises:
             UsageError: the base fits nowhere.
@@ -88,7 +93,7 @@ class FreeMap:
         return self._fields.get(key, lambda: self._field(goal))
 
     def distance(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Length [m] of the shortest way of the base between ``a`` and ``b`` (2,), as `distances_to` has it."""
+        """Compute the length [m] of the shortest path of the base between ``a`` and ``b`` (2,), see `distances_to`."""
         field = self.distances_to(b)[None]
         origin = np.array([self.origin])
         cell = np.array([self.cell])
@@ -114,7 +119,7 @@ class FreeMap:
         return _frozen(field)
 
     def places(self, radius: float) -> np.ndarray:
-        """(P, 2) centres [m] of the cells of `navigable` for a ``radius`` [m]. Read-only."""
+        """Return the centres (P, 2) [m] of the cells of `navigable` for a ``radius`` [m]; read-only and cached."""
         return self._derived.get(
             ("places", radius), lambda: _frozen(self.to_xy(np.argwhere(self.navigable(radius))))
         )
@@ -132,7 +137,7 @@ class FreeMap:
         return self._derived.get("ways", self._find_ways)
 
     def _find_ways(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
-        """Graph of the navigable cells; the nearest of them (2, X, Y) to every cell and how far off it is [m]."""
+        """Graph of the navigable cells; the nearest of them (2, X, Y) to every cell, and its distance (X, Y) [m]."""
         free = self.navigable()
         if not free.any():
             raise UsageError(
@@ -146,7 +151,7 @@ class FreeMap:
         )
 
     def sample(self, rng: np.random.Generator, mask: np.ndarray) -> np.ndarray:
-        """A uniform position (2,) [m] in the cells of ``mask`` (X, Y).
+        """Sample a position (2,) [m] uniformly in the cells of ``mask`` (X, Y) bool.
 
         Raises:
             ValueError: the mask is empty.
@@ -165,13 +170,17 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 def look_up(
     fields: np.ndarray, origin: np.ndarray, cell: np.ndarray, shape: np.ndarray, xy: np.ndarray
 ) -> np.ndarray:
-    """Values (W,) at positions ``xy`` (W, 2) [m], one in each of ``fields`` (W, X, Y).
+    """Interpolate distance fields bilinearly, one position in each.
 
     Args:
-        origin: (W, 2) and cell: (W,) [m], of the raster of each field; shape: (W, 2) how many of its cells are used.
+        fields: (W, X, Y) distances [m], padded to a common size.
+        origin: (W, 2) position of each field's corner [m].
+        cell: (W,) edge of its cells [m].
+        shape: (W, 2) number of its cells that are used.
+        xy: (W, 2) positions [m].
 
     Returns:
-        Values between those of the four cells around; beyond the raster that of its border plus the distance to it.
+        (W,) distances [m]; outside of a field, that at its border plus the distance to the border.
     """
     last = shape - 1
     wanted = (xy - origin) / cell[:, None] - 0.5
@@ -186,16 +195,17 @@ def look_up(
 
 
 def shared_map(home: Home, pack: Pack) -> FreeMap:
-    """`free_map` of a home at its usual cell, drawn once for all who ask with the same pack."""
-    # The home is kept with its map, so that no other home gets its id.
+    """Return `free_map` of a home at the default cell, cached in the pack."""
+    # The home is stored with its map, so that its id is not reused.
     return pack.derived.get(id(home), lambda: (home, free_map(home, pack)))[1]
 
 
 def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
-    """Draw the raster of a home.
+    """Compute the occupancy grid and clearance of a home.
 
     Args:
-        home: the home; pack: the pack it belongs to (templates and meshes).
+        home: the home.
+        pack: its pack, which has the templates and meshes.
         cell: edge of a cell [m].
     """
     x0, y0, x1, y1 = home.floor
@@ -214,7 +224,7 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
 
 
 def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
-    """Convex outlines (N, 2) [m] in the world of everything that blocks the base."""
+    """Compute the convex polygons (N, 2) [m] in the world, counter-clockwise, of all geoms that block the base."""
     polygons = [
         _flatten(g, Placement("wall", (0.0, 0.0, 0.0)), pack) for g in home.walls if g.collide
     ]
@@ -231,7 +241,7 @@ def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
 
 
 def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
-    """Outline of a geom on the floor, counter-clockwise, or None if it is above the robot."""
+    """Convex polygon (N, 2) [m] of a geom seen from above, counter-clockwise; None if it does not block the base."""
     if (
         geom.shape == "box" and geom.quat == IDENTITY and placement.quat is None
     ):  # most geoms, and no hull to find
@@ -251,9 +261,10 @@ def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far a receptacle is from where the base can stand: its centre, and its farthest point [m].
+    """Planar distance of a receptacle from the nearest navigable cell [m].
 
-    height: of its surface above the floor [m].
+    thing: name of the template. receptacle: its name. center, farthest: distance of its centre and of its farthest
+    point, infinite if no cell is navigable. height: of its surface above the floor [m].
     """
 
     thing: str
@@ -266,7 +277,7 @@ class Reach:
 def reach(
     home: Home, pack: Pack, free: FreeMap, radius: float = NAVMESH_BASE_RADIUS_M
 ) -> list[Reach]:
-    """Planar distances [m] from navigable floor to every receptacle of a home, drawers closed, and its height."""
+    """Compute the planar distance from the floor navigable with ``radius`` [m] to every receptacle, drawers closed."""
     cells = np.argwhere(free.navigable(radius))
     stand = KDTree(free.to_xy(cells)) if len(cells) else None
     result = []
@@ -296,7 +307,7 @@ def reach(
 def _fill(
     blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float], cell: float
 ) -> None:
-    """Mark the cells whose square meets a convex counter-clockwise polygon."""
+    """Set the cells of ``blocked`` (X, Y) whose square overlaps a convex counter-clockwise polygon (N, 2) [m]."""
     low = np.clip(np.floor((polygon.min(0) - origin) / cell).astype(int), 0, blocked.shape)
     high = np.clip(np.ceil((polygon.max(0) - origin) / cell - 1e-9).astype(int), 0, blocked.shape)
     if np.any(high <= low):

@@ -1,4 +1,4 @@
-"""Whether a home that somebody wrote by hand can be lived and worked in."""
+"""Checks of homes from home files: sizes, overlaps, free floor, and reach of the receptacles with roles."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from mjhab.scenes.shapes.footprints import Footprint, footprint, outline
 from mjhab.scenes.spec import Home, Pack, Placement
 
 MIN_FLOOR_M = 1.5
+"""Smallest side of the floor of a home [m]."""
 MAX_FLOOR_M = 40.0
-"""Sides of the floor of a home."""
+"""Largest side of the floor of a home [m]."""
 MAX_WALL_THICKNESS_M = 1.0
 MAX_WALL_HEIGHT_M = 6.0
 OUTER_WALLS = 4
-"""Walls around the floor, which come first in `Home.walls`."""
+"""Number of walls around the floor, which come first in `Home.walls`."""
 MAX_OVERLAP_M = 0.001
-"""Depth to which pieces may stand in each other: files give few digits."""
+"""Depth to which pieces may overlap [m], because files have few digits."""
 MAX_SURFACE_HEIGHT_M = 1.6
-"""Highest surface of a receptacle with a role; the highest of the built-in furniture is the fridge's top, 1.53 m."""
+"""Largest height of a receptacle with a role [m]; the highest in the built-in furniture is in the fridge, 1.53 m."""
 
 
 def check_home(source: Path, pack: Pack, home: Home) -> None:
-    """Refuse a home in which something is out of bounds, in the way, or out of reach.
+    """Check sizes, overlaps, free floor and reach of a home.
 
     Args:
         source: file of the home, for messages.
@@ -38,7 +39,7 @@ def check_home(source: Path, pack: Pack, home: Home) -> None:
         home: the home.
 
     Raises:
-        UsageError: see `mjhab.scenes.home_files.home_pack`.
+        UsageError: the home fails a check, see `mjhab.scenes.home_files.home_pack`.
     """
     try:
         _check_numbers(home)
@@ -77,7 +78,7 @@ def _check_singles(source: Path, home: Home) -> None:
 
 
 def _check_overlaps(source: Path, pack: Pack, home: Home) -> None:
-    """Refuse pieces that share space with a wall or with each other."""
+    """Raise a UsageError if a piece overlaps a wall or another piece."""
     taken = [
         ("walls.outer" if k < OUTER_WALLS else "a wall of walls.inner", _wall_area(home, k))
         for k in range(len(home.walls))
@@ -101,7 +102,7 @@ def _named(placement: Placement) -> str:
 
 
 def _shrunk(area: Footprint) -> Footprint:
-    """A footprint less `MAX_OVERLAP_M` on every side."""
+    """A footprint shrunk by `MAX_OVERLAP_M` on every side."""
     middle = area.corners.mean(axis=0)
     away = area.corners - middle
     size = np.linalg.norm(away, axis=1, keepdims=True)
@@ -121,7 +122,7 @@ def _wall_area(home: Home, index: int) -> Footprint:
 
 
 def _check_reach(source: Path, pack: Pack, home: Home) -> None:
-    """Refuse a home without room for a robot, or with a receptacle that plays a role out of its reach."""
+    """Raise a UsageError if a robot has no free floor, or cannot reach a receptacle with a role."""
     free = free_map(home, pack)
     if not free.navigable().any():
         raise UsageError(

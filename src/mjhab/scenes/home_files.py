@@ -1,6 +1,6 @@
-"""Homes written by hand: a small JSON or Python file with floor, walls, built-in furniture and roles.
+"""Reader of home files: JSON or Python files with floor, walls, built-in furniture and roles.
 
-``docs/extending.md`` describes the format; `HomeFile` and the classes it is made of are its definition.
+`HomeFile` and the classes of its fields define the format; ``docs/extending.md`` describes it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mjhab.scenes.spec import Geom, Home, Light, Pack, Placement, Prop, Receptac
 
 FORMAT = "mjhab-home-1"
 PYTHON_NAME = "HOME"
-"""Variable of a Python file that holds what a JSON file would."""
+"""Variable of a Python file that has the data of a JSON file."""
 LAMP_HEIGHT_M = 2.4
 MIN_WALL_PIECE_M = 0.01
 """Pieces of wall shorter than this, between a doorway and the end of the wall, are left out."""
@@ -43,7 +43,7 @@ MIN_WALL_PIECE_M = 0.01
 
 @dataclass(frozen=True)
 class FileFloor:
-    """``size``: inner extent of the home along x and y [m], from the origin; ``material``: a name of `MATERIALS`."""
+    """``size``: inside extent of the home along x and y [m], from the origin; ``material``: a name of `MATERIALS`."""
 
     size: tuple[float, float]
     material: str = "floor_oak"
@@ -51,7 +51,7 @@ class FileFloor:
 
 @dataclass(frozen=True)
 class FileWall:
-    """A straight inner wall from ``start`` to ``end`` [m]; ``doorways``: (from, to) [m], counted from its start."""
+    """A straight inner wall between ``start`` and ``end`` (x, y) [m]; ``doorways``: (from, to) [m] along it."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -60,7 +60,10 @@ class FileWall:
 
 @dataclass(frozen=True)
 class FileWalls:
-    """``outer``: material of the four walls around the floor; ``inner``: further walls, of ``inner_material``."""
+    """``outer``: material of the four walls around the floor; ``inner``: further walls, of ``inner_material``.
+
+    ``height``, ``thickness``: of all walls [m].
+    """
 
     outer: str
     inner: tuple[FileWall, ...] = ()
@@ -71,7 +74,8 @@ class FileWalls:
 
 @dataclass(frozen=True)
 class FilePiece:
-    """A piece of furniture: ``kind`` of the built-in pack, ``at`` (x, y) of its middle [m], heading of its front."""
+    """A piece of furniture: template ``kind`` of the built-in pack, position ``at`` (x, y) of its origin [m], and the
+    heading of its front."""
 
     kind: str
     at: tuple[float, float]
@@ -80,11 +84,11 @@ class FilePiece:
 
 @dataclass(frozen=True)
 class FileReceptacle:
-    """A place for objects on a kind of furniture, and the roles it plays besides those it has in the built-in pack.
+    """A receptacle of a kind of furniture, and its roles in addition to those in the built-in pack.
 
-    Without ``center`` it is the receptacle of that name which the furniture has. With it, it is a new one: ``center``
-    of its surface [m] in the frame of the furniture (origin on the floor under its middle, +x to its front), ``half``
-    its half-extents [m], ``height`` the free height above it [m].
+    Without ``center`` it is the existing receptacle of this name. With ``center`` it is a new one: ``center`` of its
+    surface [m] in the frame of the furniture (origin on the floor under its middle, +x to its front), half-extents
+    ``half`` (x, y) [m], and free height ``height`` above it [m].
     """
 
     furniture: str
@@ -97,7 +101,11 @@ class FileReceptacle:
 
 @dataclass(frozen=True)
 class HomeFile:
-    """What a file states. ``default_roles``: furniture also plays the roles that it has in the built-in pack."""
+    """Content of a home file.
+
+    ``default_roles``: furniture has its roles of the built-in pack as well. ``lights``: positions of lamps [m]; () for
+    one in the middle.
+    """
 
     format: Literal["mjhab-home-1"]
     name: str
@@ -112,16 +120,16 @@ class HomeFile:
 
 
 def home_pack(*files: Path | str, name: str = "") -> Pack:
-    """A pack of homes from files, with the built-in furniture and objects.
+    """Make a pack of homes from files, with the built-in furniture and objects.
 
     Args:
         files: at least one ``.json`` or ``.py`` file.
-        name: of the pack; that of the first home if "".
+        name: name of the pack; "" takes that of the first home.
 
     Raises:
-        UsageError: a file is missing or broken, names furniture or material that does not exist, has numbers out of
-            bounds, no walls, pieces that overlap, or a receptacle with a role that no robot can reach; or two files
-            have one name, or describe one receptacle differently. The message names file and field.
+        UsageError: a file is missing or broken, names unknown furniture or material, has numbers out of bounds, no
+            walls, overlapping pieces, or a receptacle with a role out of a robot's reach; or two files have the same
+            name, or define a receptacle differently. The message names file and field.
 
     Example:
         >>> pack = mjhab.home_pack("examples/home/cottage.json")
@@ -154,7 +162,7 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
 
 
 def read_home_file(file: Path) -> HomeFile:
-    """Read what a file states, before it is known whether a home can be made of it.
+    """Read a file and check the types of its fields, but not whether a home can be made from it.
 
     Raises:
         UsageError: the file is missing or broken, or a field is missing, unknown or of another type.
@@ -188,7 +196,7 @@ def _body(file: Path) -> Any:
         found = runpy.run_path(str(file))
     except MjhabError as error:
         raise UsageError(f"{file}: {error}") from error
-    # The file is code of others, which raises whatever it likes.
+    # The file is the user's code and may raise anything.
     except (Exception, SystemExit) as error:
         raise UsageError(f"{file}: running it raised {raised_text(error)}.") from error
     if PYTHON_NAME not in found:
@@ -200,10 +208,10 @@ def _body(file: Path) -> Any:
 
 
 def _check_names(pack: Pack, stated: HomeFile, file: Path) -> None:
-    """Refuse furniture and materials that do not exist.
+    """Check that furniture and materials exist.
 
     Raises:
-        UsageError: names file and field.
+        UsageError: one does not; the message names file and field.
     """
     kinds = (*pack.props, *pack.articulations)
     for k, piece in enumerate(stated.furniture):
@@ -221,7 +229,7 @@ def _check_names(pack: Pack, stated: HomeFile, file: Path) -> None:
 
 
 def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
-    """The pack with the new receptacles of a file on its furniture."""
+    """The pack with the new receptacles of a file added to its furniture."""
     props = dict(pack.props)
     articulations = dict(pack.articulations)
     for k, record in enumerate(stated.receptacles):
@@ -289,7 +297,7 @@ def _home(pack: Pack, stated: HomeFile, file: Path) -> Home:
 
 
 def _roles(pack: Pack, stated: HomeFile) -> Roles | None:
-    """The roles of a home; None if they are those of the pack."""
+    """The roles of a home; None if it has those of the pack."""
     if stated.default_roles and not any(record.roles for record in stated.receptacles):
         return None
     places = dict(pack.roles.places) if stated.default_roles else {}
@@ -319,7 +327,7 @@ def _walls(stated: HomeFile, file: Path) -> tuple[Geom, ...]:
 
 
 def _inner_wall(wall: FileWall, walls: FileWalls, where: str) -> list[Geom]:
-    """The pieces of a wall between its doorways."""
+    """Box geoms of an inner wall, between its doorways."""
     along = (wall.end[0] - wall.start[0], wall.end[1] - wall.start[1])
     length = math.hypot(*along)
     stops = [0.0, *(stop for doorway in wall.doorways for stop in doorway), length]
@@ -354,7 +362,7 @@ def _open(request: PackRequest) -> Pack:
 
 
 def is_home_file(place: str) -> bool:
-    """Whether a place is a file that a home may be written in; scenes of ReplicaCAD have an ending of their own."""
+    """Return whether a path is a file with the suffix of home files, but no scene file of ReplicaCAD."""
     path = Path(place)
     return path.suffix in HOME_SUFFIXES and not place.endswith(SCENE_SUFFIX) and path.is_file()
 

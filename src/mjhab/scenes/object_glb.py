@@ -21,33 +21,35 @@ from mjhab.scenes.shapes.shapes import look
 from mjhab.scenes.spec import Geom, ObjectType
 
 COLLISION_PREFIX = "collision"
-"""Meshes of a file whose names begin so are collision pieces and are not seen."""
+"""Prefix of the names of collision meshes in a file, which are not rendered."""
 MAX_PIECES = 64
-"""Collision pieces of an object; every one costs time in each contact search."""
+"""Largest number of collision pieces of an object; each adds to the time of collision detection."""
 MIN_EXTENT_M = 0.002
+"""Smallest extent of an object along an axis [m]; smaller files are probably in another unit."""
 MAX_EXTENT_M = 0.6
-"""Extents of an object along its axes; what lies beyond was probably drawn in another unit."""
+"""Largest extent of an object along an axis [m]; larger files are probably in another unit."""
 
 
 def object_from_glb(
     name: str, path: Path | str, mass: float, scale: float = 1.0, words: tuple[str, ...] = ()
 ) -> ObjectModel:
-    """Make an object type of a ``.glb`` file (glTF 2.0: +y up, metres).
+    """Make an object type from a ``.glb`` file (glTF 2.0: +y up, metres).
 
-    Every mesh of the file whose name begins with ``collision`` is one convex piece: its convex hull collides, and it
-    is not seen. The other meshes are seen, in their colours and textures. Without collision meshes the hull of every
-    seen mesh collides. The object stands as it is drawn; its origin becomes the centre of the box around its pieces.
-    Grasps are found on the surface of the pieces (`mjhab.episodes.grasps.antipodal`).
+    Every mesh whose name begins with ``collision`` is a collision piece: its convex hull collides, and it is not
+    rendered. The other meshes are rendered with their colours and textures. Without collision meshes the hull of every
+    rendered mesh collides. The file's orientation is that of the standing object; the origin becomes the centre of the
+    bounding box of its pieces. Grasps are sampled on the surface of the pieces (`mjhab.episodes.grasps.antipodal`).
 
     Args:
-        name: of the object type.
+        name: name of the object type.
         path: the file.
-        mass: [kg], spread evenly over the volume of the pieces.
+        mass: [kg], with uniform density over the volume of the pieces.
         scale: factor from the unit of the file to metres.
         words: its names in instructions, see `ObjectModel`.
 
     Raises:
-        UsageError: the file is missing or broken, a collision mesh is flat, or name, mass or size is out of bounds.
+        UsageError: the file is missing or broken, a collision mesh is flat, there are more than `MAX_PIECES`, or name,
+            mass or size is out of bounds.
 
     Example:
         >>> mug = mjhab.object_from_glb("mug", "examples/mug/mug.glb", mass=0.25)
@@ -107,14 +109,14 @@ def _moved(mesh: Mesh, shift: np.ndarray) -> Mesh:
 
 
 def check_extent(path: Path, extent: np.ndarray) -> None:
-    """Refuse an object that is too large or too small to be one.
+    """Check the size of an object.
 
     Args:
-        path: the file.
-        extent: (3,) along the axes [m].
+        path: the file, for the message.
+        extent: (3,) of its bounding box [m].
 
     Raises:
-        UsageError: see `MIN_EXTENT_M` and `MAX_EXTENT_M`.
+        UsageError: an extent is not within `MIN_EXTENT_M` and `MAX_EXTENT_M`.
     """
     shown = " x ".join(f"{size:g}" for size in extent.tolist())
     if extent.max() > MAX_EXTENT_M or extent.min() < MIN_EXTENT_M:

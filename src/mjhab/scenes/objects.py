@@ -1,4 +1,4 @@
-"""Object types from outside: registered by name, they join the objects of every pack that is opened."""
+"""Registry of users' object types, which are added to the objects of every pack that is opened."""
 
 from __future__ import annotations
 
@@ -17,10 +17,16 @@ from mjhab.scenes.spec import ObjectType, Pack
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A movable object.
+    """A movable object to be registered.
 
-    kind: its type. meshes: by name, those that the geoms of the type name. words: names in instructions, such as
-    ("mug", "coffee mug"), one of which is drawn; without them it is called by its id, "my_mug" by "my mug".
+    Attributes:
+        kind: its type.
+        meshes: the meshes of the type's geoms, by name.
+        words: names in instructions, such as ("mug", "coffee mug"), of which one is sampled; () takes the name of the
+            type with spaces ("my_mug": "my mug").
+
+    Raises:
+        UsageError: a field has an invalid value.
     """
 
     kind: ObjectType
@@ -41,18 +47,21 @@ class ObjectModel:
 
 OBJECTS: Registry[ObjectModel] = Registry("object")
 _extended: dict[int, tuple[int, Pack, Pack]] = {}
-"""Packs with the registered objects, by the identity of the pack without them: (version of the registry, pack without,
-pack with). Who opens a pack twice gets the same object."""
+"""Cache of packs with the registered objects, so that opening a pack twice returns the same object: (version of the
+registry, pack without them, pack with them) by the id of the pack without them."""
 
 
 def register_object(model: ObjectModel) -> ObjectModel:
-    """Register an object type; every pack opened from now on has it.
+    """Register an object type, which every pack opened from now on has.
 
-    An environment has an object in it if its task's roster names it, or its option ``extra_objects``.
+    An environment has the objects of its task's roster and of its option ``extra_objects``.
+
+    Returns:
+        ``model``.
 
     Raises:
-        UsageError: it is no `ObjectModel`; an object of that name is registered already, or built in; a name or number
-            is none that an object can be made of, or a geom names a mesh that is not given.
+        UsageError: it is no `ObjectModel`; an object of that name is registered or built in; a name or number is
+            invalid; a geom names a missing mesh; or no geom collides.
     """
     check_item("register_object", model, ObjectModel)
     kind = model.kind
@@ -75,15 +84,15 @@ def register_object(model: ObjectModel) -> ObjectModel:
 
 
 def object_words(kind: str) -> tuple[str, ...]:
-    """Names in instructions of a registered object type; () for others, and where none were given."""
+    """Return the names in instructions of a registered object type; () for other types, and if it has none."""
     return OBJECTS[kind].words if kind in OBJECTS else ()
 
 
 def with_registered_objects(pack: Pack) -> Pack:
-    """A pack with the registered objects and their meshes besides its own; itself if there are none.
+    """Return a pack with the registered objects and their meshes added; the pack itself if there are none.
 
     Raises:
-        UsageError: the pack has an object or a mesh of the name of a registered one.
+        UsageError: the pack has an object or a mesh with the name of a registered one.
     """
     if not len(OBJECTS):
         return pack

@@ -1,7 +1,7 @@
-"""Check of the names and numbers of an asset pack, done once for every pack that is read.
+"""Validation of the names and numbers of an asset pack when it is read.
 
-The engine and the maps of free floor do not check numbers: a length of 1e300 m crashes them, and a mass of 0 or a
-quaternion of length 3 gives meaningless physics.
+MuJoCo and the free-space maps do not check numbers: a length of 1e300 m crashes them, and a mass of 0 or a quaternion
+of length 3 gives meaningless physics.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from mjhab.scenes.spec import (
 )
 
 MAX_FILE_NUMBER = 1000.0
-"""Largest number that the files a pack is made from may hold: position [m], angle [rad], mass [kg], scale, vertex."""
+"""Largest absolute number in the files of a pack: positions [m], angles [rad], masses [kg], scales, vertices."""
 MAX_POSITION_M = 100.0
-"""Farthest from the origin of a home or template that anything may lie [m]; parked pieces lie at 50 m."""
+"""Largest absolute coordinate of a position in the frame of a home or template [m]; parked pieces are at 50 m."""
 MIN_SIZE_M = 1e-5
-"""Least extent of a shape [m]."""
+"""Smallest half-extent, radius or half-length of a shape [m]."""
 MAX_SIZE_M = 100.0
 """Largest half-extent, radius or half-length of a shape [m]."""
 MIN_MESH_SCALE = 1e-4
-"""Least factor from the vertices of a mesh to metres: files may count in millimetres."""
+"""Smallest factor from the vertices of a mesh to metres; meshes may be in millimetres."""
 MAX_MESH_SCALE = 1000.0
 MIN_MASS_KG = 1e-4
 MAX_MASS_KG = 1000.0
@@ -49,7 +49,7 @@ MAX_LIGHT = 1000.0
 MAX_LAYOUT = 9999
 """Largest number of a macro or micro layout."""
 UNIT_TOLERANCE = 0.05
-"""How far the length of a direction or quaternion may be from 1: files give few digits."""
+"""Allowed deviation of the length of a direction or quaternion from 1, because files have few digits."""
 
 _LENGTH = (-MAX_POSITION_M, MAX_POSITION_M, "m")
 _SIZE = (MIN_SIZE_M, MAX_SIZE_M, "m")
@@ -81,28 +81,28 @@ RANGES: dict[tuple[type, str], tuple[float, float, str]] = {
     (ObjectType, "half"): _SIZE,
     (ObjectType, "scan_yaw"): _ANGLE,
 }
-"""Least value, largest value and unit of every number of a field."""
+"""Smallest value, largest value and unit of the numbers of a field."""
 UNIT_VECTORS = frozenset(
     {(Geom, "quat"), (Placement, "quat"), (Handle, "bar"), (Handle, "out"), (Link, "axis")}
 )
 """Fields that are directions or quaternions of length 1."""
 NAMES = frozenset({"name", "template", "mesh", "link", "material", "pack"})
-"""Fields that are names, of whatever they are a field."""
+"""Fields that are names, in all dataclasses."""
 MAY_BE_EMPTY = frozenset({"mesh", "link"})
 NUMBERS_OF_SIZE = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
-"""How many numbers of `Geom.size` a shape uses."""
+"""Number of entries of `Geom.size` that a shape uses."""
 
 
 def check_pack(pack: Pack, source: Path | str) -> Pack:
-    """Return a pack whose names and numbers are in order.
+    """Check all names and numbers of a pack, and return it.
 
     Args:
-        pack: what was read.
-        source: from where, for the message.
+        pack: the pack that was read.
+        source: its file, for messages.
 
     Raises:
-        UsageError: a name that is none, or a number that is not finite or out of its range (`RANGES`, `UNIT_VECTORS`);
-            the message tells the field.
+        UsageError: a name is invalid, or a number is not finite or out of its range (`RANGES`, `UNIT_VECTORS`); the
+            message names the field.
     """
     try:
         check_name("name of the pack", pack.name)
@@ -122,7 +122,7 @@ def _check_each(where: str, things: Iterable[Any], extents: Mapping[str, float])
 
 
 def _check(where: str, thing: Any, extents: Mapping[str, float]) -> None:
-    """Check a dataclass and those in its fields. ``extents``: of the meshes by name, in their own unit."""
+    """Check a dataclass recursively. ``extents``: largest absolute vertex coordinate of every mesh, by name."""
     kind = type(thing)
     for field in fields(thing):
         value = getattr(thing, field.name)
@@ -167,7 +167,7 @@ def _check_unit(where: str, value: tuple[float, ...]) -> None:
 
 
 def _check_size(where: str, geom: Geom, extent: float) -> None:
-    """``extent``: largest coordinate of the vertices of its mesh."""
+    """Check the size of a geom. ``extent``: largest absolute vertex coordinate of its mesh."""
     if geom.shape == "mesh":
         scale = np.abs(geom.size)
         check_range(where, scale, MIN_MESH_SCALE, MAX_MESH_SCALE, "1")
@@ -199,7 +199,7 @@ def _check_home(where: str, home: Home) -> None:
 
 
 def _mesh_extent(name: str, mesh: Any) -> float:
-    """Largest coordinate of a mesh's vertices (V, 3), which its faces (F, 3) must name."""
+    """Check the arrays of a mesh; returns the largest absolute coordinate of its vertices (V, 3)."""
     where = f"mesh {check_name('name of a mesh', name)!r}"
     vertices = np.asarray(mesh.vertices)
     faces = np.asarray(mesh.faces)

@@ -1,4 +1,4 @@
-"""Packs kept in a folder: ``pack.json`` (templates, homes, objects) and ``meshes.npz`` (arrays, no pickles)."""
+"""Packs stored in a folder: ``pack.json`` (templates, homes, objects) and ``meshes.npz`` (arrays, no pickles)."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ PACK_FORMAT = "mjhab-pack-1"
 _JSON = "pack.json"
 _MESHES = "meshes.npz"
 MAX_MESHES_MB = 2048
-"""Largest meshes of a pack [MB], unpacked; those of all 84 homes of ReplicaCAD take 49."""
+"""Largest uncompressed size of the meshes of a pack [MB]; those of all 84 homes of ReplicaCAD take 49."""
 
 
 def save_pack(pack: Pack, folder: Path) -> None:
-    """Write a pack into ``folder`` (made if missing); ``load_pack`` gives an equal pack back.
+    """Write a pack into ``folder`` (created if missing), from which `load_pack` reads an equal pack.
 
-    Roles of furniture that the pack does not have are left out.
-
-    ``pack.json`` is written last and put in place by a rename, so a folder that has it is complete.
+    Roles of furniture that the pack does not have are left out. ``pack.json`` is written last and renamed into place,
+    so that a folder that has it is complete.
     """
     folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, np.ndarray] = {}
@@ -57,8 +56,8 @@ def load_pack(folder: Path) -> Pack:
     """Read a pack folder.
 
     Raises:
-        UsageError: a file is missing, broken or of another format, or holds names or numbers that no home can be made
-            of (`check_pack`); names the file and the field.
+        UsageError: a file is missing, broken or of another format, or has invalid names or numbers (`check_pack`); the
+            message names the file and the field.
     """
     for needed in (_JSON, _MESHES):
         if not (folder / needed).is_file():
@@ -111,7 +110,7 @@ def _read_meshes(path: Path, names: tuple[str, ...]) -> dict[str, object]:
 
 
 def _check_names(pack: Pack, path: Path) -> None:
-    """Every name that a home or a geom uses must exist in the pack."""
+    """Check that the pack has every template and mesh that its homes and geoms name."""
     for home in pack.homes:
         for what, placed, known in (
             ("props", home.props, pack.props),

@@ -1,4 +1,4 @@
-"""Asset packs by name or place: what a caller asks for, and the registry of those who can open it."""
+"""Requests for asset packs, by name or path, and the registry of the sources that open them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from mjhab.scenes.spec import Pack
 
 @dataclass(frozen=True)
 class PackRequest:
-    """Which pack to open, and how.
+    """Which pack to open, and how. A source accepts the options that its `PackSource.options` name.
 
-    ``place``: name of a registered pack such as ``"builtin"``, or a path that one of the registered sources opens.
-    ``articulate``: names of furniture that opens although it is welded shut by default. ``stage_mesh``: path of a
-    ``.glb`` that replaces walls and floor of every home, "" for none. ``scenes``: names of homes, or patterns such as
-    ``apt_*``, to restrict the pack to; () for those that the pack lists. Every source says in `PackSource.options`
-    which of these it takes.
+    Attributes:
+        place: name of a registered pack such as ``"builtin"``, or a path that one of the registered sources opens.
+        articulate: names of furniture that opens although its joints are fixed by default.
+        stage_mesh: path of a ``.glb`` that replaces walls and floor of every home; "" for none.
+        scenes: names of homes, or patterns such as ``apt_*``, that the pack is to have; () for its default ones.
+
+    Raises:
+        UsageError: a field has a value of another type.
     """
 
     place: str = "builtin"
@@ -40,14 +43,14 @@ class PackRequest:
         object.__setattr__(self, "articulate", tuple(sorted(set(self.articulate))))
 
     def __str__(self) -> str:
-        """For people: the place, and in brackets what differs from the pack as it is."""
+        """The place, and in brackets the options that differ from their defaults, for messages."""
         parts = [f"articulate: {', '.join(self.articulate)}"] if self.articulate else []
         parts += [f"stage: {self.stage_mesh}"] if self.stage_mesh else []
         parts += [f"scenes: {', '.join(self.scenes)}"] if self.scenes else []
         return f"{self.place} ({'; '.join(parts)})" if parts else self.place
 
     def given(self) -> tuple[str, ...]:
-        """Names of the options that differ from their defaults."""
+        """Return the names of the options that differ from their defaults."""
         return tuple(
             f.name
             for f in dataclasses.fields(self)
@@ -55,7 +58,7 @@ class PackRequest:
         )
 
     def as_json(self) -> str | dict[str, Any]:
-        """Plain data for files, which `pack_request` reads: the place alone, or a mapping if there are options."""
+        """Convert to JSON data that `pack_request` reads: the place alone, or a mapping if there are options."""
         given = self.given()
         if not given:
             return self.place
@@ -67,14 +70,14 @@ class PackRequest:
 HOME_SUFFIXES = (".json", ".py")
 """Endings of files that homes are written in (`mjhab.scenes.home_files`)."""
 Assets = str | Mapping[str, Any] | PackRequest
-"""How a pack may be asked for: by name or path, by what `PackRequest.as_json` gives, or by the request itself."""
+"""Accepted forms of a request: name or path, the result of `PackRequest.as_json`, or a `PackRequest`."""
 
 
 def pack_request(assets: Assets) -> PackRequest:
-    """The request that a caller or a file states.
+    """Convert any form of a request to a `PackRequest`.
 
     Raises:
-        UsageError: neither a text, a request, nor a mapping; or one with other keys than the fields of `PackRequest`.
+        UsageError: it has none of the forms of `Assets`, or is a mapping with keys that are no fields of `PackRequest`.
     """
     if isinstance(assets, PackRequest):
         return assets
@@ -92,7 +95,7 @@ def pack_request(assets: Assets) -> PackRequest:
 
 
 def _from_text(text: str) -> PackRequest:
-    """A place. Earlier data sets have options behind it: ``FOLDER?articulate=a,b?stage=FILE``."""
+    """Request for a place, with or without the options of older recordings: ``FOLDER?articulate=a,b?stage=FILE``."""
     place, _, stage = text.partition("?stage=")
     place, _, furniture = place.partition("?articulate=")
     return PackRequest(place, tuple(filter(None, furniture.split(","))), stage)
@@ -102,10 +105,16 @@ def _from_text(text: str) -> PackRequest:
 class PackSource:
     """Opens packs of one kind.
 
-    ``name``: of the kind; a source without ``finds`` is asked for by it. ``open``: makes the pack of a request; asked
-    again for an equal request it should return the same object, since what is derived from a pack is kept for it.
-    ``finds``: whether a place on disk is one that this source opens; it reads no more than it needs to tell, and
-    raises nothing. ``options``: fields of `PackRequest` that the source takes besides ``place``.
+    Attributes:
+        name: name of the kind; a source without ``finds`` has one pack, of this name.
+        open: returns the pack of a request. It should return the same object for equal requests, because data derived
+            from a pack is cached per object.
+        finds: returns whether this source opens a path; should be fast and must not raise. None for a source that is
+            found by name.
+        options: fields of `PackRequest` that the source accepts besides ``place``.
+
+    Raises:
+        UsageError: a field has an invalid value.
     """
 
     name: str
@@ -139,10 +148,13 @@ PACK_SOURCES: Registry[PackSource] = Registry(
 
 
 def register_pack(source: PackSource) -> PackSource:
-    """Register a pack, or a kind of packs on disk; ``assets`` of every environment and command then finds it.
+    """Register a pack, or a kind of packs on disk, for the option ``assets`` of environments and commands.
+
+    Returns:
+        ``source``.
 
     Raises:
-        UsageError: a pack of that name is registered already, or the source takes options that do not exist.
+        UsageError: a source of that name is registered already, or the source has options that do not exist.
     """
     check_item("register_pack", source, PackSource)
     known = {f.name for f in dataclasses.fields(PackRequest)} - {"place"}
@@ -153,13 +165,13 @@ def register_pack(source: PackSource) -> PackSource:
 
 
 def source_of(request: PackRequest) -> PackSource | None:
-    """The source that opens a request, None if none does.
+    """Find the source that opens a request; None if there is none.
 
     Raises:
-        UsageError: the source does not take an option of the request, or the place is none that can be.
+        UsageError: the source does not accept an option of the request, or the place is not a valid path.
     """
     try:
-        # Sources look for files there; a name that no file can have is told before.
+        # Refuse names that no file can have before sources look for files.
         beside(Path(), request.place)
     except ValueError as error:
         raise UsageError(f"assets: {error}") from error
@@ -172,7 +184,7 @@ def source_of(request: PackRequest) -> PackSource | None:
 
 
 def _named_source(name: str) -> PackSource | None:
-    """The source whose one pack has that name."""
+    """The source without ``finds`` of that name, or None."""
     if name not in PACK_SOURCES:
         return None
     source = PACK_SOURCES[name]
@@ -180,7 +192,7 @@ def _named_source(name: str) -> PackSource | None:
 
 
 def pack_names() -> tuple[str, ...]:
-    """Names of the packs that are opened by name."""
+    """Return the names of the packs that are opened by name."""
     return tuple(source.name for source in PACK_SOURCES.values() if source.finds is None)
 
 

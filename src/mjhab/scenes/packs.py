@@ -1,7 +1,7 @@
-"""Asset packs: homes, the furniture in them and the objects to move, opened by name or path.
+"""Opening of asset packs (homes, their furniture and movable objects) by name or path.
 
-`mjhab.scenes.pack_source` has the registry: the built-in pack, ReplicaCAD, folders that `save_pack` wrote, home files,
-and what plugins add.
+`mjhab.scenes.pack_source` has the registry of sources: the built-in packs, ReplicaCAD, folders of `save_pack`, home
+files, and those of plugins.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ def open_pack(assets: Assets = "builtin") -> Pack:
     """Open an asset pack.
 
     Args:
-        assets: ``"builtin"`` or the name of another registered pack; or a path: of a ReplicaCAD data set (or of the
-            folder that holds it as ``replica_cad``), of one ``*.scene_instance.json`` of it, that path with names of
-            scenes behind it (``replica_cad/apt_0``, ``replica_cad/apt_*``), or of a folder that ``save_pack`` wrote;
-            or a `PackRequest`, which has options, too.
+        assets: the name of a registered pack such as ``"builtin"``; the path of a home file, of a folder that
+            `save_pack` wrote, or of a ReplicaCAD data set (the folder, the folder that holds it as ``replica_cad``, one
+            ``*.scene_instance.json`` of it, or either folder followed by names of scenes: ``replica_cad/apt_0``,
+            ``replica_cad/apt_*``); or a `PackRequest`, which also has options.
 
     Raises:
-        UsageError: nothing of that; the message says what the folder lacks or which names exist.
+        UsageError: there is no such pack, or it cannot be read; the message says what is missing or which names exist.
 
     Example:
         >>> import mjhab
@@ -55,7 +55,7 @@ def open_pack(assets: Assets = "builtin") -> Pack:
 
 
 def _opened(source: PackSource, request: PackRequest) -> Pack:
-    """The pack that a source opens; of a plugin's source anything may come.
+    """The pack that a source opens; failures of a plugin's source are reported as errors of that plugin.
 
     Raises:
         UsageError: the source raises, or returns no pack.
@@ -77,7 +77,7 @@ def _opened(source: PackSource, request: PackRequest) -> Pack:
 
 
 def _nothing_there(place: str) -> UsageError:
-    """Why no source opens a place."""
+    """Error that says why no source opens a place."""
     if Path(place).exists():
         return UsageError(
             f"asset pack {place!r} is a file; expected the name of a pack ({', '.join(pack_names())}) or a folder "

@@ -1,8 +1,8 @@
-"""Roles: what a task asks of the furniture of a home, and which pieces of a pack play them.
+"""Roles of furniture, by which tasks refer to receptacles and links independently of the pack.
 
-A task asks for "a counter top" or "the fridge shelf", never for a piece by name; every pack says in `Pack.roles` (a
-home in `Home.roles`, where it differs) which of its receptacles and links these are. The names below are those that
-the tasks of mjhab ask for; tasks and packs of plugins may use others.
+A task needs "a counter top" or "the fridge shelf", never a piece by name. `Pack.roles`, or `Home.roles` if a home
+differs, assign receptacles and links to the roles. The constants below are the roles of mjhab's tasks; tasks and packs
+of plugins may use others.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from mjhab.core.errors import UsageError
 from mjhab.scenes.spec import Articulation, Home, Pack, Prop, Receptacle, Roles
 
 OPEN_SURFACE = "open_surface"
-"""A place that is reached without opening anything: table tops, seats, counter tops."""
+"""Receptacles that are reached without opening anything: table tops, seats, counter tops."""
 COUNTER_TOP = "counter_top"
-"""A free part of the kitchen counter's worktop."""
+"""Receptacles on the worktop of the kitchen counter."""
 SINK = "sink"
+"""The sink of the kitchen counter."""
 DINING_TABLE = "dining_table"
-"""Where SetTable brings bowl and apple."""
+"""The table that SetTable sets with bowl and apple."""
 DRAWER = "drawer"
 """The inside of the kitchen drawer in which SetTable's bowl starts."""
 FRIDGE_SHELF = "fridge_shelf"
@@ -28,23 +29,23 @@ KITCHEN_DRAWER_LINK = "kitchen_drawer"
 FRIDGE_DOOR_LINK = "fridge_door"
 """The link that closes `FRIDGE_SHELF`."""
 _MAX_NAMED_HOMES = 5
-"""Homes named in a message."""
+"""Largest number of homes named in a message."""
 
 
 def roles_of(pack: Pack, home: Home) -> Roles:
-    """The roles that hold in a home: its own where it states them, else those of its pack."""
+    """Return the roles of a home: its own if it has any, else those of its pack."""
     return home.roles if home.roles is not None else pack.roles
 
 
 def plays(roles: Roles, role: str, template: str, receptacle: str, *, first: bool) -> bool:
-    """Whether a receptacle plays a role.
+    """Return whether a receptacle has a role.
 
     Args:
-        roles: of the home.
+        roles: roles of the home.
         role: name of the role.
         template: name of the piece of furniture.
         receptacle: name of the receptacle.
-        first: it is the first receptacle of its template.
+        first: whether it is the first receptacle of its template.
     """
     listed = roles.places.get(role, ())
     whole = (f"{template}/{receptacle}", f"{template}/*")
@@ -52,7 +53,7 @@ def plays(roles: Roles, role: str, template: str, receptacle: str, *, first: boo
 
 
 def roles_in(pack: Pack, home: Home) -> set[str]:
-    """Names of the roles of places and links for which a home has a piece."""
+    """Return the names of the roles for which a home has a receptacle or link."""
     roles = roles_of(pack, home)
     found: set[str] = set()
     for placement in (*home.props, *home.articulations):
@@ -70,16 +71,16 @@ def roles_in(pack: Pack, home: Home) -> set[str]:
 
 
 def require_roles(pack: Pack, homes: Iterable[Home], needed: Sequence[str], who: str) -> None:
-    """Refuse homes that lack furniture.
+    """Check that homes have furniture for roles.
 
     Args:
         pack: the pack of the homes.
-        homes: to look at.
+        homes: the homes.
         needed: names of roles.
-        who: who needs them, for the message: "task 'set_table'".
+        who: what needs the roles, for the message: "task 'set_table'".
 
     Raises:
-        UsageError: names the role, which homes lack it, and which roles the pack has.
+        UsageError: a home lacks a role; the message names the role, the homes, and the roles of the pack.
     """
     lacking: dict[str, list[str]] = {}
     for home in homes:
@@ -100,10 +101,10 @@ def require_roles(pack: Pack, homes: Iterable[Home], needed: Sequence[str], who:
 
 
 def link_with_role(roles: Roles, role: str) -> str:
-    """Id of the link that plays a role.
+    """Return the id ``"<articulation>/<link>"`` of the link with a role.
 
     Raises:
-        UsageError: none does.
+        UsageError: no link has it.
     """
     if role not in roles.links:
         known = ", ".join(sorted(roles.links)) or "none"
@@ -112,7 +113,7 @@ def link_with_role(roles: Roles, role: str) -> str:
 
 
 def present_roles(pack: Pack, roles: Roles) -> Roles:
-    """The part of ``roles`` that names furniture of a pack."""
+    """Return ``roles`` restricted to the furniture that a pack has."""
     places = _places_of((*pack.props.values(), *pack.articulations.values()))
     links = _links_of(pack)
     kept = {
@@ -127,10 +128,10 @@ def present_roles(pack: Pack, roles: Roles) -> Roles:
 
 
 def check_roles(pack: Pack) -> None:
-    """Refuse roles that name furniture the pack does not have.
+    """Check that the roles of a pack and its homes name only furniture of the pack.
 
     Raises:
-        ValueError: names the role and the piece.
+        ValueError: one does not; the message names the role and the piece.
     """
     places = _places_of((*pack.props.values(), *pack.articulations.values()))
     links = _links_of(pack)
@@ -152,7 +153,7 @@ def _links_of(pack: Pack) -> set[str]:
 
 
 def _places_of(templates: Iterable[Prop | Articulation]) -> set[str]:
-    """Every way in which `Roles.places` may name the receptacles of templates."""
+    """All strings by which `Roles.places` may name the receptacles of templates."""
     found: set[str] = set()
     for template in templates:
         receptacles: tuple[Receptacle, ...] = template.receptacles

@@ -1,7 +1,7 @@
-"""What a home is made of: plain frozen data, before any simulator is involved.
+"""Data classes that describe packs, homes, furniture and objects, independent of any simulator.
 
-Frames: every template has its origin on the floor under its centre, +z up, +x to its front (the side a
-person stands at). Lengths [m], angles [rad], masses [kg], quaternions wxyz.
+A template is a piece of furniture that homes place. Its frame has the origin on the floor under its centre, +z up, +x
+to its front (the side from which a person uses it). Lengths [m], angles [rad], masses [kg], quaternions wxyz.
 """
 
 from __future__ import annotations
@@ -17,23 +17,28 @@ Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 PARKED: Vec3 = (0.0, 0.0, -50.0)
-"""Where pieces stand that a home does not use: far below the floor, no contact possible."""
+"""Position [m] of pieces that a home does not use: far below the floor, where nothing collides."""
 
 OWN_POINTS = "ours"
 PUBLISHED_POINTS = "published"
 HANDLE_POINTS = (OWN_POINTS, PUBLISHED_POINTS)
-"""Points to show for handles: where our geometry is gripped, or those that the plans of MS-HAB name."""
+"""Choices of handle points: the grasp point of our geometry, or the point in the plans of MS-HAB."""
 
 Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
 
 
 @dataclass(frozen=True)
 class Geom:
-    """One piece of a rigid thing, for collision, for the eye, or for both.
+    """One shape of a rigid body, for collision, rendering, or both.
 
-    ``size``: box half-extents (x, y, z); cylinder and capsule (radius, half-length along z, 0);
-    sphere (radius, 0, 0); mesh: scale (x, y, z), with ``mesh`` naming an entry of ``scenes.shapes.meshes``.
-    A colliding mesh is taken as its convex hull.
+    Attributes:
+        shape: the kind of shape. A mesh collides as its convex hull.
+        size: box: half-extents (x, y, z); cylinder and capsule: (radius, half-length along z, 0); sphere: (radius, 0,
+            0); mesh: scale (x, y, z).
+        pos, quat: pose in the frame of its template, link or object.
+        material: name in `builtin.materials.MATERIALS`, used unless the mesh has its own colours.
+        mesh: key of `Pack.meshes`, for meshes.
+        collide, visual: whether it collides, and whether it is rendered.
     """
 
     shape: Shape
@@ -48,10 +53,15 @@ class Geom:
 
 @dataclass(frozen=True)
 class Receptacle:
-    """A box of space in which objects may stand; its floor is the supporting surface.
+    """A rectangle of a surface on which objects can be placed.
 
-    ``pos`` is the centre of the *supporting rectangle* (on the surface) in the frame of the template or of
-    ``link``; ``half`` the half-extents (x, y) of the usable rectangle; ``height`` the free height above it.
+    Attributes:
+        name: unique within the template.
+        pos: centre of the rectangle on the surface, in the frame of ``link``, or of the template if that is "".
+        half: half-extents (x, y) of the rectangle.
+        height: free height above it.
+        kind: "open" above, inside a "drawer", or a "shelf" with something above.
+        link: moving link that it is attached to; "" for none.
     """
 
     name: str
@@ -64,7 +74,7 @@ class Receptacle:
 
 @dataclass(frozen=True)
 class Prop:
-    """Furniture without joints. ``blocks_base`` False: rugs and mats, which robots drive over."""
+    """Furniture without joints. ``blocks_base`` is False for rugs and mats, which robots drive over."""
 
     name: str
     geoms: tuple[Geom, ...]
@@ -76,9 +86,12 @@ class Prop:
 class Handle:
     """A graspable bar on a moving link, in the frame of the link.
 
-    ``pos``: grasp point at the middle of the bar; ``bar``: unit direction of the bar; ``out``: unit
-    direction pointing away from the front the bar is mounted on (from where the gripper comes). ``published``: the
-    point that plans of MS-HAB name for the handle, None where there are none.
+    Attributes:
+        pos: grasp point at the middle of the bar.
+        bar: unit direction along the bar.
+        out: unit direction away from the front that the bar is mounted on, from which the gripper approaches.
+        half_length, thickness: of the bar.
+        published: handle point in the plans of MS-HAB; None if they have none.
     """
 
     pos: Vec3
@@ -89,7 +102,7 @@ class Handle:
     published: Vec3 | None = None
 
     def point(self, points: str) -> Vec3:
-        """The point to show for the handle, ``points`` being one of HANDLE_POINTS."""
+        """Return the point chosen by ``points``, one of `HANDLE_POINTS`; ``pos`` if there is no published one."""
         return self.published if points == PUBLISHED_POINTS and self.published else self.pos
 
 
@@ -97,7 +110,16 @@ class Handle:
 class Link:
     """A moving part of an articulation with one joint to the static body.
 
-    Its joint is closed at 0, the start of its ``range``, and opens upwards. ``mirrored``: files count it downwards.
+    Attributes:
+        name: unique within the articulation.
+        joint: kind of the joint, closed at position 0 and opened by positive positions.
+        axis: unit axis of the joint in the frame of the link.
+        range: joint positions (closed, fully open) [m or rad].
+        pos: origin of the link in the frame of the template, when closed; their axes are parallel.
+        mass: [kg].
+        geoms: in the frame of the link.
+        handle: its handle.
+        mirrored: episode files count the joint position with the opposite sign.
     """
 
     name: str
@@ -113,7 +135,10 @@ class Link:
 
 @dataclass(frozen=True)
 class FrontArea:
-    """A rectangle on the floor from which furniture is opened [m], seen along +x: the direction out of the front."""
+    """A rectangle on the floor where a robot stands to open furniture, in the furniture's frame.
+
+    It extends from ``near_m`` to ``far_m`` along +x, out of the front, and ``half_width_m`` to both sides.
+    """
 
     near_m: float
     far_m: float
@@ -122,10 +147,10 @@ class FrontArea:
 
 @dataclass(frozen=True)
 class Articulation:
-    """Furniture with joints: a static body and links that open.
+    """Furniture with joints: a static body (``geoms``) and links that open.
 
-    ``front_area``: where a robot stands to open it, seen from the origin of its frame; None for the usual area in front
-    of every drawer and door (`episodes.starts.fronts`).
+    ``front_area``: where a robot stands to open it; None for the default area in front of every drawer and door
+    (`episodes.starts.fronts`).
     """
 
     name: str
@@ -137,10 +162,9 @@ class Articulation:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a template stands: position [m] and heading [rad] of its frame.
+    """Pose of a template in the world: position [m] and heading [rad] of its frame.
 
-    ``quat``: the whole rotation of a piece that does not stand upright (a bike on its stand); ``yaw`` is then the
-    heading of its x axis.
+    ``quat``: rotation of a piece that is not upright, None for upright ones; ``yaw`` is then the heading of its x axis.
     """
 
     template: str
@@ -150,13 +174,13 @@ class Placement:
 
     @property
     def rotation(self) -> Quat:
-        """Rotation from the frame of the template to the world."""
+        """Quaternion wxyz of the rotation from the frame of the template to the world."""
         return self.quat or (math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2))
 
 
 @dataclass(frozen=True)
 class Light:
-    """A point light."""
+    """A point light: world position [m], linear rgb, and a factor on the colour."""
 
     pos: Vec3
     color: Vec3 = (1.0, 0.95, 0.88)
@@ -165,12 +189,14 @@ class Light:
 
 @dataclass(frozen=True)
 class Roles:
-    """Which pieces of furniture play the roles that tasks ask for (names in `mjhab.scenes.roles`).
+    """Assignment of furniture to the roles that tasks refer to (names in `mjhab.scenes.roles`).
 
-    ``places``: role to the receptacles that play it, each as ``"<template>/<receptacle>"``, as ``"<template>"`` for the
-    first receptacle of every such piece (its top), or as ``"<template>/*"`` for all of them. ``links``: role to the id
-    ``"<articulation>/<link>"`` of the link that plays it. ``closed_by``: receptacle ``"<template>/<receptacle>"`` to
-    the id of the link that must be open to reach it, where it does not move with that link.
+    Attributes:
+        places: receptacles by role, each as ``"<template>/<receptacle>"``, as ``"<template>"`` for the first receptacle
+            of the template (its top), or as ``"<template>/*"`` for all of them.
+        links: id ``"<articulation>/<link>"`` of a link by role.
+        closed_by: id of the link that must be open to reach a receptacle that does not move with it, by receptacle
+            ``"<template>/<receptacle>"``.
     """
 
     places: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -180,7 +206,11 @@ class Roles:
 
 @dataclass(frozen=True)
 class Home:
-    """One furnished apartment. ``walls`` are boxes in world coordinates (collide and block the base)."""
+    """One furnished apartment.
+
+    ``split``, ``macro``, ``micro``: data split, and numbers of its floor plan and of the arrangement of its furniture.
+    ``walls``: boxes in the world. ``props``, ``articulations``: placed furniture, an articulation at most once.
+    """
 
     name: str
     pack: str
@@ -195,21 +225,21 @@ class Home:
     articulations: tuple[Placement, ...]
     lights: tuple[Light, ...] = ()
     floor_patches: tuple[Geom, ...] = ()
-    """Visual-only thin boxes that give rooms their own flooring."""
+    """Thin visual-only boxes in the world: the flooring of single rooms."""
     note: str = ""
-    """What a person should know about this home: a hard case, or empty."""
+    """Remark for people, such as why the home is a hard case; "" for none."""
     open_limits: tuple[tuple[str, float], ...] = ()
-    """(link id, joint position [m] or [rad]) of links that meet a wall before the end of their range."""
+    """(link id, joint position [m or rad]) of links that a wall stops before the end of their range."""
     roles: Roles | None = None
-    """Roles that hold in this home instead of those of its pack; None for those of the pack."""
+    """Roles of this home, which replace those of its pack; None for those of the pack."""
 
 
 @dataclass(frozen=True)
 class ObjectType:
-    """A movable object. Frame: origin at the centre of the bounding box, +z up when it stands.
+    """A type of movable object. Its frame has the origin at the centre of the bounding box and +z up when it stands.
 
-    ``half``: half-extents of the bounding box [m]; ``collision`` geoms (primitives or convex meshes);
-    ``visuals`` geoms for the eye only.
+    ``half``: half-extents of the bounding box [m]; ``collision``: colliding geoms (primitives or convex meshes);
+    ``visuals``: rendered geoms.
     """
 
     name: str
@@ -218,15 +248,15 @@ class ObjectType:
     collision: tuple[Geom, ...]
     visuals: tuple[Geom, ...]
     scan_yaw: float = 0.0
-    """Heading [rad] in this frame of the x axis of the scan; HAB episodes give poses in the axes of the scan."""
+    """Heading [rad] of the scan's x axis in this frame; HAB episodes have poses of the scan's frame."""
     grasp_shape: Literal["", "mesh"] = ""
-    """How grasps are found: "" by the primitive that the collision geoms are (several of them make a bowl), "mesh"
-    on the surface of the collision geoms, whatever shape they have."""
+    """How grasps are generated: "" from the primitive that the object collides as (several geoms: a bowl), "mesh" by
+    sampling the surface of its collision geoms."""
 
 
 @dataclass(frozen=True)
 class Pack:
-    """An asset pack: templates, homes, objects, and which pieces play which roles."""
+    """An asset pack: templates by name, homes, objects by name, meshes, and roles of the furniture."""
 
     name: str
     props: dict[str, Prop]
@@ -234,16 +264,16 @@ class Pack:
     homes: tuple[Home, ...]
     objects: dict[str, ObjectType]
     meshes: dict[str, object] = field(default_factory=dict)
-    """Name to ``scenes.shapes.meshes.Mesh`` for every mesh the geoms name."""
+    """The meshes (``scenes.shapes.meshes.Mesh``) of the geoms, by name."""
     roles: Roles = Roles()
-    """Which pieces play the roles that tasks ask for, in every home that states none of its own."""
+    """Roles of the furniture, in every home that has none of its own."""
 
     @cached_property
     def derived(self) -> MemoryCache:
-        """What is computed from its homes; the keys say what."""
+        """Cache of data computed from its homes."""
         return MemoryCache("maps")
 
     @cached_property
     def homes_by_name(self) -> dict[str, Home]:
-        """The homes under their names."""
+        """The homes by name."""
         return {home.name: home for home in self.homes}

@@ -1,4 +1,4 @@
-"""Worlds and recorded episodes in the browser."""
+"""Viewer of running worlds and recorded episodes in the browser."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mjhab.core.machine import install_extra
 
 
 def require_viser() -> None:
-    """Refuse to go on without the library of the page.
+    """Check that viser, which the viewer needs, is installed.
 
     Raises:
         UsageError: it is not installed.

@@ -1,1 +1,1 @@
-"""The rasterizer on the CPU: numba kernels, no OpenGL."""
+"""Rasterizer on the CPU: numba kernels, without OpenGL."""

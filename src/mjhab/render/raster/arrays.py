@@ -1,4 +1,4 @@
-"""Arrays that the kernels of the rasterizer work on, and what ids and depths in them mean.
+"""Arrays of the rasterizer's kernels, and the conventions for frames, ids and depths.
 
 View frame of every kernel: x right, y down, z forward (depth), so that a point (x, y, z) lands at column
 ``width / 2 + focal * x / z`` and row ``height / 2 + focal * y / z``; pixel centres lie at ``+ 0.5``.
@@ -16,18 +16,23 @@ FACE_BITS = 18
 PARKED_BELOW = -25.0
 """Instances whose origin lies below this height [m] are parked pieces of other homes and are not drawn."""
 ORDER_BUCKETS = 128
-"""Instances are drawn from near to far in so many groups of like depth."""
+"""Number of depth buckets of the front-to-back order of instances."""
 
 
 class Geometry(NamedTuple):
-    """Meshes for the kernels: every level of detail is a mesh of its own. N meshes.
+    """N meshes for the kernels, in the frames of the meshes [m]; every level of detail is a mesh of its own.
 
-    vertices (3, V) f32; faces (F, 3) i32, counted from the mesh's first vertex; planes (4, F) f32: unit normal and
-    offset of every face, ``normal @ point + offset`` is above 0 in front of it; mesh_faces, mesh_verts (N, 2) i32:
-    first and count; mesh_middle, mesh_half (N, 3) f64: centre and half-extents of the bounding box; mesh_ball (N, 4)
-    f64: centre and radius; mesh_side (N, 6) i32: of meshes that are boxes, a face on each of the sides -x, +x, -y,
-    +y, -z, +z, counted from the mesh's first face, else -1; mesh_coarser (N,) i32: the next coarser level, -1 none;
-    mesh_error (N,) f64: how far the level is off [m].
+    Attributes:
+        vertices: (3, V) f32.
+        faces: (F, 3) i32, vertices counted from the mesh's first vertex.
+        planes: (4, F) f32, unit normal and offset of every face; ``normal @ point + offset`` is positive in front.
+        mesh_faces, mesh_verts: (N, 2) i32, first face or vertex, and their number.
+        mesh_middle, mesh_half: (N, 3) f64, centre and half-extents of the bounding box.
+        mesh_ball: (N, 4) f64, centre and radius of the bounding sphere.
+        mesh_side: (N, 6) i32, for meshes that are boxes a face on each of the sides -x, +x, -y, +y, -z, +z, counted
+            from the mesh's first face; else -1.
+        mesh_coarser: (N,) i32, the next coarser level of detail, -1 for none.
+        mesh_error: (N,) f64, bound of the distance to the finest level [m].
     """
 
     vertices: np.ndarray
@@ -44,10 +49,12 @@ class Geometry(NamedTuple):
 
 
 class Placing(NamedTuple):
-    """Where the instances stand (arrays of RenderScene), and which are there in a home.
+    """Poses of the instances (arrays of `RenderScene` without their prefix ``instance_``), and which a home has.
 
-    ``present`` (P,) i32: instances of home h at ``start[h] : start[h + 1]``, from ``moving[h]`` on those that hang on
-    bodies; ``ball`` (4, P) f32: centre [m] in the frame of the body (the world) and radius [m].
+    Attributes:
+        present: (P,) i32 instance ids; those of home h are ``present[start[h] : start[h + 1]]``, of which those
+            attached to bodies begin at ``moving[h]``.
+        ball: (4, P) f32, bounding sphere of each: centre in the frame of its body or the world, and radius [m].
     """
 
     mesh: np.ndarray
@@ -64,15 +71,15 @@ class Placing(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Poses of the bodies of a world: pos (B, 3) [m], mat (B, 3, 3) f64."""
+    """World poses of the bodies of one world: pos (B, 3) [m], mat (B, 3, 3) f64."""
 
     pos: np.ndarray
     mat: np.ndarray
 
 
 class Lens(NamedTuple):
-    """A camera: pos (3,), mat (3, 3) f64 in MuJoCo convention; focal [px]; near [m]; level_error [px]: a coarser
-    level of a mesh is drawn where none of its points is off by more than this."""
+    """A camera: world pose pos (3,) [m], mat (3, 3) f64 in MuJoCo's convention (x right, y up, z backwards); focal
+    length [px]; near plane [m]; level_error [px]: largest projected error of a level of detail that is drawn."""
 
     pos: np.ndarray
     mat: np.ndarray
@@ -82,15 +89,22 @@ class Lens(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """One thread's room, made by ``make_scratch``. I instances.
+    """Working memory of one thread, made by `make_scratch`. I instances, V and F: most vertices and faces of a mesh.
 
-    rot (I, 3, 3), pos (I, 3), scale (I, 3) f64: world poses of instances in sight;
-    ball (4, I) f32, inside (I,) bool: of the instances present, see ``place_balls``;
-    in_sight (I,) i32, to_view (I, 3, 4), corners (I, 3, 8), nearest (I,) f64, rect (I, 4) i64: instances in sight, see
-    ``sight``; order (I,) i64: their places from near to far, buckets (`ORDER_BUCKETS` + 1,) i64;
-    drawn (I,) i32: mesh drawn for each instance of the current image;
-    points (6, most vertices) f64, faces_inside (most faces,) bool, front (most faces,) i32, polygon (4, 3) f64: one
-    mesh or triangle.
+    Attributes:
+        rot, pos, scale: (I, 3, 3), (I, 3) [m], (I, 3) f64, world poses and scales of the instances in sight, by id.
+        ball, inside: (4, I) f32 and (I,) bool, bounding spheres in the world of the instances present in the home,
+            and whether they intersect the frustum.
+        in_sight: (I + 1,) i32, ids of the instances in sight; the next four arrays are in their order.
+        to_view: (I, 3, 4) f64, affine map from the mesh to the view frame.
+        corners: (I, 3, 8) f64, column, row, inverse depth of the corners of the bounding box.
+        nearest: (I,) f64, smallest depth [m]; 0 if the box crosses the near plane.
+        rect: (I, 4) i64, first column, last column + 1, first row, last row + 1 of the box.
+        order: (I,) i64, indices into ``in_sight``, front to back; buckets: (`ORDER_BUCKETS` + 1,) i64, for sorting.
+        drawn: (I,) i32, level of detail drawn for each instance of the current image, by id.
+        points: (6, V) f64, vertices of the current mesh in the view frame and projected.
+        faces_inside, front: (F,) bool, (F + 1,) i32, back-face culling of the current mesh.
+        polygon: (4, 3) f64, the current triangle, clipped at the near plane.
     """
 
     rot: np.ndarray
@@ -113,7 +127,7 @@ class Scratch(NamedTuple):
 
 
 def make_scratch(geometry: Geometry, instances: int) -> Scratch:
-    """Scratch for one thread that draws ``geometry``."""
+    """Allocate the scratch of one thread that draws ``geometry`` with this number of instances."""
     faces = int(geometry.mesh_faces[:, 1].max(initial=1))
     return Scratch(
         rot=np.empty((instances, 3, 3)),

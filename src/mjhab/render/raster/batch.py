@@ -1,4 +1,4 @@
-"""Compiled drawing of whole worlds: every camera of a range of worlds in one call, without the interpreter lock."""
+"""Kernel that renders every camera of a range of worlds in one call, without holding the GIL."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from mjhab.render.raster.sight import place_balls
 
 
 class Views(NamedTuple):
-    """Cameras and bodies of W worlds, and the images to fill (of no cameras: not wanted).
+    """Cameras and bodies of W worlds, and the images to fill.
 
-    home (W,) i64; body_pos (W, B, 3), body_mat (W, B, 3, 3), cam_pos (W, C, 3), cam_mat (W, C, 3, 3) f64;
-    focal (C,) f64, level_error [px], see `Lens`; rgb (W, C, h, w, 3) u8; depth (W, C, h, w) f32; seg (W, C, h, w) i32.
+    Attributes:
+        home: (W,) i64 index of each world's home.
+        body_pos, body_mat: (W, B, 3) [m], (W, B, 3, 3) f64 world poses of the bodies.
+        cam_pos, cam_mat: (W, C, 3) [m], (W, C, 3, 3) f64 world poses of the cameras, as in `Lens`.
+        focal: (C,) f64 [px].
+        level_error: see `Lens` [px].
+        rgb, depth, seg: (W, C, h, w, 3) u8, (W, C, h, w) f32, (W, C, h, w) i32; C is 0 for outputs not requested.
     """
 
     home: np.ndarray
@@ -34,7 +39,8 @@ class Views(NamedTuple):
 
 
 class Room(NamedTuple):
-    """One thread's buffers: inverse (h, w) f32, ids (h, w) i32; raw, share, depths (a, b) f32 of the occlusion."""
+    """Buffers of one thread: inverse (h, w) f32 and ids (h, w) i32 (the z-buffer, see `arrays`); raw, share, depths
+    (a, b) f32 of the ambient occlusion."""
 
     draw: Scratch
     shade: ShadeScratch
@@ -47,9 +53,10 @@ class Room(NamedTuple):
 
 @kernel
 def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
-    """Draw all cameras of the worlds ``first`` to ``last`` in the quality "fast".
+    """Render all cameras of the worlds ``first`` to ``last - 1`` in the quality "fast".
 
-    ``cell``: pixels per cell of ambient occlusion; ``stride``: pixels between nodes of light.
+    ``near``: near plane [m]; ``cull``: drop back faces; ``cell``: side of a cell of ambient occlusion [px]; ``stride``:
+    distance between the pixels of a run at which light is computed [px].
     """
     inverse = room.inverse
     ids = room.ids

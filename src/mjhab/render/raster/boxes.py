@@ -1,4 +1,4 @@
-"""Compiled drawing of boxes in front of the near plane: up to three sides, each one convex quadrangle."""
+"""Kernel that draws boxes in front of the near plane: up to three visible sides, each a convex quadrangle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mjhab.render.raster.jit import kernel
 
 @kernel
 def draw_box(geometry, i, mesh, k, lens, inverse, ids, scratch):
-    """Fill the sides that face the camera of instance ``i``, a box with ``to_view[k]`` and ``corners[k]``."""
+    """Rasterise the sides of a box, instance ``i``, that face the camera; its map and corners have the index ``k``."""
     view = scratch.to_view
     at = scratch.corners
     middle = geometry.mesh_middle
@@ -35,7 +35,8 @@ def draw_box(geometry, i, mesh, k, lens, inverse, ids, scratch):
         along = a0 * c0 + a1 * c1 + a2 * c2
         if abs(along) <= square:
             continue
-        # The side towards the camera: its centre is the box's + s * a, its outward normal s * a.
+        # The side towards the camera has the centre c + s * a and the outward normal s * a; s is 1 for ``upper``,
+        # else -1.
         upper = along < 0.0
         inv = 1.0 / (square - abs(along))
         if not upper:

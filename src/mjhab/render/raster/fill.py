@@ -1,6 +1,9 @@
-"""Compiled filling of projected triangles into a z-buffer.
+"""Kernels that rasterise projected triangles and quadrangles into a z-buffer.
 
-Buffers hold inverse depth, which is linear on screen: 0 is background, larger is nearer.
+``inverse`` (h, w) f32 holds inverse depth [1/m], which is linear on screen: 0 is background, larger is nearer. ``ids``
+(h, w) i32 gets ``tag`` wherever a fragment is nearest. Corners are columns x, rows y [px] and inverse depths w; ``gx``
+and ``gy`` are the change of inverse depth per column and row; left, right, top, bottom are the first and last columns
+and rows to fill.
 """
 
 from __future__ import annotations
@@ -10,14 +13,14 @@ import numpy as np
 from mjhab.render.raster.jit import inline, kernel
 
 EDGE_SLACK = 1e-7
-"""Pixels this near outside an edge [px] count as inside, so that shared edges leave no holes."""
+"""Pixel centres at most this far outside an edge count as inside, so that shared edges leave no holes."""
 SMALL = 2
-"""Triangles whose box has up to this many pixels are filled by testing every pixel."""
+"""Triangles whose bounding rectangle has up to this many pixels are filled by testing every pixel."""
 
 
 @inline
 def _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom):
-    """Fill a triangle of a few pixels by testing every pixel of its box."""
+    """Fill a triangle (corners in the order of positive area) by testing every pixel of its bounding rectangle."""
     for row in range(top, bottom + 1):
         y = row + 0.5
         for col in range(left, right + 1):
@@ -35,8 +38,11 @@ def _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, rig
 
 @inline
 def _bound(xa, ya, xb, yb, y):
-    """Where an edge cuts the row at height ``y``, its change of x per row, and on which side of it the triangle lies:
-    1 left, -1 right, 0 (level) neither."""
+    """Intersection of the edge a-b with the horizontal line ``y``.
+
+    Returns its x, the change of x per row, and on which side of the edge the polygon lies: 1 left, -1 right, 0 for a
+    horizontal edge.
+    """
     rise = yb - ya
     if rise == 0.0:
         return 0.0, 0.0, 0
@@ -46,7 +52,7 @@ def _bound(xa, ya, xb, yb, y):
 
 @inline
 def _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom):
-    """Fill a triangle (corners in the order of positive area) row by row within the box."""
+    """Fill a triangle (corners in the order of positive area) row by row within the bounding rectangle."""
     y = top + 0.5
     a, da, side_a = _bound(x0, y0, x1, y1, y)
     b, db, side_b = _bound(x1, y1, x2, y2, y)
@@ -109,26 +115,29 @@ def _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, righ
 
 @inline
 def _fill_span(inverse, ids, tag, row, first, count, start, step):
-    """Fill ``count`` pixels of a row; unsigned indices and float32 let the compiler do eight at a time."""
+    """Fill ``count`` pixels of a row from column ``first``; inverse depth is ``start + step * k`` at the k-th.
+
+    Unsigned indices and float32 let the compiler vectorise the loop (eight pixels at a time).
+    """
     if count <= 0:
         return
     for k in range(np.uint64(count)):
         x = np.uint64(first) + k
         w = start + step * np.float32(np.int32(k))
         before = inverse[row, x]
-        # Stored in either case: storing some of eight is slower by far.
+        # Stored in either case: masked vector stores are much slower.
         inverse[row, x] = w if w > before else before
         ids[row, x] = tag if w > before else ids[row, x]
 
 
 @inline
 def fill(inverse, ids, tag, x0, y0, w0, x1, y1, w1, x2, y2, w2, keep):
-    """Fill one projected triangle. ``keep`` 0: both sides, 1 or -1: the side with this sign of area."""
+    """Fill one projected triangle. ``keep`` 0 fills both orientations, 1 or -1 only that sign of area."""
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if area == 0.0 or area * keep < 0.0:
         return
     height, width = inverse.shape
-    # Columns and rows whose centres lie within the box of the triangle.
+    # Columns and rows whose centres lie within the bounding rectangle of the triangle.
     left = int(max(min(x0, x1, x2), 0.0) + (0.5 - EDGE_SLACK))
     right = int(min(max(max(x0, x1, x2), -1.0), width) + (0.5 + EDGE_SLACK)) - 1
     top = int(max(min(y0, y1, y2), 0.0) + (0.5 - EDGE_SLACK))
@@ -147,7 +156,7 @@ def fill(inverse, ids, tag, x0, y0, w0, x1, y1, w1, x2, y2, w2, keep):
 
 @inline
 def fill_quad(inverse, ids, tag, x0, y0, x1, y1, x2, y2, x3, y3, w0, gx, gy):
-    """Fill a convex quadrangle, corners in order either way; inverse depth is ``w0 + gx * column + gy * row``."""
+    """Fill a convex quadrangle, corners in either orientation; inverse depth is ``w0 + gx * x + gy * y``."""
     height, width = inverse.shape
     left = int(max(min(x0, x1, x2, x3), 0.0) + (0.5 - EDGE_SLACK))
     right = int(min(max(x0, x1, x2, x3, -1.0), width) + (0.5 + EDGE_SLACK)) - 1
@@ -162,7 +171,7 @@ def fill_quad(inverse, ids, tag, x0, y0, x1, y1, x2, y2, x3, y3, w0, gx, gy):
     b, db, side_b = _bound(x1, y1, x2, y2, y)
     c, dc, side_c = _bound(x2, y2, x3, y3, y)
     d, dd, side_d = _bound(x3, y3, x0, y0, y)
-    # Up to three edges bound a row on each side; those of the other side are out of the way.
+    # Up to three edges bound a row on each side; a limit of +-inf disables an edge on the other side.
     low_a = a if side_a < 0 else -np.inf
     low_b = b if side_b < 0 else -np.inf
     low_c = c if side_c < 0 else -np.inf
@@ -200,9 +209,10 @@ def fill_quad(inverse, ids, tag, x0, y0, x1, y1, x2, y2, x3, y3, w0, gx, gy):
 
 @kernel
 def fill_clipped(inverse, ids, tag, points, out, a, b, c, focal, near, keep):
-    """Cut a triangle that crosses the near plane and fill what is left (three or four corners).
+    """Clip a triangle at the near plane and fill the remaining polygon (three or four corners).
 
-    ``points`` (6, V): view coordinates first; a, b, c: columns; ``out`` (4, 3) is scratch.
+    ``points`` (6, V): rows 0 to 2 are view coordinates [m]; a, b, c: the corners' columns in it; ``out`` (4, 3) is
+    scratch; ``focal`` [px]; ``near`` [m]; ``keep``: see `fill`.
     """
     height, width = inverse.shape
     count = 0

@@ -1,4 +1,4 @@
-"""How the kernels of the rasterizer are compiled."""
+"""Decorators that compile the kernels of the rasterizer."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ KERNEL_MODULES = (
     "render.patterns",
     "render.textures",
 )
-"""Modules whose code or constants go into kernels."""
-# ``_nrt`` off: the kernels make no arrays (see ``kernels.Scratch``), and counting references costs time.
+"""Modules whose code or constants are compiled into kernels; a change of any of them recompiles all."""
+# ``_nrt`` off: the kernels allocate no arrays (see ``arrays.Scratch``), and reference counting costs time.
 _compiler = partial(compiler, *KERNEL_MODULES, _nrt=False)
 _NUMBERS = {"nnan", "nsz"}
-"""No nan comes in, and zeros have no sign: smallest and largest of numbers take one instruction each, several at a
-time; sums and products come out as ever."""
+"""Fast-math flags: inputs are not NaN and the sign of zero does not matter. min and max then compile to one (vector)
+instruction, while sums and products stay exact."""
 kernel = _compiler(fastmath=_NUMBERS)
 inline = _compiler(forceinline=True, fastmath=_NUMBERS)
-"""For helpers called per triangle or per pixel: a call would copy every array descriptor it is given."""
+"""For helpers called per triangle or per pixel: a call that is not inlined copies the descriptors of its arrays."""
 color_kernel = _compiler(fastmath=True)
-"""For colours. Not for edges and depths, which must come out alike for the two triangles at an edge."""
+"""For colours. Not for edges and depths, which must be identical for the two triangles at an edge."""
 color_inline = _compiler(forceinline=True, fastmath=True)

@@ -1,4 +1,4 @@
-"""Compiled drawing of the instances in a home into a z-buffer, and reading of depth and segments from it."""
+"""Kernels that rasterise the instances of a home into a z-buffer, and read depth and segmentation from it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mjhab.render.raster.sight import find_in_sight, hidden, sort_by_depth
 
 @kernel
 def draw(geometry, placing, home, which, bodies, lens, cull, inverse, ids, scratch):
-    """Draw the instances of a home, after ``place_balls``, into ``inverse`` (h, w) f32 and ``ids`` (h, w) i32.
+    """Rasterise the instances of a home, after `place_balls`, into ``inverse`` (h, w) f32 and ``ids`` (h, w) i32.
 
-    The buffers are added to, not cleared. ``which`` 0: all; 1: those that stand in the world; 2: those on bodies.
-    ``cull``: drop faces seen from behind.
+    The buffers are not cleared. ``which`` selects the instances: 0 all, 1 those in the world, 2 those on bodies.
+    ``cull``: drop back faces. ``drawn`` of the scratch gets the level of detail of every instance.
     """
     height, width = inverse.shape
     count = find_in_sight(geometry, placing, home, which, bodies, lens, width, height, scratch)
@@ -39,7 +39,7 @@ def draw(geometry, placing, home, which, bodies, lens, cull, inverse, ids, scrat
 
 @kernel
 def read_depth(inverse, out):
-    """Write planar depth [m] (0 background) of ``inverse`` (h, w) into ``out`` (h, w) f32."""
+    """Write the planar depth [m] (0 for background) of a buffer of inverse depth (h, w) into ``out`` (h, w) f32."""
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             w = inverse[y, x]
@@ -48,7 +48,7 @@ def read_depth(inverse, out):
 
 @kernel
 def read_segments(inverse, ids, instance_seg, out):
-    """Write the segment id (0 background) of every pixel into ``out`` (h, w) i32."""
+    """Write the segment id (0 for background) of every pixel into ``out`` (h, w) i32; ``instance_seg`` (I,) i32."""
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[y, x] = instance_seg[ids[y, x] >> FACE_BITS] if inverse[y, x] > 0.0 else 0

@@ -1,4 +1,4 @@
-"""Compiled lighting of surface points: sky and ground, head light, lamps with or without shadow maps."""
+"""Kernels of the lighting of surface points: hemisphere light, head light, lamps with or without shadow maps."""
 
 from __future__ import annotations
 
@@ -9,25 +9,28 @@ import numpy as np
 from mjhab.render.raster.jit import color_inline, color_kernel
 
 LAMP_REACH = 2.4
-"""Distance [m] at which a lamp of intensity 1 has lost half its light."""
+"""Distance [m] at which the light of a lamp has fallen to 0.35 of that at the lamp, by inverse-square falloff."""
 LAMP_RANGE = 7.0
-"""Distance [m] beyond which a lamp gives no light: rooms behind walls, in pictures without shadows."""
+"""Distance [m] beyond which a lamp gives no light, so that images without shadows do not light rooms behind walls."""
 SHADOW_SLOPE = 0.2
-"""Lamps look straight down in shadow maps; 0.2 is the cosine below which (78.5 deg) a direction has no map."""
+"""Cosine of the half field of view (78.5 deg) of shadow maps, which look straight down from the lamps."""
 SKY = (0.36, 0.38, 0.42)
+"""Ambient light, linear rgb, of a surface that faces up."""
 GROUND = (0.25, 0.215, 0.185)
+"""Ambient light, linear rgb, of a surface that faces down."""
 HEAD_LIGHT = 0.10
+"""Light of a lamp at the camera on a surface that faces it."""
 LAMP_GAIN = 0.85
-"""Exposure of lamps: a white floor 2.4 m below a lamp of intensity 1 comes out light, not burnt out."""
+"""Exposure of lamps, chosen so that a white floor 2.4 m below a lamp of intensity 1 is bright but not clipped."""
 UNMAPPED = 0.65
-"""Share of a lamp's light that goes where its shadow map does not reach (upper walls)."""
+"""Visibility (0..1) of a lamp that is assumed at points outside of its shadow map (upper walls)."""
 DULL = 0.05
 """Surfaces up to this gloss have no highlights."""
 
 
 class Lamps(NamedTuple):
-    """Lamps of all homes: pos, color (H, L, 3); shadow (L, S, S) f32 inverse depths seen straight down from those of
-    one home, or (0, 1, 1) without shadows."""
+    """Lamps of all homes: pos (H, L, 3) [m], color (H, L, 3) linear rgb times intensity; shadow (L, S, S) f32: shadow
+    maps (inverse depth [1/m], looking straight down) of the lamps of the home being drawn, or (0, 1, 1) for none."""
 
     pos: np.ndarray
     color: np.ndarray
@@ -36,9 +39,10 @@ class Lamps(NamedTuple):
 
 @color_kernel
 def _visible(shadow, k, x, y, z, nx, ny, nz):
-    """Share 0..1 of light that reaches the point (x, y, z) from lamp ``k`` at the origin: 4 x 4 taps, blended.
+    """Fraction 0..1 of light that reaches the point (x, y, z) [m] from lamp ``k`` at the origin.
 
-    (nx, ny, nz) is the surface normal there: every tap is compared with the plane of the surface.
+    Filters 4 x 4 texels of the shadow map (percentage-closer filtering). Each texel is compared with the plane of the
+    surface, whose normal is (nx, ny, nz), to avoid self-shadowing.
     """
     depth = -z
     size = shadow.shape[1]
@@ -74,7 +78,7 @@ def _visible(shadow, k, x, y, z, nx, ny, nz):
 
 @color_inline
 def _highlight(nx, ny, nz, lx, ly, lz, vx, vy, vz, gloss):
-    """Share of a lamp's light from direction l that a glossy surface throws towards v."""
+    """Specular factor of a lamp in direction l, seen from direction v, on a surface with normal n (unit vectors)."""
     hx = lx + vx
     hy = ly + vy
     hz = lz + vz
@@ -87,9 +91,10 @@ def _highlight(nx, ny, nz, lx, ly, lz, vx, vy, vz, gloss):
 
 @color_inline
 def light_point(lamps, home, x, y, z, nx, ny, nz, vx, vy, vz, gloss, open_share):
-    """Light on a point: what its colour is multiplied with, rgb, and highlights, rgb.
+    """Compute the light on a surface point: diffuse rgb, a factor on its colour, and specular rgb, to be added.
 
-    (nx, ny, nz) normal, (vx, vy, vz) direction to the camera, ``open_share`` ambient openness 0..1.
+    (x, y, z) [m] is the point, (nx, ny, nz) its unit normal, (vx, vy, vz) the unit vector to the camera, all in the
+    world; ``gloss`` 0..1; ``open_share`` ambient openness 0..1 (1: not occluded).
     """
     dr = 0.0
     dg = 0.0
@@ -146,7 +151,7 @@ def light_point(lamps, home, x, y, z, nx, ny, nz, vx, vy, vz, gloss, open_share)
 
 @color_inline
 def sky(lens, u, v, line, x):
-    """Background along the ray with slopes (u, v), into pixel ``x`` of a line."""
+    """Write the background colour, linear rgb, along the ray with slopes (u right, v up) into ``line[:, x]``."""
     m = lens.mat
     dz = (m[2, 0] * u + m[2, 1] * v - m[2, 2]) / np.sqrt(1.0 + u * u + v * v)
     t = min(max(0.5 + 0.9 * dz, 0.0), 1.0)
@@ -157,7 +162,11 @@ def sky(lens, u, v, line, x):
 
 @color_inline
 def blended_share(share, depths, row, col, depth):
-    """Ambient openness at a place (row, col in cells of ``share``): blend of four cells at like depth."""
+    """Ambient openness at a position (row, col in cells): bilateral interpolation of ``share`` (a, b).
+
+    The four nearest cells are weighted by distance and by how well ``depths`` (a, b), inverse depth [1/m], matches
+    ``depth`` [m].
+    """
     height, width = share.shape
     fy = max(row - 0.5, 0.0)
     fx = max(col - 0.5, 0.0)

@@ -1,4 +1,4 @@
-"""Compiled drawing of one mesh: its level of detail, its faces that look at the camera, filling of those."""
+"""Kernels that draw one mesh: choice of the level of detail, back-face culling, projection and rasterisation."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from mjhab.render.raster.fill import fill, fill_clipped
 from mjhab.render.raster.jit import inline, kernel
 
 PLANE_SLACK = 1e-5
-"""Planes of faces are in float32: the camera counts as in front of one down to so much below it, as a share of its
-distance."""
+"""Tolerance of back-face culling for the float32 planes of faces, relative to the camera's distance from the origin of
+the mesh: a camera this far behind a plane still counts as in front of it."""
 
 
 @inline
 def _camera_in_mesh(scratch, i, lens, axis):
-    """Coordinate of the camera along an axis of an instance, scale not taken out [m]."""
+    """Coordinate of the camera along an axis of an instance [m], not divided by the instance's scale."""
     rot = scratch.rot
     return (
         rot[i, 0, axis] * (lens.pos[0] - scratch.pos[i, 0])
@@ -26,7 +26,7 @@ def _camera_in_mesh(scratch, i, lens, axis):
 
 @kernel
 def _distance(geometry, mesh, scratch, i, lens):
-    """Distance [m] from the camera to the box of an instance."""
+    """Distance [m] from the camera to the oriented bounding box of an instance; 0 inside."""
     total = 0.0
     for axis in range(3):
         scale = scratch.scale[i, axis]
@@ -40,12 +40,15 @@ def _distance(geometry, mesh, scratch, i, lens):
 
 @kernel
 def fitting_level(geometry, mesh, scratch, i, lens, nearest):
-    """The coarsest level of a mesh whose error is within the camera's; ``nearest``: its smallest depth [m]."""
+    """The coarsest level of detail whose projected error is within the camera's ``level_error``.
+
+    ``nearest`` is the smallest depth [m] of the instance, 0 if it crosses the near plane.
+    """
     scale = scratch.scale
     if geometry.mesh_coarser[mesh] < 0:
         return mesh
     grow = max(abs(scale[i, 0]), abs(scale[i, 1]), abs(scale[i, 2]))
-    # A box that reaches behind the camera can still be all at its side.
+    # A box that reaches behind the camera may still be far away, to the side of the view axis.
     depth = max(nearest, 0.5 * _distance(geometry, mesh, scratch, i, lens))
     limit = lens.level_error / lens.focal * depth
     while True:
@@ -57,7 +60,10 @@ def fitting_level(geometry, mesh, scratch, i, lens, nearest):
 
 @kernel
 def _find_front(geometry, i, mesh, lens, scratch):
-    """Fill ``front`` with those faces of a mesh (0: its first) that may look at the camera; returns how many."""
+    """Fill ``front`` with the faces of a mesh that may face the camera; returns their number.
+
+    Faces are counted from the mesh's first.
+    """
     x = np.float32(_camera_in_mesh(scratch, i, lens, 0) / scratch.scale[i, 0])
     y = np.float32(_camera_in_mesh(scratch, i, lens, 1) / scratch.scale[i, 1])
     z = np.float32(_camera_in_mesh(scratch, i, lens, 2) / scratch.scale[i, 2])
@@ -81,7 +87,10 @@ def _find_front(geometry, i, mesh, lens, scratch):
 
 @kernel
 def _project(geometry, mesh, k, lens, width, height, scratch):
-    """Fill ``points`` (6, >= count): x, y, z by ``to_view[k]``, then column, row and inverse depth."""
+    """Fill ``points`` (6, at least the number of vertices) with every vertex of a mesh.
+
+    Rows: x, y, z in the view frame [m] by ``to_view[k]``, then column, row [px] and inverse depth [1/m].
+    """
     first = geometry.mesh_verts[mesh, 0]
     count = geometry.mesh_verts[mesh, 1]
     points = scratch.points
@@ -120,7 +129,7 @@ def _project(geometry, mesh, k, lens, width, height, scratch):
 
 @kernel
 def draw_mesh(geometry, i, mesh, k, lens, cull, inverse, ids, scratch):
-    """Project and fill the faces of instance ``i`` drawn as ``mesh``, whose map to the view frame is ``to_view[k]``."""
+    """Project and rasterise the faces of instance ``i``, drawn as the level ``mesh`` with the map ``to_view[k]``."""
     height, width = inverse.shape
     points = scratch.points
     near = lens.near

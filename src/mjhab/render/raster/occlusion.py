@@ -1,4 +1,4 @@
-"""Compiled screen-space ambient occlusion: how open the surroundings of every visible point are."""
+"""Kernels of screen-space ambient occlusion on cells of pixels."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ import numpy as np
 from mjhab.render.raster.jit import color_inline, color_kernel
 
 RADIUS = 0.3
-"""Reach [m] of the occlusion."""
+"""Largest distance [m] at which surfaces occlude each other."""
 STRENGTH = 2.4
+"""Factor on the mean occlusion of the samples."""
 TAPS = 12
+"""Number of samples per cell."""
 TURNS = 16
-"""Sample patterns of neighbouring cells, a 4 x 4 block of which the blur averages."""
+"""Number of rotated sample patterns: one per cell of a 4 x 4 block, which the blur averages."""
 
 
 def _disk() -> np.ndarray:
-    """Sample offsets (TURNS, TAPS, 2) on the unit disk: a golden-angle spiral, turned per cell."""
+    """Sample offsets (TURNS, TAPS, 2) on the unit disk: a golden-angle spiral, rotated per cell by a Bayer matrix."""
     k = np.arange(TAPS)
     bayer = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
     angle = k[None] * 2.39996 + bayer[:, None] * (2.0 * np.pi / TURNS)
@@ -28,7 +30,7 @@ DISK = _disk()
 
 @color_inline
 def _slope(inverse, y, x, dy, dx):
-    """Change of inverse depth per pixel along (dy, dx): the flatter side, so that edges do not count."""
+    """Change of inverse depth per pixel along (dy, dx): the smaller one-sided difference, to ignore depth edges."""
     height, width = inverse.shape
     w = inverse[y, x]
     ya = min(y + dy, height - 1)
@@ -46,7 +48,7 @@ def _slope(inverse, y, x, dy, dx):
 
 @color_inline
 def _blocked(inverse, y, x, focal, turn):
-    """Occlusion of one pixel, in 0..1 before ``STRENGTH``."""
+    """Occlusion 0..1 of one pixel, without the factor `STRENGTH`; ``turn`` is its sample pattern."""
     height, width = inverse.shape
     cx = 0.5 * width
     cy = 0.5 * height
@@ -85,9 +87,10 @@ def _blocked(inverse, y, x, focal, turn):
 
 @color_kernel
 def ambient_occlusion(inverse, step, focal, raw, share, depths):
-    """Fill ``share`` (a, b) f32 with openness 0..1 (1: nothing near), one cell per ``step`` pixels of ``inverse``.
+    """Fill ``share`` (a, b) f32 with the openness 0.15..1 (1: not occluded) of cells of ``step`` x ``step`` pixels.
 
-    ``depths`` (a, b) f32: inverse depth of each cell; ``raw`` (a, b) f32 is scratch; ``focal`` [px of inverse].
+    ``inverse`` (h, w) f32 is the inverse depth [1/m] and ``focal`` its camera's focal length [px]. ``depths`` (a, b)
+    f32 gets the inverse depth of each cell's middle pixel; ``raw`` (a, b) f32 is scratch.
     """
     height, width = share.shape
     for i in range(height):

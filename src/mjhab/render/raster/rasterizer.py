@@ -1,4 +1,4 @@
-"""Images of homes on the CPU, with no graphics library: rgb, depth and segmentation of many worlds in threads."""
+"""Rasterizer of rgb, depth and segmentation images of many worlds on the CPU, multi-threaded, without OpenGL."""
 
 from __future__ import annotations
 
@@ -26,29 +26,41 @@ from mjhab.render.render_scene import RenderScene
 
 OUTPUTS = ("rgb", "depth", "seg")
 NEAR = 0.01
-"""Near plane [m], as the cameras of MS-HAB have it."""
+"""Near plane [m], as in the cameras of MS-HAB."""
 LEVEL_ERROR = 0.06
-"""Error of coarser meshes [px] that nobody sees, not in smooth pictures either."""
+"""Default error allowed to levels of detail [px]; too small to be visible, also in supersampled images."""
 SHADOW_SIZE = 512
+"""Side of a shadow map [texels]."""
 SHADOW_MAPS_KEPT = 64
-"""Shadow maps of still furniture kept in memory (1 MiB each)."""
+"""Number of cached shadow maps of static furniture (1 MiB each)."""
 FAST_STRIDE = 8
+"""In quality "fast", light is computed at every 8th pixel of a run of pixels on one face."""
 FAST_CELL = 4
-"""Fast pictures: light is computed at every 8th pixel of a face's run, ambient occlusion on cells of 4 x 4 pixels."""
+"""In quality "fast", ambient occlusion is computed on cells of 4 x 4 pixels."""
 ALL = 0
+"""``which`` of `kernels.draw`: all instances."""
 STILL = 1
+"""``which`` of `kernels.draw`: instances attached to the world."""
 MOVING = 2
-"""Which instances ``draw`` draws."""
+"""``which`` of `kernels.draw`: instances attached to bodies."""
 SIZES_KEPT = 6
-"""Sizes of pictures that a thread keeps buffers for."""
+"""Number of image sizes for which a thread keeps buffers."""
 CHUNKS_PER_THREAD = 4
-"""Worlds are handed out to threads in so many portions each, so that none waits long for the last one."""
+"""Number of portions of worlds per thread; several, so that threads finish at about the same time."""
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
-    """Rotation (3, 3) of a camera at ``eye`` that looks at ``target`` (world, [m]), in MuJoCo convention.
+    """Compute the orientation of a camera at ``eye`` that looks at ``target``, in MuJoCo's convention.
 
-    Columns are the camera's axes in the world: x right, y up, z backwards. Looking along ``up`` is allowed.
+    Args:
+        eye, target: (3,) in the world [m].
+        up: (3,) direction that is upwards in the image; may be parallel to the line of sight.
+
+    Returns:
+        (3, 3) whose columns are the camera's axes in the world: x right, y up, z backwards.
+
+    Raises:
+        UsageError: ``eye`` and ``target`` coincide.
     """
     back = np.asarray(eye, float) - np.asarray(target, float)
     if np.linalg.norm(back) < 1e-9:
@@ -67,9 +79,9 @@ class Cameras:
 
     Attributes:
         pos, mat: (W, C, 3) [m] and (W, C, 3, 3) (or (W, C, 9)) in the world.
-        fovy: vertical field of view [rad], one number or one per camera.
+        fovy: vertical field of view [rad], one number or (C,).
         width, height: image size [px].
-        level_error: coarser meshes are drawn where none of their points is off by more than this [px].
+        level_error: largest projected error of a level of detail that may replace a mesh [px].
     """
 
     pos: np.ndarray
@@ -81,7 +93,7 @@ class Cameras:
 
 
 class _Picture(NamedTuple):
-    """Size of a picture [px], whether lamps cast shadows, and samples per pixel side of its colours."""
+    """Size of an image [px], whether lamps cast shadows, and rgb samples per pixel side."""
 
     height: int
     width: int
@@ -90,7 +102,7 @@ class _Picture(NamedTuple):
 
 
 class _Shot(NamedTuple):
-    """What one picture shows: home and bodies of a world, and a camera."""
+    """Content of one image: home index and bodies of a world, and a camera."""
 
     home: int
     bodies: Bodies
@@ -98,12 +110,15 @@ class _Shot(NamedTuple):
 
 
 class Rasterizer:
-    """Draws a RenderScene. Thread-safe; results do not depend on the number of threads.
+    """Render a `RenderScene`. Thread-safe; results do not depend on the number of threads.
 
     Args:
-        scene: meshes, instances and looks, shared by all worlds.
-        num_threads: 0 means one per core.
-        cull_backfaces: do not draw faces seen from behind (closed meshes need it off only for looks inside).
+        scene: meshes, instances and materials, shared by all worlds.
+        num_threads: number of threads; 0 uses one per core.
+        cull_backfaces: do not draw back faces. False is needed only for cameras inside of closed meshes.
+
+    Raises:
+        UsageError: the scene has more instances, or faces in a mesh, than the id of a pixel can hold.
     """
 
     def __init__(
@@ -136,23 +151,24 @@ class Rasterizer:
         quality: Literal["fast", "nice"] = "fast",
         ssaa: int = 0,
     ) -> dict[str, np.ndarray]:
-        """Draw C cameras in each of W worlds.
+        """Render C cameras in each of W worlds.
 
         Args:
-            home: (W,) home index of each world.
+            home: (W,) index of each world's home.
             body_pos, body_mat: (W, B, 3) [m] and (W, B, 3, 3) (or (W, B, 9)) world poses of the model's bodies.
             cameras: C of each world.
             outputs: any of "rgb", "depth", "seg".
             quality: "fast" for observations: ambient occlusion on a coarse grid, lamps without shadows; "nice" for
                 people: lamp shadows, fine ambient occlusion, ssaa 2.
-            ssaa: samples per pixel side of rgb; 0 means what ``quality`` says. Depth and seg are never smoothed.
+            ssaa: rgb samples per pixel side (supersampling); 0 takes that of ``quality``. Depth and seg have one sample
+                per pixel.
 
         Returns:
-            "rgb" (W, C, H, W, 3) uint8 sRGB; "depth" (W, C, H, W) float32 planar distance [m], 0 where nothing is;
-            "seg" (W, C, H, W) int32 ids (names: ``scene.seg_names``), 0 where nothing is.
+            "rgb" (W, C, height, width, 3) uint8 sRGB; "depth" (W, C, height, width) float32 planar distance [m], 0 for
+            background; "seg" (W, C, height, width) int32 ids (names: ``scene.seg_names``), 0 for background.
 
         Raises:
-            UsageError: unknown output or quality, shapes that do not fit together.
+            UsageError: unknown output or quality; shapes that do not fit together; home index or size out of range.
         """
         _check_names(outputs, quality)
         home = _read_only(np.asarray(home, np.int64))
@@ -197,7 +213,7 @@ class Rasterizer:
             pass
 
     def _draw_fast(self, views: Views, first: int, last: int, height: int, width: int) -> None:
-        """Draw all cameras of the worlds ``first`` to ``last``."""
+        """Render all cameras of the worlds ``first`` to ``last - 1``."""
         room = self._room(height, width, FAST_CELL)
         draw_worlds(
             self._scenery,
@@ -224,7 +240,7 @@ class Rasterizer:
             raise UsageError(f"width and height must be positive; got {width} x {height}.")
 
     def _draw(self, views: Views, w: int, c: int, picture: _Picture) -> None:
-        """Draw one camera of one world."""
+        """Render camera ``c`` of world ``w``."""
         height = picture.height
         width = picture.width
         samples = picture.samples
@@ -254,7 +270,7 @@ class Rasterizer:
             self._shade(shot, room, views.rgb[w, c], picture)
 
     def _room(self, height: int, width: int, cell: int) -> Room:
-        """This thread's buffers for pictures of a size."""
+        """This thread's buffers for an image size [px] and a side of ambient-occlusion cells [px]."""
         rooms = self._local.__dict__.setdefault("rooms", OrderedDict())
         key = (height, width, cell)
         if key not in rooms:
@@ -272,7 +288,7 @@ class Rasterizer:
         return rooms[key]
 
     def _trace(self, shot: _Shot, room: Room) -> None:
-        """Inverse depth and ids of everything into the buffers."""
+        """Rasterise all instances into the thread's z-buffer."""
         room.inverse[:] = 0.0
         place_balls(self._scenery.placing, shot.home, shot.bodies, room.draw)
         self._draw_instances(shot, ALL, room.inverse, room.ids, room)
@@ -324,7 +340,7 @@ class Rasterizer:
         )
 
     def _lamp_maps(self, shot: _Shot, room: Room) -> np.ndarray:
-        """Inverse depths (L, S, S) below every lamp: still furniture from the cache, moving bodies on top."""
+        """Shadow maps (L, S, S) f32 of a home's lamps: static furniture from the cache, bodies drawn on top."""
         scene = self.scene
         home = shot.home
         maps = np.zeros((scene.light_pos.shape[1], SHADOW_SIZE, SHADOW_SIZE), np.float32)
@@ -359,7 +375,7 @@ def _check_names(outputs: Sequence[str], quality: str) -> None:
 
 
 def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
-    """``value`` as contiguous f64 of ``shape`` (-1: free), or a UsageError that names it."""
+    """``value`` as a contiguous read-only f64 array of ``shape`` (-1: any), else a UsageError with its ``name``."""
     array = np.asarray(value, np.float64)
     if array.ndim == len(shape) - 1 and shape[-2:] == (3, 3) and array.shape[-1] == 9:
         array = array.reshape(*array.shape[:-1], 3, 3)
@@ -371,15 +387,14 @@ def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
-    """A contiguous view that cannot be written to. Whether an array is writeable is part of its type: kernels would be
-    compiled once more for the other kind."""
+    """A contiguous read-only view. Numba compiles a kernel again for arrays that differ in writeability."""
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view
 
 
 def _images(shape: tuple[int, int, int, int], outputs: Sequence[str]) -> dict[str, np.ndarray]:
-    """Empty images of worlds and cameras; of no cameras where they are not wanted."""
+    """Uninitialised images of ``shape`` (W, C, h, w) by output; with C 0 for outputs not requested."""
     worlds, cameras, height, width = shape
     kinds = {"rgb": (np.uint8, (3,)), "depth": (np.float32, ()), "seg": (np.int32, ())}
     return {

@@ -1,4 +1,4 @@
-"""What kernels need of a scene, made once: bounds of meshes and instances, planes of faces, which meshes are boxes."""
+"""Precompute the arrays of a scene for the kernels: bounds of meshes and instances, planes of faces, box meshes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ BOX_FACES = 12
 
 
 class Scenery(NamedTuple):
-    """All that does not change from image to image; seg (I,) i32: segment of every instance; tone: see ``shading``."""
+    """All inputs of the kernels that are constant over images.
+
+    seg (I,) i32: segment id of every instance; tone: see `shading.tone_curve`.
+    """
 
     geometry: Geometry
     placing: Placing
@@ -28,7 +31,7 @@ class Scenery(NamedTuple):
 
 
 def make_scenery(scene: RenderScene) -> Scenery:
-    """Kernel view of the scene.
+    """Compute the kernels' inputs from a scene.
 
     Raises:
         UsageError: more instances or faces in a mesh than fit in the id of a pixel.
@@ -132,7 +135,7 @@ def _geometry(scene: RenderScene) -> Geometry:
 
 
 def _planes(scene: RenderScene) -> np.ndarray:
-    """Unit normal and offset (4, F) f32 of every face; a face without area has a normal of zeros."""
+    """Unit normal and offset (4, F) f32 of the plane of every face; a face without area has a normal of zeros."""
     a, b, c = (scene.vertices[scene.faces[:, k]].astype(np.float64) for k in range(3))
     normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
@@ -143,8 +146,10 @@ def _planes(scene: RenderScene) -> np.ndarray:
 def _box_sides(
     scene: RenderScene, start: int, count: int, middle: np.ndarray, half: np.ndarray
 ) -> np.ndarray:
-    """First face (6,) on the sides -x, +x, -y, +y, -z, +z of a mesh that is a closed box whose sides look alike all
-    over, else -1."""
+    """First face (6,) on the sides -x, +x, -y, +y, -z, +z of a mesh, or -1 if it is no box.
+
+    A mesh counts as a box if it is closed, axis-aligned, and both triangles of every side have the same attributes.
+    """
     none = np.full(6, -1, np.int32)
     if count != BOX_FACES or not half.all():
         return none
@@ -156,7 +161,7 @@ def _box_sides(
     axis = np.abs(normal).argmax(axis=1)
     size = np.take_along_axis(normal, axis[:, None], 1)[:, 0]
     number = 2 * axis + (size > 0.0)
-    # Two halves of a side share no more than a diagonal: their areas sum to the side's.
+    # Each triangle has half the area of its side; ``apart`` tells below whether the two overlap.
     if (np.bincount(number, minlength=6) != 2).any() or np.abs(np.abs(size) - 4.0).max() > 1e-4:
         return none
     order = np.argsort(number, kind="stable").reshape(6, 2)

@@ -1,7 +1,7 @@
-"""Compiled deferred shading: colour of every pixel from the ids and inverse depths of the z-buffer.
+"""Kernels of deferred shading: the colour of every pixel from the ids and inverse depths of the z-buffer.
 
-A row is shaded in runs of pixels on one face. Light changes slowly along a run: it is computed every few pixels (at
-nodes) and blended; colours of textures are looked up at every pixel. Light is linear rgb until ``tone_curve``.
+A row is shaded in runs of pixels on one face. Light varies slowly along a run: it is computed every few pixels (at
+nodes) and interpolated linearly; textures are sampled at every pixel. Light is linear rgb until ``tone_curve``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from mjhab.render.raster.surfaces import fill_frame, normal_at, place_point
 from mjhab.render.raster.texturing import pattern_axes, texture_level, textured
 
 SHORT_RUN = 3
-"""Runs up to this many samples are lit alike."""
+"""Runs up to this many samples have constant light, that of their middle."""
 TONE_RANGE = 4.0
-"""Linear value that the last entry of ``tone_curve`` stands for."""
+"""Linear light of the last entry of ``tone_curve``; larger values are clipped."""
 
 
 class Openness(NamedTuple):
-    """share, depths (a, b) f32 as ``occlusion`` fills them, or (0, 0); cells: cells per pixel."""
+    """Ambient occlusion: share, depths (a, b) f32 from `occlusion.ambient_occlusion`, or (0, 0) for none; cells: cells
+    per pixel."""
 
     share: np.ndarray
     depths: np.ndarray
@@ -31,8 +32,14 @@ class Openness(NamedTuple):
 
 
 class ShadeScratch(NamedTuple):
-    """line, total (3, width) f32: linear light of a row of samples, and its sums; frames (I, 15) f64 of the instances
-    in the current image, valid where stamp (I,) i64 equals stamp[-1] (one entry more)."""
+    """Working memory of one thread.
+
+    Attributes:
+        line: (3, width) f32, linear rgb of a row of samples.
+        total: (3, width) f32, its sums over the samples of each pixel.
+        frames: (I, 15) f64, see `surfaces.fill_frame`; entry i is valid if ``stamp[i] == stamp[-1]``.
+        stamp: (I + 1,) i64, number of the image that ``frames`` was filled for; the last entry is the current image.
+    """
 
     line: np.ndarray
     total: np.ndarray
@@ -41,7 +48,7 @@ class ShadeScratch(NamedTuple):
 
 
 def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
-    """Scratch for one thread and rows up to ``width`` samples."""
+    """Allocate the scratch of one thread for I instances and rows of up to ``width`` samples."""
     return ShadeScratch(
         np.empty((3, width), np.float32),
         np.empty((3, width), np.float32),
@@ -51,7 +58,7 @@ def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
 
 
 def tone_curve(entries: int = 16384) -> np.ndarray:
-    """Table (entries,) uint8 over linear light 0..`TONE_RANGE`: sRGB with a soft shoulder above 0.6."""
+    """Compute the tone map: (entries,) uint8 sRGB over linear light 0..`TONE_RANGE`, compressed above 0.6."""
     linear = np.linspace(0.0, TONE_RANGE, entries)
     over = np.maximum(linear - 0.6, 0.0)
     linear = np.minimum(linear, 0.6) + 0.4 * (1.0 - np.exp(-over / 0.4))
@@ -61,7 +68,11 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
 
 @color_inline
 def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, v, w, col, row):
-    """Light (6 numbers) at a pixel of inverse depth ``w``, and how much the face is turned to the camera."""
+    """Light at the pixel (col, row) of inverse depth ``w``, and the cosine between normal and line of sight.
+
+    The light is that of `light_point`: diffuse rgb, specular rgb. The cosine is at least 0.05. (u, v) are the slopes of
+    the ray.
+    """
     depth = 1.0 / w
     m = lens.mat
     rot = poses.rot
@@ -98,7 +109,7 @@ def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, 
 
 @color_inline
 def _fill_plain(line, left, count, r, g, b, p, d):
-    """Pixels of one colour in light that changes by ``d`` per pixel from ``p``."""
+    """Write ``count`` pixels of a run with the colour (r, g, b); light is ``p`` at ``left`` and changes by ``d``."""
     r0 = np.float32(r * p[0] + p[3])
     g0 = np.float32(g * p[1] + p[4])
     b0 = np.float32(b * p[2] + p[5])
@@ -113,13 +124,13 @@ def _fill_plain(line, left, count, r, g, b, p, d):
         line[2, x] = b0 + t * b1
 
 
-# One long function with many parameters: what it computes stays in registers, and the order of its sums, which
-# ``fastmath`` may change with the shape of the code, decides the last bit of a colour.
+# One long function with many parameters keeps intermediate results in registers. Splitting it may also change colours
+# by one level, because ``fastmath`` reorders sums depending on the structure of the code.
 @color_inline
 def _shade_run(
     surface, poses, lamps, home, lens, openness, room, i, face, row, start, stop, inverse, stride
 ):
-    """Shade the pixels ``start`` to ``stop`` of a row, all on one face, into the line."""
+    """Shade the pixels ``start`` to ``stop - 1`` of a row, all on ``face`` of instance ``i``, into ``room.line``."""
     height, width = inverse.shape
     inv = 1.0 / lens.focal
     cx = 0.5 * width - 0.5
@@ -188,7 +199,10 @@ def _shade_run(
 
 @color_inline
 def _store(line, total, s, part, tone, rgb, row):
-    """Add a line of samples, ``part`` of ``s`` of a row of pixels, to its sums; with the last one write the pixels."""
+    """Add row ``part`` (0..s - 1) of the samples of a row of pixels to the sums; after the last, write tone-mapped rgb.
+
+    ``s`` is the number of samples per pixel side.
+    """
     width = np.uint64(rgb.shape[1])
     scale = np.float32((tone.shape[0] - 1) / (TONE_RANGE * s * s))
     top = np.float32(tone.shape[0] - 1)
@@ -209,9 +223,18 @@ def _store(line, total, s, part, tone, rgb, row):
 
 @color_kernel
 def shade(surface, poses, lamps, home, lens, inverse, ids, openness, tone, room, stride, rgb):
-    """Shade an image into ``rgb`` (h, w, 3) uint8 from buffers (s h, s w), averaging s x s samples in linear light.
+    """Shade an image into ``rgb`` (h, w, 3) uint8 sRGB from the z-buffer, averaging s x s samples in linear light.
 
-    ``poses``: the scratch ``place_instances`` and ``draw`` filled; ``stride``: samples between nodes of light.
+    Args:
+        surface, lamps, tone: see `Surface`, `Lamps` and `tone_curve`.
+        poses: the scratch that `kernels.draw` filled.
+        home: index of the home.
+        lens: the camera; its focal length is in samples.
+        inverse, ids: (s h, s w) f32 and i32, the z-buffer.
+        openness: ambient occlusion of the z-buffer.
+        room: working memory.
+        stride: samples between nodes of light.
+        rgb: output.
     """
     rows, columns = inverse.shape
     s = rows // rgb.shape[0]

@@ -1,6 +1,7 @@
-"""Compiled search for the instances that a camera can see: balls, then boxes, then what is in front of them.
+"""Kernels that cull instances: bounding spheres against the frustum, projected bounding boxes, then occlusion.
 
-Nothing that covers the centre of a pixel and is nearest there is left out: pictures are the same as without.
+The tests are conservative: no instance that is nearest at the centre of a pixel is culled, so images are the same as
+without culling.
 """
 
 from __future__ import annotations
@@ -11,18 +12,21 @@ from mjhab.render.raster.arrays import ORDER_BUCKETS, PARKED_BELOW
 from mjhab.render.raster.jit import inline, kernel
 
 BALL_SLACK = 1e-3
-"""Balls are tested in float32: this much [m] larger they hold what is in them for sure."""
+"""Added to the radii of bounding spheres [m], to cover the rounding errors of the float32 test."""
 RECT_SLACK = 1e-6
-"""Pixels whose centres are this near outside a rectangle [px] count as inside."""
+"""Pixels whose centres are at most this far outside a rectangle [px] count as inside."""
 BUCKETS_PER_M = 12.0
-"""Buckets of drawing order per depth [1/m]."""
+"""Buckets of the front-to-back order per metre of depth [1/m]."""
 SIGNS = np.array([[-1.0 if k >> axis & 1 == 0 else 1.0 for k in range(8)] for axis in range(3)])
-"""Corner k of a box lies on the upper side of axis a where bit a of k is set."""
+"""(3, 8): corner k of a box lies on the positive side of axis a if bit a of k is set."""
 
 
 @kernel
 def place_balls(placing, home, bodies, scratch):
-    """Balls around all instances in a home, in the world, into the scratch."""
+    """Write the bounding spheres of all instances present in a home, in the world frame, into ``scratch.ball``.
+
+    The radius of a parked instance is -inf, so that it fails every test.
+    """
     ball = scratch.ball
     start = placing.start[home]
     for r in range(4):
@@ -42,7 +46,7 @@ def place_balls(placing, home, bodies, scratch):
 
 @inline
 def _place(placing, home, i, bodies, scratch):
-    """World pose of an instance into the scratch: from the home, or from its body's pose."""
+    """Write the world pose and the scale of instance ``i`` into the scratch: from the home, or from its body's pose."""
     pos = scratch.pos
     rot = scratch.rot
     b = placing.body[i]
@@ -73,11 +77,11 @@ def _place(placing, home, i, bodies, scratch):
 
 @inline
 def _balls_inside(scratch, first, last, lens, width, height):
-    """Fill ``inside[first:last]``: False if the ball around an instance is out of the picture for sure."""
+    """Fill ``inside[first:last]``: False if the bounding sphere of an instance lies outside the view frustum."""
     f = lens.focal
     cx = 0.5 * width
     cy = 0.5 * height
-    # A plane through the side of the picture has the normal (f, cx) / side_x in (x, z).
+    # A side plane of the frustum has the unit normal (f, -cx) / side_x in (|x|, z).
     side_x = np.sqrt(f * f + cx * cx)
     side_y = np.sqrt(f * f + cy * cy)
     fx = np.float32(f / side_x)
@@ -113,7 +117,7 @@ def _balls_inside(scratch, first, last, lens, width, height):
 
 @inline
 def _to_view(scratch, i, k, lens):
-    """Write ``to_view[k]``, the map (3, 4) from the mesh of instance ``i`` to the view frame, scale included."""
+    """Write ``to_view[k]``, the affine map (3, 4) from the mesh of instance ``i`` to the view frame, scale included."""
     view = scratch.to_view
     rot = scratch.rot
     scale = scratch.scale
@@ -134,7 +138,10 @@ def _to_view(scratch, i, k, lens):
 
 @inline
 def _corners_in_view(geometry, mesh, k, scratch):
-    """Fill ``corners[k]`` (3, 8) with the corners of a mesh's box in the view frame [m]; returns their least depth."""
+    """Fill ``corners[k]`` (3, 8) with the corners of a mesh's bounding box in the view frame [m].
+
+    Returns their smallest depth [m].
+    """
     view = scratch.to_view
     out = scratch.corners
     middle = geometry.mesh_middle
@@ -161,7 +168,7 @@ def _corners_in_view(geometry, mesh, k, scratch):
 
 @inline
 def _crosses_the_view(k, lens, width, height, scratch):
-    """False if all corners ``corners[k]`` [m] lie beyond one side of the picture, or before the near plane."""
+    """False if all corners ``corners[k]`` [m] lie outside the same side plane of the frustum or its near plane."""
     out = scratch.corners
     cx = 0.5 * width
     cy = 0.5 * height
@@ -185,9 +192,9 @@ def _crosses_the_view(k, lens, width, height, scratch):
 
 @inline
 def _project_corners(k, lens, width, height, scratch):
-    """Project ``corners[k]`` from metres to column, row [px] and inverse depth [1/m]; fills ``rect[k]``.
+    """Project ``corners[k]`` in place from the view frame [m] to column, row [px] and inverse depth [1/m].
 
-    Returns whether the rectangle holds the centre of a pixel.
+    Fills ``rect[k]`` with the bounding rectangle in the image; returns whether it contains the centre of a pixel.
     """
     out = scratch.corners
     rect = scratch.rect
@@ -218,10 +225,11 @@ def _project_corners(k, lens, width, height, scratch):
 
 @inline
 def _box_in_sight(geometry, mesh, k, lens, width, height, scratch):
-    """Whether the box of a mesh with ``to_view[k]`` can cover the centre of a pixel.
+    """Whether the bounding box of a mesh with ``to_view[k]`` can cover the centre of a pixel.
 
-    Fills ``nearest[k]``, its smallest depth [m], 0 if it crosses the near plane; ``rect[k]``: first and last + 1 of
-    columns and rows, the whole image if it crosses; else ``corners[k]``: column, row, inverse depth of its corners.
+    Fills ``nearest[k]``, its smallest depth [m]; ``rect[k]``, its half-open ranges of columns and rows; ``corners[k]``,
+    column, row and inverse depth of its corners. If the box crosses the near plane, ``nearest`` is 0, ``rect`` the
+    whole image, and ``corners`` not projected.
     """
     nearest = _corners_in_view(geometry, mesh, k, scratch)
     if nearest < lens.near:
@@ -238,9 +246,10 @@ def _box_in_sight(geometry, mesh, k, lens, width, height, scratch):
 
 @kernel
 def find_in_sight(geometry, placing, home, which, bodies, lens, width, height, scratch):
-    """Fill the scratch with the instances of a home that a camera may see; returns how many.
+    """List the instances of a home that a camera may see, after `place_balls`; returns their number.
 
-    ``which`` 0: all; 1: those that stand in the world; 2: those on bodies.
+    Fills pose, ``in_sight``, ``to_view``, ``nearest``, ``rect`` and ``corners`` of the scratch. ``which`` selects the
+    instances: 0 all, 1 those in the world, 2 those on bodies.
     """
     start = placing.start[home]
     first = placing.moving[home] - start if which == 2 else 0
@@ -263,7 +272,7 @@ def find_in_sight(geometry, placing, home, which, bodies, lens, width, height, s
 
 @kernel
 def sort_by_depth(count, scratch):
-    """Fill ``order`` with the places 0..count from near to far, in order of place within a bucket."""
+    """Fill ``order`` with the indices 0..count - 1 by bucket of ``nearest``, front to back; a stable counting sort."""
     starts = scratch.buckets
     starts[:] = 0
     for k in range(count):
@@ -283,7 +292,7 @@ def _bucket(nearest):
 
 @inline
 def hidden(inverse, rect, k, nearest):
-    """True if everything drawn inside the rectangle ``rect[k]`` is nearer than ``nearest`` [m]."""
+    """Whether the z-buffer is at least as near as ``nearest`` [m] in every pixel of the rectangle ``rect[k]``."""
     limit = np.float32(1.0 / nearest)
     left = np.uint64(rect[k, 0])
     right = np.uint64(rect[k, 1])

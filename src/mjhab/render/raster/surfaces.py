@@ -1,4 +1,7 @@
-"""Compiled geometry of the faces that pixels show: point and normal in the axes of their instance."""
+"""Kernels that compute the surface point and normal of a pixel, in the frame of its instance.
+
+The frame of an instance has its world pose; the frame of its mesh is that divided by the instance's scale.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,10 @@ from mjhab.render.textures import Texels
 
 
 class Surface(NamedTuple):
-    """Looks of faces and materials (arrays of RenderScene); instance_material (H, I) or -1.
+    """Attributes of faces and materials: arrays of `RenderScene`, color to gloss without their prefix ``mat_``.
 
-    mesh_start (N,) i32: first face; smooth (F,) bool: the normal varies over the face; extent (I, 3): size of each
-    instance's mesh along its axes [m].
+    mesh_start (N,) i32: first face of each mesh; smooth (F,) bool: the normal varies over the face; extent (I, 3): size
+    of each instance's mesh along its axes [m], without the instance's scale.
     """
 
     mesh_start: np.ndarray
@@ -36,7 +39,11 @@ class Surface(NamedTuple):
 
 @color_inline
 def fill_frame(poses, room, lens, i):
-    """Fill frames[i]: the camera (0:3) and its axes (3:12, by rows) in the instance's axes, 1 / scale (12:15)."""
+    """Fill ``frames[i]`` once per image.
+
+    Entries 0:3 are the camera's position [m] and 3:12 its rotation matrix by rows, both in the frame of instance ``i``;
+    12:15 are 1 / scale.
+    """
     if room.stamp[i] == room.stamp[-1]:
         return
     room.stamp[i] = room.stamp[-1]
@@ -58,7 +65,7 @@ def fill_frame(poses, room, lens, i):
 
 @color_inline
 def place_point(f, i, u, v, depth):
-    """Point in the instance's axes [m] at a depth along the ray with slopes (u, v)."""
+    """Point [m] in the frame of instance ``i`` at a depth [m] along the ray with slopes (u right, v up)."""
     x = f[i, 0] + depth * (f[i, 3] * u + f[i, 4] * v - f[i, 5])
     y = f[i, 1] + depth * (f[i, 6] * u + f[i, 7] * v - f[i, 8])
     z = f[i, 2] + depth * (f[i, 9] * u + f[i, 10] * v - f[i, 11])
@@ -67,7 +74,7 @@ def place_point(f, i, u, v, depth):
 
 @color_inline
 def normal_at(surface, f, i, face, x, y, z):
-    """Unit normal of a face at a point, both in the instance's axes."""
+    """Unit normal of a face at the point (x, y, z) [m], both in the frame of instance ``i``."""
     n = surface.face_normal
     sx = f[i, 12]
     sy = f[i, 13]

@@ -1,4 +1,7 @@
-"""Compiled colours of textured faces: patterns laid along the faces of furniture, and images placed by uv."""
+"""Kernels of textured colours: patterns mapped by planar projection along an instance's axes, and images by uv.
+
+``f`` are the frames of `surfaces.fill_frame`; (u, v) are the slopes of the pixel's ray; ``w`` its inverse depth [1/m].
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,10 @@ from mjhab.render.textures import copy_for, sample
 
 @color_inline
 def pattern_axes(surface, i, face, f, u, v, w):
-    """Axes (u, v) of the plane that a patterned face lies in; u runs along the longer side of the piece."""
+    """Axes (0..2) of the instance that u and v of a pattern run along, for a face of instance ``i``.
+
+    They span the coordinate plane most parallel to the face; u runs along the longer side of the instance.
+    """
     e = surface.extent
     x, y, z = place_point(f, i, u, v, 1.0 / w)
     x, y, z = normal_at(surface, f, i, face, x, y, z)
@@ -36,19 +42,22 @@ def _pick(axis, x, y, z):
 
 @color_inline
 def _linear(level):
-    """Linear light of an sRGB value 0..255 (cubic, within 0.002)."""
+    """Linear light 0..1 of an sRGB value 0..255 (cubic approximation, error below 0.002)."""
     c = level * (1.0 / 255.0)
     return c * (c * (c * 0.305306011 + 0.682171111) + 0.012522878)
 
 
 @color_inline
 def textured(surface, f, i, face, m, first, second, level, u, v, w):
-    """Colour, linear rgb, of a face with a texture at a pixel of inverse depth ``w``."""
+    """Colour, linear rgb, of a face with the textured material ``m``.
+
+    ``first``, ``second``: the axes from `pattern_axes`; ``level``: the mip level.
+    """
     x, y, z = place_point(f, i, u, v, 1.0 / w)
     color = surface.color
     texture = surface.texture[m]
     if surface.pattern[m]:
-        # Every piece starts elsewhere in the pattern.
+        # Every instance has another offset in the pattern.
         s = _pick(first, x, y, z) / surface.size[m, 0] + 0.37 * i
         t = _pick(second, x, y, z) / surface.size[m, 1] + 0.23 * i
         mix, shade, _ = sample(surface.texels, texture, level, s, t)
@@ -72,7 +81,7 @@ def textured(surface, f, i, face, m, first, second, level, u, v, w):
 
 @color_inline
 def texture_level(surface, m, face, f, i, pixel):
-    """Level of a material's texture for pixels of this size on the surface [m]."""
+    """Mip level of a material's texture for pixels that cover a length ``pixel`` [m] on the surface."""
     texture = surface.texture[m]
     if texture < 0:
         return 0

@@ -31,9 +31,10 @@ WORLDS_AT_ONCE = 256
 
 
 class WarpCameras:
-    """Renders robot cameras. Nothing must be updated when a world moves to another home, see `render.warp.tracing`.
+    """Render robot cameras of all W worlds. A world may move to another home between two calls.
 
-    ``segmentation_names`` has the name of every segment id, as in `HomeRenderer`.
+    Attributes:
+        segmentation_names: name of every segment id, as ``scene.seg_names`` of `HomeRenderer`.
 
     Args:
         sim: the worlds.
@@ -80,7 +81,7 @@ class WarpCameras:
         self._wanted = wp.to_torch(self._worlds.wanted)
 
     def draw(self, only: torch.Tensor | None = None) -> dict[str, torch.Tensor]:
-        """Images of the current state by output; the next call overwrites them.
+        """Render the current state; returns the images by output, which the next call overwrites.
 
         Args:
             only: (W,) bool on the device, worlds to render; the others keep their images. None renders all.
@@ -103,19 +104,22 @@ class WarpCameras:
         return dict(self._views)
 
     def poses(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Positions (W, C, 3) [m] and orientations (W, C, 3, 3) (x right, y up, z backwards) of the cameras.
+        """Compute the world poses of the cameras in the current state.
 
-        Both are in the world frame and of the current state; the next call overwrites them.
+        Returns:
+            Positions (W, C, 3) [m] and orientations (W, C, 3, 3), whose columns are the camera's axes (x right, y up, z
+            backwards); float32 on the device. The next call overwrites them.
         """
         with wp.ScopedDevice(self._sim.device):
             self._graphs.run("poses", self._place_cameras)
         return self._pos, self._mat
 
     def device_bytes(self) -> dict[str, int]:
-        """Memory by purpose [bytes].
+        """Sum up the device memory of the arrays by purpose [bytes].
 
-        "pictures": the images. "worlds": poses. "chunk": intermediate results of WORLDS_AT_ONCE worlds. "scene": the
-        scene without the bounding volume hierarchies of its meshes.
+        Returns:
+            "pictures": the images; "worlds": poses; "chunk": intermediate results of up to `WORLDS_AT_ONCE` worlds;
+            "scene": the scene without the bounding volume hierarchies of its meshes.
         """
         chunk = [self._frame, self._cells]
         return {
@@ -205,7 +209,7 @@ class WarpCameras:
         }
 
     def _add_homes(self) -> None:
-        """Build the meshes of homes that the simulator has added since the last images."""
+        """Build the meshes of homes that the simulator has added since the last call."""
         names = self._sim.engine.homes.names
         if len(names) == self._rows_known:
             return

@@ -1,5 +1,5 @@
 # type: ignore
-"""Appearance of the faces of a layout on a device: materials, textures, lamps."""
+"""Materials, textures and lamps of a render scene on a device."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import warp as wp
 
 @wp.struct
 class Looks:
-    """Appearance of faces (F), instances (I), materials (M) and lamps (L) of homes (H), as in ``RenderScene``.
+    """Arrays of ``RenderScene``: of faces (F), instances (I), materials (M) without ``mat_``, lamps (L) of homes (H).
 
-    extent (I,): size of each instance's mesh along its axes [m]. pixels, start, bits: see ``textures.Texels``. tone:
-    see ``raster.shading.tone_curve``. disk (TURNS, TAPS): sample offsets of the ambient occlusion.
+    extent (I,): size of each instance's mesh along its axes [m], without the instance's scale. pixels, start, bits: see
+    ``textures.Texels``. tone: see ``raster.shading.tone_curve``. disk (TURNS, TAPS): sample offsets of the ambient
+    occlusion.
     """
 
     face_material: wp.array[int]

@@ -2,7 +2,7 @@
 # ruff: noqa: UP018
 # Kernels are written in Warp's language, which has Python's syntax but its own types. A variable that changes must be
 # made by float() or int(); otherwise Warp treats it as a constant.
-"""Kernels of ambient occlusion on cells of pixels, and its blending at a pixel; as ``raster.occlusion`` on the CPU."""
+"""Kernels of screen-space ambient occlusion on cells of pixels, as in ``raster.occlusion`` on the CPU."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ AO_TAPS = wp.constant(occlusion.TAPS)
 class Cells:
     """Ambient occlusion of K worlds on cells of ``cell`` x ``cell`` pixels; all arrays are (K, C, height * width).
 
-    raw, share: openness 0..1 before and after blurring. depths: inverse depth. width, height: in cells.
+    raw: occlusion 0..1 before blurring. share: openness 0.15..1 (1: not occluded). depths: inverse depth [1/m]. width,
+    height: number of cells.
     """
 
     raw: wp.array3d[float]
@@ -36,7 +37,10 @@ class Cells:
 
 @wp.func
 def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, after: int):
-    """Change of inverse depth per pixel; the smaller one-sided difference, so that depth edges have no influence."""
+    """Change of inverse depth per pixel: the smaller one-sided difference, to ignore depth edges.
+
+    ``at``, ``before``, ``after``: indices of the pixel and its two neighbours; equal to ``at`` outside of the image.
+    """
     w = inverse[k, c, at]
     forward = inverse[k, c, after] - w
     backward = w - inverse[k, c, before]
@@ -49,7 +53,7 @@ def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, aft
 
 @wp.kernel
 def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first: int):
-    """Compute the openness of the middle pixel of every cell, before `blur_cells`."""
+    """Compute ``raw`` and ``depths`` of the K worlds from ``first`` on, at the middle pixel of every cell."""
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):
         return
@@ -104,7 +108,7 @@ def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first:
 
 @wp.kernel
 def blur_cells(worlds: Worlds, cells: Cells, first: int):
-    """Compute the openness of every cell as the mean over neighbouring cells of similar depth."""
+    """Compute ``share`` of every cell from the mean ``raw`` of the 4 x 4 cells around it that have similar depth."""
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):
         return
@@ -124,7 +128,7 @@ def blur_cells(worlds: Worlds, cells: Cells, first: int):
 
 @wp.func
 def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float):
-    """Openness at a position (row, col in cells), interpolated from four cells of similar depth."""
+    """Openness at a position (row, col in cells) and depth [m]: bilateral interpolation of the four nearest cells."""
     y = wp.max(row - 0.5, 0.0)
     x = wp.max(col - 0.5, 0.0)
     i = wp.min(int(y), cells.height - 1)
@@ -146,7 +150,7 @@ def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float
 
 @wp.func
 def open_share_at(cells: Cells, frame: Frame, k: int, c: int, pixel: int, depth: float):
-    """Openness at a pixel of a depth [m]."""
+    """Openness 0.15..1 at a pixel (row * width + column) whose depth is given [m]."""
     row = (float(pixel // frame.width) + 0.5) / float(cells.cell)
     column = (float(pixel % frame.width) + 0.5) / float(cells.cell)
     return _openness(cells, k, c, row, column, depth)

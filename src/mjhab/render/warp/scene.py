@@ -1,4 +1,4 @@
-"""The render scene of a layout on a Warp device: one mesh of all static instances per home, and moving instances."""
+"""The render scene on a Warp device: one mesh of all static instances per home, and one mesh per moving shape."""
 
 from __future__ import annotations
 
@@ -18,14 +18,24 @@ from mjhab.render.warp.tracing import Movers, Stills
 DETAIL = 0.0005
 """Largest error of the chosen level of detail of a mesh [m]."""
 BUDGET = 100_000
-"""Largest number of faces of a home, and of the moving instances; ``DETAIL`` is relaxed until it is met."""
+"""Largest number of faces of a home, and of the moving instances; the allowed error is raised until it is met."""
 _RELAX = 1.5
+"""Factor by which the allowed error is raised."""
 _LEAF = 4
 """Faces per leaf of a home's bounding volume hierarchy."""
 
 
 def choose_levels(scene: RenderScene, detail: float = DETAIL, budget: int = BUDGET) -> np.ndarray:
-    """Mesh (I,) to render for every instance at any distance, within the budget of faces if the levels allow it."""
+    """Choose one level of detail per instance, for all distances.
+
+    Args:
+        scene: the meshes.
+        detail: allowed error [m], raised until the budget is met or all levels are the coarsest.
+        budget: largest number of faces of the static instances of a home, and of all moving instances.
+
+    Returns:
+        (I,) mesh ids.
+    """
     there = present(scene)
     moving = scene.instance_body > 0
     grow = np.abs(scene.home_scale).max(axis=(0, 2))
@@ -57,20 +67,25 @@ def _level(scene: RenderScene, mesh: int, grow: float, detail: float) -> int:
 
 
 def present(scene: RenderScene) -> np.ndarray:
-    """(H, I) bool: instances that a home has; missing ones have scale 0."""
+    """Compute which instances each home has, (H, I) bool; missing ones have scale 0."""
     return (scene.home_scale != 0.0).all(axis=2)
 
 
 class DeviceScene:
-    """A render scene as Warp structs for the kernels: ``looks``, ``stills``, ``movers``; ``seg`` (I,) segment ids.
+    """A render scene as Warp structs for the kernels, on the current Warp device.
 
-    Make it inside ``wp.ScopedDevice``. `add_home` builds the mesh of a home.
+    Create it inside ``wp.ScopedDevice``. The mesh of a home is missing until `add_home` builds it.
+
+    Attributes:
+        looks, stills, movers: inputs of the kernels.
+        seg: (I,) i32 segment ids.
 
     Args:
         scene: meshes, instances and materials.
 
     Raises:
-        UsageError: there are more moving instances, or faces in a mesh, than fit into a pixel's id.
+        UsageError: there are more moving instances, or faces in a mesh, than fit into a pixel's id; or more texels
+            than an i32 can index.
     """
 
     def __init__(self, scene: RenderScene) -> None:
@@ -116,7 +131,7 @@ class DeviceScene:
         return looks
 
     def _extent(self) -> np.ndarray:
-        """(I, 3) size of the finest mesh of every instance, without its scale [m]."""
+        """(I, 3) size of the finest mesh of every instance along its axes [m], without the instance's scale."""
         scene = self.scene
         sizes = {}
         for mesh in set(scene.instance_mesh.tolist()):
@@ -178,7 +193,7 @@ class DeviceScene:
         return stills
 
     def add_home(self, home: int) -> None:
-        """Build the mesh of a home, by its index in the scene, unless it exists."""
+        """Build the mesh of the home with this index in the scene, unless it exists."""
         key = f"home {home}"
         scene = self.scene
         if key in self._meshes:
@@ -221,5 +236,5 @@ def _floats(values: np.ndarray) -> wp.array:
 
 
 def _rows(values: np.ndarray, kind: Any) -> wp.array:
-    """Array of vectors or matrices; the last axes are those of the element."""
+    """Warp array of vectors or matrices ``kind``, whose axes are the last ones of ``values``."""
     return wp.array(np.ascontiguousarray(values, np.float32), dtype=kind)

@@ -4,7 +4,7 @@
 """Kernels that shade the faces hit by rays, per pixel: light, textures and ambient occlusion as in the CPU renderer.
 
 They mirror ``raster.lighting`` and ``raster.shading`` and use their constants; images of the two renderers agree within
-the tolerances of ``tests/render/warp/test_cameras.py``. A ray with slopes (u, v) is the vector with depth 1.
+the tolerances of ``tests/render/warp/test_cameras.py``. Rays are vectors in the world, scaled to depth 1.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ TONE_TOP = wp.constant(TONE_RANGE)
 
 @wp.func
 def _highlight(n: wp.vec3, to_lamp: wp.vec3, to_eye: wp.vec3, gloss: float):
-    """Fraction of a lamp's light that a glossy surface reflects towards the camera."""
+    """Specular factor of a lamp's light; ``n``, ``to_lamp`` and ``to_eye`` are unit vectors."""
     half = to_lamp + to_eye
     h = wp.dot(n, half) / wp.sqrt(wp.dot(half, half) + 1.0e-9)
     h4 = h * h * h * h
@@ -60,7 +60,10 @@ def _light(
     gloss: float,
     open_share: float,
 ):
-    """Light on a point: the factor on its colour, and the highlights to add."""
+    """Light on a point ``p`` [m] with unit normal ``n``: diffuse rgb, a factor on its colour, and specular rgb, to add.
+
+    ``to_eye``: unit vector to the camera; ``open_share``: openness 0..1.
+    """
     diffuse = wp.vec3(0.0)
     shine = wp.vec3(0.0)
     for lamp in range(looks.lamp_pos.shape[1]):
@@ -92,16 +95,17 @@ def _light(
 
 @wp.func
 def _sky(direction: wp.vec3):
-    """Background colour along a ray."""
+    """Background colour, linear rgb, along a ray."""
     t = wp.clamp(0.5 + 0.9 * direction[2] / wp.length(direction), 0.0, 1.0)
     return wp.vec3(0.30 + 0.28 * t, 0.34 + 0.32 * t, 0.40 + 0.38 * t)
 
 
 @wp.struct
 class Shown:
-    """Face that a pixel shows: its instance in the render scene, its number there, and the instance's world pose.
+    """Face that a pixel shows.
 
-    scale: of the instance's mesh along its axes.
+    instance, face: ids in the render scene. pos [m], rot: world pose of the instance. scale: of its mesh, along its
+    axes.
     """
 
     instance: int
@@ -135,9 +139,9 @@ def _shown(stills: Stills, movers: Movers, worlds: Worlds, world: int, home: int
 class Facing:
     """A surface point in sight of a camera.
 
-    depth: along the ray [m]. q, n: point [m] and unit normal in the axes of the instance. on_mesh: point in the frame
-    of its mesh, and 1. point, normal: the same in the world; the normal of a flat face points to the camera. to_eye:
-    unit vector. cosine: of the angle between normal and line of sight.
+    depth: planar [m]. q, n: point [m] and unit normal in the frame of the instance. on_mesh: point in the frame of the
+    mesh, and 1. point, normal: point [m] and unit normal in the world; the normal of a flat face points to the camera.
+    to_eye: unit vector. cosine: of the angle between normal and line of sight.
     """
 
     depth: float
@@ -177,7 +181,7 @@ def _facing(looks: Looks, shown: Shown, eye: wp.vec3, ray: wp.vec3, depth: float
 
 @wp.func
 def _surface(looks: Looks, home: int, shown: Shown, at: Facing, focal: float, open_share: float):
-    """Linear colour of a surface point seen by a camera with the focal length ``focal`` [px]."""
+    """Linear rgb of a lit surface point seen by a camera with the focal length ``focal`` [px]."""
     m = looks.instance_material[home, shown.instance]
     if m < 0:
         m = looks.face_material[shown.face]
@@ -195,7 +199,7 @@ def _surface(looks: Looks, home: int, shown: Shown, at: Facing, focal: float, op
 
 @wp.func
 def _toned(looks: Looks, light: wp.vec3):
-    """The 8-bit sRGB colour of linear light."""
+    """Tone-map linear rgb to 8-bit sRGB."""
     top = looks.tone.shape[0] - 1
     out = wp.vec3ub()
     for channel in range(3):
@@ -204,7 +208,7 @@ def _toned(looks: Looks, light: wp.vec3):
     return out
 
 
-# One kernel from ray to colour, because every part uses intermediate results that are still in registers.
+# One kernel from ray to colour, so that intermediate results stay in registers.
 @wp.kernel
 def shade(
     looks: Looks,
@@ -216,7 +220,7 @@ def shade(
     first: int,
     rgb: wp.array4d[wp.vec3ub],
 ):
-    """Shade the pixels of the worlds from ``first`` on and write them to ``rgb`` (W, C, h, w)."""
+    """Shade the pixels of the K worlds from ``first`` on and write them to ``rgb`` (W, C, h, w)."""
     k, c, pixel = wp.tid()
     world = first + k
     y = pixel // frame.width

@@ -2,7 +2,7 @@
 # ruff: noqa: RUF046, UP018
 # Kernels are written in Warp's language, which has Python's syntax but its own types. A variable that changes must be
 # made by float() or int(); otherwise Warp treats it as a constant.
-"""Colours of textured faces on a device: patterns and images, as ``raster.texturing`` and ``textures`` on the CPU."""
+"""Textured colours on a device: patterns and images, as in ``raster.texturing`` and ``textures`` on the CPU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LAST_LEVEL = wp.constant(LEVELS - 1)
 
 @wp.func
 def _texel(looks: Looks, at: int):
-    """Red, green and blue (0..255) of a pixel of the texture pool."""
+    """Red, green and blue (0..255) of a texel."""
     packed = looks.pixels[at]
     low = wp.uint32(255)
     return wp.vec3(
@@ -30,7 +30,7 @@ def _texel(looks: Looks, at: int):
 
 @wp.func
 def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
-    """Red, green and blue (0..255) at (u, v) of a texture, interpolated bilinearly; the texture repeats."""
+    """Red, green and blue (0..255) at (u, v) of a mip level, interpolated bilinearly; the texture repeats."""
     wide = wp.max(looks.bits[texture, 0] - level, 0)
     high = wp.max(looks.bits[texture, 1] - level, 0)
     start = looks.start[texture, level]
@@ -53,7 +53,7 @@ def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
 
 @wp.func
 def _copy_for(texels_per_pixel: float):
-    """Mipmap level whose texels are about as large as a pixel."""
+    """Mip level whose texels are about as large as a pixel, for this number of level-0 texels per pixel side."""
     size = float(texels_per_pixel)
     level = int(0)
     while size > 1.42 and level < LAST_LEVEL:
@@ -74,9 +74,10 @@ def _linear(level: wp.vec3):
 def pattern_color(
     looks: Looks, m: int, i: int, q: wp.vec3, n: wp.vec3, scale: wp.vec3, pixel: float
 ):
-    """Colour of a patterned material at the point ``q`` [m] with normal ``n``, both in the axes of the instance.
+    """Linear rgb of the patterned material ``m`` at the point ``q`` [m] with normal ``n`` (frame of instance ``i``).
 
-    The pattern lies in the coordinate plane that is most parallel to the face; u runs along the longer side.
+    The pattern is projected onto the coordinate plane most parallel to the face, u along the longer side of the
+    instance. ``scale`` is the instance's scale; ``pixel`` the length that a pixel covers on the surface [m].
     """
     a = wp.vec3(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
     e = wp.cw_mul(looks.extent[i], scale)
@@ -104,7 +105,10 @@ def pattern_color(
 
 @wp.func
 def picture_color(looks: Looks, m: int, face: int, p: wp.vec4, grow: float, pixel: float):
-    """Colour of a face with an image texture at the point ``p`` of its mesh; pixels are ``grow`` times larger there."""
+    """Linear rgb of a face with an image texture at the point ``p`` (x, y, z [m], 1) in the frame of its mesh.
+
+    ``pixel`` is the length that a pixel covers on the surface [m], ``grow`` times that its length in the mesh's frame.
+    """
     texture = looks.texture[m]
     texels = float(1 << looks.bits[texture, 0]) * float(1 << looks.bits[texture, 1])
     level = _copy_for(pixel * looks.face_density[face] * grow * wp.sqrt(texels))

@@ -4,9 +4,11 @@
 # made by float() or int(); otherwise Warp treats it as a constant.
 """Kernels that cast one ray per pixel and find its depth, segment, and the face to shade.
 
-The static instances of a home form one mesh in world coordinates, shared by all worlds in that home. Moving instances
-("movers", attached to bodies) are listed per tile of the image by their bounding spheres, again for every image. So no
-bounding volume hierarchy depends on poses: none is refitted, also when a world moves to another home.
+The static instances of a home ("stills") form one mesh in the world frame, shared by all worlds in that home. Moving
+instances ("movers", attached to bodies) are assigned to tiles of the image by their bounding spheres, anew for every
+image. No bounding volume hierarchy depends on poses, so none is refitted, also when a world moves to another home.
+
+W worlds, H homes, I instances of the render scene, D movers, C cameras, K worlds rendered together, T tiles per image.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ wp.set_module_options({"enable_backward": False})
 TILE = wp.constant(16)
 """Side of a tile [px]."""
 TILE_PIXELS = wp.constant(256)
+"""Pixels of a tile."""
 TAG_BITS = wp.constant(FACE_BITS)
 TAG_FACES = wp.constant((1 << FACE_BITS) - 1)
 BURIED = wp.constant(PARKED_BELOW)
@@ -30,8 +33,9 @@ BACK_FACES = wp.constant(16)
 TIE = wp.constant(5.0e-5)
 """Faces closer to each other along a ray than this count as coincident [m]."""
 EDGE = wp.constant(1.0e-4)
+"""Tolerance of barycentric coordinates at the edges of faces."""
 ROUNDING = wp.constant(2.0e-6)
-"""Relative tolerances at the edges of faces (EDGE) and of coordinates (ROUNDING)."""
+"""Relative rounding error of float32 coordinates."""
 FAR_AWAY = wp.constant(1.0e4)
 """A body farther than this from the origin means that the physics has diverged [m]."""
 
@@ -40,9 +44,9 @@ FAR_AWAY = wp.constant(1.0e4)
 class Stills:
     """Static instances of the homes.
 
-    mesh (H,): mesh of each home in world coordinates. instance, face: instance and face in the render scene of every
-    face of these meshes; those of home h start at ``face_start[h]``. pos, mat, scale (H, I): poses and scales of
-    instances.
+    mesh (H,): id of each home's mesh, in the world frame; 0 until it is built. instance, face: instance and face in the
+    render scene of every face of these meshes; those of home h start at ``face_start[h]``. pos [m], mat, scale (H, I):
+    world poses of static instances and scales of all instances.
     """
 
     mesh: wp.array[wp.uint64]
@@ -56,10 +60,11 @@ class Stills:
 
 @wp.struct
 class Movers:
-    """D moving instances, which are attached to bodies.
+    """D moving instances, which are attached to bodies; all arrays are (D,).
 
-    instance: in the render scene. body; pos, mat: pose in the body's frame. mesh; first_face: first face of the mesh in
-    the render scene. ball: bounding sphere (centre in the frame of the mesh, radius [m]).
+    instance: id in the render scene. body: body id in the MjModel. pos [m], mat: pose in the body's frame. mesh: id of
+    its mesh. first_face: first face of the mesh in the render scene. ball: bounding sphere (centre and radius [m] in
+    the frame of the mesh).
     """
 
     instance: wp.array[int]
@@ -75,8 +80,9 @@ class Movers:
 class Worlds:
     """State of all W worlds.
 
-    wanted: render its images. home: index of its home. sane: its physics has not diverged. pos, mat (W, D): poses of
-    movers. cam_pos, cam_mat (W, C): poses of cameras.
+    wanted (W,): its images are to be rendered. home (W,): index of its home. sane (W,): its physics has not diverged.
+    pos [m], mat (W, D): world poses of movers. cam_pos [m], cam_mat (W, C): world poses of cameras (x right, y up, z
+    backwards).
     """
 
     wanted: wp.array[bool]
@@ -93,8 +99,9 @@ class Frame:
     """Intermediate results of K worlds that are rendered together.
 
     focal (C,): focal lengths [px]. width, height: of the images [px]. columns: tiles per row. near: nearest depth [m].
-    movers (K, C, T, D), listed (K, C, T): movers per tile, and their number. inverse (K, C, h * w): inverse depth.
-    ids (K, C, h * w): face of the home's mesh if not negative, else ``-1 - (mover << FACE_BITS | face of its mesh)``.
+    movers (K, C, T, D): indices of the movers in a tile. listed (K, C, T): their number. inverse (K, C, h * w): inverse
+    depth [1/m], 0 for background. ids (K, C, h * w): face of the home's mesh if not negative, else
+    ``-1 - (mover << FACE_BITS | face of its mesh)``.
     """
 
     focal: wp.array[float]
@@ -118,7 +125,7 @@ def is_drawn(worlds: Worlds, world: int):
 
 @wp.func
 def pixel_slopes(frame: Frame, c: int, pixel: int):
-    """Slopes (right, up) of the ray through the centre of a pixel."""
+    """Slopes (right, up) of the ray through the centre of a pixel (row * width + column) of camera ``c``."""
     x = float(pixel % frame.width) + 0.5
     y = float(pixel // frame.width) + 0.5
     return wp.vec2(x - 0.5 * float(frame.width), 0.5 * float(frame.height) - y) / frame.focal[c]
@@ -126,14 +133,14 @@ def pixel_slopes(frame: Frame, c: int, pixel: int):
 
 @wp.func
 def still_of(stills: Stills, home: int, tag: int):
-    """Instance and face of the render scene for an id that is not negative."""
+    """Instance and face in the render scene of a static face, given its id ``tag`` in ``Frame.ids``."""
     at = stills.face_start[home] + tag
     return wp.vec2i(stills.instance[at], stills.face[at])
 
 
 @wp.func
 def mover_of(movers: Movers, tag: int):
-    """Mover and face of the render scene for a negative id."""
+    """Index of the mover, and face in the render scene, of a mover's face, given its id ``tag`` in ``Frame.ids``."""
     code = -1 - tag
     d = code >> TAG_BITS
     return wp.vec2i(d, movers.first_face[d] + (code & TAG_FACES))
@@ -143,7 +150,7 @@ def mover_of(movers: Movers, tag: int):
 def find_homes(
     row: wp.array[int], home_of_row: wp.array[int], body_pos: wp.array2d[wp.vec3], worlds: Worlds
 ):
-    """Set the home of every world, and whether its physics has not diverged."""
+    """Set the home of every world and whether its physics is sane (all body positions finite and near)."""
     world = wp.tid()
     worlds.home[world] = home_of_row[row[world]]
     sane = wp.bool(True)
@@ -162,7 +169,7 @@ def place_cameras(
     body_mat: wp.array2d[wp.mat33],
     worlds: Worlds,
 ):
-    """Compute the poses of the cameras from those of the bodies they are mounted on."""
+    """Compute the world poses of the cameras from those of the bodies they are mounted on."""
     world, c = wp.tid()
     b = mount[c]
     worlds.cam_pos[world, c] = body_pos[world, b] + body_mat[world, b] * mount_pos[c]
@@ -173,7 +180,7 @@ def place_cameras(
 def place_movers(
     movers: Movers, body_pos: wp.array2d[wp.vec3], body_mat: wp.array2d[wp.mat33], worlds: Worlds
 ):
-    """Compute the poses of the movers from those of their bodies."""
+    """Compute the world poses of the movers from those of their bodies."""
     world, d = wp.tid()
     b = movers.body[d]
     worlds.pos[world, d] = body_pos[world, b] + body_mat[world, b] * movers.pos[d]
@@ -235,7 +242,7 @@ class Hit:
 
 @wp.func
 def _front_at(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, depth: float):
-    """A front face of a mesh that a ray hits within TIE of a depth; -1 for none."""
+    """A front face of a mesh that a ray hits within `TIE` of a depth; -1 for none."""
     at = start + ray * depth
     front = int(-1)
     reach = wp.abs(ray) * (2.0 * TIE) + wp.vec3(ROUNDING * wp.max(wp.abs(at)))
@@ -263,10 +270,10 @@ def _front_at(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, depth: float):
 
 @wp.func
 def _cast(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, near: float, far: float):
-    """First front face of a mesh that a ray hits between two depths.
+    """First front face of a mesh that a ray hits between two depths [m].
 
-    Warp's query returns the first face from either side. If a back face coincides with a front face (two-sided sheets,
-    touching boxes), it may return either of them.
+    Warp's query returns the first hit of a front or back face. Where a back face coincides with a front face (two-sided
+    sheets, touching boxes), it may return either of them, so a back face is checked for a coincident front face.
     """
     hit = Hit()
     at = float(near)
@@ -288,7 +295,7 @@ def _cast(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, near: float, far: float
 
 @wp.func
 def _passes_ball(center: wp.vec3, radius: float, ray: wp.vec3, far: float):
-    """Whether a ray from the origin hits no point of a ball before the depth ``far``."""
+    """Whether a ray from the origin misses a sphere, or enters it beyond the depth ``far`` [m]."""
     length2 = wp.dot(ray, ray)
     along = wp.dot(center, ray) / length2
     off = center - ray * along
@@ -296,7 +303,7 @@ def _passes_ball(center: wp.vec3, radius: float, ray: wp.vec3, far: float):
     return room < 0.0 or along - wp.sqrt(room / length2) > far
 
 
-# One kernel from ray to nearest hit: every part reads the ray and the best depth so far from registers.
+# One kernel from ray to nearest hit, so that the ray and the nearest depth so far stay in registers.
 @wp.kernel
 def trace(
     stills: Stills,
@@ -308,10 +315,9 @@ def trace(
     depth: wp.array4d[float],
     seg: wp.array4d[int],
 ):
-    """Cast the rays of the worlds from ``first`` on.
+    """Cast the rays of the K worlds from ``first`` on.
 
-    The results go to ``depth`` and ``seg`` (W, C, h, w) and to the frame's ``inverse`` and ``ids``, each only if its
-    array is not empty.
+    Writes ``depth`` [m] and ``seg`` (W, C, h, w), and the frame's ``inverse`` and ``ids``, each unless it is empty.
     """
     k, c, ray_index = wp.tid()
     world = first + k

@@ -10,15 +10,15 @@ from mjhab.scenes.spec import Articulation, Prop
 
 
 def builtin_props() -> dict[str, Prop]:
-    """Furniture without joints. Names follow ReplicaCAD's templates where it has a like."""
+    """Return the furniture without joints by name; names are those of corresponding ReplicaCAD templates."""
     return {prop.name: prop for prop in (*living_props(), *decor_props())}
 
 
 def builtin_articulations() -> dict[str, Articulation]:
-    """``kitchen_counter`` and ``fridge``."""
+    """Return the furniture with joints by name: ``kitchen_counter`` and ``fridge``."""
     return {a.name: a for a in (kitchen_counter(), fridge())}
 
 
 def furniture_meshes() -> dict[str, Mesh]:
-    """Every mesh that the furniture names."""
+    """Return the meshes of the furniture by name."""
     return {**living_meshes(), **decor_meshes()}

@@ -1,4 +1,4 @@
-"""What makes rooms look lived in: plants, rugs, lamps, pictures, windows, door frames."""
+"""Decoration: plants, rugs, lamps, pictures, windows, doors and their frames, bins."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mjhab.scenes.spec import Geom, Prop
 
 
 def decor_props() -> tuple[Prop, ...]:
-    """Every template of this module."""
+    """Return all templates of this module."""
     return (
         _plant("indoor_plant_01", "plant_tall", 0.16, 0.34, "terracotta"),
         _plant("indoor_plant_02", "plant_bush", 0.14, 0.30, "pot_white"),
@@ -28,7 +28,7 @@ def decor_props() -> tuple[Prop, ...]:
 
 
 def decor_meshes() -> dict[str, Mesh]:
-    """The turned and grown shapes that the templates of this module name."""
+    """Return the meshes of the templates of this module by name."""
     return {
         "plant_tall": foliage(1, 26, 0.34, 1.05, 0.10),
         "plant_bush": foliage(2, 34, 0.30, 0.50, 0.08),
@@ -79,7 +79,7 @@ def decor_meshes() -> dict[str, Mesh]:
 
 
 def _plant(name: str, leaves: str, radius: float, height: float, pot: str) -> Prop:
-    """A pot that collides, a stem that collides with arms, leaves that only show."""
+    """A plant: pot and stem collide, leaves are visual only."""
     tall = leaves == "plant_tall"
     top = 1.35 if tall else 0.75
     geoms = [
@@ -115,7 +115,7 @@ def _lamp() -> Prop:
 
 
 def _rug(name: str, depth: float, width: float, material: str) -> Prop:
-    """A rug of 8 mm that robots drive over; it does not collide at all."""
+    """A rug 8 mm thick, without collision geoms; robots drive over it."""
     geoms = [box((0.0, 0.0, 0.004), (depth, width, 0.008), material, collide=False)]
     if depth > 1.0:
         rim = 0.07
@@ -140,7 +140,7 @@ def _rug(name: str, depth: float, width: float, material: str) -> Prop:
 
 
 def _wall_shelf() -> Prop:
-    """A narrow board high on the wall with cups, a plant and a vase; for the eye, above every arm's work."""
+    """A narrow visual-only shelf on the wall, above the reach of arms, with cups, a plant and a vase."""
     geoms: list[Geom] = [box((0.0, 0.0, 1.62), (0.20, 1.40, 0.03), "oak", collide=False)]
     for y, material in (
         (-0.55, "pot_white"),
@@ -160,7 +160,7 @@ def _wall_shelf() -> Prop:
 
 
 def _picture(name: str) -> Prop:
-    """A framed picture at eye height; the back lies on the wall at x = 0."""
+    """A framed picture at eye height; its back is at x = 0, on the wall."""
     big = name == "picture_01"
     w, h, z = (0.9, 0.6, 1.6) if big else (0.5, 0.7, 1.6)
     geoms = [
@@ -188,7 +188,7 @@ def _picture(name: str) -> Prop:
 
 
 def _window() -> Prop:
-    """A window on a wall with curtains; the back lies on the wall at x = 0."""
+    """A window with curtains; its back is at x = 0, on the wall."""
     w = 1.4
     h = 1.15
     z = 1.62
@@ -216,7 +216,7 @@ def _window() -> Prop:
 
 
 def _front_door() -> Prop:
-    """The outer door, shut, in its frame; the back lies on the wall at x = 0."""
+    """The closed outer door in its frame; its back is at x = 0, on the wall."""
     geoms = (
         span((0.0, 0.03), (-0.45, 0.45), (0.0, 2.05), "walnut", collide=False),
         span((0.0, 0.05), (-0.52, -0.45), (0.0, 2.12), "trim_white", collide=False),
@@ -237,7 +237,7 @@ def _bin() -> Prop:
 
 
 def _inner_frame() -> Prop:
-    """Trim of a 1.0 m doorway in an inner wall of 0.12 m: the centre of the opening is the origin."""
+    """Trim of a doorway 1.0 m wide in an inner wall 0.12 m thick; the origin is at the centre of the opening."""
     geoms = [
         box((0.0, s * 0.49, 1.06), (0.16, 0.02, 2.12), "trim_white", collide=False)
         for s in (-1.0, 1.0)

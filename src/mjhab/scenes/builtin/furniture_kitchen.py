@@ -1,8 +1,8 @@
-"""The two pieces that open: kitchen counter with seven drawers and a sink, fridge with two doors.
+"""The furniture with joints: a kitchen counter with seven drawers and a sink, and a fridge with two doors.
 
 Template frame: origin on the floor under the centre, +x to the front. Sizes follow ReplicaCAD's
 kitchen_counter and fridge (worktop at 0.86 m, drawer travel 0.5 m, doors of 0.69 m that turn 2.3 and 2.5 rad),
-with real bar handles: the original handles have no collision geometry.
+with bar handles that collide; the original handles have no collision geometry.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from mjhab.scenes.shapes.shapes import box, rod, span
 from mjhab.scenes.spec import Articulation, FrontArea, Geom, Handle, Link, Receptacle, Vec3
 
 FRONT_BACK_X_M = 0.303
-"""Back face of the counter's drawer fronts; a front is 20 mm thick [m]."""
+"""x of the back face of the counter's drawer fronts [m]; a front is 20 mm thick."""
 FRONT_THICKNESS_M = 0.02
 BAR_THICKNESS_M = 0.02
 """Thickness of a handle bar [m]."""
 BAR_GAP_M = 0.05
-"""Free space between bar and front: fingers are 14 mm thick and reach 31 mm past the grasp point [m]."""
+"""Gap between bar and front [m]: fingers are 14 mm thick and extend 31 mm beyond the grasp point."""
 WORKTOP_HEIGHT_M = 0.88
 DRAWER_TRAVEL_M = 0.5
 FRIDGE_FRONT_AREA = FrontArea(near_m=0.933, far_m=1.833, half_width_m=0.6)
-"""Where robots stand to open a fridge (mshab/utils/gen/gen_spawn_positions.py)."""
+"""Area where robots stand to open a fridge, as in MS-HAB (mshab/utils/gen/gen_spawn_positions.py)."""
 
 # name, y extent, z extent of the front, surface height of the drawer floor, mass [kg]
 _DRAWERS: tuple[tuple[str, tuple[float, float], tuple[float, float], float, float], ...] = (
@@ -35,7 +35,7 @@ _DRAWERS: tuple[tuple[str, tuple[float, float], tuple[float, float], float, floa
 
 
 def kitchen_counter() -> Articulation:
-    """The counter: worktop at 0.88 m, 2.8 m wide, 0.65 m deep; drawers slide along +x."""
+    """Make the counter: worktop at 0.88 m, 2.8 m wide, 0.65 m deep; drawers slide along +x."""
     links = tuple(_drawer(*row) for row in _DRAWERS)
     surfaces = (
         Receptacle("counter_left", (0.08, -0.99, WORKTOP_HEIGHT_M), (0.20, 0.37), 0.6),
@@ -126,7 +126,7 @@ def _sink() -> list[Geom]:
 def _drawer(
     name: str, y: tuple[float, float], z: tuple[float, float], floor: float, mass: float
 ) -> Link:
-    """One drawer, open on top. The link frame sits on the closed front's height, above the template's origin."""
+    """One drawer, open on top. The link's origin is above the template's origin, at the height of the front."""
     width = y[1] - y[0]
     height = z[1] - z[0]
     mid = _link_z(z)
@@ -167,7 +167,7 @@ def _bar(
     material: str,
     thick: float = BAR_THICKNESS_M,
 ) -> list[Geom]:
-    """A bar in front of a plate at x = ``front``, on two thin posts at its ends that keep its middle free."""
+    """A bar handle in front of a plate at x = ``front`` [m], on two thin posts at its ends."""
     reach = 2 * half + 0.02
     size = (thick, reach if along[1] else thick, reach if along[2] else thick)
     geoms = [box(center, size, material)]
@@ -190,7 +190,7 @@ _DECK_HEIGHT_M = 0.86
 
 
 def fridge() -> Articulation:
-    """The fridge: 0.69 x 0.69 x 1.95 m; both doors hinge at y = +0.345 and open outward for positive angles."""
+    """Make the fridge: 0.69 x 0.69 x 1.95 m; both doors hinge at y = +0.345 m and open at positive angles."""
     heights = {
         "bottom": 0.12,
         "middle_bottom": 0.48,
@@ -243,7 +243,7 @@ def _door(
     grip: float,
     bins: tuple[float, ...],
 ) -> Link:
-    """A door. Its link frame lies on the hinge line at floor height, +x outward; the door extends along -y."""
+    """A door. The origin of its link is on the hinge axis at floor height, +x outward; the door extends along -y."""
     inner = _DOOR_INNER_X_M - _DOOR_OUTER_X_M
     outer = 0.0
     geoms = [
@@ -276,7 +276,7 @@ def _door(
 
 
 def _bin(inner: float, height: float) -> list[Geom]:
-    """A door shelf: floor and lip, 75 mm deep, narrower than the door so that it passes the side walls."""
+    """A door shelf of floor and lip, 75 mm deep, and narrower than the door so that it clears the side walls."""
     y = (-_FRIDGE_WIDTH_M + 0.07, -0.08)
     return [
         span((inner - 0.075, inner), y, (height, height + 0.012), "fridge_bin"),

@@ -1,4 +1,4 @@
-"""Tables, seats and storage: furniture that stands still. Template frame: floor centre, +x to the front."""
+"""Tables, seats and storage furniture without joints. Template frame: origin on the floor, +x to the front."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from mjhab.scenes.spec import Geom, Prop, Receptacle
 
 
 def living_props() -> tuple[Prop, ...]:
-    """Every template of this module."""
+    """Return all templates of this module."""
     return (
         _table_01(),
         _table_02(),
@@ -27,7 +27,7 @@ def living_props() -> tuple[Prop, ...]:
 
 
 def living_meshes() -> dict[str, Mesh]:
-    """The soft shapes that the templates of this module name."""
+    """Return the meshes of the templates of this module by name: cushions, seats and the like."""
     return {
         "sofa_base": rounded_box((0.88, 1.90, 0.22), 0.03),
         "sofa_seat": rounded_box((0.64, 0.76, 0.16), 0.05),
@@ -225,14 +225,14 @@ def _cabinet() -> Prop:
 
 
 def _chest_of_drawers() -> Prop:
-    """A chest of drawers, 0.45 x 0.90 x 0.85 m; it stays shut."""
+    """A chest of drawers without joints, 0.45 x 0.90 x 0.85 m."""
     geoms = [box((0.0, 0.0, 0.425), (0.45, 0.90, 0.85), "walnut")]
     geoms += _fronts(0.225, (-0.43, 0.43), (0.05, 0.82), (3, 2), "oak", "brass")
     return Prop("chest_of_drawers", tuple(geoms))
 
 
 def _cupboard() -> Prop:
-    """A tall kitchen cupboard, 0.40 x 0.80 x 2.00 m; it stays shut."""
+    """A tall kitchen cupboard without joints, 0.40 x 0.80 x 2.00 m."""
     geoms = [box((0.0, 0.0, 1.0), (0.40, 0.80, 2.0), "cabinet_carcass")]
     geoms += _fronts(0.20, (-0.39, 0.39), (0.08, 1.98), (2, 2), "cabinet_front", "brass")
     return Prop("kitchen_cupboard_01", tuple(geoms))

@@ -1,7 +1,7 @@
-"""Furnished homes on disk: placing furniture is a search, its result is a few kB.
+"""Cache on disk of furnished homes, because placing furniture is a search, and its result a few kB.
 
-Only the props are stored. A home without its props is made from its plan in microseconds, so the file cannot carry
-walls or names that the code no longer has; a file of other code has another name.
+Only the props are stored; everything else is made from the plan of a home in microseconds. The name of a file has a
+hash of the code, so that files of other code are not read.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Key = tuple[int, int]
 
 
 def _code_digest() -> bytes:
-    """Hash of every module the furnishing can reach, and of the libraries whose arithmetic it uses."""
+    """Hash of all modules that the furnishing may import, and of the versions of the libraries that it uses."""
     libraries = f"{np.__version__} {scipy.__version__}".encode()
     return hashlib.sha256(libraries + code_digest("scenes", "core")).digest()
 
@@ -34,13 +34,13 @@ def cached_homes(
     bare: Callable[[int, int], Home],
     furnish: Callable[[int, int], Home],
 ) -> tuple[Home, ...]:
-    """Homes of a pack: from the cache when these keys were furnished before by the same code, else furnished.
+    """Return the homes of a pack, from the cache if the same code furnished these keys before.
 
     Args:
         pack: name of the pack, part of the file's name.
         keys: (macro, micro) of the homes.
-        bare: makes a home without props.
-        furnish: makes the whole home.
+        bare: makes a home without props, given macro and micro.
+        furnish: makes a home with props, given macro and micro.
     """
     digest = hashlib.sha256(_code_digest() + repr(tuple(keys)).encode()).hexdigest()[:24]
     path = cache_dir() / "homes" / f"{pack}-{digest}.json"
@@ -54,7 +54,7 @@ def cached_homes(
 
 
 def _read(path: Path, count: int) -> list[tuple[Placement, ...]] | None:
-    """Props of every home, or None if there is no such file or it is not whole (a disk that filled up)."""
+    """Props of every home; None if there is no such file or it is incomplete (for example after a full disk)."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))
         props = [

@@ -1,4 +1,4 @@
-"""Floor plans of the five macro layouts: walls, doorways, rooms, and where the furniture stands.
+"""Floor plans of the five macro layouts: walls, doorways, rooms, and poses of the furniture.
 
 Coordinates: x to the right, y up, origin at the inner lower left corner of the flat [m]. A wall is a line with
 doorways; a piece is (template, x, y, yaw in degrees). The front of a piece (+x of its template) looks along yaw.
@@ -14,7 +14,10 @@ Spot = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Wall:
-    """An inner wall along ``axis`` at the fixed other coordinate ``at``, with doorways (from, to)."""
+    """An inner wall along ``axis`` ("x" or "y") from ``start`` to ``end``, at ``at`` on the other axis [m].
+
+    ``gaps``: doorways (from, to) along the axis [m].
+    """
 
     axis: str
     at: float
@@ -25,7 +28,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Room:
-    """A rectangle of floor with its own material: x_min, y_min, x_max, y_max."""
+    """A rectangle of floor with its own material; ``extent``: x_min, y_min, x_max, y_max [m]."""
 
     name: str
     extent: tuple[float, float, float, float]
@@ -34,7 +37,11 @@ class Room:
 
 @dataclass(frozen=True)
 class Plan:
-    """One macro layout. ``spots``: places for the small pieces; a micro layout deals them out anew."""
+    """One macro layout.
+
+    ``size``: of the floor [m]; ``kitchen``: counter and fridge; ``fixed``: pieces with the same pose in all micro
+    layouts; ``loose``: pieces that micro layouts shift; ``spots``: positions that micro layouts assign to `SMALL`.
+    """
 
     size: tuple[float, float]
     outer_wall: str
@@ -49,10 +56,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class HardCase:
-    """A home whose fridge stands in a corner, so that its doors open toward a wall.
+    """A home whose fridge is in a corner, so that its doors open toward a wall.
 
-    ``side``: free floor between the hinge side of the fridge and the wall [m]; ``limits``: where the doors meet the
-    wall, if they do, as (link id, angle [rad]).
+    ``fridge``: its pose; ``side``: gap between the hinge side of the fridge and the wall [m]; ``note``: see `Home`;
+    ``limits``: (link id, angle [rad]) at which a door touches the wall, for doors that do.
     """
 
     fridge: Piece
@@ -62,7 +69,7 @@ class HardCase:
 
 
 SMALL = ("indoor_plant_01", "indoor_plant_02", "beanbag", "lamp_01", "bin_01")
-"""The pieces that micro layouts deal out over a plan's spots, in the order of the spots in micro layout 0."""
+"""Small pieces that micro layouts assign randomly to a plan's spots; in order in micro layout 0."""
 
 PLANS: tuple[Plan, ...] = (
     Plan(  # kitchen and fridge on the west wall, living room north east, bedroom south east
@@ -345,5 +352,5 @@ HARD: dict[tuple[int, int], HardCase] = {
     ),
     (4, 20): HardCase(("fridge", 5.295, 7.635, -90), 0.90, _NARROW),
 }
-"""(macro, micro) of the homes in which the fridge opens toward a wall. In MS-HAB's val homes a fridge door that stands
-open against a wall cannot be closed: its handle is out of reach."""
+"""Homes in which the fridge opens toward a wall, by (macro, micro). In MS-HAB's val homes, a fridge door that is open
+against a wall cannot be closed, because its handle is out of reach."""

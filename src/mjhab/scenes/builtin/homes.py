@@ -1,6 +1,6 @@
-"""The built-in homes: five macro layouts, each with micro layouts that shift and re-deal the furniture.
+"""The built-in homes: five macro layouts (floor plans), each with micro layouts (arrangements of the furniture).
 
-Macro layouts 0, 1, 2 are for training, 3 for validation, 4 for testing, as in ReplicaCAD's staging scenes.
+Macro layouts 0, 1, 2 are in split train, 3 in val, 4 in test, as in ReplicaCAD's staged scenes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WALL_HEIGHT_M = 2.6
 WALL_THICKNESS_M = 0.12
 Key = tuple[int, int]
 VERSION_ONE: tuple[Key, ...] = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
-"""(macro, micro) of six homes, enough to try things quickly."""
+"""(macro, micro) of six homes, a small subset for quick tests."""
 EVERY: tuple[Key, ...] = tuple(
     (macro, micro) for macro in range(len(PLANS)) for micro in range(NUM_MICROS)
 )
@@ -38,22 +38,22 @@ LISTED = EVERY
 """(macro, micro) of the homes that the pack lists."""
 
 MAX_REACH_TO_CENTER_M = 0.85
-"""Farthest that the centre of a receptacle may lie from where a base can stand [m]."""
+"""Largest planar distance of the centre of a receptacle from the nearest place where a base can stand [m]."""
 MAX_REACH_TO_ANY_POINT_M = 1.0
-"""The same for any point of a receptacle [m]."""
+"""Largest planar distance of any point of a receptacle from the nearest place where a base can stand [m]."""
 MIN_CONNECTED_SHARE = 0.94
-"""Least share of the free floor that must be connected; the rest are nooks behind furniture."""
+"""Smallest fraction of the free floor that must be connected; the rest are gaps behind furniture."""
 
 Zone = tuple[tuple[float, float], tuple[float, float]]
 KEEP_CLEAR_M: dict[str, Zone] = {
     "kitchen_counter": ((0.40, 1.95), (-1.40, 1.40)),
     "fridge": ((0.42, 1.90), (-0.80, 1.15)),
 }
-"""Floor in front of what opens, in its frame: x and y extents [m] that stay free for doors, drawers and a robot."""
+"""x and y extents [m] of the floor in front of an articulation, in its frame, that is kept free for doors and robot."""
 FRIDGE_HALF_WIDTH_M = 0.345
 """Half the width of the fridge [m]."""
 
-# how far a micro layout may move a piece: across, along its own y axis [m], turn [rad]
+# Largest change of a piece's pose by a micro layout: along its own x and y axes [m], rotation [rad].
 _SHIFTS: dict[str, tuple[float, float, float]] = {
     "table_01": (0.10, 0.12, 0.06),
     "chair_01": (0.06, 0.08, 0.30),
@@ -67,12 +67,12 @@ _MAX_TRIES = 400
 
 
 def split_of(macro: int) -> Literal["train", "val", "test"]:
-    """The split of a macro layout."""
+    """Return the split of a macro layout."""
     return "train" if macro < 3 else ("val" if macro == 3 else "test")
 
 
 def builtin_homes(keys: Sequence[Key] = LISTED) -> tuple[Home, ...]:
-    """The homes of the built-in pack, furnished once and then read from the cache.
+    """Return the homes of the built-in pack, from the cache on disk if they were furnished before.
 
     Args:
         keys: (macro, micro) of the homes.
@@ -82,14 +82,14 @@ def builtin_homes(keys: Sequence[Key] = LISTED) -> tuple[Home, ...]:
 
 @cache
 def make_home(macro: int, micro: int) -> Home:
-    """Furnish one home. The same (macro, micro) is the same home everywhere.
+    """Make a furnished home, which is the same for the same arguments on every machine.
 
     Args:
-        macro: 0..4, chooses walls and the places of kitchen and large furniture.
-        micro: 0..20, shifts furniture; 0 is the plan as drawn.
+        macro: 0..4, determines walls, kitchen and the positions of large furniture.
+        micro: 0..20, seed of the arrangement of the furniture; 0 is the plan unchanged.
 
     Raises:
-        UsageError: out of range.
+        UsageError: an argument is out of range.
     """
     rng = stream(0, "home", macro, micro)
     plan = plan_of(macro, micro)
@@ -97,7 +97,7 @@ def make_home(macro: int, micro: int) -> Home:
 
 
 def bare_home(macro: int, micro: int) -> Home:
-    """One home with walls, kitchen and lamps but no props yet; arguments and errors as in `make_home`."""
+    """Make a home with walls, kitchen and lamps, but without props; arguments and errors as in `make_home`."""
     hard = HARD.get((macro, micro))
     name = f"builtin_m{macro}_{micro:02d}"
     floor = Floor(name, "builtin", split_of(macro), macro, micro, plan_of(macro, micro))
@@ -107,7 +107,7 @@ def bare_home(macro: int, micro: int) -> Home:
 
 @dataclass(frozen=True)
 class Floor:
-    """A home before it is furnished: its names, and its plan."""
+    """Input for a home: names of home and pack, split, layout numbers, and plan."""
 
     name: str
     pack: str
@@ -118,7 +118,7 @@ class Floor:
 
 
 def bare_floor(floor: Floor) -> Home:
-    """Walls, kitchen and lamps of a plan."""
+    """Make a home with the walls, kitchen and lamps of a plan, but without props."""
     plan = floor.plan
     width, depth = plan.size
     kitchen = tuple(_place(p) for p in plan.kitchen)
@@ -142,10 +142,10 @@ def bare_floor(floor: Floor) -> Home:
 
 
 def plan_of(macro: int, micro: int) -> Plan:
-    """Plan of the macro layout; hard cases have their fridge elsewhere.
+    """Return the plan of a home: that of the macro layout, with the fridge moved in hard cases.
 
     Raises:
-        UsageError: out of range.
+        UsageError: an argument is out of range.
     """
     if not (0 <= macro < len(PLANS) and 0 <= micro < NUM_MICROS):
         raise UsageError(
@@ -177,7 +177,7 @@ def _place(piece: Piece) -> Placement:
 
 
 def wall_geoms(plan: Plan) -> tuple[Geom, ...]:
-    """Wall boxes of a plan: four outer walls around the floor, then inner walls split at their doorways."""
+    """Compute the wall boxes of a plan: four outer walls around the floor, then inner walls split at doorways."""
     (w, d) = plan.size
     t = WALL_THICKNESS_M
     outer = [
@@ -200,16 +200,16 @@ def _inner_wall(wall: Wall, material: str) -> list[Geom]:
 
 
 def furnish(home: Home, plan: Plan, rng: np.random.Generator, clear: dict[str, Zone]) -> Home:
-    """Place the props: nothing overlaps, the clear zones stay free, and a robot reaches every receptacle.
+    """Add props to a home such that nothing overlaps, clear zones stay free, and a robot reaches every receptacle.
 
     Args:
-        home: a bare one, whose micro number 0 stands for the plan as it is drawn.
+        home: a home without props; if its micro number is 0, the plan is used unchanged.
         plan: its plan.
-        rng: what the furniture is shifted and dealt out by.
-        clear: zone in front of each articulation.
+        rng: random generator of the arrangement.
+        clear: zone in front of each articulation, by name.
 
     Raises:
-        RuntimeError: the plan leaves no room (a plan that was edited wrongly; tests build every home).
+        RuntimeError: no arrangement was found (an error in the plan; tests build every home).
     """
     taken = _blocked(plan, clear)
     for _ in range(_MAX_TRIES):
@@ -222,7 +222,7 @@ def furnish(home: Home, plan: Plan, rng: np.random.Generator, clear: dict[str, Z
 
 
 def usable(home: Home, pack: Pack) -> bool:
-    """Whether the free floor is one piece (but for nooks) from which every receptacle can be reached."""
+    """Return whether the free floor is connected (see `MIN_CONNECTED_SHARE`) and every receptacle is in reach of it."""
     free = free_map(home, pack)
     share = free.navigable().sum() / max((free.clearance >= NAVMESH_BASE_RADIUS_M).sum(), 1)
     return bool(share >= MIN_CONNECTED_SHARE) and all(
@@ -251,7 +251,7 @@ def _try_furnish(
 
 
 def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
-    """Zone in front of each articulation of one home; where a wall stands beside the fridge, it ends there."""
+    """Return the clear zone in front of each articulation of a home, cut off at a wall beside the fridge."""
     hard = HARD.get((macro, micro))
     if hard is None:
         return KEEP_CLEAR_M
@@ -260,7 +260,7 @@ def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
 
 
 def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
-    """Walls, kitchen and clear zones, as floor areas that props must not enter."""
+    """Footprints of walls, kitchen and clear zones, which props must not overlap."""
     taken = []
     for wall in wall_geoms(plan):
         (x, y, _) = wall.pos
@@ -289,7 +289,7 @@ def _template(name: str) -> Prop | Articulation:
 def _settle(
     placement: Placement, taken: list[Footprint], rng: np.random.Generator, tries: int
 ) -> Placement | None:
-    """Try shifted poses until one is free, then take its floor; None if there is none."""
+    """Sample shifted poses until one is free and append its footprint to ``taken``; None after ``tries`` failures."""
     movable = tries > 1
     for _ in range(tries):
         pose = _shift(placement, rng) if movable else placement

@@ -1,4 +1,4 @@
-"""Looks of surfaces, by name. Procedural patterns replace texture files."""
+"""Materials of surfaces by name, with procedural patterns instead of texture files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ Pattern = Literal["plain", "wood", "planks", "tiles", "fabric", "stripes"]
 
 @dataclass(frozen=True)
 class Material:
-    """``color`` and ``color2`` sRGB 0..1; ``scale``: size of one pattern period [m]; ``gloss`` 0..1."""
+    """A material.
+
+    ``color``: sRGB 0..1; ``pattern``: a key of `render.patterns.PERIODS`, or "plain"; ``color2``: second colour of the
+    pattern, None for a darker shade of the first; ``scale``: unit of length of the pattern [m]; ``gloss``: 0..1.
+    """
 
     color: tuple[float, float, float]
     pattern: Pattern = "plain"
@@ -116,4 +120,4 @@ MATERIALS: dict[str, Material] = {
     "bowl_red": _m(0.76, 0.20, 0.17, gloss=0.5),
     "bowl_inside": _m(0.83, 0.28, 0.23, gloss=0.5),
 }
-"""Every surface of the built-in pack, by name."""
+"""Materials of the built-in pack by name."""

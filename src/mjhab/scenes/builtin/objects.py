@@ -28,7 +28,7 @@ SIZES: dict[str, Vec3] = {
     "013_apple": (0.0754, 0.0749, 0.0719),
     "024_bowl": (0.1610, 0.1610, 0.0550),
 }
-"""Full extents (x, y, z) [m] of each object standing as it is usually put down."""
+"""Full extents (x, y, z) [m] of each object in its usual standing pose."""
 
 MASSES: dict[str, float] = {
     "002_master_chef_can": 0.414,
@@ -50,23 +50,23 @@ SCAN_YAW: dict[str, float] = {
     "009_gelatin_box": -0.229,
     "010_potted_meat_can": 1.524,
 }
-"""Heading [rad] of the axes of the google_16k scan in our frame, where the thing stands at an angle in its scan."""
+"""Heading [rad] of the google_16k scan's x axis in our frame, for objects that are rotated in their scan."""
 
 CLUTTER_TYPES: tuple[str, ...] = tuple(name for name in SIZES if name != "013_apple")
-"""The nine types of TidyHouse, PrepareGroceries and of the clutter of SetTable."""
+"""The nine object types of TidyHouse, of PrepareGroceries, and of the clutter of SetTable."""
 
 BOWL_WALL_M = 0.0045
 """Thickness of the bowl's wall [m]."""
 _BOWL_PROFILE_M = ((0.046, -0.0275), (0.0735, -0.0075), (0.0805, 0.0275))
-"""Outer (radius, z) of the bowl: foot, knee, rim. Steep above the knee, so that a rim grasp has parallel sides."""
+"""Outer (radius, z) [m] of the bowl at foot, knee and rim; steep above the knee, so that the rim can be grasped."""
 BOWL_FACETS = 12
-"""Flat pieces of the bowl's wall. A finger pad (26 mm wide) has 7 mm of room on either side of a piece's middle: beyond
-it, its side would meet the edge of the next piece."""
+"""Number of flat pieces of the bowl's wall. A finger pad (26 mm wide) may be up to 7 mm off the middle of a piece
+before it touches the next piece."""
 _BOWL_BASE_PIECES = 8
 
 
 def builtin_objects() -> dict[str, ObjectType]:
-    """The ten object types by name."""
+    """Return the ten object types by name."""
     makers = {
         "002_master_chef_can": lambda h: _can(h, "coffee_blue", "label_white", "coffee_lid"),
         "003_cracker_box": lambda h: _carton(h, "cracker_red", "cracker_orange", "label_white"),
@@ -94,7 +94,7 @@ def builtin_objects() -> dict[str, ObjectType]:
 
 
 def object_meshes() -> dict[str, Mesh]:
-    """Collision pieces of apple and bowl, and the smooth shapes that are seen instead."""
+    """Return the meshes of the objects by name: collision pieces of apple and bowl, and their render meshes."""
     (foot_r, foot_z), (knee_r, knee_z), (rim_r, rim_z) = _BOWL_PROFILE_M
     w = BOWL_WALL_M
     return {
@@ -129,7 +129,7 @@ def object_meshes() -> dict[str, Mesh]:
 
 
 def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], list[Geom]]:
-    """A standing box: label panels on the two wide faces, a band around the lower part."""
+    """Collision and visual geoms of a standing box, with labels on the two wide faces and a band at the lower part."""
     hx, hy, hz = half
     skin = 0.0005
     visuals = [
@@ -172,7 +172,7 @@ def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], li
 
 
 def _flat_carton(half: Vec3, main: str, mark: str, spot: str) -> tuple[list[Geom], list[Geom]]:
-    """A lying box: its label looks up and down."""
+    """Collision and visual geoms of a lying box, with labels on top and bottom."""
     hx, hy, hz = half
     skin = 0.0005
     visuals = [box((0.0, 0.0, 0.0), (2 * hx, 2 * hy, 2 * (hz - skin)), main, collide=False)]
@@ -195,7 +195,7 @@ def _flat_carton(half: Vec3, main: str, mark: str, spot: str) -> tuple[list[Geom
 
 
 def _meat_can(half: Vec3) -> tuple[list[Geom], list[Geom]]:
-    """A rectangular tin: metal rims, a printed sleeve."""
+    """Collision and visual geoms of a rectangular tin with metal rims and a printed sleeve."""
     hx, hy, hz = half
     visuals = [
         box((0.0, 0.0, 0.0), (2 * hx - 0.003, 2 * hy - 0.003, 2 * hz), "tin", collide=False),
@@ -214,7 +214,7 @@ def _meat_can(half: Vec3) -> tuple[list[Geom], list[Geom]]:
 def _can(
     half: Vec3, main: str, band: str, lid: str, dot: str = ""
 ) -> tuple[list[Geom], list[Geom]]:
-    """A round can: sleeve in two colours, rims and lid of its own."""
+    """Collision and visual geoms of a round can with a two-coloured sleeve, rims and a lid."""
     r = half[0]
     h = half[2]
     visuals = [
@@ -240,7 +240,7 @@ def _apple() -> tuple[list[Geom], list[Geom]]:
 
 
 def _bowl() -> tuple[list[Geom], list[Geom]]:
-    """An open bowl: a ring of steep rim pieces, a ring of flat base pieces, a round floor."""
+    """Collision and visual geoms of an open bowl: rings of steep rim pieces and flat base pieces, and a round floor."""
     foot_r, foot_z = _BOWL_PROFILE_M[0]
     pieces = [
         Geom(
@@ -258,7 +258,10 @@ def _bowl() -> tuple[list[Geom], list[Geom]]:
 
 
 def _wall_piece(r0: float, z0: float, r1: float, z1: float, count: int) -> Mesh:
-    """One of ``count`` equal wedges of a conical wall, about the +x direction; its corners lie on the circles."""
+    """One of ``count`` equal wedges of a conical wall, centred about +x; its outer corners lie on the cone.
+
+    ``r0``, ``z0``, ``r1``, ``z1``: outer radius and height [m] at the two ends of the cone.
+    """
     a = math.pi / count
     slope = math.atan2(r1 - r0, z1 - z0)
     inward = BOWL_WALL_M / math.cos(slope)
@@ -270,7 +273,7 @@ def _wall_piece(r0: float, z0: float, r1: float, z1: float, count: int) -> Mesh:
 
 
 def _icosphere() -> np.ndarray:
-    """42 points on the unit sphere whose extremes along the axes are exactly 1."""
+    """(42, 3) points on the unit sphere whose largest coordinates along the axes are exactly 1."""
     g = (1 + math.sqrt(5)) / 2
     base = [(0.0, s, t * g) for s in (-1.0, 1.0) for t in (-1.0, 1.0)]
     corners = np.array([p[i:] + p[:i] for p in base for i in range(3)])
@@ -285,7 +288,7 @@ def _icosphere() -> np.ndarray:
 
 
 def _apple_look() -> Mesh:
-    """An apple with dimples at stem and flower, inside the bounds of the hull."""
+    """Render mesh of an apple with dimples at stem and flower, inside the bounds of the collision hull."""
     rx, _, rz = (s / 2 for s in SIZES["013_apple"])
     profile = [
         (0.0, -0.86),

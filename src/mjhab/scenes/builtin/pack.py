@@ -35,12 +35,12 @@ ROLES = Roles(
     },
     closed_by={"fridge/middle_top": "fridge/top_door"},
 )
-"""Roles of the built-in furniture, as the Home Assistant Benchmark uses their likes in ReplicaCAD."""
+"""Roles of the built-in furniture, those of the corresponding ReplicaCAD furniture in the Home Assistant Benchmark."""
 
 
 @cache
 def builtin_pack() -> Pack:
-    """The pack made by code; always the same object."""
+    """Return the built-in pack; always the same object."""
     return Pack(
         "builtin",
         builtin_props(),

@@ -1,9 +1,9 @@
 """The pack "styles": 40 more homes for generalisation beyond the paper's split.
 
-Its splits differ in floor plan *and* in furniture style: no plan and no style of val or test is among those of train.
-The plans are those of the built-in homes, seen in a mirror (so that the fridge stands on the other side of the counter)
-or not, with rooms drawn out along one axis or both. A style has its own walls, floors and coverings, and furniture
-under its own names.
+Its splits differ in floor plan *and* in furniture style: no plan and no style of val or test is in train. The plans are
+those of the built-in homes, mirrored along x (so that the fridge is on the other side of the counter) or not, and
+enlarged along one axis or both. A style has its own materials of walls, floors and coverings, and its own names of
+templates.
 """
 
 from __future__ import annotations
@@ -38,12 +38,13 @@ RESTYLED: dict[str, str] = {
     "tvstand": "tv_stand",
     "sofa": "sofa",
 }
-"""Furniture that every style has under a name of its own, "<style>_<this>"; tasks use these pieces."""
+"""Templates that tasks use, of which every style has one of its own, named "<style>_<name>"."""
 
 
 @dataclass(frozen=True)
 class FurnitureStyle:
-    """Looks. ``walls``: outside and inside; ``floors``, ``coverings``: material of the built-in homes to this one's."""
+    """Materials of a style. ``walls``: of outer and inner walls; ``floors``, ``coverings``: replacements by the name of
+    the built-in homes' material."""
 
     name: str
     walls: tuple[str, str]
@@ -82,7 +83,7 @@ _DRAWN_OUT_M = ((0.0, 0.0), (0.9, 0.0), (0.0, 0.8), (0.7, 0.6), (1.2, 0.0))
 
 @dataclass(frozen=True)
 class Macro:
-    """A floor plan made of a built-in one: ``mirrored`` along x, then drawn out by ``by`` (x, y) [m]."""
+    """A floor plan made from a built-in one: ``mirrored`` along x, then enlarged by ``by`` (x, y) [m]."""
 
     plan: int
     mirrored: bool
@@ -93,17 +94,17 @@ MACROS: tuple[Macro, ...] = tuple(
     Macro(k % len(PLANS), mirrored=k < len(PLANS), by=_DRAWN_OUT_M[(k + k // len(PLANS)) % 5])
     for k in range(2 * len(PLANS))
 )
-"""Plans 0 to 4 mirrored, then 5 to 9 as they are, each drawn out in another way."""
+"""Macro layouts 0 to 4 are the built-in plans mirrored, 5 to 9 the same not mirrored; enlargements differ."""
 PLACES_OF_SPLIT: dict[Split, tuple[tuple[int, ...], tuple[int, ...], int]] = {
     "train": ((0, 1, 2, 5, 6, 7), (0, 1), 2),
     "val": ((3, 8), (2,), 4),
     "test": ((4, 9), (3,), 4),
 }
-"""Split to its macro layouts, its styles, and the homes of each pair of them."""
+"""Macro layouts, styles, and number of homes of every pair of these, by split."""
 
 
 def _entries() -> tuple[tuple[Split, int, int, int], ...]:
-    """(split, macro, style, number among the homes of these) of every home."""
+    """(split, macro, style, number among the homes with this macro and style) of every home."""
     return tuple(
         (split, macro, style, number)
         for split, (macros, styles, count) in PLACES_OF_SPLIT.items()
@@ -115,11 +116,11 @@ def _entries() -> tuple[tuple[Split, int, int, int], ...]:
 
 ENTRIES = _entries()
 KEYS: tuple[Key, ...] = tuple((macro, style * 10 + number) for _, macro, style, number in ENTRIES)
-"""(macro, micro) of every home; the tens of the micro number tell the style."""
+"""(macro, micro) of every home; micro is 10 times the style plus the number."""
 
 
 def mirrored(plan: Plan) -> Plan:
-    """A plan seen in a mirror: x runs the other way, what looked along yaw looks along 180 - yaw."""
+    """Mirror a plan along x: x becomes width - x, and yaw becomes 180 deg - yaw."""
     width = plan.size[0]
 
     def spot(at: Spot) -> Spot:
@@ -150,9 +151,9 @@ def mirrored(plan: Plan) -> Plan:
 
 
 def drawn_out(plan: Plan, axis: int, by: float) -> Plan:
-    """A plan with ``by`` [m] more floor along an axis (0: x, 1: y), put in where the largest free stretch is.
+    """Insert ``by`` [m] of floor along an axis (0: x, 1: y) in the middle of the largest free interval of a plan.
 
-    It is as it was where every line across the flat meets furniture, a wall or a doorway.
+    The plan is returned unchanged if furniture, walls and doorways leave no interval free.
     """
     cut = _cut(plan, axis)
     if not by or cut is None:
@@ -193,8 +194,8 @@ def drawn_out(plan: Plan, axis: int, by: float) -> Plan:
 
 
 def _cut(plan: Plan, axis: int) -> float | None:
-    """Middle of the largest stretch along an axis that nothing covers; None if there is none."""
-    edge = 0.15  # m, what stands so near to a wall leans on it
+    """Middle of the largest interval along an axis that nothing covers [m]; None if there is none."""
+    edge = 0.15  # [m], furniture this near to a wall stays at the wall
     taken = [(0.0, edge), (plan.size[axis] - edge, plan.size[axis])]
     for each in (*plan.kitchen, *plan.fixed, *plan.loose):
         area = footprint(_place(each), _template(each[0]))
@@ -228,7 +229,7 @@ def _template(name: str) -> Prop | Articulation:
 
 @cache
 def plan_of(macro: int, style: int) -> Plan:
-    """The floor plan of a macro layout in the colours of a style."""
+    """Return the floor plan of a macro layout with the wall and floor materials of a style."""
     chosen = MACROS[macro]
     looks = STYLES[style]
     plan = PLANS[chosen.plan]
@@ -248,13 +249,13 @@ def _floor(macro: int, micro: int) -> Floor:
 
 
 def bare_home(macro: int, micro: int) -> Home:
-    """One home with walls, kitchen and lamps but no props yet."""
+    """Make a home with walls, kitchen and lamps, but without props."""
     return bare_floor(_floor(macro, micro))
 
 
 @cache
 def make_home(macro: int, micro: int) -> Home:
-    """Furnish one home. The same (macro, micro) is the same home everywhere."""
+    """Make a furnished home, which is the same for the same (macro, micro) on every machine."""
     floor = _floor(macro, micro)
     rng: np.random.Generator = stream(0, "home", NAME, macro, micro)
     home = furnish(bare_floor(floor), floor.plan, rng, KEEP_CLEAR_M)
@@ -264,12 +265,12 @@ def make_home(macro: int, micro: int) -> Home:
 
 
 def restyled(template: str, style: FurnitureStyle) -> str:
-    """The name that a piece of furniture has in a style."""
+    """Return the name of a template in a style."""
     return f"{style.name}_{RESTYLED[template]}" if template in RESTYLED else template
 
 
 def style_props(style: FurnitureStyle) -> dict[str, Prop]:
-    """The furniture of a style by its names there."""
+    """Return the templates of a style by name."""
     props = builtin_props()
     found = {}
     for template in RESTYLED:
@@ -284,7 +285,7 @@ def style_props(style: FurnitureStyle) -> dict[str, Prop]:
 
 
 def style_roles() -> Roles:
-    """The roles of the built-in furniture, played by the pieces of all styles."""
+    """Return the roles of the built-in furniture, with the corresponding templates of all styles added."""
     return replace(ROLES, places={role: _renamed(places) for role, places in ROLES.places.items()})
 
 
@@ -301,7 +302,7 @@ def _renamed(places: Sequence[str]) -> tuple[str, ...]:
 
 @cache
 def styles_pack() -> Pack:
-    """The pack; always the same object."""
+    """Return the pack; always the same object."""
     props = {name: prop for name, prop in builtin_props().items() if name not in RESTYLED}
     for style in STYLES:
         props |= style_props(style)

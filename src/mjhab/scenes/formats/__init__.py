@@ -1,1 +1,1 @@
-"""Readers of public file formats: glTF, URDF."""
+"""Readers of glTF and URDF files."""

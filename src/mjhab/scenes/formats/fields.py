@@ -1,4 +1,4 @@
-"""Objects of JSON that a file format defines: each field is checked when it is read."""
+"""JSON objects of a file format, whose fields are checked when they are read."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from mjhab.core.errors import shown
 
 
 class Fields:
-    """An object of a file. Fields that nobody reads may hold anything.
+    """A JSON object. Fields that are not read are not checked.
 
     Args:
-        value: what stands in its place.
-        where: the place, such as ``"nodes[3]"``, for messages.
+        value: the JSON value.
+        where: its path in the document, such as ``"nodes[3]"``, for messages; "" for the document itself.
 
     Raises:
-        ValueError: it is no object; so do all methods if a field does not fit. The message names the field.
+        ValueError: the value is no object. All methods raise it if a field has another type; the message names it.
     """
 
     def __init__(self, value: Any, where: str) -> None:
@@ -30,41 +30,41 @@ class Fields:
         return name in self._values
 
     def place(self, name: str) -> str:
-        """Where a field stands."""
+        """Return the path of a field in the document, for messages."""
         return f"{self.where}.{name}" if self.where else name
 
     def value(self, name: str) -> Any:
-        """What a field holds, unchecked."""
+        """Return the value of a required field, unchecked."""
         if name not in self._values:
             raise ValueError(f"{self.place(name)} is missing")
         return self._values[name]
 
     def part(self, name: str) -> Fields:
-        """An object; one without fields where there is none."""
+        """Return an object; an empty one if the field is missing."""
         return Fields(self._values.get(name, {}), self.place(name))
 
     def parts(self, name: str) -> list[Fields]:
-        """A list of objects; empty where there is none."""
+        """Return a list of objects; empty if the field is missing."""
         return [
             Fields(entry, f"{self.place(name)}[{number}]")
             for number, entry in enumerate(self._list(name))
         ]
 
     def whole(self, name: str, default: int | None = None) -> int:
-        """A whole number from 0, such as a count or an index."""
+        """Return an integer from 0, such as a count or an index; a field without ``default`` is required."""
         if default is not None and name not in self._values:
             return default
         return _whole(self.value(name), self.place(name))
 
     def wholes(self, name: str) -> list[int]:
-        """A list of whole numbers from 0; empty where there is none."""
+        """Return a list of integers from 0; empty if the field is missing."""
         return [
             _whole(entry, f"{self.place(name)}[{number}]")
             for number, entry in enumerate(self._list(name))
         ]
 
     def numbers(self, name: str, default: tuple[float, ...]) -> np.ndarray:
-        """As many numbers as there are in ``default``, (n,) float64."""
+        """Return a list of as many numbers as ``default`` has, (n,) float64; ``default`` if the field is missing."""
         if name not in self._values:
             return np.array(default, float)
         value = self.value(name)
@@ -74,21 +74,21 @@ class Fields:
         return np.array(value, float)
 
     def number(self, name: str, default: float) -> float:
-        """A number."""
+        """Return a number; ``default`` if the field is missing."""
         value = self._values.get(name, default)
         if not _is_number(value):
             raise _unfit(self.place(name), "a number", value)
         return float(value)
 
     def text(self, name: str) -> str:
-        """A text."""
+        """Return a required string."""
         value = self.value(name)
         if not isinstance(value, str):
             raise _unfit(self.place(name), "a text", value)
         return value
 
     def pick(self, name: str, index: int) -> Fields:
-        """An object of a list, by its number."""
+        """Return the object at an index of a list."""
         entries = self._list(name)
         if index >= len(entries):
             raise ValueError(

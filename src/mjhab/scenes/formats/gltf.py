@@ -1,7 +1,7 @@
-"""Binary glTF files: triangles in metres with every node transform applied, and the colours of their textures.
+"""Reader of binary glTF files: triangles in metres with all node transforms applied, and base colour textures.
 
-Read are static triangle meshes with one base colour texture per primitive, which is all that ReplicaCAD and YCB use
-(with ``KHR_texture_transform``). The axes stay those of the file (+y up).
+It supports static triangle meshes with one base colour texture per primitive and ``KHR_texture_transform``, which is
+what ReplicaCAD and YCB use. The axes are those of the file (+y up).
 """
 
 from __future__ import annotations
@@ -31,32 +31,40 @@ _COMPONENT = {
     5126: np.float32,
 }
 _ANY = frozenset(_COMPONENT)
+"""All component types."""
 _WHOLE = _ANY - {5126}
+"""Integer component types."""
 _INDICES = frozenset({5121, 5123, 5125})
-"""Types of components: all, the whole numbers, and those of indices."""
+"""Component types of vertex indices."""
 _WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 _TRIANGLES = 4
 MAX_NODE_DEPTH = 100
 MAX_NODES = 10_000
 MAX_FILE_MB = 1024
+"""Largest size of a file [MB]."""
 MAX_TEXTURE_PIXELS = 2**26
+"""Largest number of pixels of a texture; the largest one of ReplicaCAD has 2**24."""
 MAX_PIXELS = 2**28
-"""Limits of a file, of one texture and of all together; the largest texture of ReplicaCAD has 2**24 pixels."""
+"""Largest number of pixels of all textures of a file."""
 MAX_UV = 1e6
-"""Largest texture coordinate, after its transform."""
+"""Largest absolute texture coordinate, after its transform."""
 _IMAGE_FORMATS = ("PNG", "JPEG")
-"""What glTF allows."""
+"""Image formats that glTF allows."""
 TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns a vector of a file, with +y up, into our axes: (x, y, z) becomes (x, -z, y)."""
+"""Rotation from the axes of a file, +y up, to ours, +z up: (x, y, z) becomes (x, -z, y)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
     """Triangles of one material. V vertices, F faces.
 
-    ``vertices`` (V, 3) float64 [m] in the frame of the file, ``faces`` (F, 3) int32, ``uv`` (V, 2) float64 with (0, 0)
-    at the first pixel, or None; ``texture`` (H, W, 3) uint8 sRGB, sides powers of two, or None; ``color`` (3,) linear
-    factor of the base colour; ``mesh`` the name of the glTF mesh it belongs to.
+    Attributes:
+        mesh: name of the glTF mesh that it belongs to; its index if it has none.
+        vertices: (V, 3) float64 [m] in the frame of the file.
+        faces: (F, 3) int32.
+        uv: (V, 2) float64 with (0, 0) at the corner of the first texel; None for none.
+        texture: (h, w, 3) uint8 sRGB, sides powers of two up to `MAX_TEXTURE`; None for none.
+        color: (3,) linear factor of the base colour.
     """
 
     mesh: str
@@ -72,14 +80,14 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
 
     Args:
         path: the file.
-        textures: also decode the base colour textures.
+        textures: also read texture coordinates and decode the base colour textures.
 
     Raises:
-        UsageError: the file is missing, cut off, or not what it says; names the file and the part.
+        UsageError: the file is missing, truncated or invalid; the message names the file and the part.
     """
     document, blob = _chunks(path)
     try:
-        # What overflows is refused below.
+        # Values that overflow are refused below.
         with np.errstate(over="ignore", invalid="ignore"):
             parts = _Reader(document, blob).primitives(textures)
     except ValueError as error:
@@ -93,15 +101,18 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
 
 
 def read_hulls(path: Path) -> list[np.ndarray]:
-    """Read a convex decomposition: the distinct points (P, 3) float64 [m] of every hull, one glTF mesh each.
+    """Read a convex decomposition with one glTF mesh per hull.
+
+    Returns:
+        Distinct points (P, 3) float64 [m] of every hull, in the frame of the file.
 
     Raises:
-        UsageError: as ``read_glb``, or a hull has fewer than four points.
+        UsageError: as `read_glb`, or a hull has fewer than four points.
     """
     hulls = []
     for part in read_glb(path, textures=False):
         used = part.vertices[np.unique(part.faces)]
-        # Points are stored once per face corner: equal to the last bit, or a rounding apart.
+        # Points are stored once per face corner, and differ by rounding errors.
         keys = np.unique(np.round(used, 6), axis=0, return_index=True)[1]
         points = used[np.sort(keys)]
         if len(points) < 4:
@@ -146,10 +157,10 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 class _Reader:
-    """Reads the triangles of a document.
+    """Read the triangles of a document.
 
     Raises:
-        ValueError: something in it does not fit; all methods.
+        ValueError: the document is invalid; raised by all methods.
     """
 
     def __init__(self, document: dict[str, Any], blob: bytes) -> None:
@@ -220,11 +231,11 @@ class _Reader:
         return Primitive(name, vertices, faces, uv, texture, color)
 
     def _array(self, index: int, shape: str, kinds: Collection[int]) -> np.ndarray:
-        """An accessor, (count, width of the shape).
+        """Data (count, components) of an accessor.
 
         Args:
-            index: its number.
-            shape: "VEC3" and so on.
+            index: index of the accessor.
+            shape: its required type, such as "VEC3".
             kinds: component types that it may have.
         """
         accessor = self.document.pick("accessors", index)
@@ -250,7 +261,7 @@ class _Reader:
         return data
 
     def _look(self, part: Fields) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-        """Colour factor (3,), texture, and the (2, 3) map of texture coordinates of a primitive."""
+        """Base colour factor (3,), texture, and affine map (2, 3) of the texture coordinates of a primitive."""
         bend = np.eye(2, 3)
         if "material" not in part:
             return np.ones(3), None, bend
@@ -288,7 +299,7 @@ class _Reader:
         data = io.BytesIO(self.blob[start : start + view.whole("byteLength")])
         try:
             with Image.open(data, formats=_IMAGE_FORMATS) as picture:
-                # Nothing is unpacked yet: a small file may hold many pixels.
+                # The size is known before decoding; a small file may decompress to very many pixels.
                 width, height = picture.size
                 self._pixels += width * height
                 if width * height > MAX_TEXTURE_PIXELS or self._pixels > MAX_PIXELS:
@@ -296,13 +307,13 @@ class _Reader:
                 rgb = picture.convert("RGB")
         except (SyntaxError, OSError, Image.DecompressionBombError) as error:
             raise ValueError(f"{image.where}: {reason(error)}") from error
-        # Powers of two repeat and halve exactly.
+        # Sides that are powers of two have exact mip levels.
         width, height = (min(MAX_TEXTURE, 1 << (side.bit_length() - 1)) for side in rgb.size)
         return np.asarray(rgb.resize((width, height), Image.Resampling.BOX))
 
 
 def _local(node: Fields) -> np.ndarray:
-    """The (4, 4) transform of a node in its parent."""
+    """Transform (4, 4) from a node to its parent."""
     if "matrix" in node:
         return node.numbers("matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
     pose = np.eye(4)

@@ -1,6 +1,6 @@
-"""URDF files of furniture: a tree of links that carry boxes and meshes.
+"""Reader of URDF files of furniture: a tree of links with box collision shapes and mesh visuals.
 
-Number lists may be separated by spaces or commas. Inertias are not read: they are computed from shapes and masses.
+Lists of numbers may be separated by spaces or commas. Inertias are not read: they are computed from shapes and masses.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class UrdfLink:
 
 @dataclass(frozen=True, eq=False)
 class UrdfJoint:
-    """``pose`` (4, 4): frame of the child in the parent at joint 0; ``axis`` (3,) unit, in the child's frame;
-    ``limits`` [m or rad], (0, 0) for a fixed joint."""
+    """A joint. ``kind``: one of `JOINT_TYPES`; ``pose`` (4, 4): of the child in the parent's frame at joint position 0;
+    ``axis`` (3,): unit, in the child's frame; ``limits``: (lower, upper) [m or rad], (0, 0) for a fixed joint."""
 
     name: str
     kind: str
@@ -66,7 +66,7 @@ MAX_URDF_MB = 16
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A furniture description: links by name, joints by the name of their child, the name of the root link."""
+    """A kinematic tree: links by name, joints by the name of their child link, and the name of the root link."""
 
     name: str
     links: dict[str, UrdfLink]
@@ -74,7 +74,7 @@ class Urdf:
     root: str
 
     def pose(self, link: str) -> np.ndarray:
-        """Frame (4, 4) of a link in the root's, all joints at 0."""
+        """Compute the pose (4, 4) of a link in the frame of the root link, all joints at position 0."""
         out = np.eye(4)
         while link != self.root:
             joint = self.joints[link]
@@ -83,17 +83,17 @@ class Urdf:
         return out
 
     def moving(self, link: str) -> str:
-        """The nearest link at or above ``link`` whose own joint moves; the root when there is none."""
+        """Return the nearest link at or above ``link`` whose joint is not fixed; the root if there is none."""
         while link != self.root and self.joints[link].kind == "fixed":
             link = self.joints[link].parent
         return link
 
 
 def read_urdf(path: Path) -> Urdf:
-    """Read a file.
+    """Read a URDF file.
 
     Raises:
-        UsageError: it is missing, not XML, or has something this reader does not know; names file and element.
+        UsageError: it is missing, invalid, or has unsupported shapes or joints; the message names file and element.
     """
     raw = read_bytes(path, MAX_URDF_MB)
     if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
@@ -123,7 +123,7 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def _check_reaches_root(path: Path, link: str, joints: dict[str, UrdfJoint], root: str) -> None:
-    """Refuse a link whose joints lead to itself and not to the root."""
+    """Raise a UsageError if the joints above a link form a loop instead of leading to the root."""
     above = link
     for _ in range(len(joints) + 1):
         if above == root:

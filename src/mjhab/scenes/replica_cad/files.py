@@ -1,7 +1,7 @@
-"""Where things are in a ReplicaCAD folder, its JSON, and its axes.
+"""Layout of a ReplicaCAD folder, checked reading of its JSON, and conversion of its axes.
 
-The data set is right-handed with +y up; here +z is up. A frame of the data set becomes a frame of ours by turning it
-a quarter about x: (x, y, z) -> (x, -z, y).
+The data set is right-handed with +y up; our +z is up. Vectors of the data set are converted by a rotation of 90 deg
+about x: (x, y, z) -> (x, -z, y).
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from mjhab.scenes.spec import Placement, Quat, Vec3
 
 SCENE_SUFFIX = ".scene_instance.json"
 PREFIX = "frl_apartment_"
-"""What most names of the data set begin with and ours do not."""
+"""Prefix of most names in the data set, which our names lack."""
 FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
 HOW_TO_GET = "`mjhab assets fetch replica_cad` gets it"
 _MIN_QUATERNION_LENGTH = 0.5
 _MAX_LEVEL_TILT_RAD = 1e-4
-"""Rotations that tilt by less than about this [rad] are headings."""
+"""Rotations that tilt the vertical axis by less than about this [rad] are stored as a heading only."""
 
 
 def is_replica_cad(folder: Path) -> bool:
@@ -36,7 +36,11 @@ def is_replica_cad(folder: Path) -> bool:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise a UsageError that names what a data set folder lacks."""
+    """Check that a data set folder is complete.
+
+    Raises:
+        UsageError: folders are missing; the message names them.
+    """
     missing = [name for name in FOLDERS if not (folder / name).is_dir()]
     if missing:
         raise UsageError(
@@ -48,7 +52,7 @@ def load_json(path: Path) -> dict[str, Any]:
     """Read a JSON object.
 
     Raises:
-        UsageError: the file is missing, cut off or not an object; names it.
+        UsageError: the file is missing, cut off or not an object; the message names it.
     """
     if not path.exists():
         raise UsageError(f"{path}: cannot be read (there is no such file); {HOW_TO_GET}.")
@@ -84,7 +88,11 @@ def number(path: Path, record: Any, key: str, where: str = "", *, positive: bool
 
 
 def file_in(path: Path, record: Any, key: str) -> Path:
-    """The file that a config names relative to its folder; it need not exist. Else a UsageError names the field."""
+    """Return the path that a field of a config names relative to the config's folder; it need not exist.
+
+    Raises:
+        UsageError: the field is missing or no path; the message names it.
+    """
     value = field(path, record, key)
     if not isinstance(value, str):
         raise UsageError(f"{path}: field {key!r}: expected the name of a file, got {shown(value)}.")
@@ -95,24 +103,28 @@ def file_in(path: Path, record: Any, key: str) -> Path:
 
 
 def short_name(template: str) -> str:
-    """Our name of a template: without folder and without the data set's prefix."""
+    """Return our name of a template: without folder and without `PREFIX`."""
     return template.rsplit("/", 1)[-1].removeprefix(PREFIX)
 
 
 def point(row: np.ndarray) -> Vec3:
-    """A row of three numbers as a tuple."""
+    """Convert a row (3,) to a tuple of floats."""
     x, y, z = np.asarray(row, float).tolist()
     return (x, y, z)
 
 
 def quat_of(rotation: np.ndarray) -> Quat:
-    """Quaternion (wxyz) of a rotation matrix (3, 3), as a tuple."""
+    """Convert a rotation matrix (3, 3) to a quaternion wxyz, as a tuple of floats."""
     w, x, y, z = quat_from_mat(np.asarray(rotation, float)).tolist()
     return (w, x, y, z)
 
 
 def rotation(path: Path, record: dict[str, Any], where: str) -> np.ndarray:
-    """The rotation (3, 3) of a record, in the axes of the data set; none if it gives none."""
+    """Read the rotation (3, 3) of a record, in the axes of the data set; the identity if it has none.
+
+    Raises:
+        UsageError: the field is no quaternion.
+    """
     if "rotation" not in record:
         return np.eye(3)
     given = numbers(path, record, "rotation", 4, where)
@@ -122,14 +134,18 @@ def rotation(path: Path, record: dict[str, Any], where: str) -> np.ndarray:
 
 
 def placement(path: Path, record: dict[str, Any], template: str, where: str) -> Placement:
-    """Where a scene puts a template, in our axes."""
+    """Read the placement of a template from a scene's record, converted to our axes.
+
+    Raises:
+        UsageError: a field is missing or of the wrong type; the message names it.
+    """
     x, y, z = numbers(path, record, "translation", 3, where).tolist()
     turn = TO_Z_UP @ rotation(path, record, where) @ TO_Z_UP.T
     return place(template, np.array([x, -z, y]), turn)
 
 
 def place(template: str, pos: np.ndarray, rotation: np.ndarray) -> Placement:
-    """A placement from a position (3,) and a rotation (3, 3); an upright one gets a heading and no quaternion."""
+    """Make a placement from a position (3,) [m] and a rotation (3, 3); without a quaternion if it is upright."""
     yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     tilted = np.hypot(rotation[0, 2], rotation[1, 2]) > _MAX_LEVEL_TILT_RAD or rotation[2, 2] < 0
     return Placement(template, point(pos), yaw, quat_of(rotation) if tilted else None)

@@ -1,7 +1,6 @@
-"""Furniture of ReplicaCAD: rigid objects, and URDFs either with joints or welded.
+"""Furniture of ReplicaCAD: rigid objects, and URDFs, either with their joints or with all joints fixed at 0 ("welded").
 
-Template frames keep the origin of the data set, turned to +z up; the fronts of counter, fridge and cupboards look
-along +x.
+Template frames keep the origin of the data set, rotated to +z up; the fronts of counter, fridge and cupboards face +x.
 """
 
 from __future__ import annotations
@@ -35,41 +34,45 @@ from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Placement, Prop, Receptacle
 
 ARTICULATED = {"kitchen_counter": handles.drawer, "fridge": handles.door}
-"""Furniture that opens; everything else that has joints in its URDF is welded shut, unless it is asked for."""
+"""Furniture that opens by default, with the function for its handles; other URDFs are welded unless requested."""
 FRONT_AREAS = {"fridge": FRIDGE_FRONT_AREA}
-"""Where robots stand to open furniture, if not in the usual area."""
+"""Areas where robots stand to open furniture, if not the default one."""
 OPTIONAL = {
     "kitchen_cupboards": "kitchenCupboard_01",
     "cabinet": "cabinet",
     "chest_of_drawers": "chestOfDrawers_01",
 }
-"""Furniture that opens when it is asked for: folder of the URDF, and name of the template."""
+"""Furniture that opens on request: name of the template by folder of the URDF."""
 _FRONT = {"cabinet": (0.0, 0.0, 1.0)}
-"""Axis of the links that points out of the front, where it is not x."""
+"""Axis of the links that points out of the front, if it is not x."""
 FLAT_WORDS = ("rug", "mat", "carpet")
-"""Names of things the base drives over (ManiSkill's ReplicaCAD scene builder uses the same words)."""
+"""Words in the names of things that the base drives over, as in ManiSkill's ReplicaCAD scene builder."""
 MATERIAL = "plain_white"
 
 
 @dataclass(eq=False)
 class Furniture:
-    """What has been read so far: templates by name, their collision meshes, and the looks still to be painted."""
+    """Read furniture on demand and collect it: templates and collision meshes by name, and render meshes to be read."""
 
     folder: Path
     articulate: tuple[str, ...] = ()
-    """Keys of `OPTIONAL` that open too."""
+    """Keys of `OPTIONAL` that open as well."""
     props: dict[str, Prop] = field(default_factory=dict)
     articulations: dict[str, Articulation] = field(default_factory=dict)
     meshes: dict[str, Mesh] = field(default_factory=dict)
     looks: Looks = field(default_factory=Looks)
     missing: list[Path] = field(default_factory=list)
-    """Render meshes that are not there; their collision pieces are drawn instead."""
+    """Render meshes that do not exist; their collision pieces are drawn instead."""
     upright: dict[str, np.ndarray] = field(default_factory=dict)
-    """Rotation (3, 3) from the axes of the data set to the template frame, of furniture with joints."""
+    """Rotation (3, 3) from the root link's axes in the data set to the template frame, by name, of URDFs."""
     _scale: dict[str, float] = field(default_factory=dict)
 
     def rigid(self, template: str) -> str:
-        """Read a rigid object of the data set unless it has been read; returns our name of it."""
+        """Read a rigid object of the data set unless it was read before; returns our name of it.
+
+        Raises:
+            UsageError: its files are missing or broken.
+        """
         name = short_name(template)
         if name not in self.props:
             self.props[name] = self._rigid(name, template.rsplit("/", 1)[-1])
@@ -79,11 +82,12 @@ class Furniture:
         """Read a URDF of the data set unless it has been read.
 
         Args:
-            template: its name in the data set. scale: ``uniform_scale`` of the instance.
-            at: where the scene puts its root link.
+            template: its name in the data set.
+            scale: ``uniform_scale`` of the instance.
+            at: placement of its root link in the scene.
 
         Returns:
-            Where the scene puts our template of it: the same, unless the data set lays the root link on its side.
+            Placement of our template, whose +z is up; differs from ``at`` if the root link's +z is not.
 
         Raises:
             UsageError: it was read before with another scale, or its files are missing or broken.
@@ -160,7 +164,7 @@ class Furniture:
         return read_urdf(paths[0]), paths[0]
 
     def _frames(self, name: str, urdf: Urdf, scale: float) -> dict[str, np.ndarray]:
-        """Pose (4, 4) of every link in the template frame, all joints at 0."""
+        """Pose (4, 4) of every link in the template frame at joint positions 0, by name."""
         out = {}
         for link in urdf.links:
             pose = urdf.pose(link)
@@ -227,7 +231,7 @@ class Furniture:
         )
         slide = joint.kind == "prismatic"
         low, high = (limit * scale if slide else limit for limit in joint.limits)
-        # Some doors of the data set open towards negative positions; ours open upwards.
+        # Some doors of the data set open towards negative positions; ours open towards positive ones.
         mirrored = high <= 0.0
         axis, (low, high) = (
             (-joint.axis, (0.0 - high, -low)) if mirrored else (joint.axis, (low, high))
@@ -249,7 +253,7 @@ class Furniture:
     def _grip(
         name: str, path: Path, link: UrdfLink, scale: float
     ) -> tuple[tuple[UrdfBox, ...], handles.Grip]:
-        """Collision boxes of a link and its handle."""
+        """Collision boxes of a link, and its grip, in the frame of the URDF link."""
         if not link.boxes:
             raise UsageError(f"{path}: link {link.name!r} of {name!r} has no collision boxes.")
         if name not in ARTICULATED:
@@ -282,7 +286,10 @@ class Furniture:
 
 
 def _righted(world: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that turns the axis of a frame which is nearest to upright in the world to +z."""
+    """The rotation (3, 3) by multiples of 90 deg that maps to +z the axis of a frame that is nearest to the world's +z.
+
+    ``world`` (3, 3): rotation from the frame to the world.
+    """
     up = world[2]
     axis = np.zeros(3)
     axis[np.abs(up).argmax()] = np.sign(up[np.abs(up).argmax()])
@@ -303,7 +310,7 @@ def _as_pose(rotation: np.ndarray) -> np.ndarray:
 
 
 def _boxes(boxes: tuple[UrdfBox, ...], frame: np.ndarray, scale: float) -> list[Geom]:
-    """Collision boxes of a link whose scaled frame is ``frame`` (4, 4)."""
+    """Collision geoms of a link with the pose ``frame`` (4, 4), whose boxes are scaled by ``scale``."""
     out = []
     for box in boxes:
         pos = frame[:3, :3] @ (scale * box.pose[:3, 3]) + frame[:3, 3]
@@ -315,7 +322,7 @@ def _boxes(boxes: tuple[UrdfBox, ...], frame: np.ndarray, scale: float) -> list[
 
 
 def _placed(link: UrdfLink, frame: np.ndarray, scale: float) -> list[tuple[Path, np.ndarray]]:
-    """Files of a link and the map (4, 4) of their points into the frame that ``frame`` is given in."""
+    """Render meshes of a link, each with the map (4, 4) from its points to the frame that ``frame`` is relative to."""
     out = []
     for visual in link.visuals:
         out.append((visual.file, _map(visual, frame, scale)))

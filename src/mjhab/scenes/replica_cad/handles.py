@@ -1,8 +1,8 @@
-"""Handles of the ReplicaCAD kitchen counter and fridge, whose collision shapes are only in the render meshes.
+"""Collision shapes of the handles of the ReplicaCAD kitchen counter and fridge, which the URDFs lack.
 
-The boxes of the URDFs end at flat fronts. Here a drawer front becomes a frame around its recess with the handle block
-inside, and a fridge door gets its handle and shelves. All numbers are measured on the meshes of the data set
-(``urdf/kitchen_counter/drawer*.glb``, ``urdf/fridge/*_door.glb``), in the frame of the link of the URDF [m].
+The collision boxes of the URDFs end at flat fronts. A drawer front is replaced by a frame around its recess and the
+handle block inside, and a fridge door gets its handle and shelves. All dimensions are measured on the render meshes of
+the data set (``urdf/kitchen_counter/drawer*.glb``, ``urdf/fridge/*_door.glb``), in the frame of the URDF link [m].
 """
 
 from __future__ import annotations
@@ -15,13 +15,16 @@ from mjhab.scenes.formats.urdf import UrdfBox
 
 Range = tuple[float, float]
 FINGERTIP_REACH_M = 0.031
-"""How far the fingertips of the benchmark's robot reach past the tool centre [m]."""
+"""Distance of the fingertips of the benchmark's robot beyond its tool centre point [m]."""
 
 
 @dataclass(frozen=True)
 class Front:
-    """A drawer front: floor ``x`` of the recess, its extent in ``y`` and ``z``, and the block that stands in it up to
-    ``block_x``. The recess reaches to the outer face of the front."""
+    """A drawer front with a recess and a handle block in it, in the frame of the URDF link [m].
+
+    x: floor of the recess, which is open at the outer face of the front. y, z: extents of the recess. block_x: outer
+    face of the block, which begins at the floor of the recess. block_y, block_z: extents of the block.
+    """
 
     x: float
     y: Range
@@ -56,15 +59,17 @@ FRONTS = {
 
 @dataclass(frozen=True)
 class Rib:
-    """A handle of a fridge door: a solid rib across ``y`` and along ``z``, from the door out to ``front`` (x at the
-    first and last z). ``door_x``: face of the door beside it."""
+    """A handle of a fridge door: a solid rib along z, in the frame of the URDF link [m].
+
+    door_x: outer face of the door beside it. front: x of its outer face at the two ends of ``straight``. y, z: extents.
+    """
 
     door_x: float
     front: tuple[float, float]
     y: Range
     z: Range
     straight: Range
-    """Part of the rib without its rounded ends."""
+    """z extent of the rib without its rounded ends."""
 
 
 RIBS = {
@@ -91,21 +96,24 @@ _LIDDED: dict[str, tuple[tuple[Range, Range, Range], ...]] = {
         ((-0.1545, -0.0069), (-0.3124, -0.0580), (-0.4934, -0.3580)),
     )
 }
-"""Compartments with a lid, taken as solid."""
+"""Extents x, y, z of door compartments with a lid, which collide as solid boxes."""
 
 
 PUBLISHED: dict[str, tuple[float, float, float]] = {
     **dict.fromkeys(FRONTS, (0.26, 0.0, 0.0)),
     "top_door": (0.09, -0.66, 0.2),
 }
-"""Handle points in the plans of MS-HAB (articulation_relative_handle_pos), in the frame of the link of the URDF. The
-scale of the furniture does not apply to them: MS-HAB adds them to the pose of the link, which has none."""
+"""Handle points in the plans of MS-HAB (articulation_relative_handle_pos), in the frame of the URDF link [m]. They are
+not multiplied by the scale of the furniture, because MS-HAB applies them to the pose of the link without its scale."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """Where a gripper takes a handle, in the frame of the URDF link: ``pos`` (3,), unit ``bar`` and ``out`` (3,),
-    ``half_length`` along the bar and ``thickness`` across it [m]."""
+    """Geometry of a handle for grasping, in the frame of the URDF link.
+
+    pos: (3,) position of the tool centre point in a grasp [m]. bar: (3,) unit direction along the handle. out: (3,)
+    unit direction away from the front. half_length, thickness: of the handle along and across ``bar`` [m].
+    """
 
     pos: np.ndarray
     bar: np.ndarray
@@ -115,7 +123,7 @@ class Grip:
 
 
 def span(x: Range, y: Range, z: Range) -> UrdfBox:
-    """A box from its extents."""
+    """Make a box from its extents along the axes [m]."""
     low, high = np.array([x, y, z], float).T
     pose = np.eye(4)
     pose[:3, 3] = (low + high) / 2
@@ -123,17 +131,20 @@ def span(x: Range, y: Range, z: Range) -> UrdfBox:
 
 
 def drawer(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Grip]:
-    """Collision boxes and grip of a drawer.
+    """Return the collision boxes and the grip of a drawer.
 
     Args:
         name: link of the kitchen counter.
-        boxes: those of the URDF. With others than the five of the original, the file brings its own handle.
+        boxes: boxes of the URDF; returned unchanged unless they are the five of the original data set.
+
+    Raises:
+        KeyError: the link is not in `FRONTS`.
     """
     cut = FRONTS[name]
     (y0, y1) = cut.block_y
     (z0, z1) = cut.block_z
     pos = np.array([cut.x + FINGERTIP_REACH_M, (y0 + y1) / 2, (z0 + z1) / 2])
-    # The block's long side lies along z, across the drawer.
+    # The long side of the block is along z, horizontal in the drawer.
     grip = Grip(pos, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
     if len(boxes) != 5:
         return boxes, grip
@@ -155,17 +166,20 @@ def drawer(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], 
 
 
 def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Grip]:
-    """Collision boxes and grip of a fridge door.
+    """Return the collision boxes and the grip of a fridge door.
 
     Args:
         name: link of the fridge.
-        boxes: those of the URDF. With others than the one of the original, the file brings its own handle.
+        boxes: boxes of the URDF; returned unchanged unless it is the one box of the original data set.
+
+    Raises:
+        KeyError: the link is not in `RIBS`.
     """
     rib = RIBS[name]
     (y0, y1) = rib.y
     (z0, z1) = rib.straight
     pos = np.array([rib.door_x + 0.002 + FINGERTIP_REACH_M, (y0 + y1) / 2, (z0 + z1) / 2])
-    # Up along the bar is against the link's z axis.
+    # The link's z axis points down; the bar's direction is upwards.
     grip = Grip(pos, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
     if len(boxes) != 1:
         return boxes, grip
@@ -186,7 +200,7 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
 
 
 def _rib(rib: Rib, inner: float) -> UrdfBox:
-    """The box of a rib: its front leans by about one degree, and its back lies inside the door."""
+    """The box of a rib: its outer face is tilted by about 1 deg, and its inner face is at x = ``inner`` in the door."""
     run = rib.straight[1] - rib.straight[0]
     lean = float(np.arctan2(rib.front[1] - rib.front[0], run))
     middle = sum(rib.z) / 2
@@ -202,15 +216,15 @@ def _rib(rib: Rib, inner: float) -> UrdfBox:
 
 
 def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
-    """Grip of a door or drawer whose file brings its handle: the box that stands out farthest.
+    """Return the grip of a door or drawer whose URDF has collision boxes for its handle.
 
-    A part of one box alone has no handle: the grip is then the middle of its face, too wide for a gripper, and the part
-    is pushed.
+    The handle is the box that protrudes farthest. A link of a single box has no handle: its grip is the middle of its
+    face, which is too wide to be grasped.
 
     Args:
-        boxes: those of the URDF.
-        out: (3,) axis of the link that points out of the front.
-        scale: of the furniture; the gripper does not shrink with it.
+        boxes: boxes of the URDF.
+        out: (3,) unit axis of the link that points out of the front.
+        scale: uniform scale of the furniture, by which lengths of the gripper are divided.
     """
     reach = [
         float(out @ box.pose[:3, 3] + np.abs(out @ box.pose[:3, :3]) @ box.half) for box in boxes

@@ -1,4 +1,4 @@
-"""Render meshes of ReplicaCAD templates, read and shrunk once and remembered on disk."""
+"""Render meshes of ReplicaCAD templates, read once and cached on disk."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from mjhab.scenes.shapes.painting import textured_mesh
 
 @dataclass(eq=False)
 class Looks:
-    """Collects which files a render mesh is made of; ``meshes`` reads them all."""
+    """Collect the files that render meshes are made of; `meshes` reads them all."""
 
     wanted: dict[str, list[tuple[Path, np.ndarray]]] = field(default_factory=dict)
 
     def add(self, name: str, file: Path, pose: np.ndarray) -> None:
-        """Put a file, mapped by ``pose`` (4, 4) into the frame of the render mesh, into the mesh ``name``."""
+        """Add a file to the mesh ``name``; ``pose`` (4, 4) maps its points to the frame of the mesh."""
         self.wanted.setdefault(name, []).append((file, np.asarray(pose, float)))
 
     def meshes(self) -> dict[str, Mesh]:
-        """Every collected mesh, from the cache when the files are unchanged.
+        """Return all collected meshes by name, from the cache if the files are unchanged.
 
         Raises:
-            UsageError: a file is missing or broken; names it.
+            UsageError: a file is missing or broken; the message names it.
         """
         path = cache_dir() / "replica_cad" / f"looks-{self._digest()}.npz"
         found = _load(path, list(self.wanted)) if path.exists() else None
@@ -41,7 +41,7 @@ class Looks:
         arrays: dict[str, np.ndarray] = {}
         for name, mesh in made.items():
             arrays |= mesh_arrays(name, mesh)
-        # Not compressed: packed pictures would take longer to unpack than to read.
+        # Not compressed, because decompressing textures takes longer than reading them.
         write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
         return made
 
@@ -55,7 +55,7 @@ class Looks:
         return parts
 
     def _digest(self) -> str:
-        """Hash of what goes in: files by name, size and time, poses, and the code that reads."""
+        """Hash of the inputs: name, size and modification time of the files, poses, and the code of the readers."""
         readers = code_digest(
             "scenes.formats.gltf", "scenes.shapes.painting", "scenes.shapes.meshes"
         )
@@ -72,7 +72,7 @@ class Looks:
 
 
 def _load(path: Path, names: list[str]) -> dict[str, Mesh] | None:
-    """The meshes of a cache file, None when it cannot be read: it is then made anew."""
+    """Meshes from a cache file; None if it cannot be read, in which case they are read from their sources again."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
             return {name: mesh_from_arrays(name, arrays) for name in names}

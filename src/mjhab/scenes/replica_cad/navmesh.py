@@ -1,4 +1,4 @@
-"""Walkable areas from Recast navigation meshes (``.navmesh``), as ReplicaCAD brings one for every scene."""
+"""Reader of Recast navigation meshes (``.navmesh``), of which ReplicaCAD has one per scene."""
 
 from __future__ import annotations
 
@@ -13,24 +13,29 @@ from mjhab.core.errors import UsageError
 _SET_MAGIC = b"TESM"
 _TILE_MAGIC = b"VAND"
 _HEADER_BYTES = 100
+"""Size of dtMeshHeader (Detour's DetourNavMesh.h)."""
 _POLYGON_BYTES = 32
-"""Bytes of dtMeshHeader and dtPoly (Detour's DetourNavMesh.h)."""
+"""Size of dtPoly (Detour's DetourNavMesh.h)."""
 
 
 @dataclass(frozen=True, eq=False)
 class NavMesh:
-    """``bounds`` x_min, y_min, x_max, y_max [m] of the scene it was made for; ``polygons`` (N, 3) each: corners of the
-    convex walkable pieces, counter-clockwise seen from above, in our world axes (+z up) [m]."""
+    """A navigation mesh in our world axes (+z up).
+
+    Attributes:
+        bounds: x_min, y_min, x_max, y_max [m] of the scene that it was computed for.
+        polygons: (N, 3) [m] each, corners of the convex walkable polygons, counter-clockwise seen from above.
+    """
 
     bounds: tuple[float, float, float, float]
     polygons: list[np.ndarray]
 
 
 def read_navmesh(path: Path) -> NavMesh:
-    """Read a file of one tile.
+    """Read a file with one tile.
 
     Raises:
-        UsageError: it cannot be read or is not such a file; names it.
+        UsageError: it cannot be read or is not such a file; the message names it.
     """
     try:
         raw = path.read_bytes()

@@ -1,4 +1,4 @@
-"""ReplicaCAD as a source of packs: which paths name the data set, and the scenes behind them."""
+"""ReplicaCAD as a source of packs: resolution of paths to the data set and to scenes of it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,14 @@ _SUBFOLDER = "replica_cad"
 
 
 def locate(place: str) -> tuple[Path, tuple[str, ...]] | None:
-    """Folder of the data set, and names of scenes, that a path means; None if it means no ReplicaCAD.
+    """Resolve a path to a data set folder and names of scenes.
 
-    The path is the data set, the folder that holds it as ``replica_cad``, a ``*.scene_instance.json`` of it, or one of
-    the former with names or patterns of scenes behind it, separated by commas: ``replica_cad/apt_0,apt_1``.
+    Args:
+        place: the data set, the folder that holds it as ``replica_cad``, a ``*.scene_instance.json`` of it, or one of
+            the two folders followed by names or patterns of scenes, separated by commas: ``replica_cad/apt_0,apt_1``.
+
+    Returns:
+        The folder and the names, () for none; None if the path is none of these.
     """
     path = Path(place)
     if place.endswith(SCENE_SUFFIX) and path.is_file():

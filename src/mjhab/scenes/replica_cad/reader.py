@@ -1,11 +1,11 @@
-"""Reader of the ReplicaCAD data set: real apartments as homes.
+"""Reader of the ReplicaCAD data set: its apartments as homes.
 
-A folder of the data set (``configs/``, ``objects/``, ``urdf/``, perhaps ``stages/`` and ``navmeshes/``) becomes a pack
-whose homes are the 84 staged scenes ``v3_sc<macro>_staging_<micro>``; other scenes make a pack when they are named.
-Splits follow the Home Assistant Benchmark: macro layouts 0-2 train, 3 val, 4 test; scenes that are not staged train.
+A folder of the data set (``configs/``, ``objects/``, ``urdf/``, optionally ``stages/`` and ``navmeshes/``) becomes a
+pack whose homes are the 84 staged scenes ``v3_sc<macro>_staging_<micro>``, or other scenes if they are named. Splits
+follow the Home Assistant Benchmark: macro layouts 0-2 are train, 3 val, 4 test; scenes that are not staged are train.
 
-Objects that a scene lets move (``motion_type`` DYNAMIC, 101 to 109 in each of ``apt_0`` to ``apt_5``, none in the
-staged ones) stand fixed like furniture: what moves in a task are the objects of its episodes.
+Dynamic objects of a scene (``motion_type`` DYNAMIC, 101 to 109 in each of ``apt_0`` to ``apt_5``, none in the staged
+scenes) are static here, like furniture: only the objects of a task's episodes move.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ ROLES = replace(
     BUILTIN_ROLES,
     places={**BUILTIN_ROLES.places, roles.DRAWER: ("kitchen_counter/drawer_right_top",)},
 )
-"""Furniture and receptacles that the tasks of the Home Assistant Benchmark use (habitat-lab, hab/*.yaml)."""
+"""Receptacles and links by role, as the tasks of the Home Assistant Benchmark use them (habitat-lab, hab/*.yaml)."""
 _FLOOR_MARGIN_M = 1.0
-"""Floor around the furniture where neither stage nor navigation mesh tells its extent [m]."""
+"""Margin of the floor around the furniture if neither stage nor navigation mesh gives its extent [m]."""
 _LAMP_POSITIONS_M = (
     (-1.1, 2.775, 2.3),
     (-0.5, -1.44, 2.3),
@@ -73,16 +73,17 @@ def open_replica_cad(
     stage_mesh: Path | None = None,
     articulate: tuple[str, ...] = (),
 ) -> Pack:
-    """Read the data set.
+    """Read the data set as a pack.
 
     Args:
-        folder: of the data set; objects are those of a folder ``ycb`` in it or beside it, else the built-in ones.
-        scenes: names of scenes to make a pack of, or patterns such as ``apt_*``; () for all staged ones.
-        stage_mesh: a ``.glb`` to take as the stage of every scene, instead of those its configs name.
-        articulate: furniture that opens besides kitchen counter and fridge: keys of ``OPTIONAL``.
+        folder: folder of the data set; the objects are read from a folder ``ycb`` in it or beside it, else the built-in
+            ones are used.
+        scenes: names of scenes, or patterns such as ``apt_*``; () for all staged ones.
+        stage_mesh: a ``.glb`` that replaces the stage of every scene.
+        articulate: furniture that opens besides kitchen counter and fridge, keys of `furniture.OPTIONAL`.
 
     Raises:
-        UsageError: the folder lacks something, a file is broken or missing, or a name is unknown; the message names it.
+        UsageError: the data set is incomplete, a file is broken or missing, or a name is unknown; the message names it.
     """
     if stage_mesh is not None and not stage_mesh.is_file():
         raise UsageError(f"stage mesh {str(stage_mesh)!r} does not exist.")
@@ -130,7 +131,7 @@ def open_replica_cad(
 
 
 def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
-    """Log once per process that files are missing, and what it means."""
+    """Log a warning, once per process, that files are missing and what the consequence is."""
     names = [
         str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file)
         for file in missing
@@ -146,7 +147,11 @@ def _warn_once(text: str) -> None:
 
 
 def _named(wanted: tuple[str, ...], names: list[str]) -> list[str]:
-    """Scenes that fit names or patterns, in the order of ``names``."""
+    """Scenes that match names or patterns, sorted.
+
+    Raises:
+        UsageError: one of them matches none.
+    """
     found: set[str] = set()
     for pattern in wanted:
         fitting = fnmatch.filter(names, pattern)
@@ -166,20 +171,20 @@ def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
 
 
 MAX_INSTANCES = 1000
-"""Most pieces of a kind in a scene; those of ReplicaCAD have up to 120."""
+"""Largest number of rigid, and of articulated, pieces in a scene; scenes of ReplicaCAD have up to 120."""
 
 
 @dataclass(eq=False)
 class _Scenes:
-    """Reads scene files; stages are read once."""
+    """Read scene files as homes; every stage is read once."""
 
     folder: Path
     furniture: Furniture
     stage_mesh: Path | None
     missing: list[Path] = field(default_factory=list)
-    """Stage meshes that are not there."""
+    """Stage meshes that do not exist."""
     loose: list[str] = field(default_factory=list)
-    """Scenes in which objects may move."""
+    """Scenes with dynamic objects."""
     _stages: dict[tuple[Any, ...], tuple[tuple[Geom, ...], Extent] | None] = field(
         default_factory=dict
     )
@@ -207,7 +212,7 @@ class _Scenes:
         for k, record in enumerate(_list(path, body, "articulated_object_instances")):
             where = f"articulated_object_instances[{k}]"
             given = _template(path, record, where)
-            # Doors between rooms stay out, as in ManiSkill's scene builder: they would close off half the apartment.
+            # Doors between rooms are left out, as in ManiSkill's scene builder: shut, they would block half the home.
             if "door" in short_name(given):
                 continue
             at = placement(path, record, short_name(given), where)
@@ -240,7 +245,7 @@ class _Scenes:
         )
 
     def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
-        """Walls and floor extent of a scene's stage; None, with one warning, when its mesh is not there."""
+        """Walls and floor extent of a scene's stage; None, noted in ``missing``, if its mesh does not exist."""
         record = entry(path, body, "stage_instance")
         given = _template(path, record, "stage_instance")
         if self.stage_mesh is not None:
@@ -264,7 +269,7 @@ class _Scenes:
         return self._stages[key]
 
     def _extent(self, name: str, placed: list[Placement]) -> Extent:
-        """Floor of a home without stage: what its navigation mesh was made for, else the furniture with a margin."""
+        """Floor extent of a home without stage: that of its navigation mesh, else of its furniture with a margin."""
         mesh = self.folder / "navmeshes" / f"{name}.navmesh"
         if mesh.is_file():
             return read_navmesh(mesh).bounds
@@ -295,7 +300,7 @@ def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
 
 
 def _text(path: Path, record: Any, key: str, where: str) -> str:
-    """A name that a field holds: of a template, or of a file relative to the config."""
+    """Text of a field, or a UsageError that names the field."""
     value = entry(path, record, key, where)
     if not isinstance(value, str):
         raise UsageError(f"{path}: field {where}.{key}: expected a name, got {shown(value)}.")
@@ -303,7 +308,7 @@ def _text(path: Path, record: Any, key: str, where: str) -> str:
 
 
 def _template(path: Path, record: Any, where: str) -> str:
-    """The name of a template, perhaps with its folder."""
+    """Name of a template, with its folder if the record has one."""
     given = _text(path, record, "template_name", where)
     try:
         return check_name(f"field {where}.template_name", given)

@@ -1,8 +1,8 @@
-"""Receptacles of ReplicaCAD: boxes of space in its configs, brought onto the surfaces that carry the objects.
+"""Receptacles of ReplicaCAD: boxes of space in its configs, fitted to the surfaces that support objects.
 
-The boxes of the data set are drawn by hand: they end above or below the surface and reach past its edges (the fridge's
-by 10 cm behind the shelf). Each becomes the largest rectangle inside it under which there is one flat surface and over
-which there is room.
+The boxes of the data set are drawn by hand: they end above or below the surface and extend past its edges (the fridge's
+by 10 cm behind the shelf). Each is replaced by the largest rectangle inside it that has one flat surface below and free
+height above.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ from mjhab.scenes.spec import Receptacle
 MAX_FREE_HEIGHT_M = 0.6
 """Free height [m] given to surfaces with nothing above."""
 _CELLS_PER_SIDE = 27
+"""Cells per side of the grid on which a box is sampled."""
 _MAX_UNEVENNESS_M = 0.008
-"""Largest unevenness of a surface [m]."""
+"""Largest difference in height from the level of a surface [m]."""
 _MAX_DROP_M = 0.10
-"""How far below its box a surface may be [m]."""
+"""Largest distance of a surface below the bottom of its box [m]."""
 _MIN_HEIGHT_SHARE = 0.6
-"""Where there is less than this share of the usual height above a surface, something hangs over it."""
+"""Cells with less than this fraction of the median free height are excluded, because something hangs over them."""
 _KEY_PREFIX = "receptacle_aabb_"
 
 
@@ -45,15 +46,16 @@ class Space:
 def spaces(
     path: Path, body: dict[str, Any], frames: dict[str, np.ndarray], scale: float = 1.0
 ) -> list[Space]:
-    """The receptacle boxes of a config.
+    """Read the receptacle boxes of a config.
 
     Args:
-        path, body: the config.
-        frames: pose (4, 4) in our template frame of the object ("") or of its links by name.
-        scale: of the object.
+        path, body: file and content of the config.
+        frames: pose (4, 4) in our template frame of the object ("") or of its links, by name; boxes of other links are
+            left out.
+        scale: uniform scale of the object.
 
     Raises:
-        UsageError: a field does not fit; names it.
+        UsageError: a field is missing or of the wrong type; the message names it.
     """
     found = []
     given = body.get("user_defined", {})
@@ -76,7 +78,7 @@ def spaces(
 
 
 def _name(key: str, record: dict[str, Any]) -> str:
-    """Name of a receptacle: that of the data set without the name of the object, in lower case."""
+    """Name of a receptacle: that in the data set without the name of the object, in lower case."""
     owner = re.escape(str(record.get("parent_object", "")))
     return re.sub(rf"_?({PREFIX})?{owner}$", "", key.removeprefix(_KEY_PREFIX)).lower()
 
@@ -84,16 +86,16 @@ def _name(key: str, record: dict[str, Any]) -> str:
 def fit(
     space: Space, pieces: Sequence[np.ndarray], link: str = "", origin: np.ndarray | None = None
 ) -> Receptacle | None:
-    """The receptacle of a box of space.
+    """Fit a receptacle to a box of space.
 
     Args:
         space: the box.
-        pieces: convex pieces (P, 3) of the furniture in the template frame, closed.
-        link: the moving link that carries it, or "".
-        origin: (3,) origin of that link in the template frame.
+        pieces: points (P, 3) [m] of the convex collision pieces of the furniture in the template frame, joints closed.
+        link: name of the moving link that carries the receptacle, or "".
+        origin: (3,) origin of that link in the template frame [m].
 
     Returns:
-        None when nothing flat is under the box.
+        The receptacle, in the frame of the link or the template; None if there is no flat surface below the box.
     """
     cells = [
         space.center[k]
@@ -113,7 +115,7 @@ def fit(
     good &= room >= _MIN_HEIGHT_SHARE * np.median(room[good])
     i0, i1, j0, j1 = largest_rectangle(good.reshape(_CELLS_PER_SIDE, _CELLS_PER_SIDE))
     step = space.half[:2] / _CELLS_PER_SIDE
-    # The middle of the last good cell is on the surface for sure; only at the end of the box its border is.
+    # Only the centres of cells are known to be on the surface, except at the edges of the box, which are kept.
     last = _CELLS_PER_SIDE - 1
     low = np.array([cells[0][i0], cells[1][j0]]) - step * [i0 == 0, j0 == 0]
     high = np.array([cells[0][i1], cells[1][j1]]) + step * [i1 == last, j1 == last]
@@ -130,7 +132,10 @@ def fit(
 def _levels(
     space: Space, pieces: Sequence[np.ndarray], xy: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Height of the surface (N,) below the middle of the box (-inf: none) and of what is above (inf: nothing)."""
+    """Heights (N,) [m] at points ``xy`` (N, 2) of the surface and of the ceiling.
+
+    The surface is the highest below the middle of the box, or -inf; the ceiling is the lowest above it, or inf.
+    """
     middle = space.center[2]
     bottom = space.center[2] - space.half[2]
     surface = np.full(len(xy), -np.inf)
@@ -149,7 +154,7 @@ def _levels(
 
 
 def _usual(levels: np.ndarray) -> float:
-    """The level around which most of the values lie."""
+    """Median of the largest group of values that lie within `_MAX_UNEVENNESS_M`."""
     order = np.sort(levels)
     count = np.searchsorted(order, order + _MAX_UNEVENNESS_M, side="right") - np.arange(len(order))
     first = int(count.argmax())
@@ -157,7 +162,11 @@ def _usual(levels: np.ndarray) -> float:
 
 
 def largest_rectangle(mask: np.ndarray) -> tuple[int, int, int, int]:
-    """Rows i0..i1 and columns j0..j1 (inclusive) of the largest rectangle of True cells of a (R, C) mask."""
+    """Find the largest rectangle of True cells in a mask (R, C).
+
+    Returns:
+        First and last row, first and last column (inclusive).
+    """
     best = 0
     found = (0, mask.shape[0] - 1, 0, mask.shape[1] - 1)
     for i0 in range(mask.shape[0]):

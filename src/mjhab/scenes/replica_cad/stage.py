@@ -1,4 +1,4 @@
-"""Walls of ReplicaCAD stages: flat upright faces of a stage mesh become boxes behind them."""
+"""Walls of ReplicaCAD stages: every vertical rectangle of a stage mesh becomes a box behind it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb
 from mjhab.scenes.spec import Geom
 
 WALL_DEPTH_M = 0.05
-"""Depth of a wall box behind its face [m], less where the other side of the wall is nearer."""
+"""Depth of a wall box behind its face [m]; less if the opposite face of the wall is nearer."""
 MAX_NORMAL_RISE = 0.05
 """Largest vertical component of the normal of a wall face."""
 _MIN_PARALLEL_COSINE = np.cos(np.radians(2.0))
@@ -19,8 +19,9 @@ _MAX_PLANE_OFFSET_M = 0.015
 _GRID_STEP_M = 0.015
 """Corners closer than this along a wall count as one [m]."""
 _MIN_FACE_WIDTH_M = 0.03
+"""Narrower faces are left out."""
 _MIN_FACE_AREA_M2 = 0.01
-"""Faces that are narrower or smaller are left out."""
+"""Smaller faces are left out."""
 MATERIAL = "wall_white"
 
 Array = np.ndarray
@@ -29,8 +30,11 @@ Extent = tuple[float, float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """An upright rectangle: unit ``normal`` (2,) to the side it is seen from, ``offset`` = normal . point [m], extent
-    ``u`` along the wall (the normal turned left) and ``z`` [m]."""
+    """A vertical rectangle.
+
+    normal: (2,) unit, horizontal, towards the visible side. offset: normal . point [m]. u: extent along the wall, the
+    direction of the normal rotated by +90 deg about z [m]. z: vertical extent [m].
+    """
 
     normal: Array
     offset: float
@@ -41,7 +45,7 @@ class Face:
 def stage_shape(
     path: Path, rotation: Array | None = None, shift: Array | None = None
 ) -> tuple[tuple[Geom, ...], Extent]:
-    """Walls and floor extent of a stage mesh, in our world axes.
+    """Compute walls and floor extent of a stage mesh, in our world axes.
 
     Args:
         path: the ``.glb`` of the stage.
@@ -67,7 +71,7 @@ def stage_shape(
 
 
 def wall_faces(triangles: Array) -> list[Face]:
-    """Upright rectangles that cover the upright ones of triangles (T, 3, 3)."""
+    """Compute vertical rectangles that cover the vertical ones of the triangles (T, 3, 3) [m]."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(normal, axis=1)
     keep = (size > 1e-7) & (np.abs(normal[:, 2]) < MAX_NORMAL_RISE * size)
@@ -115,7 +119,7 @@ def _rectangles(triangles: Array, normal: Array, offset: float) -> list[Face]:
 
 
 def _lines(values: Array) -> Array:
-    """Sorted distinct values; those within `_GRID_STEP_M` of each other count once."""
+    """Sorted distinct values (n,); of values closer than `_GRID_STEP_M` the smallest is kept."""
     ordered = np.unique(values.round(4))
     keep = [float(ordered[0])]
     for value in ordered[1:]:
@@ -135,7 +139,7 @@ def _inside(points: Array, corners: Array) -> Array:
 
 
 def merge_cells(filled: Array) -> list[tuple[int, int, int, int]]:
-    """Rectangles i0, i1, j0, j1 (ends excluded) that cover the True cells of a mask (R, C) once each."""
+    """Partition the True cells of a mask (R, C) into rectangles (i0, i1, j0, j1), ends excluded."""
     out: list[tuple[int, int, int, int]] = []
     going: dict[tuple[int, int], int] = {}
     for i in range(len(filled) + 1):
@@ -150,13 +154,13 @@ def merge_cells(filled: Array) -> list[tuple[int, int, int, int]]:
 
 
 def _depth(face: Face, faces: list[Face]) -> float:
-    """How deep a box behind a face may be: to the other side of the wall."""
+    """Depth [m] of the box behind a face: up to the opposite face of the wall, at most `WALL_DEPTH_M`."""
     depth = WALL_DEPTH_M
     for other in faces:
         if float(face.normal @ other.normal) > -_MIN_PARALLEL_COSINE:
             continue
         behind = face.offset + other.offset
-        # The other side runs along the wall the other way round.
+        # u of the opposite face runs in the opposite direction.
         u = (-other.u[1], -other.u[0])
         meets = min(face.u[1], u[1]) > max(face.u[0], u[0]) and min(face.z[1], other.z[1]) > max(
             face.z[0], other.z[0]

@@ -1,8 +1,8 @@
 """Reader of YCB objects: scans of the YCB Object and Model Set as movable objects.
 
-A folder ``<object>/textured.glb`` per object holds a scan (metres, +z up, origin anywhere). It becomes an object with
-its origin at the centre of the scan's bounding box. Boxes are turned about z until their faces look along the axes;
-``ObjectType.scan_yaw`` remembers by how much, for files that give poses in the axes of the scan.
+A file ``<object>/textured.glb`` per object has a scan (metres, +z up, arbitrary origin). It becomes an object with its
+origin at the centre of the scan's bounding box. Box-shaped objects are rotated about z so that their faces are aligned
+with the axes; ``ObjectType.scan_yaw`` has the angle, for files with poses in the axes of the scan.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ from mjhab.scenes.spec import Geom, ObjectType, Vec3
 
 SCAN = "textured.glb"
 PRIMITIVE_TOLERANCE_M = 0.003
-"""A box or cylinder stands for a scan when `PRIMITIVE_SHARE` of its convex hull's surface lies within this [m]."""
+"""A scan collides as a box or cylinder if `PRIMITIVE_SHARE` of the area of its convex hull lies within this [m]."""
 PRIMITIVE_SHARE = 0.90
-"""Not all of it: printed boxes and pressed tins have round edges."""
+"""Fraction of the hull's area; below 1, because boxes and tins have rounded edges."""
 MAX_HOLLOW_SHARE = 0.6
-"""A scan that fills less than this share of its convex hull is hollow: its opening must stay open."""
+"""A scan whose volume is less than this fraction of its convex hull's is hollow and collides as a bowl."""
 HULL_DIRECTIONS = 160
+"""Largest number of vertices of a collision hull."""
 BOWL_WALL_M = 0.0045
 """Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
 RIM_PIECES = 16
@@ -41,8 +42,11 @@ _MAX_SAMPLE_EDGE_M = 0.006
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """A scan about the centre of its bounding box: ``vertices`` (V, 3) [m], ``faces`` (F, 3); ``uv`` (V, 2) and
-    ``texture`` (h, w, 3) uint8 as in ``gltf.Primitive``, None for a plain white thing."""
+    """A scan with the origin at the centre of its bounding box.
+
+    ``vertices`` (V, 3) [m], ``faces`` (F, 3); ``uv`` (V, 2) and ``texture`` (h, w, 3) uint8 as in ``gltf.Primitive``,
+    or None for plain white.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -57,7 +61,7 @@ def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
         folder: holds one folder per object, named as in ``MASSES``.
 
     Returns:
-        Object types by name, and the meshes their geoms name (``scenes.shapes.meshes.Mesh``).
+        Object types by name, and the meshes (``scenes.shapes.meshes.Mesh``) of their geoms by name.
 
     Raises:
         UsageError: a scan is missing or broken; the message names the file.
@@ -84,7 +88,7 @@ def read_scan(path: Path) -> Scan:
     """Read a textured mesh.
 
     Raises:
-        UsageError: the file is broken, has no texture, or is as large or as small as no object; the message names it.
+        UsageError: the file is broken, has no texture, or its size is not that of an object; the message names it.
     """
     part, *others = read_glb(path)
     if others or part.texture is None or part.uv is None:
@@ -97,14 +101,20 @@ def read_scan(path: Path) -> Scan:
 
 
 def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]]:
-    """Choose collision shapes for a scan and reduce what is seen of it."""
+    """Make an object type from a scan.
+
+    It collides as a box, a cylinder, a bowl of convex pieces, or one convex hull.
+
+    Returns:
+        The type, and the meshes of its geoms by name.
+    """
     surface = HullSurface.of(scan.vertices)
     yaw, half = box_fit(scan.vertices, surface)
     meshes: dict[str, Mesh] = {}
     if primitive_share(surface.turned(-yaw), "box", half) >= PRIMITIVE_SHARE:
         collision = [Geom("box", half, visual=False)]
     else:
-        # Only boxes have a heading to look along.
+        # Only boxes are rotated to align with the axes.
         yaw = 0.0
         half = can_fit(scan.vertices, surface)
         if primitive_share(surface, "cylinder", half) >= PRIMITIVE_SHARE:
@@ -127,7 +137,8 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
 
 @dataclass(frozen=True, eq=False)
 class HullSurface:
-    """Spots on a convex hull: ``points`` (P, 3) [m], outward unit ``normals`` (P, 3), ``areas`` (P,) [m^2]."""
+    """Samples of the surface of a convex hull: ``points`` (P, 3) [m], outward unit ``normals`` (P, 3), ``areas`` (P,)
+    [m^2]."""
 
     points: np.ndarray
     normals: np.ndarray
@@ -135,7 +146,7 @@ class HullSurface:
 
     @staticmethod
     def of(vertices: np.ndarray) -> HullSurface:
-        """Cut the hull of ``vertices`` (V, 3) into triangles no larger than `_MAX_SAMPLE_EDGE_M`."""
+        """Sample the hull of ``vertices`` (V, 3) [m]: one point per triangle, with edges up to `_MAX_SAMPLE_EDGE_M`."""
         hull = ConvexHull(vertices)
         triangles = vertices[hull.simplices]
         normals = hull.equations[:, :3]
@@ -154,15 +165,22 @@ class HullSurface:
         return HullSurface(corners.mean(axis=1), np.concatenate([part[1] for part in done]), areas)
 
     def turned(self, yaw: float) -> HullSurface:
-        """The same, turned about z by ``yaw`` [rad]."""
+        """Return the samples rotated about z by ``yaw`` [rad]."""
         return HullSurface(_turn(self.points, yaw), _turn(self.normals, yaw), self.areas)
 
 
 def box_fit(vertices: np.ndarray, surface: HullSurface) -> tuple[float, Vec3]:
-    """Best upright box about the origin: heading [rad] in (-pi/4, pi/4] and half-extents [m].
+    """Fit an upright box, centred at the origin, to a scan.
 
-    The heading is that of the smallest rectangle around the plan; the sides lie in the middle of the hull's faces
-    that look along them (a bulge counts little), top and bottom at the extremes, on which the thing stands.
+    The heading is that of the smallest rectangle around the horizontal projection. Each side is at the median of the
+    hull's area that faces it, so that bulges count little; top and bottom are at the extremes, on which objects stand.
+
+    Args:
+        vertices: (V, 3) [m].
+        surface: samples of their convex hull.
+
+    Returns:
+        Heading [rad] in (-pi/4, pi/4] and half-extents (3,) [m].
     """
     plan = vertices[ConvexHull(vertices[:, :2]).vertices][:, :2]
     angles = np.linspace(-np.pi / 4, np.pi / 4, 901)[1:]
@@ -177,7 +195,7 @@ def box_fit(vertices: np.ndarray, surface: HullSurface) -> tuple[float, Vec3]:
 
 
 def _face_distance(surface: HullSurface, axis: int) -> float:
-    """Mean distance [m] of the two faces that look along an axis from the origin; each at its median by area."""
+    """Mean distance [m] from the origin of the two sides that face along an axis, each its median by area."""
     sides = []
     for sign in (-1.0, 1.0):
         facing = sign * surface.normals[:, axis] > 0.94
@@ -191,7 +209,7 @@ def _face_distance(surface: HullSurface, axis: int) -> float:
 
 
 def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:
-    """Best upright cylinder about the origin: (radius, radius, half-height) [m]."""
+    """Fit an upright cylinder, centred at the origin, to a scan; returns (radius, radius, half-height) [m]."""
     side = np.abs(surface.normals[:, 2]) < 0.3
     radius = np.hypot(surface.points[side, 0], surface.points[side, 1])
     mean = (
@@ -203,7 +221,13 @@ def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:
 
 
 def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
-    """Share of the area of a hull within `PRIMITIVE_TOLERANCE_M` of an upright box or cylinder about the origin."""
+    """Compute the fraction of a hull's area within `PRIMITIVE_TOLERANCE_M` of an upright primitive at the origin.
+
+    Args:
+        surface: samples of the hull.
+        shape: "box" or "cylinder".
+        half: half-extents (3,) of the primitive [m].
+    """
     points = surface.points
     if shape == "box":
         beyond = np.abs(points) - np.array(half)
@@ -215,7 +239,7 @@ def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
 
 
 def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """Cut triangles (T, 3, 3) at the middle of their longest edge: (2 T, 3, 3)."""
+    """Bisect triangles (T, 3, 3) at the middle of their longest edge: (2 T, 3, 3); ``edge`` (T, 3): edge lengths."""
     first = edge.argmax(axis=1)
     a, b, c = (
         np.take_along_axis(triangles, ((first + k) % 3)[:, None, None], axis=1)[:, 0]
@@ -231,16 +255,16 @@ def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
 
 
 def _fill(scan: Scan) -> float:
-    """Volume of the solid below and inside a scan's surface, as a share of its convex hull's."""
+    """Volume that a scan's surface encloses, as a fraction of its convex hull's."""
     a, b, c = (scan.vertices[scan.faces[:, k]] for k in range(3))
     inside = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6
     return float(abs(inside) / ConvexHull(scan.vertices).volume)
 
 
 def hull_of(points: np.ndarray) -> Mesh:
-    """Convex hull of points (P, 3) with at most `HULL_DIRECTIONS` vertices: the extremes in evenly spread directions.
+    """Compute a convex hull of points (P, 3) with at most `HULL_DIRECTIONS` vertices.
 
-    The extremes along the coordinate axes are among them, so the bounding box is kept.
+    They are the extreme points in evenly spread directions, among them the axes, so that the bounding box is kept.
     """
     corners = points[ConvexHull(points).vertices]
     directions = np.concatenate([_sphere(HULL_DIRECTIONS - 6), np.eye(3), -np.eye(3)])
@@ -258,13 +282,13 @@ def _sphere(count: int) -> np.ndarray:
 
 
 def _lump(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
-    """One convex hull."""
+    """Collision geom and mesh of a scan as one convex hull."""
     mesh = f"{name}_hull"
     return [Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False)], {mesh: hull_of(scan.vertices)}
 
 
 def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
-    """A disk as floor and two rings of convex wedges along the outer profile; the inside stays open."""
+    """Collision geoms and meshes of a bowl: a disk as floor, and two rings of convex wedges along the outer profile."""
     foot, knee, rim = bowl_profile(scan.vertices)
     floor = Geom(
         "cylinder",
@@ -287,11 +311,13 @@ def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
 
 
 def bowl_profile(vertices: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Outer (radius, z) [m] of a round open thing at its foot, at its knee and at its rim.
+    """Compute the outer profile of a bowl: (radius, z) [m] at its foot, its knee and its rim.
 
-    The knee is where the outline bends most: farthest from the chord between foot and rim. The rim's radius is such
-    that the straight wall from the knee leaves the outline as little as possible (a lip stands out, the wall below
-    it stands back).
+    The knee is the point of the outline farthest from the chord between foot and rim. The radius of the rim minimises
+    the largest distance between the outline and a straight wall from the knee.
+
+    Args:
+        vertices: (V, 3) [m], centred about the z axis.
     """
     low = float(vertices[:, 2].min())
     high = float(vertices[:, 2].max())
@@ -318,9 +344,9 @@ def bowl_profile(vertices: np.ndarray) -> tuple[tuple[float, float], ...]:
 
 
 def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> np.ndarray:
-    """Corners (8, 3) of one of ``count`` wedges of a conical wall about +x; it is half inside, half outside the circle.
+    """Corners (8, 3) [m] of one of ``count`` wedges of a conical wall of thickness `BOWL_WALL_M`, centred about +x.
 
-    ``low``, ``high``: outer (radius, z).
+    ``low``, ``high``: outer (radius, z) [m] of the cone; the flat outside of the wedge approximates it from both sides.
     """
     a = math.pi / count
     slope = math.atan2(high[0] - low[0], high[1] - low[1])
@@ -337,7 +363,7 @@ def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> n
 
 
 def render_mesh(scan: Scan, yaw: float) -> Mesh:
-    """What is seen of a scan, turned about z by ``yaw`` [rad]: every triangle, with the texture."""
+    """Make the render mesh of a scan, rotated about z by ``yaw`` [rad]: all triangles, with the texture."""
     part = Primitive(
         "scan", _turn(scan.vertices, yaw), scan.faces, scan.uv, scan.texture, np.ones(3)
     )
@@ -345,7 +371,7 @@ def render_mesh(scan: Scan, yaw: float) -> Mesh:
 
 
 def _turn(points: np.ndarray, yaw: float) -> np.ndarray:
-    """Points (P, 2 or 3) turned about z by ``yaw`` [rad]."""
+    """Points (P, 2 or 3) rotated about z by ``yaw`` [rad]."""
     c = math.cos(yaw)
     s = math.sin(yaw)
     turned = points.copy()

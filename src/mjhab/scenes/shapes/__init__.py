@@ -1,1 +1,1 @@
-"""Geometry of what stands in a home: meshes, hulls, openings, footprints, painted textures."""
+"""Geometry of furniture and objects: meshes, simplification, convex hulls, footprints, opening ranges, textures."""

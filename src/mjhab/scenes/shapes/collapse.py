@@ -1,7 +1,7 @@
-"""Fewer triangles for the same shape, level after level: edges are collapsed where the surface bends least.
+"""Mesh simplification by edge collapse with error quadrics, for levels of detail.
 
-The error quadrics of Garland and Heckbert, Surface Simplification Using Quadric Error Metrics, 1997; in every round
-all edges collapse that are cheaper than any near them, so that a round is a few array operations.
+Quadrics as in Garland and Heckbert, Surface Simplification Using Quadric Error Metrics, 1997. In every round all edges
+are collapsed that cost less than all edges near them, so that a round consists of a few array operations.
 """
 
 from __future__ import annotations
@@ -15,31 +15,32 @@ from mjhab.scenes.shapes.simplify import Simplified
 Array = np.ndarray
 MAX_ROUNDS = 400
 ROUND_SHARE = 0.25
-"""Edges that may collapse in a round: the cheapest of them, as a share of all."""
+"""Only the cheapest edges collapse in a round; their fraction of all edges."""
 BORDER_WEIGHT = 10.0
-"""Weight of planes that stand upright on edges with one face only, against those of faces of the same size."""
+"""Weight of the planes through border edges, perpendicular to their face, relative to a face of the same size."""
 STIFFNESS = 1e-4
-"""Pull of a merged vertex toward the middle of its edge, where the planes around it leave it free."""
+"""Weight that pulls a merged vertex to the middle of its edge in directions that the planes do not determine."""
 MAX_TRIES = 20
-"""Times that a round looks for other edges when all it chose would turn faces over."""
+"""Number of times that a round chooses other edges if all chosen ones would flip a face."""
 MIN_TURN_COS = 0.3
-"""An edge that turns a face by more than the angle of this cosine does not collapse."""
+"""Smallest cosine of the angle by which a collapse may turn the normal of a face."""
 SLIVER_SHARE = 1e-3
-"""Faces of less area than this share of their longest side squared may turn: they have no direction to speak of."""
+"""Faces with an area below this fraction of their longest side squared may turn, because their normal is undefined."""
 
 
 def collapse(
     vertices: Array, faces: Array, targets: Sequence[int]
 ) -> list[tuple[Simplified, Array]]:
-    """Collapse edges of a triangle mesh until few enough faces are left.
+    """Collapse edges of a triangle mesh down to a series of face counts.
 
     Args:
-        vertices: (V, 3), no two alike. faces: (F, 3) indices.
-        targets: upper bounds of the numbers of faces, falling.
+        vertices: (V, 3) without duplicates.
+        faces: (F, 3) indices.
+        targets: largest numbers of faces, decreasing.
 
     Returns:
-        For every target that can be reached: the mesh, and for each of V the vertex (V,) it has been merged into.
-        ``source`` names the faces of the mesh that are left, corner by corner.
+        For every target that can be reached the simplified mesh, and the index (V,) of the vertex that each original
+        vertex was merged into, -1 if that has no face.
     """
     mesh = _Mesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int64))
     levels = []
@@ -54,7 +55,11 @@ def collapse(
 
 
 class _Mesh:
-    """A mesh that shrinks: places of vertices, the faces that are left and which they were, quadrics (V, 4, 4)."""
+    """A mesh under simplification.
+
+    place (V, 3): positions of vertices. merged (V,): vertex that each original one was merged into. faces (f, 3):
+    remaining faces. source (f,): their index in the original mesh. quadric (V, 4, 4): error quadrics.
+    """
 
     def __init__(self, vertices: Array, faces: Array) -> None:
         self.place = vertices.copy()
@@ -65,12 +70,12 @@ class _Mesh:
         self.quadric = _quadrics(vertices, self.faces)
 
     def shrink(self, most: int) -> bool:
-        """Collapse edges that do not touch each other's faces, to lose about ``most`` faces; whether any did."""
+        """Do a round: collapse edges that share no face, removing about ``most`` faces at most; returns if any did."""
         ends = np.unique(_edges(self.faces), axis=0)
         place, cost = self._merge(ends)
         kept = np.empty(0, np.int64)
         for _ in range(MAX_TRIES):
-            # Ties by number: results are the same on every machine.
+            # Ties are broken by index, so that results are the same on every machine.
             rank = np.empty(len(ends), np.int64)
             rank[np.argsort(cost, kind="stable")] = np.arange(len(ends))
             free = (rank <= self._cheapest_near(ends, rank)) & np.isfinite(cost)
@@ -91,7 +96,7 @@ class _Mesh:
         return True
 
     def _merge(self, ends: Array) -> tuple[Array, Array]:
-        """Best place (e, 3) of the vertex that an edge becomes, and its cost (e,)."""
+        """Best position (e, 3) of the vertex that each edge (e, 2) would collapse to, and its cost (e,)."""
         quadric = self.quadric[ends].sum(axis=1)
         middle = self.place[ends].mean(axis=1)
         weight = np.trace(quadric[:, :3, :3], axis1=1, axis2=2)
@@ -99,7 +104,7 @@ class _Mesh:
         matrix = quadric[:, :3, :3] + stiff[:, None, None] * np.eye(3)
         right = -quadric[:, :3, 3] + stiff[:, None] * middle
         place = np.linalg.solve(matrix, right[..., None])[..., 0]
-        # Planes that are nearly parallel meet far away.
+        # Nearly parallel planes may intersect far away: limit the distance to the length of the edge.
         way = place - middle
         length = np.linalg.norm(self.place[ends[:, 0]] - self.place[ends[:, 1]], axis=1)
         far = np.linalg.norm(way, axis=1)
@@ -109,7 +114,7 @@ class _Mesh:
         return place, np.maximum(cost, 0.0) + 1e-6 * weight * length**2
 
     def _cheapest_near(self, ends: Array, rank: Array) -> Array:
-        """Lowest rank (e,) of an edge at a vertex of any face that touches the edge."""
+        """Lowest rank (e,) of the edges at the vertices of all faces that touch each edge."""
         count = len(self.place)
         at_vertex = np.full(count, len(rank), np.int64)
         np.minimum.at(at_vertex, ends.ravel(), np.repeat(rank, 2))
@@ -119,7 +124,7 @@ class _Mesh:
         return near[ends].min(axis=1)
 
     def _turns(self, ends: Array, place: Array) -> Array:
-        """Whether a collapse (c,) turns one of the faces around it too far."""
+        """Whether each collapse (c,) of edges (c, 2) to ``place`` (c, 3) turns a face beyond `MIN_TURN_COS`."""
         owner = np.full(len(self.place), -1)
         owner[ends] = np.arange(len(ends))[:, None]
         moved = self.place.copy()
@@ -161,17 +166,17 @@ class _Mesh:
 
 
 def _edges(faces: Array) -> Array:
-    """Ends (3 F, 2) of the edges of faces, the lower number first."""
+    """Vertices (3 F, 2) of the edges of faces (F, 3), the lower index first."""
     return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
 
 
 def _normals(corners: Array) -> Array:
-    """Normals (f, 3) as long as twice the area of triangles (f, 3, 3)."""
+    """Normals (f, 3) of triangles (f, 3, 3); their length is twice the area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def _quadrics(vertices: Array, faces: Array) -> Array:
-    """Sum (V, 4, 4) of the squared distances to the planes of the faces at each vertex, weighted by their areas."""
+    """Error quadrics (V, 4, 4): area-weighted squared distances to the planes of the faces at each vertex."""
     corners = vertices[faces]
     normal = _normals(corners)
     area = np.linalg.norm(normal, axis=1)
@@ -196,7 +201,7 @@ def _add_planes(quadric: Array, at: Array, unit: Array, point: Array, weight: Ar
 
 
 def distance_to_faces(points: Array, corners: Array) -> Array:
-    """Distance (n,) of points (n, 3) to triangles (n, 3, 3), one each."""
+    """Compute the distance (n,) of each point (n, 3) to the corresponding triangle (n, 3, 3)."""
     a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)
     square = np.einsum("ni,ni->n", normal, normal)

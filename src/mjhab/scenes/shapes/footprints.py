@@ -1,4 +1,4 @@
-"""Rectangles that templates cover on the floor, and whether two of them meet."""
+"""Footprints of templates on the floor, and tests whether two of them overlap."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mjhab.scenes.spec import Articulation, Geom, Placement, Prop
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """A turned rectangle on the floor with a height interval. ``corners`` (4, 2) [m], ``z`` (low, high) [m]."""
+    """A convex polygon on the floor with a height interval, in the world: ``corners`` (N, 2), ``z`` (low, high) [m]."""
 
     name: str
     corners: np.ndarray
@@ -24,12 +24,12 @@ class Footprint:
 
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
-        """x_min, y_min, x_max, y_max [m]."""
+        """Axis-aligned bounds: x_min, y_min, x_max, y_max [m]."""
         x, y = self.corners.T.tolist()
         return min(x), min(y), max(x), max(y)
 
     def meets(self, other: Footprint) -> bool:
-        """Whether the two share space: boxes and heights are compared first, which rules most pairs out."""
+        """Return whether the two overlap in plan and height."""
         a = self.box
         b = other.box
         if a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3]:
@@ -40,7 +40,14 @@ class Footprint:
 
 
 def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarray:
-    """Points (P, 3) [m] in the template's frame whose convex hull holds the geom (curves from outside)."""
+    """Compute points (P, 3) [m] in the template's frame whose convex hull contains the geom.
+
+    The hull is exact for boxes and the convex hull of meshes, and circumscribed for curved shapes.
+
+    Args:
+        geom: of any shape.
+        meshes: meshes by name, for geoms of shape "mesh".
+    """
     if geom.shape == "mesh":
         mesh = (meshes or {})[geom.mesh]
         assert isinstance(mesh, Mesh)
@@ -63,7 +70,7 @@ def _signs() -> np.ndarray:
 
 
 def bounds(geoms: Iterable[Geom], meshes: Mapping[str, object] | None = None) -> np.ndarray:
-    """Bounds (2, 3) [m] of the colliding geoms, in their own frame.
+    """Compute the bounds (2, 3) [m], lower and upper, of the colliding geoms, in the frame of their template.
 
     Raises:
         ValueError: none of the geoms collides.
@@ -76,7 +83,7 @@ def bounds(geoms: Iterable[Geom], meshes: Mapping[str, object] | None = None) ->
 
 
 def all_geoms(template: Prop | Articulation) -> tuple[Geom, ...]:
-    """Geoms of a template in its frame, links of articulations in their closed pose."""
+    """Return the geoms of a template in its frame, links of articulations closed."""
     if isinstance(template, Prop):
         return template.geoms
     moved = [
@@ -97,7 +104,7 @@ def all_geoms(template: Prop | Articulation) -> tuple[Geom, ...]:
 
 
 def rectangle(placement: Placement, x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
-    """Corners (4, 2) [m] in the world of a rectangle given in the frame of a placed template."""
+    """Compute the corners (4, 2) [m] in the world of a rectangle with extents x, y [m] in a placed template's frame."""
     local = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
     c = math.cos(placement.yaw)
     s = math.sin(placement.yaw)
@@ -111,7 +118,7 @@ def _extent(template: Prop | Articulation) -> np.ndarray | None:
 
 
 def footprint(placement: Placement, template: Prop | Articulation) -> Footprint | None:
-    """What a placed template covers, or None if it collides with nothing."""
+    """Compute the footprint of a placed template: its bounding rectangle; None if it has no colliding geom."""
     extent = _extent(template)
     if extent is None:
         return None
@@ -122,7 +129,10 @@ def footprint(placement: Placement, template: Prop | Articulation) -> Footprint 
 
 
 def meet(a: np.ndarray, b: np.ndarray, gap: float = 0.0) -> bool:
-    """Whether two convex polygons (N, 2), (M, 2) come closer than ``gap`` [m] along every edge normal."""
+    """Return whether two convex polygons (N, 2), (M, 2) are closer than ``gap`` [m] along every edge normal.
+
+    With ``gap`` 0 this is the separating axis test for overlap.
+    """
     for polygon in (a, b):
         edges = np.roll(polygon, -1, axis=0) - polygon
         normals = np.stack([edges[:, 1], -edges[:, 0]], 1)

@@ -1,4 +1,4 @@
-"""Convex pieces given by their points: smallest boxes around them, and how high they reach."""
+"""Convex pieces given by points: their hulls, minimum bounding boxes, and intersections with vertical lines."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _BOXES: weakref.WeakKeyDictionary[Mesh, tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The box of least volume around points (P, 3) that has a face in the plane of a face of their hull.
+    """Compute the box of least volume around points (P, 3) that has a face parallel to a face of their hull.
 
     Returns:
-        Its centre (3,), half-extents (3,) and rotation (3, 3) with the axes as columns.
+        Its centre (3,), half-extents (3,) and rotation (3, 3), whose columns are its axes.
     """
     points = np.asarray(points, np.float64)
     hull = ConvexHull(points)
@@ -36,7 +36,7 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
         frame = np.stack([x, np.cross(z, x), z], axis=1)
         local = corners @ frame
         flat = edges @ frame[:, :2]
-        # A rectangle of least area lies along an edge of the outline, which is the shadow of an edge of the hull.
+        # A rectangle of least area has a side along an edge of the outline, which is a projected edge of the hull.
         angles = np.unique(
             np.append(np.arctan2(flat[:, 1], flat[:, 0]) % (np.pi / 2), 0.0).round(6)
         )
@@ -59,7 +59,7 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def boxed_hull(geom: Geom, pack: Pack) -> Geom:
-    """The smallest box around a convex mesh geom, as a geom in the same frame."""
+    """Compute the `smallest_box` around a mesh geom, as a box geom in the same frame."""
     mesh = pack.meshes[geom.mesh]
     assert isinstance(mesh, Mesh)
     if mesh not in _BOXES:
@@ -76,7 +76,11 @@ def boxed_hull(geom: Geom, pack: Pack) -> Geom:
 
 
 def hull_mesh(points: np.ndarray) -> Mesh:
-    """The convex hull of points (P, 3) as a closed mesh."""
+    """Compute the convex hull of points (P, 3) as a closed mesh.
+
+    Raises:
+        scipy.spatial.QhullError: the points are flat.
+    """
     points = np.asarray(points, np.float64)
     hull = ConvexHull(points)
     faces = hull.simplices.copy()
@@ -88,10 +92,10 @@ def hull_mesh(points: np.ndarray) -> Mesh:
 
 
 def vertical_extent(points: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where vertical lines through xy (N, 2) enter and leave the hull of points (P, 3).
+    """Intersect vertical lines through xy (N, 2) [m] with the convex hull of points (P, 3) [m].
 
     Returns:
-        Lowest and highest z (N,) of each line inside it; (inf, -inf) for lines that miss it.
+        Lowest and highest z (N,) [m] of each line inside the hull; (inf, -inf) for lines that miss it.
     """
     planes = ConvexHull(np.asarray(points, np.float64)).equations
     a, b, c, d = planes.T

@@ -14,13 +14,16 @@ _OPTIONAL = ("face_color", "uv", "face_texture")
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle soup. ``vertices`` (V, 3) [m] float32; ``faces`` (F, 3) int32, counter-clockwise outside.
+    """A triangle mesh.
 
-    ``face_color``: (F, 3) float32 in 0..1 (sRGB) or None, then the material of the geom gives the colour.
-    ``textures``: images (h, w, 3) uint8 sRGB, sides powers of two up to `MAX_TEXTURE`, repeated beyond their edges;
-    ``face_texture`` (F,) int32: the image of every face, -1 for none; ``uv`` (F, 3, 2) float32: place of every corner
-    of every face in it, (0, 0) at the outer corner of the first pixel, (1, 1) at that of the last one (u along rows).
-    A texture is multiplied with ``face_color``.
+    Attributes:
+        vertices: (V, 3) float32 [m].
+        faces: (F, 3) int32, counter-clockwise seen from outside.
+        face_color: (F, 3) float32 sRGB in 0..1, multiplied with the texture; None takes the geom's material.
+        uv: (F, 3, 2) float32 texture coordinates of every face corner: (0, 0) at the outer corner of the first texel,
+            (1, 1) at that of the last one, u along rows; textures repeat. None without textures.
+        face_texture: (F,) int32, index into ``textures``, -1 for none. None without textures.
+        textures: images (h, w, 3) uint8 sRGB with sides that are powers of two up to `MAX_TEXTURE`.
     """
 
     vertices: np.ndarray
@@ -32,7 +35,7 @@ class Mesh:
 
 
 def mesh_arrays(name: str, mesh: Mesh) -> dict[str, np.ndarray]:
-    """The arrays of a mesh under names ``<name>/...``, for a npz file."""
+    """Return the arrays of a mesh under keys ``<name>/...``, for an npz file."""
     arrays = {f"{name}/vertices": mesh.vertices, f"{name}/faces": mesh.faces}
     for part in _OPTIONAL:
         value = getattr(mesh, part)
@@ -42,10 +45,10 @@ def mesh_arrays(name: str, mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def mesh_from_arrays(name: str, arrays: Mapping[str, np.ndarray]) -> Mesh:
-    """The mesh that ``mesh_arrays`` took apart.
+    """Make a mesh from arrays with the keys of `mesh_arrays`.
 
     Raises:
-        KeyError: it is not among the arrays.
+        KeyError: vertices or faces of the mesh are missing.
     """
     optional = {part: arrays[f"{name}/{part}"] for part in _OPTIONAL if f"{name}/{part}" in arrays}
     textures: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""How far doors and drawers open before they meet a wall or another piece: geometry alone, no simulator."""
+"""Opening ranges: how far doors and drawers open before they collide with a wall or furniture, without a simulator."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ from mjhab.scenes.shapes.footprints import Footprint, outline
 from mjhab.scenes.spec import Geom, Home, Link, Pack, Placement
 
 _SWEEP_POSES = 24
-"""Poses of a coarse sweep; a door of 0.7 m moves 7 cm from one to the next, and walls are thicker."""
+"""Number of sampled joint positions; a door of 0.7 m moves 7 cm between them, less than the thickness of walls."""
 _BISECTIONS = 12
+"""Bisection steps between the last free and the first colliding sample."""
 _SKIN_M = 1e-3
-"""Overlap that does not count [m]: pieces may stand flush."""
+"""Vertical overlap that does not count as a collision [m], because pieces may stand flush."""
 
 
 def free_travel(home: Home, pack: Pack) -> dict[str, float]:
-    """Largest joint position [m] or [rad] of every link up to which it meets nothing, with all others closed.
+    """Compute how far every link of a home opens without a collision, with all others closed.
 
-    A link never meets its own body. Values equal the end of the range for a link that opens fully.
+    Collisions with its own body do not count.
+
+    Returns:
+        Joint position [m or rad] by link id ``"<articulation>/<link>"``; the end of the range if it opens fully.
     """
     result: dict[str, float] = {}
     for placement in home.articulations:
@@ -32,7 +36,7 @@ def free_travel(home: Home, pack: Pack) -> dict[str, float]:
 
 
 def stuck_links(home: Home, pack: Pack) -> list[str]:
-    """One phrase per link that cannot open to the end of its range, or to the limit the home states for it."""
+    """Describe every link that cannot open to the end of its range, or to the home's limit for it, in one phrase."""
     stated = dict(home.open_limits)
     found = []
     for name, free in free_travel(home, pack).items():
@@ -68,7 +72,7 @@ def _last_free(free: Callable[[float], bool], good: float, bad: float) -> float:
 
 
 def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float, float]]:
-    """Outline (N, 2) in the frame of the link and height interval in the world [m]; the piece stands upright."""
+    """Convex outline (N, 2) in the frame of the link, height interval in the world [m]; the piece must be upright."""
     points = outline(geom)
     flat = np.unique(points[:, :2].round(9), axis=0)
     z = points[:, 2] + link.pos[2] + lift
@@ -76,7 +80,7 @@ def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float,
 
 
 def _moved(corners: np.ndarray, link: Link, at: Placement, q: float) -> np.ndarray:
-    """Corners (N, 2) [m] in the world of a piece of a link at joint position q."""
+    """World positions (N, 2) [m] of ``corners`` (N, 2), given in the frame of a link, at joint position q."""
     slides = link.joint == "slide"
     local = corners + q * np.array(link.axis[:2]) if slides else corners @ _turn(q * link.axis[2])
     return (local + np.array(link.pos[:2])) @ _turn(at.yaw) + np.array(at.pos[:2])
@@ -89,7 +93,7 @@ def _turn(angle: float) -> np.ndarray:
 
 
 def _solids(home: Home, pack: Pack, opening: Placement) -> list[Footprint]:
-    """Everything that does not move with the piece that opens, near enough to be met."""
+    """Footprints of walls, and of other furniture within 3 m of the piece that opens."""
     here = Placement("", (0.0, 0.0, 0.0))
     solid = [_solid(g, here, pack, "wall") for g in home.walls if g.collide]
     near = 3.0

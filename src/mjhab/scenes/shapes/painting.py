@@ -1,4 +1,4 @@
-"""Parts of glTF files as one textured mesh: both sides of sheets, textures no finer than a camera can see."""
+"""Parts of glTF files as one textured mesh, with two-sided sheets and textures of limited resolution."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from mjhab.scenes.shapes.meshes import Mesh
 
 Array = np.ndarray
 TEXELS_PER_M = 1500.0
-"""Textures finer than this on the surface of their mesh are halved: 0.7 mm is the print of a carton."""
+"""Largest density of texels on a surface [1/m], 0.7 mm each, as fine as the print on a carton."""
 
 
 def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
-    """Bring the parts of one or more files into one mesh.
+    """Combine the parts of one or more files into one mesh.
 
     Args:
-        parts: vertices in the wanted frame, textures with sides that are powers of two.
+        parts: vertices in the frame of the mesh, textures with sides that are powers of two.
 
     Returns:
-        The mesh; faces that can be seen from behind are there twice, once for each side.
+        The mesh; faces of open surfaces, whose back is visible, are duplicated with opposite orientation.
     """
     columns: list[tuple[Array, ...]] = []
     images: dict[int, int] = {}
@@ -60,10 +60,12 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
 
 
 def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
-    """Halve an image (h, w, 3) uint8 until it has no more than `TEXELS_PER_M` on the triangles that show it.
+    """Halve an image until its density on the triangles that show it is at most `TEXELS_PER_M`.
 
     Args:
-        corners: (F, 3, 3) [m]. uv: (F, 3, 2).
+        image: (h, w, 3) uint8, sides powers of two.
+        corners: (F, 3, 3) of the triangles [m].
+        uv: (F, 3, 2) their texture coordinates.
     """
     a = corners[:, 1] - corners[:, 0]
     b = corners[:, 2] - corners[:, 0]
@@ -81,7 +83,7 @@ def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
 
 
 def _near_zero(uv: Array) -> Array:
-    """Faces moved by whole repeats of the texture to where float32 is finest."""
+    """Texture coordinates (F, 3, 2) shifted per face by whole periods towards 0, for the precision of float32."""
     return uv - np.floor(uv.min(axis=1, keepdims=True))
 
 
@@ -91,8 +93,8 @@ def _srgb(linear: Array) -> Array:
 
 
 def _open_faces(points: Array, faces: Array) -> Array:
-    """Faces (n,) of pieces with a rim: sheets, whose back can be seen."""
-    # Split seams share places.
+    """Faces (n,) of connected components with a border, whose back is visible."""
+    # Vertices at the same position count as one, because texture seams split them.
     weld = np.unique(np.round(points, 5), axis=0, return_inverse=True)[1].reshape(-1)
     ends = np.sort(np.stack([weld[faces], weld[np.roll(faces, -1, axis=1)]], axis=-1), axis=-1)
     keys = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)[1].reshape(

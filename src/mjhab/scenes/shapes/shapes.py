@@ -1,4 +1,4 @@
-"""Short constructors of geoms and procedural meshes, shared by furniture and objects."""
+"""Constructors of geoms and procedural meshes, shared by furniture and objects. Poses are in the template's frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def box(
     collide: bool = True,
     visual: bool = True,
 ) -> Geom:
-    """A box from its centre and its full edge lengths [m]."""
+    """Make a box from its centre and full edge lengths [m]."""
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
     return Geom("box", half, center, quat, material, collide=collide, visual=visual)
 
@@ -33,7 +33,7 @@ def span(
     collide: bool = True,
     visual: bool = True,
 ) -> Geom:
-    """A box from its extents along the three axes [m]."""
+    """Make a box from its extents along the three axes [m]."""
     center = ((x[0] + x[1]) / 2, (y[0] + y[1]) / 2, (z[0] + z[1]) / 2)
     half = ((x[1] - x[0]) / 2, (y[1] - y[0]) / 2, (z[1] - z[0]) / 2)
     return Geom("box", half, center, IDENTITY, material, collide=collide, visual=visual)
@@ -49,7 +49,7 @@ def rod(
     collide: bool = True,
     visual: bool = True,
 ) -> Geom:
-    """A cylinder from its centre, radius and full length [m] along a coordinate axis."""
+    """Make a cylinder from its centre, radius and full length [m] along a coordinate axis."""
     s = math.sqrt(0.5)
     quat = {"z": IDENTITY, "x": (s, 0.0, s, 0.0), "y": (s, s, 0.0, 0.0)}[axis]
     return Geom(
@@ -66,29 +66,28 @@ def rod(
 def ball(
     center: Vec3, radius: float, material: str, *, collide: bool = True, visual: bool = True
 ) -> Geom:
-    """A sphere [m]."""
+    """Make a sphere from its centre and radius [m]."""
     return Geom(
         "sphere", (radius, 0.0, 0.0), center, IDENTITY, material, collide=collide, visual=visual
     )
 
 
 def look(mesh: str, material: str, pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY) -> Geom:
-    """A mesh that is only seen."""
+    """Make a visual-only mesh geom from the name of a mesh."""
     return Geom("mesh", (1.0, 1.0, 1.0), pos, quat, material, mesh, collide=False)
 
 
 def about_z(yaw: float) -> Quat:
-    """Quaternion of a turn about +z [rad]."""
+    """Compute the quaternion wxyz of a rotation about +z [rad]."""
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
 def lathe(profile: list[tuple[float, float]], segments: int = 24) -> Mesh:
-    """Turn a profile about the z axis.
+    """Make a surface of revolution about the z axis.
 
     Args:
-        profile: (radius, z) points [m], ordered so that the surface lies to the left of the walk
-            when the outside is on the right: from the bottom up along the outside.
-        segments: number of steps around.
+        profile: (radius, z) points [m], from the bottom up along the outside, so that faces point outwards.
+        segments: number of segments around the axis.
     """
     angles = np.linspace(0.0, 2 * math.pi, segments, endpoint=False)
     rings = [
@@ -110,7 +109,7 @@ def lathe(profile: list[tuple[float, float]], segments: int = 24) -> Mesh:
 
 
 def rounded_box(size: Vec3, radius: float, steps: int = 2) -> Mesh:
-    """A box of full edge lengths ``size`` [m] with edges rounded by ``radius``: cushions, pillows, seats."""
+    """Make a box of full edge lengths ``size`` [m] with edges of radius ``radius`` [m] in ``steps`` segments."""
     half = np.array(size) / 2
     radius = min(radius, float(half.min()))
     vertices = []
@@ -131,7 +130,7 @@ def _rounded_side(
     core = half - radius
 
     def stops(k: int) -> np.ndarray:
-        """Positions on the cube side: the flat part once, the rounded rims in steps of equal angle."""
+        """Grid positions along an axis: the flat part as one cell, the rounded edges in steps of equal angle."""
         rim = core[k] + radius * np.tan(np.linspace(0.0, math.pi / 4, steps + 1))
         return np.concatenate([-rim[::-1], rim])
 
@@ -152,11 +151,13 @@ def _rounded_side(
 
 
 def foliage(seed: int, leaves: int, reach: float, height: float, leaf: float) -> Mesh:
-    """A tuft of arched leaves that grow from the origin: the visible part of a plant.
+    """Make the leaves of a plant, arched and growing from the origin.
 
     Args:
-        seed: chooses the arrangement, so that a pack is the same everywhere.
-        leaves: number of leaves. reach, height: size of the tuft [m]. leaf: width of a leaf [m].
+        seed: seed of the random arrangement.
+        leaves: number of leaves.
+        reach, height: largest radius and height [m].
+        leaf: width of a leaf [m].
     """
     rng = np.random.default_rng(seed)
     vertices = []

@@ -1,4 +1,4 @@
-"""Fewer triangles for the same look: vertex clustering with quadrics, for scans that are only seen."""
+"""Fast mesh simplification: vertex clustering with error quadrics, for meshes that are only rendered."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 Array = np.ndarray
 _CELL_SHARES = (0.25, 0.005)
-"""Coarsest and finest cell, as shares of the largest extent of the mesh."""
+"""Edges of the coarsest and the finest cell, as fractions of the largest extent of the mesh."""
 _BISECTIONS = 9
 _STIFFNESS = 1e-3
-"""Pull of a merged vertex toward the mean of its cell, where the planes around it leave it free."""
+"""Weight that pulls a merged vertex to the mean of its cell in directions that the planes do not determine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simplified:
-    """A mesh with fewer faces: ``vertices`` (v, 3), ``faces`` (f, 3); ``source`` (f,): the face of the mesh it was made
-    from that each of them was, corner by corner."""
+    """A mesh with fewer faces: ``vertices`` (v, 3), ``faces`` (f, 3); ``source`` (f,): face of the original mesh that
+    each face comes from, with its corners in the same order."""
 
     vertices: Array
     faces: Array
@@ -25,15 +25,16 @@ class Simplified:
 
 
 def simplify(vertices: Array, faces: Array, max_faces: int) -> Simplified:
-    """Merge the vertices of a triangle mesh cell by cell until few enough faces are left.
+    """Merge the vertices of a triangle mesh in the cells of a grid, with the finest grid that meets a face budget.
 
-    Vertices whose normals point along different axes are never merged, so both sides of a thin wall survive. Each
-    merged vertex lies where the planes of its faces meet (the error quadric of Garland and Heckbert 1997, used per
-    cell as by Lindstrom 2000), so edges stay sharp.
+    Vertices whose normals are nearest to different axis directions are never merged, so that both sides of a thin wall
+    remain. A merged vertex minimises the quadric error to the planes of its faces (Garland and Heckbert 1997, per cell
+    as in Lindstrom 2000), so that edges stay sharp.
 
     Args:
-        vertices: (V, 3). faces: (F, 3) indices.
-        max_faces: upper bound of the faces returned; with fewer the mesh itself comes back.
+        vertices: (V, 3).
+        faces: (F, 3) indices.
+        max_faces: largest number of faces; a mesh with no more is returned unchanged.
     """
     vertices = np.asarray(vertices, np.float64)
     faces = np.asarray(faces, np.int64)
@@ -57,7 +58,7 @@ def simplify(vertices: Array, faces: Array, max_faces: int) -> Simplified:
 
 
 def _sides(vertices: Array, faces: Array) -> Array:
-    """(V,) number 0..5 of the axis direction nearest to the normal of a vertex."""
+    """(V,) index 0..5 of the axis direction nearest to the normal of each vertex."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.zeros_like(vertices)
     for k in range(3):
@@ -67,7 +68,7 @@ def _sides(vertices: Array, faces: Array) -> Array:
 
 
 def _cluster(vertices: Array, faces: Array, side: Array, cell: float) -> tuple[Array, Array]:
-    """Label (V,) of the cluster of every vertex, and the faces (f,) that keep three clusters, each once."""
+    """Cluster (V,) of every vertex; faces (f,) whose corners are in three clusters, without duplicates."""
     grid = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     width = grid.max(axis=0) + 1
     key = ((grid[:, 0] * width[1] + grid[:, 1]) * width[2] + grid[:, 2]) * 6 + side
@@ -87,7 +88,7 @@ def _cluster(vertices: Array, faces: Array, side: Array, cell: float) -> tuple[A
 
 
 def _merged(vertices: Array, faces: Array, label: Array) -> Array:
-    """(v, 3) place of every cluster: the point nearest to all planes of its faces."""
+    """Position (v, 3) of every cluster: the point of least quadric error to the planes of its faces."""
     count = int(label.max()) + 1
     share = np.bincount(label, minlength=count)
     mean = (
@@ -103,7 +104,7 @@ def _merged(vertices: Array, faces: Array, label: Array) -> Array:
     right = np.zeros((count, 3))
     for k in range(3):
         at = label[faces[:, k]]
-        # Planes relative to the mean of the cell: the numbers stay small.
+        # Planes relative to the mean of the cell, for numerical precision.
         offset = np.einsum("ij,ij->i", normal, a - mean[at])
         np.add.at(matrix, at, outer)
         np.add.at(right, at, (area * offset)[:, None] * normal)
@@ -114,5 +115,5 @@ def _merged(vertices: Array, faces: Array, label: Array) -> Array:
     high = np.full((count, 3), -np.inf)
     np.minimum.at(low, label, vertices)
     np.maximum.at(high, label, vertices)
-    # Planes that are nearly parallel meet far away.
+    # Nearly parallel planes may intersect far outside of the cell.
     return np.clip(place, low, high)

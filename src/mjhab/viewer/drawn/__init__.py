@@ -1,1 +1,1 @@
-"""What is drawn of a home and a robot, wherever its page is."""
+"""3-D models, poses, marks and camera images, shared by the served and the exported page."""

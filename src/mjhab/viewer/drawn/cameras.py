@@ -1,4 +1,4 @@
-"""What the robot's cameras see in the state that is shown, drawn beside the scene by the CPU rasterizer."""
+"""Images of the robot's cameras in the shown state, rendered by the CPU rasterizer in a thread."""
 
 from __future__ import annotations
 
@@ -19,18 +19,22 @@ CLOSE_SECONDS = 5.0
 
 @dataclass(frozen=True, eq=False)
 class _Poses:
-    """The bodies of one world, as the renderer asks for them."""
+    """World poses of the bodies of one world: positions (1, B, 3) [m] and rotation matrices (1, B, 3, 3)."""
 
     body_pos: np.ndarray
     body_mat: np.ndarray
 
 
 class Cameras:
-    """Draws on a thread of its own, always the newest state, and drops those in between.
+    """Render the newest requested state in a thread; requests that arrive while it renders replace each other.
 
     Args:
-        show: called with the pictures (h, w, 3) uint8 by the name of the camera.
-        side: of the pictures [px].
+        show: called in that thread with the images (side, side, 3) uint8 by the name of the camera.
+        side: side of the images [px].
+
+    Attributes:
+        problem: message about the last failure; "" if there is none.
+        drawn: number of states rendered.
     """
 
     def __init__(
@@ -49,13 +53,13 @@ class Cameras:
         self._thread.start()
 
     def look(self, sim: CpuSimulator, home: str, pose: Pose) -> None:
-        """Ask for the pictures of a pose in a home."""
+        """Request the images of a pose in a home."""
         with self._changed:
             self._newest = (sim, home, pose)
             self._changed.notify()
 
     def close(self) -> None:
-        """Stop drawing, after the picture in work; it is not shown."""
+        """Stop the thread; images that it is rendering are not shown."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -80,9 +84,9 @@ class Cameras:
                 self.problem = f"cameras: {type(error).__name__}: {error}"
 
     def draw(self, sim: CpuSimulator, home: str, pose: Pose) -> dict[str, np.ndarray]:
-        """The pictures of a pose; the first call for a simulator builds its renderer."""
+        """Render the images (side, side, 3) uint8 of a pose by camera name; builds a renderer for a new simulator."""
         if self._renderer is None or sim is not self._sim:
-            # That of the environment may be drawing at the same time.
+            # Not the environment's renderer, which may be in use in another thread.
             self._renderer = HomeRenderer(sim, 1)
             self._sim = sim
         poses = _Poses(pose.pos[None], mat_from_quat(pose.quat)[None])

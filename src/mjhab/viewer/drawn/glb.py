@@ -1,4 +1,4 @@
-"""Models as GLB files, which browsers read: geometry, materials and textures in one piece of bytes."""
+"""Models as binary glTF files (GLB) for the browser, cached on disk."""
 
 from __future__ import annotations
 
@@ -26,9 +26,12 @@ JPEG = "JPEG"
 
 @dataclass(frozen=True, eq=False)
 class HomeFiles:
-    """The models of one home as GLB files; ``movable``: the bodies of each, and the file.
+    """The models of one home as GLB files.
 
-    lamp_pos (L, 3) [m], lamp_color (L, 3) linear rgb times intensity.
+    Attributes:
+        home: file of everything that does not move, in the world frame.
+        movable: for each moving model the ids of the bodies that have it, and its file in the frame of the body.
+        lamp_pos, lamp_color: (L, 3) [m], (L, 3) linear rgb times intensity.
     """
 
     home: bytes
@@ -38,12 +41,12 @@ class HomeFiles:
 
 
 def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> HomeFiles:
-    """The files of a home of a layout; kept on disk.
+    """Return the files of a home of a layout, from the cache on disk if it has them.
 
     Args:
-        layout: names the home.
-        home: its name.
-        make: makes its models, where there are no files of them.
+        layout: has the home.
+        home: name of the home.
+        make: computes the models if the cache lacks them.
     """
     path = cache_dir() / "viewer" / f"{_digest(layout, home)}.npz"
     found = _read(path)
@@ -64,7 +67,7 @@ def _digest(layout: Layout, home: str) -> str:
     spec = next(h for h in layout.pack.homes if h.name == home)
     digest = hashlib.sha256(home_hash(layout, spec).encode())
     digest.update(code_digest("viewer.drawn.glb", "viewer.drawn.models", "render", "robots"))
-    # Furniture that only looks different does not change the physics, whose hash that of the home is.
+    # The hash of the home covers only its physics, not meshes that are only visual.
     for name, mesh in sorted(layout.pack.meshes.items()):
         digest.update(name.encode() + mesh.vertices.tobytes())  # type: ignore[attr-defined]
     return digest.hexdigest()[:24]
@@ -83,7 +86,7 @@ def _arrays(files: HomeFiles) -> dict[str, np.ndarray]:
 
 
 def _read(path: Path) -> HomeFiles | None:
-    """None if there is no such file, or it cannot be read: it is then made anew."""
+    """Files from the cache; None if it does not exist or cannot be read, in which case they are computed again."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
             count = sum(name.startswith("bodies") for name in arrays.files)
@@ -98,10 +101,10 @@ def _read(path: Path) -> HomeFiles | None:
 
 
 def glb(model: Model, looks: tuple[Look, ...]) -> bytes:
-    """One model as a GLB file; its materials are among ``looks``."""
+    """Export one model as a GLB file; its parts index ``looks``."""
     scene = trimesh.Scene()
     for part in model.parts:
-        # glTF counts v from the top of a picture, trimesh from its bottom.
+        # v runs down from the top of an image in glTF, and up from its bottom in trimesh.
         uv = part.uv * (1.0, -1.0) + (0.0, 1.0)
         mesh = trimesh.Trimesh(
             part.vertices,
@@ -118,7 +121,7 @@ def _material(look: Look) -> PBRMaterial:
     picture = None
     if look.texture is not None:
         picture = Image.fromarray(look.texture)
-        # trimesh keeps the format that a picture says it came in.
+        # trimesh encodes an image in the format of this attribute.
         picture.format = JPEG
     return PBRMaterial(
         baseColorFactor=np.append(look.color, 1.0),

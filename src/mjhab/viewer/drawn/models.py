@@ -1,7 +1,7 @@
-"""What a browser draws of a home: textured triangle meshes, once per shape, and the bodies that carry them.
+"""Textured triangle meshes of a home for the browser, made from a `render.render_scene.RenderScene`.
 
-The meshes are those of `render.render_scene`: what stands still becomes one model in world coordinates, what moves one
-model per shape with the bodies that look so, and a body pose places it.
+All static instances become one model in the world frame. The instances of a body become one model in the frame of the
+body; bodies that look alike share it.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ _NO_TEXTURE = -1
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """A material. color: (3,) linear rgb that the texture is multiplied with. gloss: 0 to 1.
+    """A material. color: (3,) linear rgb, multiplied with the texture. gloss: 0 to 1.
 
-    texture: (h, w, 3) uint8 sRGB, repeated in both directions, or None.
+    texture: (h, w, 3) uint8 sRGB that repeats in both directions, or None.
     """
 
     color: np.ndarray
@@ -37,8 +37,8 @@ class Look:
 class Part:
     """Triangles of one material. V vertices, F faces.
 
-    look: index into `HomeModels.looks`. vertices (V, 3) f32 [m]; normals (V, 3) f32, unit; uv (V, 2) f32: place in the
-    texture, row 0 of the picture at 0; faces (F, 3) i32.
+    look: index into `HomeModels.looks`. vertices (V, 3) f32 [m], normals (V, 3) f32, unit, in the frame of the body or
+    the world; uv (V, 2) f32: texture coordinates, v = 0 at row 0 of the image; faces (F, 3) i32.
     """
 
     look: int
@@ -50,7 +50,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A shape and the bodies that have it: ids in the `MjModel`; (0,) is the world, whose vertices are in its frame."""
+    """The meshes of one or more bodies that look alike. bodies: their ids in the `MjModel`; (0,) is the world."""
 
     bodies: tuple[int, ...]
     parts: tuple[Part, ...]
@@ -58,7 +58,11 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class HomeModels:
-    """Everything visible in one home. lamp_pos (L, 3) [m], lamp_color (L, 3) linear rgb times intensity."""
+    """Everything visible in one home.
+
+    home: the static model. movable: models of bodies. looks: the materials. lamp_pos (L, 3) [m], lamp_color (L, 3)
+    linear rgb times intensity.
+    """
 
     home: Model
     movable: tuple[Model, ...]
@@ -68,12 +72,13 @@ class HomeModels:
 
 
 def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> HomeModels:
-    """Take the models of one home out of a render scene.
+    """Compute the models of one home from a render scene.
 
     Args:
         scene: of the layout.
-        home: index of the home in its pack.
-        max_faces: meshes with more faces are replaced by coarser ones, as far as there are any; None replaces none.
+        home: index of the home in the scene.
+        max_faces: use the finest level of detail with at most this number of faces, or the coarsest there is; None uses
+            the finest.
     """
     if max_faces is not None:
         scene = _coarser(scene, max_faces)
@@ -97,7 +102,7 @@ def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> 
 
 
 def _coarser(scene: RenderScene, max_faces: int) -> RenderScene:
-    """The scene with the finest meshes of at most so many faces, or the coarsest there are."""
+    """The scene with every instance at its finest level of at most ``max_faces`` faces, or at its coarsest."""
     mesh = scene.instance_mesh.copy()
     while True:
         more = (scene.mesh_face_count[mesh] > max_faces) & (scene.mesh_coarser[mesh] >= 0)
@@ -107,7 +112,7 @@ def _coarser(scene: RenderScene, max_faces: int) -> RenderScene:
 
 
 def _shape_key(scene: RenderScene, home: int, instances: list[int]) -> bytes:
-    """Equal for bodies that look alike."""
+    """Key of the look of a body with these instances; equal for bodies that look alike."""
     columns = (
         scene.instance_mesh[instances],
         scene.instance_material[home, instances],
@@ -119,7 +124,7 @@ def _shape_key(scene: RenderScene, home: int, instances: list[int]) -> bytes:
 
 
 class _Looks:
-    """Collects the materials that are used; ``index`` gives the number of one."""
+    """Collect the materials that are used; ``index`` returns the index of a scene's material in ``found``."""
 
     def __init__(self, scene: RenderScene) -> None:
         self.found: list[Look] = []
@@ -149,7 +154,7 @@ class _Looks:
 
 
 def _picture(scene: RenderScene, number: int) -> np.ndarray:
-    """The copy (h, w, 3) uint8 of a texture that is no larger than MAX_TEXTURE_SIDE."""
+    """The finest mip level (h, w, 3) uint8 of a texture with sides up to `MAX_TEXTURE_SIDE`."""
     bits = scene.texels.bits[number]
     level = max(0, int(bits.max()) - (MAX_TEXTURE_SIDE.bit_length() - 1))
     wide = 1 << max(0, int(bits[0]) - level)
@@ -160,7 +165,7 @@ def _picture(scene: RenderScene, number: int) -> np.ndarray:
 
 
 def linear_to_srgb(light: np.ndarray) -> np.ndarray:
-    """sRGB uint8 of linear light 0 to 1 (any shape)."""
+    """Convert linear light 0 to 1 (any shape, clipped) to sRGB uint8."""
     c = np.clip(light, 0.0, 1.0)
     value = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
     return np.round(255.0 * value).astype(np.uint8)
@@ -177,7 +182,7 @@ def _parts(
 
 
 def _corners(scene: RenderScene, home: int, instance: int) -> list[tuple[int, np.ndarray]]:
-    """By material the corners (3 F, 8) of the faces of an instance: position, normal, place in the texture."""
+    """Corners (3 F, 8) of the faces of an instance by material: position [m], unit normal, texture coordinates."""
     mesh = scene.instance_mesh[instance]
     start = int(scene.mesh_face_start[mesh])
     faces = np.arange(start, start + int(scene.mesh_face_count[mesh]))
@@ -197,7 +202,7 @@ def _corners(scene: RenderScene, home: int, instance: int) -> list[tuple[int, np
     else:
         turn = scene.instance_mat[instance]
         offset = scene.instance_pos[instance]
-    # Scenes give quaternions with few digits: their matrices stretch a little.
+    # Files have quaternions with few digits, so that their rotation matrices are not quite orthonormal.
     turned = _unit(normals @ turn.T)
     rows = np.concatenate([sized @ turn.T + offset, turned, uv], axis=2)
     found = np.unique(material)
@@ -219,20 +224,24 @@ def _pattern_uv(
     normals: np.ndarray,
     material: np.ndarray,
 ) -> np.ndarray:
-    """Place (F, 3, 2) in a pattern, as `raster.shading` lays it: in the plane of the face, u along the longer side."""
+    """Texture coordinates (F, 3, 2) of face corners in a pattern, projected as in `raster.texturing`.
+
+    ``sized`` (F, 3, 3) [m], ``normals`` (F, 3, 3): corners and their normals in the frame of the instance; ``material``
+    (F,).
+    """
     extent = np.ptp(sized.reshape(-1, 3), axis=0)
     across = np.abs(normals.mean(axis=1)).argmax(axis=1)
     axes = np.array([(1, 2), (0, 2), (0, 1)])[across]
     swap = extent[axes[:, 0]] < extent[axes[:, 1]]
     axes[swap] = axes[swap][:, ::-1]
     place = np.take_along_axis(sized, axes[:, None, :].repeat(3, axis=1), axis=2)
-    # Every piece starts elsewhere in the pattern.
+    # Every instance has another offset in the pattern.
     start = np.array([0.37, 0.23]) * instance % 1.0
     return place / scene.mat_size[material][:, None, :] + start
 
 
 def _joined(look: int, corners: np.ndarray) -> Part:
-    """A part of corners (3 F, 8), in which equal ones become one vertex."""
+    """A part from corners (3 F, 8), merging equal corners into one vertex."""
     rows = np.ascontiguousarray(np.round(corners, 5), np.float32) + np.float32(0.0)
     _, first, index = np.unique(
         rows.view(f"V{rows.shape[1] * 4}").reshape(-1), return_index=True, return_inverse=True

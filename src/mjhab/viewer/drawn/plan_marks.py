@@ -1,4 +1,4 @@
-"""What the expert has in mind for the active subtask: its way, where it will stand, and how it could grasp."""
+"""The expert's plan for the active subtask as marks: path of the base, its stance, candidate grasp poses."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ MAX_CANDIDATES = 40
 
 @dataclass(frozen=True, eq=False)
 class PlanMarks:
-    """A plan as lines and poses in the world [m].
+    """A plan as lines and poses in the world.
 
-    path: (P, 2) of the base. stance: (3,) x, y, yaw of the base where it will work, or None.
-    hands: (G, 4, 4) candidate poses of the gripper, best first; chosen: index of the one it goes for, or None.
+    Attributes:
+        path: (P, 2) planned positions of the base [m].
+        stance: (3,) x, y [m], yaw [rad] of the base at the end of the path, or None.
+        hands: (G, 4, 4) candidate poses of the gripper, best first, at most `MAX_CANDIDATES`.
+        chosen: index of the chosen candidate, or None.
     """
 
     path: np.ndarray
@@ -30,9 +33,9 @@ class PlanMarks:
 
 
 def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
-    """The plan of a script of the expert that is between two control steps; None while it has none.
+    """Extract the plan from a suspended script (generator) of the expert; None while it has none.
 
-    A script keeps its plan in the variables of its generators; what counts is found by its type, innermost first.
+    A script keeps its plan in local variables of its nested generators. They are searched by type, innermost first.
     """
     held = list(_held(script))
     stance = next((value for value in held if isinstance(value, Stance)), None)
@@ -55,7 +58,7 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
 
 
 def _held(script: Generator[Any, Any, Any]) -> Iterator[Any]:
-    """Values of the local variables of a generator and of those it waits for, innermost first."""
+    """Values of the local variables of a generator and of the generators it delegates to, innermost first."""
     frames = []
     inner: Any = script
     while inner is not None and getattr(inner, "gi_frame", None) is not None:

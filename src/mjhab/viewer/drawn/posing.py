@@ -1,4 +1,4 @@
-"""Where bodies are, and what the robot touches, in a state given by its generalized positions."""
+"""Poses of bodies and contacts of the robot, computed from generalized positions, and their interpolation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
 MAX_JUMP_M = 0.25
-"""A body that moves farther in one control step was teleported: no positions in between are shown."""
+"""A body that moves farther in one control step was teleported: its positions are not interpolated."""
 MIN_HEIGHT_M = -5.0
-"""What lies lower is parked: the home does not have it."""
+"""Bodies below this height are parked: the home does not have them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Bodies of one world: pos (B, 3) [m], quat (B, 4) wxyz; contacts (C, 3): where the robot touches things [m]."""
+    """World poses of the bodies of one world: pos (B, 3) [m], quat (B, 4) wxyz.
+
+    contacts: (C, 3) positions of contacts between the robot and other things [m].
+    """
 
     pos: np.ndarray
     quat: np.ndarray
@@ -32,13 +35,13 @@ class Pose:
 
 
 def base_of(pose: Pose, sim: CpuSimulator) -> np.ndarray:
-    """(3,) x, y [m] and yaw [rad] of the robot's base."""
+    """Return the pose (3,) of the robot's base: x, y [m] and yaw [rad]."""
     body = sim.addresses.robot_body[sim.layout.robot.base_link]
     return np.append(pose.pos[body, :2], yaw_from_quat(pose.quat[body]))
 
 
 class Poser:
-    """Computes poses in the homes of a simulator; its worlds are neither read nor changed.
+    """Compute poses in the homes of a simulator, with its own `MjData`: its worlds are neither read nor changed.
 
     Args:
         sim: has the compiled homes.
@@ -51,7 +54,7 @@ class Poser:
         self._robot = np.zeros(0, bool)
 
     def pose(self, home: str, qpos: np.ndarray) -> Pose:
-        """The pose of all bodies for positions (nq,)."""
+        """Compute the pose of all bodies, and the robot's contacts, for generalized positions ``qpos`` (nq,)."""
         model = self._sim.model(home)
         if self._data is None or home != self._home:
             self._data = mujoco.MjData(model)
@@ -66,7 +69,7 @@ class Poser:
         return Pose(data.xpos.copy(), data.xquat.copy(), self._contacts(model, data))
 
     def _contacts(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-        """(C, 3) positions of contacts between the robot and something else that is no floor."""
+        """(C, 3) positions [m] of penetrating contacts between the robot and other geoms (it does not touch floors)."""
         geoms = data.contact.geom
         touching = (geoms >= 0).all(axis=1) & (data.contact.dist < 0.0)
         ours = self._robot[model.geom_bodyid[np.maximum(geoms, 0)]]
@@ -74,7 +77,7 @@ class Poser:
 
 
 def _robot_bodies(model: mujoco.MjModel, spec: Robot) -> np.ndarray:
-    """(B,) bool."""
+    """(B,) bool: the links of the robot whose contacts count."""
     names = (*spec.force_links, *spec.finger_links)
     robot = np.zeros(model.nbody, bool)
     robot[[model.body(name).id for name in names]] = True
@@ -82,7 +85,7 @@ def _robot_bodies(model: mujoco.MjModel, spec: Robot) -> np.ndarray:
 
 
 def between(a: Pose, b: Pose, share: float) -> Pose:
-    """The pose at ``share`` (0 to 1) of the way from ``a`` to ``b``; bodies that jump stay until the end."""
+    """Interpolate from ``a`` to ``b`` at ``share`` (0 to 1); bodies that jump stay at ``a`` until ``share`` is 1."""
     jumped = np.linalg.norm(b.pos - a.pos, axis=1) > MAX_JUMP_M
     weight = np.where(jumped, np.floor(share), share)[:, None]
     sign = np.where((a.quat * b.quat).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)

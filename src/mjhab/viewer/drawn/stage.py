@@ -1,4 +1,4 @@
-"""The home in the browser: meshes are sent once, then poses, and of those only what moved."""
+"""The 3-D scene of the page: sends meshes once per home, then the poses of bodies that moved."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ _HIDDEN = (0.0, 0.0, -100.0)
 
 
 class Stage:
-    """Owns the scene nodes of one server.
+    """Own the scene nodes of a viser server, which shows one world at a time.
 
     Args:
-        server: whose scene to fill; it shows one world at a time.
+        server: the server of the page.
 
-    ``sent`` counts the pose messages, for measurements.
+    Attributes:
+        sent: number of pose messages sent.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -75,7 +76,7 @@ class Stage:
         )
 
     def show(self, home: HomeFiles, pose: Pose) -> None:
-        """Replace what is drawn by another home, its bodies at ``pose``."""
+        """Replace the drawn home by another one, with its bodies at ``pose``."""
         with self._server.atomic():
             for node in self._nodes:
                 node.remove()
@@ -102,7 +103,7 @@ class Stage:
             self._nodes.append(lamp)
 
     def place(self, pose: Pose) -> None:
-        """Move the bodies to a pose."""
+        """Move bodies and contact marks to a pose."""
         with self._server.atomic():
             for placed in self._placed:
                 self.sent += placed.move(pose)
@@ -116,7 +117,7 @@ class Stage:
             self._contacts.batched_positions = positions
 
     def mark_plan(self, plan: PlanMarks | None) -> None:
-        """Show what the expert plans: its way, where it will stand, and how it could grasp; None: nothing."""
+        """Draw the path, stance and grasp candidates of the expert's plan; None removes them."""
         if plan is self._plan:
             return
         self._plan = plan
@@ -165,16 +166,16 @@ class Stage:
             )
 
     def mark_grasp(self, point: np.ndarray | None) -> None:
-        """Show that something is held at a point (3,) [m]; None: nothing is."""
+        """Mark the point (3,) [m] at which an object is grasped; None hides the mark."""
         _mark(self._grasp, point)
 
     def mark_goal(self, point: np.ndarray | None) -> None:
-        """Show where the active subtask leads (3,) [m]; None: nowhere."""
+        """Mark the goal position (3,) [m] of the active subtask; None hides the mark."""
         _mark(self._goal, point)
 
 
 class _Placed:
-    """A model in the scene, at the bodies that look like it."""
+    """Scene node of a model, drawn at every body that has it."""
 
     def __init__(
         self, scene: viser.SceneApi, name: str, bodies: tuple[int, ...], data: bytes, pose: Pose
@@ -193,7 +194,7 @@ class _Placed:
             )
 
     def move(self, pose: Pose) -> int:
-        """Follow the bodies; returns the number of messages."""
+        """Send the poses of the bodies if any moved by more than `MIN_MOVE`; returns the number of messages."""
         pos = pose.pos[self._bodies].astype(np.float32)
         quat = pose.quat[self._bodies].astype(np.float32)
         moved = bool((np.abs(pos - self._pos) > MIN_MOVE).any())

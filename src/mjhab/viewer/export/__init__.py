@@ -1,1 +1,1 @@
-"""An episode as one file."""
+"""Export of a recorded episode as one HTML file."""

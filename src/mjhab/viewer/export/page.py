@@ -1,7 +1,7 @@
-"""One episode as one page: geometry, poses, time line, curves and camera pictures in a file that needs no network.
+"""Export of an episode as one self-contained HTML page: geometry, poses, time line, curves and camera images.
 
-The page draws with WebGL itself (`page.js`). All numbers lie in one block of bytes, compressed with zlib; a header in
-JSON says where. Positions are kept to less than a millimetre.
+The page renders with WebGL (`page.js`). All numbers are in one block of bytes, compressed with zlib; a JSON header has
+the offset, size and type of every array. Positions are quantized to 16 bits.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from mjhab.viewer.sources.replay import Replay
 from mjhab.viewer.sources.track import Track
 
 MAX_BYTES = 5_000_000
-"""A page is no larger, so that it can be sent."""
+"""Largest size of a page [bytes], so that it can be attached to a message."""
 DETAILS: tuple[tuple[int | None, int], ...] = ((None, 100), (1200, 60), (400, 40), (120, 0))
-"""What is tried until a page is small enough: most faces of a mesh (None: all), and pictures of each camera."""
+"""Levels of detail that are tried until a page is small enough: most faces per mesh (None: all), images per camera."""
 PICTURE_SIDE_PX = 128
 JPEG_QUALITY = 70
 _ALIGNMENT = 4
@@ -49,7 +49,7 @@ _TOP = 65535.0
 
 @dataclass(frozen=True)
 class Exported:
-    """A page that was written. frames: states of the episode in it."""
+    """A page that was written. file: its path. bytes: its size. frames: number of states in it."""
 
     file: Path
     bytes: int
@@ -60,10 +60,12 @@ def export_page(replay: Replay, title: str, file: Path) -> Exported:
     """Write a recorded episode as a page.
 
     Args:
-        replay: has the episode. title: which one, of ``replay.choices``. file: to write.
+        replay: has the episode, which it then shows.
+        title: title of the episode, of ``replay.choices``.
+        file: the file to write.
 
     Raises:
-        MjhabError: no level of detail makes it small enough.
+        MjhabError: the page is larger than `MAX_BYTES` at every level of detail.
         UsageError, DamagedError: see `Replay.load`.
     """
     replay.choose(title)
@@ -104,7 +106,7 @@ def _page(track: Track, models: HomeModels, replay: Replay, pictures: int) -> by
 
 
 class _Block:
-    """Arrays one after the other; ``add`` says where one lies."""
+    """Concatenated bytes of arrays; ``add`` returns offset, size and type of an array."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -118,7 +120,7 @@ class _Block:
         return place
 
     def add_quantized(self, array: np.ndarray) -> dict[str, Any]:
-        """Columns (n, k) as uint16 between the least and the largest value of each."""
+        """Add columns (n, k), each quantized to uint16 between its smallest and largest value."""
         low = array.min(axis=0)
         span = np.maximum(array.max(axis=0) - low, 1e-9)
         place = self.add(np.round((array - low) / span * _TOP).astype(np.uint16))
@@ -217,7 +219,7 @@ def _model(model: Model, block: _Block) -> dict[str, Any]:
 
 
 def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> dict[str, Any]:
-    """Positions and orientations of the movable bodies, as changes from state to state, which compress well."""
+    """Quantized positions and orientations of the movable bodies, as differences of states, which compress well."""
     poser = Poser(replay.sim)
     bodies = [body for model in models.movable for body in model.bodies]
     poses = [poser.pose(track.home, moment.qpos) for moment in track.moments]
@@ -229,7 +231,7 @@ def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> d
         [np.round((pos - low) / span * _TOP), np.round((quat + 1.0) / 2.0 * _TOP)], axis=2
     ).astype(np.uint16)
     change = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
-    # Columns one after the other: the changes of one number follow each other.
+    # Transposed, so that the differences of one coordinate are adjacent.
     place = block.add(change.reshape(len(change), -1).T)
     eye, target = FollowCamera(replay.sim.model).look(track.home, base_of(poses[0], replay.sim))
     base = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.base_link])
@@ -252,7 +254,7 @@ def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> d
 
 
 def _pictures(track: Track, replay: Replay, count: int, block: _Block) -> dict[str, Any] | None:
-    """What the robot's cameras see in so many states, evenly spread."""
+    """JPEG images of the robot's cameras in ``count`` evenly spaced states; None for 0."""
     if not count:
         return None
     states = np.unique(np.linspace(0, track.last, min(count, len(track.moments))).astype(int))

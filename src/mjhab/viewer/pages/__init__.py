@@ -1,1 +1,1 @@
-"""The page that is served: its panels, its time line, and the port."""
+"""The served page of the viewer: panels, time line, and the web server."""

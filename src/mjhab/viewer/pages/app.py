@@ -1,4 +1,4 @@
-"""The viewer: a page that shows running worlds or recorded episodes."""
+"""The viewer: a server whose page shows running worlds or recorded episodes."""
 
 from __future__ import annotations
 
@@ -37,15 +37,18 @@ _GRASPED = CHECKS.index("is_grasped")
 
 
 class Viewer:
-    """Serves a source of episodes until ``close``.
+    """Serve a source of episodes until `close`.
 
     Args:
         source: running worlds or recorded episodes.
-        host, port: see `Gateway`; ``port`` is then the one that was taken.
-        cameras: draw what the robot's cameras see.
+        host, port: see `Gateway`.
+        cameras: show the images of the robot's cameras.
 
-    ``frames``, ``first_frame_at`` (of `time.perf_counter`) and ``frame_cpu_s`` (processor time for poses and marks [s])
-    are for measurements.
+    Attributes:
+        port: the port that is listened on.
+        frames: number of frames sent.
+        first_frame_at: time (`time.perf_counter`) of the first frame; infinite before.
+        frame_cpu_s: CPU time spent on poses and marks [s].
 
     Raises:
         UsageError: see `Gateway`.
@@ -59,7 +62,7 @@ class Viewer:
         self.frame_cpu_s = 0.0
         self.first_frame_at = math.inf
         self.problem = ""
-        # viser prints a box with the port of its own, which is not the one to open.
+        # viser prints its own port, which is not the one to open.
         with contextlib.redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer("127.0.0.1", 0, "mjhab", verbose=False)
         try:
@@ -98,12 +101,12 @@ class Viewer:
         return len(self._server.get_clients())
 
     def start(self) -> None:
-        """Begin to send frames, in another thread."""
+        """Start the source and the thread that sends frames."""
         self.source.start()
         self._thread.start()
 
     def close(self) -> None:
-        """Stop everything."""
+        """Stop the thread, the source, the cameras and the servers."""
         self._closing = True
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
@@ -140,7 +143,11 @@ class Viewer:
             time.sleep(max(0.0, FRAME_SECONDS - (time.perf_counter() - now)))
 
     def frame(self, seconds: float) -> Pose | None:
-        """Send the next frame, ``seconds`` after the one before; returns what it shows, None while nothing is there."""
+        """Send the next frame, ``seconds`` of real time after the one before.
+
+        Returns:
+            The pose that it shows; None while the source has no state.
+        """
         head = self.playhead
         head.advance(seconds)
         track = head.track
@@ -173,7 +180,7 @@ class Viewer:
         return home_files(sim.layout, home, make)
 
     def _aim(self, pose: Pose, sim: CpuSimulator, home: str) -> None:
-        """Look at the robot over its shoulder, from where nothing tall is in between."""
+        """Move the cameras of all pages to the pose of the follow camera (see `FollowCamera`)."""
         eye, target = FollowCamera(sim.model).look(home, base_of(pose, sim))
         self._server.initial_camera.position = eye
         self._server.initial_camera.look_at = target
@@ -182,7 +189,7 @@ class Viewer:
             client.camera.look_at = target
 
     def _follow(self, pose: Pose, sim: CpuSimulator) -> None:
-        """Carry the cameras of the pages along with the base, where that is wished."""
+        """Translate the cameras of all pages by the motion of the robot's base, if "Follow" is checked."""
         base = pose.pos[sim.addresses.robot_body[sim.layout.robot.base_link]]
         moved = base - self._base
         self._base = base
@@ -215,7 +222,7 @@ class Viewer:
             self.panels.show(track, self.playhead.step)
 
     def _tell_hand(self, driving: bool) -> None:
-        """Tell the pages which keys to send."""
+        """Tell `hand.js` in all pages whether to send input, and which keys."""
         told = json.dumps({"hand": driving, "keys": [*KEYS, GRIPPER_KEY]})
         if told != self._told_hand:
             self._told_hand = told
@@ -223,7 +230,7 @@ class Viewer:
 
 
 class _PoseCache:
-    """Poses of the two states around the present one."""
+    """Cache of the poses of the two states around the position of the playhead."""
 
     def __init__(self) -> None:
         self._sim: CpuSimulator | None = None
@@ -231,7 +238,7 @@ class _PoseCache:
         self._known: dict[tuple[int, int], Pose] = {}
 
     def at(self, sim: CpuSimulator, track: Track, now: float) -> Pose:
-        """The pose at a time between two states of a track."""
+        """Return the pose at the position ``now`` [control steps] of a track, interpolated between two states."""
         if self._poser is None or sim is not self._sim:
             self._poser = Poser(sim)
             self._sim = sim

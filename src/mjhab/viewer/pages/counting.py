@@ -1,4 +1,4 @@
-"""A page that draws nothing and counts what it is sent: for measurements."""
+"""A client that counts the messages that the viewer sends to a page, for measurements."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from websockets.typing import Subprotocol
 
 
 class CountingPage:
-    """Connects as viser's page does, and tells a camera, so that it counts as open.
-
-    ``messages`` and ``bytes`` are what came so far. ``complete_at`` (of `time.perf_counter`) is when everything had
-    come that was there before the page was opened; infinite until then.
+    """Connect as viser's page does, and send a camera pose, after which the server counts it as an open page.
 
     Args:
-        port: of the viewer.
+        port: port of the viewer on this machine.
+
+    Attributes:
+        messages, bytes: number and size of the messages received so far.
+        complete_at: time (`time.perf_counter`) at which the scene as it was at the connection had been received;
+            infinite before.
     """
 
     def __init__(self, port: int) -> None:
@@ -57,7 +59,10 @@ class CountingPage:
 
 
 def _ends_replay(message: bytes) -> bool:
-    """Whether a message tells that the past has been sent: two sizes of 8 bytes, compressed msgpack, arrays."""
+    """Whether a message marks the end of the replayed scene.
+
+    A message has two sizes of 8 bytes, zstandard-compressed msgpack of the second size, then arrays.
+    """
     size = int.from_bytes(message[8:16], "little")
     return b"ReplayDoneMessage" in zstandard.decompress(message[16 : 16 + size])
 

@@ -1,7 +1,7 @@
-"""One port for everything: viser's page and messages, and the keys and sticks that drive a robot by hand.
+"""Web server of the viewer: a proxy of viser's page and messages that also receives the input of teleoperation.
 
-viser listens on a port of its own on this machine. The gateway passes its traffic on, and adds a script to its page
-that sends which keys are held (`hand.js`).
+viser listens on its own port on this machine. The gateway forwards its traffic, and adds a script to its page that
+sends the state of keys and gamepad (`hand.js`), so that users need one port only.
 """
 
 from __future__ import annotations
@@ -34,23 +34,24 @@ MAX_MESSAGE_BYTES = 1 << 26
 START_SECONDS = 10.0
 _QUIET = logging.getLogger("mjhab.viewer.pages.gateway")
 _QUIET.setLevel(logging.CRITICAL)
-"""Browsers open connections that they do not use; each would be told with a traceback."""
+"""Logger that is silenced: browsers open connections without using them, and each would be logged with a traceback."""
 
 
 class Gateway:
-    """Listens from its making on; ``close`` ends it.
+    """Listen in a thread from construction until `close`.
 
     Args:
         inner: port of the viser server on this machine.
         host: address to listen on; "localhost" admits this machine only.
         port: the first port to try; if it is in use, the next free one is taken. 0 lets the system choose.
         on_hand: called with every message (text) of `hand.js`, on the thread of the gateway.
-        on_hand_gone: called when the last page that sends keys is closed, likewise.
+        on_hand_gone: called on the same thread when the last page is closed.
 
-    ``port``: the one that was taken.
+    Attributes:
+        port: the port that is listened on.
 
     Raises:
-        UsageError: none of PORTS_TO_TRY ports is free, or the host is no address of this machine.
+        UsageError: none of `PORTS_TO_TRY` ports is free, or the host is no address of this machine.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Gateway:
             raise self._problem
 
     def tell(self, message: str) -> None:
-        """Send a text to every page, and to those that are opened later."""
+        """Send a message to `hand.js` of every page, and of pages that are opened later."""
         self._told = message
         self._loop.call_soon_threadsafe(self._tell)
 
@@ -130,7 +131,7 @@ class Gateway:
         )
 
     async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Pages and files come from viser; the page gets our script."""
+        """Answer an HTTP request with viser's answer, `hand.js` added to HTML; None continues a WebSocket handshake."""
         if request.headers.get("Upgrade", "").lower() == "websocket":
             return None if _from_our_page(request) else connection.respond(403, "another origin\n")
         path = request.path
@@ -197,7 +198,7 @@ async def _send(connection: ServerConnection, message: str) -> None:
 
 
 def _from_our_page(request: Request) -> bool:
-    """Whether a browser says that a page of ours connects: those of other sites may not drive."""
+    """Whether a WebSocket request has our origin (or none); pages of other sites must not control the robot."""
     origin = request.headers.get("Origin")
     return origin is None or urllib.parse.urlsplit(origin).netloc == request.headers.get("Host")
 
@@ -209,6 +210,6 @@ def _first_subprotocol(
 
 
 def with_script(page: bytes) -> bytes:
-    """A page of viser with the script `hand.js` at its end."""
+    """Append the script `hand.js` to an HTML page of viser."""
     code = importlib.resources.files("mjhab.viewer.pages").joinpath("hand.js").read_bytes()
     return page + b"\n<script>" + code + b"</script>\n"

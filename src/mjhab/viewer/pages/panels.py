@@ -1,4 +1,4 @@
-"""The panels of the page: what to watch, how fast, the plan, forces, rewards, cameras, and what went wrong."""
+"""The panels of the page: controls, plan, forces, rewards, checks, camera images, curves, time line, failures."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ HELP = """**By hand** (or a gamepad)
 
 
 class Panels:
-    """Makes the panels of a server and fills them; what people do there is told to the callbacks.
+    """Create the panels of a viser server and fill them; input in a page calls the callbacks.
 
     Args:
-        server: whose page it is.
-        choices: what can be watched: worlds, or recorded episodes.
-        policies: what can act; empty for recorded episodes.
-        others: let people type in other policies; these may be files of this machine.
-        on: callbacks by name: "choose" (choice), "policy" (name), "play" (bool), "step", "speed" (factor), "scrub"
-            (state), "live", "restart", "next", "expert_plan" (bool), "hand" (bool), "record" (bool), "finish".
+        server: the server of the page.
+        choices: names of the worlds or recorded episodes that can be watched.
+        policies: specifications of the policies that can be chosen; empty for recorded episodes.
+        others: whether other policies can be typed in, which may be files of this machine.
+        on: callbacks by name: "choose" (choice), "policy" (specification), "play" (bool), "step", "speed" (factor),
+            "scrub" (index of a state), "live", "restart", "next", "expert_plan" (bool), "hand" (bool), "finish".
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Panels:
             self._build_hand()
 
     def _take_policy(self, spec: str) -> None:
-        """Let a policy act that was typed in, and offer it from then on."""
+        """Choose a policy that was typed in, and add it to the list."""
         if not spec:
             return
         if spec not in self._policy.options:
@@ -172,17 +172,17 @@ class Panels:
         panel.float(x=12, y=-12, width=TIMELINE_WIDTH_PX)
 
     def _scrub(self, event: Any) -> None:
-        # Our own updates of the slider come without a client.
+        # Updates by the server itself come without a client.
         if event.client is not None:
             self._on["scrub"](int(event.target.value))
 
     @property
     def follows(self) -> bool:
-        """Whether the camera of the page is to follow the robot."""
+        """Whether "Follow" is checked: the camera of the page moves along with the robot."""
         return bool(self._follow.value)
 
     def show_images(self, pictures: dict[str, np.ndarray]) -> None:
-        """Show what the cameras see, by their names; which cameras there are is known with the first pictures."""
+        """Show the images (h, w, 3) uint8 of the robot's cameras, by name; new names rebuild the image widgets."""
         if pictures.keys() != self._images.keys():
             for image in self._images.values():
                 image.remove()
@@ -198,26 +198,26 @@ class Panels:
             self._images[name].image = picture
 
     def show_problem(self, text: str) -> None:
-        """Show what went wrong; nothing if empty."""
+        """Show a message about a failure; hide it if ``text`` is ""."""
         style = f"background:{TONE_COLORS['bad']};color:white;padding:8px;border-radius:6px"
         _fill(self._problem, f'<div style="{style}">{escape(text)}</div>' if text else "")
         if self._problem.visible != bool(text):
             self._problem.visible = bool(text)
 
     def show_playing(self, playing: bool) -> None:
-        """Name the button by what it does."""
+        """Label the play button "Pause" while playing, else "Play"."""
         name = "Pause" if playing else "Play"
         if self._play.label != name:
             self._play.label = name
             self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
     def show_choice(self, choice: str) -> None:
-        """Name what is watched."""
+        """Select what is watched in its menu; "" changes nothing."""
         if choice and self._choice.value != choice:
             self._choice.value = choice
 
     def show_hand(self, driving: bool, recording: str) -> None:
-        """Say whether the hand drives, and what becomes of the episode."""
+        """Show whether the watched world is teleoperated, and the message about recording ("" for none)."""
         if not self._live:
             return
         name = "Give back" if driving else "Take over"
@@ -228,7 +228,7 @@ class Panels:
         _fill(self._recording, f'<small style="padding:0 8px">{escape(recording)}</small>')
 
     def show(self, track: Track, step: int) -> None:
-        """Fill everything that depends on the episode and the state that is shown."""
+        """Fill all widgets that depend on the episode and the state at index ``step``."""
         moment = track.moments[step]
         key = (id(track), track.last, step, track.over, len(track.events))
         if key == self._drawn:
@@ -268,7 +268,7 @@ class Panels:
 
 
 def _when_changed(handle: Any, tell: Callable[[Any], object]) -> None:
-    """Call ``tell`` with the value when somebody changes it in a page."""
+    """Call ``tell`` with the value of a widget when it is changed in a page, not by the server."""
 
     def changed(event: Any) -> None:
         if event.client is not None:
@@ -294,7 +294,7 @@ def _checks_html(checks: np.ndarray) -> str:
 
 
 def _events_html(track: Track, step: int) -> str:
-    """The last events before a state, the newest first."""
+    """HTML of the last six events up to a state, the newest first."""
     newest = track.events_until(step)[-6:][::-1]
     told = " · ".join(
         f"{escape(name.replace('_', ' '))} {at * STEP_SECONDS:.2f} s" for at, name in newest

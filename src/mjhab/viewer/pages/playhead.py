@@ -1,4 +1,4 @@
-"""Which state of which episode is shown, and how it moves on."""
+"""The playhead: which state of the source's episode is shown, and how it advances."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from mjhab.viewer.sources.source import Source
 from mjhab.viewer.sources.track import Track
 
 MAX_LAG_STEPS = 2.0
-"""A page that follows a running world is no farther behind it than so many control steps."""
+"""Largest lag of the shown state behind the newest one of a running world that is followed [control steps]."""
 
 
 class Playhead:
-    """A place in the episode that a source shows; the callbacks of the panels move it.
+    """Position in the episode of a source; the callbacks of the panels move it.
 
-    now: place [control steps]; between two states while it moves. following: whether it stays at the newest state of a
-    running world. playing: whether it moves.
+    Attributes:
+        now: position [control steps]; fractions lie between two states.
+        following: whether it follows the newest state of a running world.
     """
 
     def __init__(self, source: Source) -> None:
@@ -34,20 +35,20 @@ class Playhead:
 
     @property
     def step(self) -> int:
-        """The state that is shown, or was passed last."""
+        """Index of the last state at or before the position."""
         last = self._track.last if self._track is not None else 0
         return min(math.floor(self.now), max(last, 0))
 
     @property
     def playing(self) -> bool:
-        """Whether time passes."""
+        """Whether the position advances."""
         return self._source.pace.playing if self.following else self._playing
 
     def advance(self, seconds: float) -> None:
-        """Move on by ``seconds`` of real time."""
+        """Advance by ``seconds`` of real time, or go to the start of a new episode of the source."""
         track = self._source.track
         if track is not self._track:
-            # Another recorded episode begins by itself, also after one that was played to its end.
+            # A newly chosen recorded episode starts playing, also if the one before had stopped at its end.
             self._playing = self._playing or self._track is not None
             self._track = track
             self.now = 0.0
@@ -64,7 +65,7 @@ class Playhead:
                 self._playing = False
 
     def scrub(self, step: int) -> None:
-        """Show a state; what runs is paused, and stays where it is."""
+        """Show a state; running worlds are paused, and no longer followed."""
         if self._source.is_live:
             self._source.pace.play(False)
         self.following = False
@@ -72,7 +73,7 @@ class Playhead:
         self.now = float(step)
 
     def play(self, playing: bool) -> None:
-        """Let time pass, or not. A recorded episode that is at its end begins again."""
+        """Play or pause; at the end of an episode that is not followed, play from its first state."""
         if self.following:
             self._source.pace.play(playing)
             return
@@ -81,7 +82,7 @@ class Playhead:
         self._playing = playing
 
     def step_once(self) -> None:
-        """Go on by one control step, and stop."""
+        """Advance by one control step and pause."""
         if self.following:
             self._source.pace.step_once()
         else:
@@ -91,12 +92,12 @@ class Playhead:
                 self.now = min(self.now, float(self._track.last))
 
     def go_live(self) -> None:
-        """Follow the running world again, and let it run."""
+        """Follow the newest state of the running world again, and play."""
         self.following = self._source.is_live
         self.play(True)
 
     def callbacks(self) -> dict[str, Callable[..., None]]:
-        """What the panels call."""
+        """Return the callbacks of `Panels`, by name."""
         source = self._source
         return {
             "choose": source.choose,

@@ -1,4 +1,4 @@
-"""The time line of an episode as a picture: subtasks, events, who acted, and the force against its limit."""
+"""SVG and HTML of the page: time line of an episode (events, subtasks, actors), plan, forces, reward terms."""
 
 from __future__ import annotations
 
@@ -21,14 +21,13 @@ TONE_COLORS = {"good": "#16a34a", "bad": "#dc2626", "none": "#64748b"}
 GAUGE_COLOR = "#3b82f6"
 ACTOR_COLORS = ("#cbd5e1", "#f472b6", "#38bdf8", "#a3e635", "#fb923c")
 MIN_NAMED_SHARE = 0.06
-"""Subtasks that take less of the time line carry no name in it."""
+"""Subtasks that take a smaller fraction of the time line's width are not labelled."""
 
 
 def timeline_svg(track: Track, now: float) -> str:
-    """The time line as SVG, with a line at control step ``now``.
+    """Draw the time line as SVG, with a cursor at control step ``now``.
 
-    Above stand the events, in the middle the subtasks, below who acted; each tells more when pointed at.
-    `actors_html` is the legend of the latter.
+    From top to bottom: events, subtasks, actors (whose legend is `actors_html`), all with tooltips.
     """
     scale = WIDTH / max(track.last, 1)
     parts = [
@@ -49,7 +48,7 @@ def timeline_svg(track: Track, now: float) -> str:
 
 
 def subtask_spans(track: Track) -> list[tuple[int, int, int]]:
-    """(index in the plan, first state, last state) of the subtasks in the order in which they were active."""
+    """Compute (index in the plan, first state, last state) of the subtasks, in the order in which they were active."""
     spans: list[tuple[int, int, int]] = []
     start = 0
     for index, moments in groupby(moment.active for moment in track.moments):
@@ -82,7 +81,7 @@ def _subtasks(track: Track, scale: float) -> list[str]:
 
 
 def actor_colors(track: Track) -> dict[str, str]:
-    """Name of each actor of an episode to its colour in the time line."""
+    """Choose the colour of each actor of an episode in the time line, by name."""
     names = track.actors()
     return {name: ACTOR_COLORS[k % len(ACTOR_COLORS)] for k, name in enumerate(names)}
 
@@ -103,7 +102,7 @@ def _actors(track: Track, scale: float) -> list[str]:
 
 
 def actors_html(track: Track, step: int) -> str:
-    """The legend of the actors: their colours in the time line; who led to a state stands out."""
+    """Write the legend of the actors; the actor of the control step that led to a state is bold."""
     acted = track.moments[step].actor
     marks = []
     for name, color in actor_colors(track).items():
@@ -116,7 +115,7 @@ def actors_html(track: Track, step: int) -> str:
 
 
 def about_html(track: Track, step: int) -> str:
-    """What the episode is: its name, what it asks for, what the active subtask asks for, and its home."""
+    """Write title, instruction, instruction of the subtask that is active in a state, and home of an episode."""
     active = track.moments[step].active
     lines = [f"<b>{escape(track.title)}</b>"]
     if track.instruction:
@@ -128,7 +127,7 @@ def about_html(track: Track, step: int) -> str:
 
 
 def plan_html(track: Track, step: int) -> str:
-    """The plan as a list: what is done, what is active, what is to come, in a state."""
+    """Write the plan as a list that marks which subtasks are done, active and to come in a state."""
     active = track.moments[step].active
     rows = []
     for index, entry in enumerate(track.plan):
@@ -148,7 +147,7 @@ def plan_html(track: Track, step: int) -> str:
 
 
 def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
-    """A bar that shows a value against its limit."""
+    """Write a bar that shows a value against its limit (infinite: no limit), red above 80 %."""
     share = 0.0 if math.isinf(limit) else min(value / max(limit, 1e-9), 1.0)
     color = TONE_COLORS["bad"] if share > 0.8 else GAUGE_COLOR
     of = "no limit" if math.isinf(limit) else f"of {limit:,.0f}"
@@ -160,7 +159,7 @@ def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
 
 
 def terms_html(terms: Mapping[str, float], total: float) -> str:
-    """Reward terms of a step as bars around zero."""
+    """Write the reward of a step and its terms, as bars to the right (positive) and left (negative) of zero."""
     if not terms:
         told = f"reward {total:.3f}; this reward has no terms (--reward dense has)"
         return f'<p style="font-size:12px;margin:2px 0">{told}</p>'

@@ -1,1 +1,1 @@
-"""Where episodes come from: running worlds, which people can drive, and shards."""
+"""Sources of the viewer's episodes: running worlds, which a person can teleoperate, and shards of recorded episodes."""

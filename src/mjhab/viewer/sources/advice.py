@@ -1,4 +1,4 @@
-"""What the expert plans in recorded episodes: where each subtask of them began."""
+"""Plans of the expert in recorded episodes, computed in the first state of each subtask."""
 
 from __future__ import annotations
 
@@ -16,19 +16,17 @@ from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
 from mjhab.viewer.sources.track import Track
 
 PLAN_STEPS = 20
-"""Control steps within which the expert has a plan, if it makes one."""
+"""Number of control steps after which an expert without a plan is taken to have none."""
 
 
 class RecordedPlans:
-    """Plans of the expert in the states in which recorded subtasks began.
-
-    They are made one after the other in a thread of their own, in environments of their own.
+    """Compute plans of the expert in the first states of recorded subtasks, in its own thread and environments.
 
     Args:
-        reading: held while an episode is read.
+        reading: lock that is held while an episode is read.
 
     Attributes:
-        problem: why the last plan that was asked for cannot be made; empty while all is well.
+        problem: why the last requested plan could not be computed; "" if there is no problem.
     """
 
     def __init__(self, reading: threading.Lock) -> None:
@@ -39,7 +37,10 @@ class RecordedPlans:
         self._known: dict[tuple[str, str, int], Future[PlanMarks | None]] = {}
 
     def at(self, episode: Episode, track: Track, step: int) -> PlanMarks | None:
-        """The plan for the subtask that is active in a state; None until it is made, and where there is none."""
+        """Return the plan for the subtask that is active in a state, and start its computation at the first call.
+
+        None until it is computed, if that failed (see ``problem``), and if the expert has no plan.
+        """
         begin = track.begin_of(step)
         key = (str(episode.shard.path), episode.name, begin)
         if key not in self._known:
@@ -53,7 +54,7 @@ class RecordedPlans:
         return None if error is not None else made.result()
 
     def close(self) -> None:
-        """Free the environments, once the plan in work is made."""
+        """Close the environments after the current computation."""
         self._pool.shutdown(cancel_futures=True)
         for env in self._envs.values():
             env.close()
@@ -70,7 +71,7 @@ class RecordedPlans:
         expert.reset(np.ones(1, bool))
         marks = None
         for _ in range(PLAN_STEPS):
-            # Some scripts plan only after their first steps.
+            # Some scripts have a plan only after some control steps.
             action = expert.act({}, {})
             script = expert.script(0)
             marks = plan_marks(script) if script is not None else None
@@ -87,7 +88,7 @@ class RecordedPlans:
 
 
 def _state_at(episode: Episode, track: Track, step: int) -> dict[str, Any]:
-    """The recorded first state of an episode (see `envs.parts.snapshots`), with positions and subtask of a later one.
+    """The recorded first state (see `envs.parts.snapshots`), with qpos, qvel and active subtask of the state ``step``.
 
     Raises:
         UsageError: the episode was recorded without states.

@@ -1,4 +1,4 @@
-"""Driving by hand: keys and sticks become actions of base, arm and gripper."""
+"""Teleoperation: keys and gamepad sticks become actions of base, arm, gripper, torso and head."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
 
 HUMAN = "human"
-"""Name of the actor, and of the policy whose episodes are driven by hand from their start."""
+"""Name of a teleoperating person as an actor, and of the policy whose episodes are teleoperated from their start."""
 HAND_MODE = "pd_ee_target_delta_pose"
-"""The control mode that turns motion of the gripper into motion of the arm's joints."""
+"""Control mode of the controller that converts motion of the end effector into targets of the arm's joints."""
 SILENCE_SECONDS = 0.3
-"""Without news from the page for so long, nothing counts as held: its tab was closed, or its network is gone."""
+"""After this time without a message from the page [s], all keys count as released: its tab or connection is closed."""
 DEAD_ZONE = 0.12
-"""Sticks of a gamepad that are deflected less count as released."""
+"""Deflection (0..1) of a gamepad stick up to which it counts as released."""
 
 KEYS: dict[str, tuple[str, float]] = {
     "KeyW": ("forward", 1.0),
@@ -48,16 +48,16 @@ KEYS: dict[str, tuple[str, float]] = {
     "ArrowDown": ("tilt", 1.0),
     "ArrowUp": ("tilt", -1.0),
 }
-"""Key (its place on the keyboard, as browsers name it) to motion and direction."""
+"""Motion and direction by key (``KeyboardEvent.code`` of browsers)."""
 GRIPPER_KEY = "Space"
-"""Opens and closes the gripper in turn."""
+"""Key that toggles the gripper between open and closed."""
 STICKS: tuple[tuple[int, str, float], ...] = (
     (1, "forward", -1.0),
     (0, "turn", -1.0),
     (3, "x", -1.0),
     (2, "y", -1.0),
 )
-"""Axis of a standard gamepad, motion, direction."""
+"""Axis index of the browsers' "standard" gamepad mapping, motion, direction."""
 BUTTONS: dict[int, tuple[str, float]] = {
     6: ("z", -1.0),
     7: ("z", 1.0),
@@ -74,7 +74,7 @@ GRIPPER_BUTTON = 0
 MOTIONS = ("forward", "turn", "x", "y", "z", "roll", "pitch", "yaw", "torso", "pan", "tilt")
 _HAND_MOTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
 _BODY_MOTIONS = {"head": ("pan", "tilt"), "torso": ("torso",)}
-"""Group of joints to the motions that set them, in the order of actions."""
+"""Motions that set the joints of a group, in the order of the group's joints."""
 SHARES: dict[str, float] = {
     "forward": 0.6,
     "turn": 0.35,
@@ -88,19 +88,23 @@ SHARES: dict[str, float] = {
     "pan": 0.5,
     "tilt": 0.5,
 }
-"""Share of the largest action that a key, or a stick at its end, gives: 0.6 m/s forward, 0.26 m/s of the gripper."""
+"""Fraction of the largest action that a key, or a fully deflected stick, commands: 0.6 m/s forward, 0.26 m/s of the
+gripper."""
 
 
 @dataclass(frozen=True)
 class HandInput:
-    """What is held. motions: -1 to 1 by name of MOTIONS; missing ones are 0. gripper: its key is held."""
+    """State of keys and gamepad. motions: -1 to 1 by name of `MOTIONS`, 0 if missing. gripper: its key is down."""
 
     motions: Mapping[str, float] = field(default_factory=dict)
     gripper: bool = False
 
 
 def read_input(message: str) -> HandInput:
-    """What a message of `hand.js` says; keys and buttons without a meaning are passed over.
+    """Parse a message of `hand.js`; keys and buttons without a motion are ignored.
+
+    Args:
+        message: JSON object with the lists "keys" (codes), "axes" (-1..1) and "buttons" (0..1).
 
     Raises:
         ValueError: it is not such a message.
@@ -129,13 +133,16 @@ def read_input(message: str) -> HandInput:
 
 
 class HandControl:
-    """Turns what is held into actions of the control mode of MS-HAB.
+    """Convert the state of keys and gamepad into actions of the control mode of MS-HAB.
 
-    The gripper moves along and about the axes of the torso, from where it was told to be: it does not sag, and an
-    object that it holds stays where it is.
+    The gripper moves along and about the axes of the torso, relative to its commanded rather than its measured pose, so
+    that it does not sag under load.
 
     Args:
-        clock: seconds, for tests.
+        clock: returns monotonic time [s]; replaced in tests.
+
+    Attributes:
+        gripper: commanded action of the gripper, 1 open or -1 closed.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -147,7 +154,7 @@ class HandControl:
         self._take_robot(robot_named())
 
     def hear(self, message: str) -> None:
-        """Take a message of the page; one that cannot be understood counts as nothing held."""
+        """Take a message of `hand.js`; an invalid one counts as all keys released."""
         try:
             now = read_input(message)
         except (ValueError, TypeError):
@@ -159,14 +166,14 @@ class HandControl:
         self._heard = self._clock()
 
     def let_go(self) -> None:
-        """Nothing is held any more."""
+        """Treat all keys as released."""
         self._input = HandInput()
 
     def begin(self, env: SequentialTaskEnv, world: int) -> None:
-        """Take over a world: the arm stays where it is, and so do the fingers.
+        """Start to control a world, with the present joint positions and gripper command as targets.
 
         Raises:
-            UsageError: the environment takes other actions.
+            UsageError: the environment has another control mode than `DEFAULT_MODE`.
         """
         mode = env.config.control_mode
         if mode != DEFAULT_MODE:
@@ -179,7 +186,7 @@ class HandControl:
         self.gripper = 1.0 if env.grip[world] >= 0.0 else -1.0
 
     def action(self, env: SequentialTaskEnv, world: int) -> np.ndarray:
-        """The action (A,) float32 for the present state of a world."""
+        """Compute the action (A,) float32, each entry in -1..1, for the present state of a world."""
         held = self._input if self._clock() - self._heard < SILENCE_SECONDS else HandInput()
         wish = {name: SHARES[name] * held.motions.get(name, 0.0) for name in MOTIONS}
         q = env.state.robot_q[[world]]
@@ -202,23 +209,26 @@ class HandControl:
         self._motions = _motions(robot)
 
     def _arm_target(self, wish: Mapping[str, float], q: np.ndarray) -> np.ndarray:
-        """Commanded joint positions (J,) that move the gripper as wished; only those of the arm count."""
+        """Target joint positions (J,) [rad or m] that move the gripper as ``wish`` says; only the arm's are used.
+
+        ``wish``: fraction of the largest action by motion; ``q`` (1, J): measured joint positions.
+        """
         given = np.zeros((1, self._arm.dim), np.float32)
         given[0, : len(_HAND_MOTIONS)] = [wish[name] for name in _HAND_MOTIONS]
         return self._arm.ctrl(given, _Joints(q))[0]
 
 
 def _motions(robot: Robot) -> dict[str, str]:
-    """Name of an entry of the action table to the motion that sets it, for base, torso and head."""
+    """Motion by name of the entry of the action table that it sets, for base, torso and head."""
     found = {"base_forward": "forward", "base_yaw": "turn"}
     for group, motions in _BODY_MOTIONS.items():
-        # A group may have fewer joints than there are motions, or more, which then stand still.
+        # A group may have fewer joints than there are motions, or more, which then do not move.
         found |= dict(zip(robot.group(group), motions, strict=False))
     return found
 
 
 @dataclass(frozen=True)
 class _Joints:
-    """What a controller reads of a state: (1, J) joint positions."""
+    """The part of a state that a controller reads: joint positions (1, J)."""
 
     robot_q: np.ndarray

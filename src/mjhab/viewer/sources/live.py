@@ -1,4 +1,4 @@
-"""Running worlds: the rollout loop in a thread of its own, which a page pauses, steps, restarts and takes over."""
+"""Running worlds as a source of the viewer: the rollout loop in its own thread, controlled by the page."""
 
 from __future__ import annotations
 
@@ -32,38 +32,41 @@ from mjhab.viewer.sources.takes import Cuttable, TakeRecorder
 from mjhab.viewer.sources.track import Moment, Track, force_limits
 
 CUT_SECONDS = 10.0
+"""Longest wait for the last episode to be recorded when the session is closed [s]."""
 CLOSE_SECONDS = 30.0
+"""Longest wait for the thread of the worlds to end [s]."""
 EPISODES_AHEAD = 1000
-"""How many episodes follow each other without being asked for."""
+"""Number of episodes of one rollout."""
 
 
 class _Interrupt(Exception):
-    """Ends a rollout: something else was asked for."""
+    """Ends a rollout because the session is closed or another rollout was requested."""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What to run next. policy: a specification as for ``--policy``. first: index of the first world's episode."""
+    """A requested rollout. policy: a specification as for ``--policy``. first: index of the first world's episode."""
 
     policy: str
     first: int
 
 
 class LiveSession:
-    """Runs episodes one after the other until ``close``; a `sources.Source`.
+    """Run episodes one after the other in a thread until `close`; a `source.Source`.
 
     Args:
         spec: worlds, task and policy, as for an evaluation; its ``out`` and ``episodes`` are not used.
-        first: index of the first episode; with W worlds, W of them run side by side.
-        pace: when steps are due.
-        policies: further policies that can be chosen.
-        shard: episodes that end are recorded there; None records nothing.
-        hold_at_end: pause when the episode of the watched world is over, so that it can be looked at.
+        first: index of the first episode; with W worlds, W consecutive episodes run at a time.
+        pace: timing of the control steps.
+        policies: specifications of further policies that can be chosen.
+        shard: file that finished episodes are recorded to; None records nothing.
+        hold_at_end: pause when the episode of the watched world ends, so that its last state stays visible.
 
     Attributes:
-        tracks: of every world, the running episode; None before its first state.
-        problem: why nothing runs, in words; empty while all is well.
-        watched: index of the world that is looked at.
+        tracks: (W,) running episode of every world; None before its first state.
+        problem: message about the last failure; "" if there is none.
+        watched: index of the watched world.
+        steps: number of control steps taken.
     """
 
     def __init__(
@@ -107,14 +110,14 @@ class LiveSession:
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="worlds", daemon=True)
 
-    # -- what the page asks for -----------------------------------------------------------------------------------
+    # -- called by the page, on its threads -----------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin to run, in another thread."""
+        """Start the thread that runs the worlds."""
         self._thread.start()
 
     def close(self) -> None:
-        """End the run. An episode in which a person acted ends here and is kept, if episodes are recorded."""
+        """Stop the run; if episodes are recorded and a person acted in the watched one, truncate and record it."""
         runs = self.track is not None and not self.track.over and not self._failed
         if self._writer is not None and runs and self._human_acted(self.watched):
             self.finish_episode()
@@ -126,7 +129,7 @@ class LiveSession:
 
     @property
     def sim(self) -> CpuSimulator:
-        """The worlds' physics."""
+        """The simulator of the worlds."""
         assert self.env is not None, "there are no worlds before there is a track"
         return self.env.sim
 
@@ -137,21 +140,21 @@ class LiveSession:
 
     @property
     def choice(self) -> str:
-        """The watched world, of ``choices``."""
+        """Name of the watched world."""
         return self.choices[self.watched]
 
     def plan_at(self, step: int) -> PlanMarks | None:
-        """``expert_plan``: running worlds have that of the present state only."""
+        """Return the expert's plan in the newest state, whatever ``step`` is."""
         return self.expert_plan
 
     @property
     def hand_drives(self) -> bool:
-        """Whether a person drives the watched world."""
+        """Whether the watched world is teleoperated."""
         return self.switch is not None and self.switch.hand_world == self.watched
 
     @property
     def recording(self) -> str:
-        """What becomes of the episodes, in words; empty if nothing is recorded."""
+        """Message about where the running episode is recorded; "" if it is not."""
         if self._shard is None:
             return ""
         who = HUMAN if self._human_acted(self.watched) else "policy"
@@ -160,45 +163,48 @@ class LiveSession:
         )
 
     def choose(self, choice: str) -> None:
-        """Watch another world; one that is driven by hand is given back."""
+        """Watch the world with a name of ``choices``; teleoperation of the present one ends."""
         if self.hand_drives:
             self.set_hand(False)
         self.watched = self.choices.index(choice)
         self.do(lambda session: session.renew_plan())
 
     def set_policy(self, spec: str) -> None:
-        """Let another policy act from the next step on; episodes begin anew where it needs other observations."""
+        """Let another policy act from the next step on.
+
+        The episodes are restarted if it needs another configuration of the environment (for example its observations).
+        """
         self.do(lambda session: session.change_policy(spec))
 
     def restart(self) -> None:
-        """Begin the watched episode again."""
+        """Start the watched episode again."""
         self.ask(first=self._first_for(self._index()))
 
     def next_episode(self) -> None:
-        """Begin with the episode after the watched one."""
+        """Start the episode after the watched one."""
         self.ask(first=self._first_for(self._index() + 1))
 
     def show_expert_plan(self, shown: bool) -> None:
-        """Ask for `expert_plan`, or not any more."""
+        """Switch ``expert_plan`` on or off."""
         self._plan_wanted = shown
         self.do(lambda session: session.renew_plan())
 
     def set_hand(self, driving: bool) -> None:
-        """Let a person drive the watched world, or give it back to the policy."""
+        """Start or stop the teleoperation of the watched world, before the next step."""
         self.do(lambda session: session.hand_over(driving))
 
     def hear_hand(self, message: str) -> None:
-        """Take a message of `hand.js`."""
+        """Take a message of `hand.js` about keys and gamepad."""
         self.hand.hear(message)
 
     def hand_gone(self) -> None:
-        """The last page was closed: the robot stands, and a world that is driven by hand waits for a page."""
+        """Release all keys after the last page was closed, and pause if the watched world is teleoperated."""
         self.hand.let_go()
         if self.hand_drives:
             self.pace.play(False)
 
     def finish_episode(self) -> None:
-        """End the watched episode with the next control step."""
+        """Truncate the watched episode at the next control step."""
         if self._cuttable is not None:
             self._cut_done.clear()
             self._cuttable.cut[self.watched] = True
@@ -206,7 +212,7 @@ class LiveSession:
                 self.pace.step_once()
 
     def ask(self, *, policy: str | None = None, first: int | None = None) -> None:
-        """Start episodes anew, with another policy or at another index; what is not given stays."""
+        """Request a new rollout, with another policy or another index of the first episode; None keeps it."""
         now = self._asked or self._wish
         self._asked = Wish(
             now.policy if policy is None else policy, now.first if first is None else first
@@ -214,14 +220,14 @@ class LiveSession:
         self.pace.play(True)
 
     def do(self, job: Callable[[LiveSession], object]) -> None:
-        """Have a function called between two control steps, on the thread that takes them."""
+        """Call a function between two control steps, on the thread of the worlds."""
         self._jobs.put(job)
         self.pace.wake()
 
-    # -- on the thread of the worlds ------------------------------------------------------------------------------
+    # -- called on the thread of the worlds -----------------------------------------------------------------------
 
     def change_policy(self, spec: str) -> None:
-        """See `set_policy`."""
+        """Do the work of `set_policy`."""
         if spec == HUMAN:
             self.hand_over(True)
             return
@@ -236,7 +242,7 @@ class LiveSession:
         self._wish = dataclasses.replace(self._wish, policy=spec)
 
     def hand_over(self, driving: bool) -> None:
-        """See `set_hand`."""
+        """Do the work of `set_hand`."""
         if self.switch is None:
             return
         if driving:
@@ -245,19 +251,22 @@ class LiveSession:
             self.switch.give_back()
 
     def renew_plan(self) -> None:
-        """Ask the expert for its plan in the present state of the watched world."""
+        """Drop the expert's plan and, if switched on, compute that of the present state of the watched world."""
         self.expert_plan = None
         self._plan_token = None
         if self._plan_wanted:
             self._note_plan()
 
     def follow_plan(self) -> None:
-        """Keep the plan up to date after a control step."""
+        """Update the expert's plan after a control step."""
         if self._plan_wanted:
             self._note_plan()
 
     def _note_plan(self) -> None:
-        """Keep what the expert plans in the watched world; if it does not act there, it plans when a subtask begins."""
+        """Set ``expert_plan`` in the watched world.
+
+        If the expert acts there, it is its present plan; else a second expert plans once at the start of each subtask.
+        """
         assert self.switch is not None and self.env is not None
         world = self.watched
         acting = self.switch.policy(self.switch.chosen)
@@ -271,7 +280,7 @@ class LiveSession:
                 self._adviser.reset(np.arange(self.env.num_envs) == world)
                 self.expert_plan = None
             self._plan_token = token
-            # Some scripts plan only after their first steps.
+            # Some scripts have a plan only after some control steps.
             if self.expert_plan is None:
                 self._adviser.act_in({}, {}, np.arange(self.env.num_envs) == world)
             script = self._adviser.script(world)
@@ -288,10 +297,10 @@ class LiveSession:
                 self.env.close()
 
     def _run_wish(self) -> None:
-        """Run what was asked for until something else is, or it fails."""
+        """Run the requested rollout until another one is requested, the session is closed, or it fails."""
         try:
             if self._asked is None:
-                # After a failure nothing runs until something else is asked for.
+                # After a failure nothing runs until another rollout is requested.
                 self.pace.wait(self._between)
                 return
             self._wish = self._asked
@@ -310,18 +319,18 @@ class LiveSession:
         self._failed = False
         assert self.switch is not None and self._cuttable is not None
         episodes = range(wish.first, wish.first + EPISODES_AHEAD)
-        # The follower waits, at the end of an episode too: by then it is recorded.
+        # The follower comes last, because it may wait at the end of an episode, which must be recorded by then.
         sinks = [*self._record(), _Follower(self)]
         rollout(self._cuttable.as_env(), self.switch, episodes, self.spec.seed, sinks)
 
     def _needs(self, policy: str) -> tuple[str, dict[str, Any]]:
-        """The full specification of a policy, and the options of the environment that it needs."""
+        """Specification of the policy to build, and the environment options that it needs; "human" builds "zero"."""
         base = "zero" if policy == HUMAN else policy
         spec = dataclasses.replace(self.spec, policy=base)
         return str(spec.policy), env_options(spec, describe_policy(spec.policy))
 
     def _prepare(self, policy: str) -> None:
-        """Make the environment that the policy needs, or take the one that is there."""
+        """Create the environment that the policy needs, unless the present one has its options; choose the policy."""
         full, options = self._needs(policy)
         if self.env is None or options != self._options:
             if self.env is not None:
@@ -339,7 +348,7 @@ class LiveSession:
             self.switch.hand_world = self.watched
 
     def tell_problem(self, problem: str) -> None:
-        """Show what went wrong in the page, and print it to stderr."""
+        """Show a failure in the page, and print it to stderr."""
         self.problem = problem
         print(f"mjhab: {problem}", file=sys.stderr)
 
@@ -354,7 +363,7 @@ class LiveSession:
         return [TakeRecorder(self._writer, self.env, about, self._writer.has), _Counter(self)]
 
     def note_kept(self) -> None:
-        """Count the recorded episodes."""
+        """Update the number of recorded episodes, after one was written."""
         self._kept = len(self._writer.names) if self._writer is not None else 0
         self._cut_done.set()
 
@@ -368,11 +377,11 @@ class LiveSession:
         return self._wish.first if track is None else track.index
 
     def _first_for(self, index: int) -> int:
-        """Index of the first world's episode with which the watched world has the episode ``index``."""
+        """Index of the first world's episode such that the watched world runs the episode ``index``."""
         return max(index - self.watched, 0)
 
     def _between(self) -> None:
-        """Between two steps: do what was asked for."""
+        """Call the functions given to `do`; raise `_Interrupt` if the rollout is to end."""
         while not self._jobs.empty():
             job = self._jobs.get()
             try:
@@ -384,7 +393,7 @@ class LiveSession:
 
 
 class _Counter(Sink[RolloutEnv]):
-    """Comes after the recorder, and tells the session that an episode is written."""
+    """Sink after the recorder that tells the session that an episode was written."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
@@ -394,7 +403,7 @@ class _Counter(Sink[RolloutEnv]):
 
 
 class _Follower(Sink[SequentialTaskEnv]):
-    """Keeps the tracks of a session, and its pace."""
+    """Sink that appends to the tracks of a session, and blocks until the next control step is due."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
@@ -477,6 +486,6 @@ def _moment(
 
 
 def _told(error: Exception) -> str:
-    """An error for the page: what went wrong, and where."""
+    """Message about an error for the page: type, text, function and line."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"

@@ -1,4 +1,4 @@
-"""When the next control step of a running world is due: play, pause, single steps, slow motion."""
+"""Timing of the control steps of running worlds: play, pause, single steps, speed."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from collections.abc import Callable
 from mjhab.core.timing import STEP_SECONDS
 
 WAKE_SECONDS = 0.2
-"""How often a paused run looks whether there is something else to do."""
+"""Interval at which a waiting run calls ``meanwhile`` [s]."""
 
 
 class Pace:
-    """Shared by the page, which sets it, and the run, which waits for it.
+    """Real-time clock of a run; the page sets it in one thread while the run waits on it in another.
 
-    speed: simulated seconds per second; infinite runs as fast as it can.
+    Args:
+        playing: whether control steps are due one after the other.
+        speed: simulated seconds per second of real time; infinite makes every step due at once.
     """
 
     def __init__(self, *, playing: bool = True, speed: float = 1.0) -> None:
@@ -27,16 +29,16 @@ class Pace:
 
     @property
     def playing(self) -> bool:
-        """Whether steps follow each other."""
+        """Whether control steps are due one after the other, rather than paused."""
         return self._playing
 
     @property
     def speed(self) -> float:
-        """Simulated seconds per second."""
+        """Simulated seconds per second of real time."""
         return self._speed
 
     def play(self, playing: bool) -> None:
-        """Run or pause."""
+        """Resume or pause; single steps that are still due are dropped."""
         with self._changed:
             self._playing = playing
             self._single = 0
@@ -44,26 +46,30 @@ class Pace:
             self._changed.notify_all()
 
     def set_speed(self, speed: float) -> None:
-        """Change how fast it runs."""
+        """Set the simulated seconds per second of real time."""
         with self._changed:
             self._speed = speed
             self._due = time.perf_counter()
             self._changed.notify_all()
 
     def step_once(self) -> None:
-        """Pause, and let one control step be taken."""
+        """Pause, and make one more control step due now."""
         with self._changed:
             self._playing = False
             self._single += 1
             self._changed.notify_all()
 
     def wake(self) -> None:
-        """Let a waiting run look around now."""
+        """Make a waiting run call ``meanwhile`` now."""
         with self._changed:
             self._changed.notify_all()
 
     def wait(self, meanwhile: Callable[[], object]) -> None:
-        """Return when the next control step is due; ``meanwhile`` is called before, and may raise to end the run."""
+        """Block until the next control step is due.
+
+        Args:
+            meanwhile: called at least once and every `WAKE_SECONDS`; its exceptions are passed on and end the wait.
+        """
         while True:
             meanwhile()
             with self._changed:
@@ -72,7 +78,7 @@ class Pace:
                     return
                 left = self._due - time.perf_counter()
                 if self._playing and left <= 0.0:
-                    # A run that falls behind does not hurry to catch up.
+                    # A run that is late does not shorten the next intervals to catch up.
                     self._due += max(STEP_SECONDS / self._speed, -left)
                     return
                 self._changed.wait(min(left, WAKE_SECONDS) if self._playing else WAKE_SECONDS)

@@ -1,4 +1,4 @@
-"""Recorded episodes for a viewer: which there are, their tracks, and the environment they were recorded in."""
+"""Recorded episodes as a source of the viewer: their list, their tracks, and the environments they were recorded in."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from mjhab.viewer.sources.pace import Pace
 from mjhab.viewer.sources.track import Track, recorded_track
 
 MAX_LISTED = 2000
+"""Largest number of episodes listed."""
 
 
 class Replay:
-    """The episodes of shards and folders that can be shown; a `sources.Source` in which nothing acts.
+    """Recorded episodes of shards and folders; a `source.Source` without a policy.
 
     Args:
-        places: shards or folders. A shard that is being written shows what was in it when this was made.
-        where: only these episodes.
+        places: shards or folders. Of a shard that is still being written, the episodes present now are listed.
+        where: filter of the episodes; None takes all.
         first: position of the episode that `start` shows, from 0.
 
     Attributes:
-        choices: names of the episodes, by which `load` finds them.
-        choice: the one that was asked for last, which may be unreadable; "" before `start`.
+        choices: titles of the episodes, at most `MAX_LISTED`.
+        choice: title of the episode that was chosen last, which may be unreadable; "" before `start`.
 
     Raises:
-        UsageError: there is no episode with states, or fewer than ``first`` asks for.
+        UsageError: there is no episode with states, or not more than ``first``.
         DamagedError: a file is no shard, or cannot be read.
     """
 
@@ -48,13 +49,13 @@ class Replay:
         self.hand_drives = False
         self.recording = ""
         self.choice = ""
-        # In one piece, since a page chooses in another thread than the one that shows.
+        # One tuple, assigned at once: the thread of a page sets it while the thread of the frames reads it.
         self._shown: tuple[Episode, Track] | None = None
         self._episodes: dict[str, Episode] = {}
         self._envs: dict[str, SequentialTaskEnv] = {}
         self._plan_wanted = False
         self._problem = ""
-        # A page chooses episodes while the expert plans in another thread: one of them reads.
+        # Held to read a shard: a page loads episodes while the expert's thread reads others.
         self._reading = threading.Lock()
         self._plans = RecordedPlans(self._reading)
         skipped = 0
@@ -81,10 +82,10 @@ class Replay:
         self._first = self.choice_at(first)
 
     def choice_at(self, position: int) -> str:
-        """The name, of ``choices``, of the episode at a position from 0.
+        """Return the title, of ``choices``, of the episode at a position from 0.
 
         Raises:
-            UsageError: there are fewer episodes.
+            UsageError: there is no episode at this position.
         """
         count = len(self.choices)
         if position < count:
@@ -97,7 +98,7 @@ class Replay:
 
     @property
     def problem(self) -> str:
-        """Why the episode, or the plan of the expert in it, cannot be shown; empty while all is well."""
+        """Why the episode, or the expert's plan in it, cannot be shown; "" if there is no problem."""
         return self._problem or (self._plans.problem if self._plan_wanted else "")
 
     def _title(self, episode: Episode) -> str:
@@ -107,10 +108,10 @@ class Replay:
         return name if name not in self._episodes else f"{name}, {episode.name}"
 
     def load(self, title: str) -> Track:
-        """The track of an episode.
+        """Read the track of the episode with a title of ``choices``.
 
         Raises:
-            UsageError: what it was recorded with is not here: a file, an asset pack.
+            UsageError: a file or an asset pack that it was recorded with is not installed.
             DamagedError: it cannot be read.
         """
         config = self.env(title).task_config
@@ -118,7 +119,7 @@ class Replay:
             return recorded_track(self._episodes[title], config)
 
     def env(self, title: str) -> SequentialTaskEnv:
-        """An environment of one world like the one an episode was recorded in, made once per configuration.
+        """Return an environment of one world with the configuration of an episode, made once per configuration.
 
         Raises:
             UsageError: see `load`.
@@ -133,13 +134,13 @@ class Replay:
 
     @property
     def sim(self) -> CpuSimulator:
-        """Has the homes of the episode that is shown."""
+        """Simulator whose layout has the home of the episode that is shown."""
         assert self._shown is not None, "there are no homes before there is a track"
         return self._env_of(self._shown[0]).sim
 
     @property
     def track(self) -> Track | None:
-        """The episode that is shown; None while none could be read."""
+        """The episode that is shown; None until one was read."""
         return None if self._shown is None else self._shown[1]
 
     def start(self) -> None:
@@ -147,7 +148,7 @@ class Replay:
         self.choose(self._first)
 
     def choose(self, choice: str) -> None:
-        """Show another episode; one that cannot be read is told in ``problem``, and what is shown stays."""
+        """Show the episode with a title; if it cannot be read, set ``problem`` and keep the one that is shown."""
         self.choice = choice
         try:
             track = self.load(choice)
@@ -158,52 +159,55 @@ class Replay:
         self._shown = (self._episodes[choice], track)
 
     def next_episode(self) -> None:
-        """Show the episode after this one, also if this one cannot be read."""
+        """Show the episode after ``choice`` in ``choices``; after the last, the first."""
         at = self.choices.index(self.choice) + 1
         self.choose(self.choices[at % len(self.choices)])
 
     def restart(self) -> None:
-        """Show the same episode from its beginning."""
+        """Show the same episode from its first state."""
         self.choose(self.choice)
 
     def close(self) -> None:
-        """Free the environments."""
+        """Close the environments."""
         self._plans.close()
         for env in self._envs.values():
             env.close()
 
     def set_policy(self, spec: str) -> None:
-        """Nothing acts here."""
+        """Do nothing: recorded episodes have no policy to replace."""
 
     def show_expert_plan(self, shown: bool) -> None:
-        """Ask for `plan_at`, or not any more."""
+        """Switch `plan_at` on or off."""
         self._plan_wanted = shown
 
     def plan_at(self, step: int) -> PlanMarks | None:
-        """What the expert plans where the subtask of a state began; None until it is known, or if nobody asked."""
+        """Return the expert's plan for the subtask that is active in a state, planned in that subtask's first state.
+
+        None until it is computed, where the expert has no plan, and while switched off.
+        """
         shown = self._shown
         if not self._plan_wanted or shown is None:
             return None
         return self._plans.at(*shown, step)
 
     def set_hand(self, driving: bool) -> None:
-        """Nothing can be driven here."""
+        """Do nothing: recorded episodes cannot be teleoperated."""
 
     def hear_hand(self, message: str) -> None:
-        """Nothing can be driven here."""
+        """Do nothing: recorded episodes cannot be teleoperated."""
 
     def hand_gone(self) -> None:
-        """Nothing can be driven here."""
+        """Do nothing: recorded episodes cannot be teleoperated."""
 
     def finish_episode(self) -> None:
-        """Recorded episodes are over."""
+        """Do nothing: recorded episodes have ended."""
 
 
 def _refuse_evaluations(places: Path | Sequence[Path]) -> None:
-    """Tell how to record what an evaluation did: its folder has records of the episodes, but no states.
+    """Refuse folders of evaluations, which have records of episodes but no states.
 
     Raises:
-        UsageError: a place is such a folder, without shards.
+        UsageError: a place is such a folder, without shards; the message tells how to record its episodes.
     """
     for place in [places] if isinstance(places, Path) else places:
         if (place / EPISODES).is_file() and not any(place.rglob("*.h5")):

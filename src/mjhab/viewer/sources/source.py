@@ -1,4 +1,4 @@
-"""What a viewer asks of the place its episodes come from: running worlds, or shards."""
+"""The interface between the viewer and the source of its episodes: running worlds, or shards."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from mjhab.viewer.sources.track import Track
 
 
 class Source(Protocol):
-    """Episodes to show. Only running worlds can be driven by hand or given another policy."""
+    """Source of episodes to show. Only running worlds can be teleoperated or given another policy."""
 
     @property
     def is_live(self) -> bool:
-        """Whether its episodes go on while they are shown."""
+        """Whether its episodes are being simulated, rather than recorded."""
         ...
 
     @property
     def pace(self) -> Pace:
-        """How fast time passes; of running worlds also whether it does."""
+        """Speed of time; of running worlds also whether they are paused."""
         ...
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Names of what can be watched."""
+        """Names of the worlds or recorded episodes that can be watched."""
         ...
 
     @property
     def choice(self) -> str:
-        """The name, of ``choices``, of what is watched; "" while nothing is."""
+        """Which of ``choices`` is watched; "" if none is."""
         ...
 
     @property
     def policies(self) -> tuple[str, ...]:
-        """Specifications of the policies that can be chosen; empty where nothing acts."""
+        """Specifications of the policies that can be chosen; empty for recorded episodes."""
         ...
 
     @property
     def sim(self) -> CpuSimulator:
-        """Has the homes that the track is in."""
+        """Simulator whose layout has the home of ``track``."""
         ...
 
     @property
@@ -50,41 +50,41 @@ class Source(Protocol):
 
     @property
     def problem(self) -> str:
-        """What went wrong, in words; empty while all is well."""
+        """Message about a failure; "" if there is none."""
         ...
 
     @property
     def hand_drives(self) -> bool:
-        """Whether a person drives the watched world."""
+        """Whether the watched world is teleoperated."""
         ...
 
     @property
     def recording(self) -> str:
-        """What becomes of the episode that runs, in words; empty if it is not kept."""
+        """Message about where the running episode is recorded; "" if it is not."""
         ...
 
     def plan_at(self, step: int) -> PlanMarks | None:
-        """What the expert plans in a state of the track, if it was asked for and is known."""
+        """Return the expert's plan in a state of the track; None if switched off, not yet computed, or missing."""
         ...
 
     def start(self) -> None:
-        """Begin."""
+        """Start to run, or show the first episode."""
         ...
 
     def close(self) -> None:
-        """End; what is recorded is closed."""
+        """Stop, and close environments and the shard that is written."""
         ...
 
     def choose(self, choice: str) -> None:
-        """Watch something else."""
+        """Watch another of ``choices``."""
         ...
 
     def set_policy(self, spec: str) -> None:
-        """Let another policy act."""
+        """Let the policy with this specification act from the next step on."""
         ...
 
     def restart(self) -> None:
-        """Begin the watched episode again; a recorded one is shown from its first state."""
+        """Run the watched episode again from its reset; show a recorded one from its first state."""
         ...
 
     def next_episode(self) -> None:
@@ -92,21 +92,21 @@ class Source(Protocol):
         ...
 
     def show_expert_plan(self, shown: bool) -> None:
-        """Ask for `plan_at`, or not any more."""
+        """Switch `plan_at` on or off."""
         ...
 
     def set_hand(self, driving: bool) -> None:
-        """Let a person drive the watched world, or give it back to the policy."""
+        """Start or stop the teleoperation of the watched world."""
         ...
 
     def hear_hand(self, message: str) -> None:
-        """Take a message of `hand.js`."""
+        """Take a message of `hand.js` about keys and gamepad."""
         ...
 
     def hand_gone(self) -> None:
-        """No page is open any more that could send such messages."""
+        """Note that the last page that could send such messages was closed."""
         ...
 
     def finish_episode(self) -> None:
-        """End the watched episode now, and keep it."""
+        """Truncate the watched episode now and record it."""
         ...

@@ -1,4 +1,4 @@
-"""The policy of a viewer: one that was chosen by name, and the hand that can take over in the watched world."""
+"""The policy of the viewer: a chosen policy, which teleoperation can replace in one world."""
 
 from __future__ import annotations
 
@@ -15,13 +15,18 @@ from mjhab.viewer.sources.hand import HUMAN, HandControl
 
 
 class Switch:
-    """A policy that hands over to others between two control steps. Notes say who acted, and what was intended.
+    """A `Policy` that delegates to others, which can be changed between two control steps.
 
-    A policy that gets control back begins anew from the present state: it is told of a reset in that world.
+    A policy that gets control of a world is reset in that world, so that it starts from the present state. `notes` name
+    who acted in each world.
 
     Args:
-        env: the environment; policies are built for it when they are first chosen.
-        seed: of the run.
+        env: the environment of W worlds; policies are built for it when they are first chosen.
+        seed: seed of the policies.
+
+    Attributes:
+        hand: the teleoperation that took over last; None before.
+        hand_world: index of the world that is teleoperated; None if none is.
     """
 
     name = "viewer"
@@ -39,11 +44,11 @@ class Switch:
 
     @property
     def chosen(self) -> str:
-        """Specification of the policy that acts where the hand does not."""
+        """Specification of the policy that acts in all worlds that are not teleoperated."""
         return self._chosen
 
     def policy(self, spec: str) -> Policy:
-        """The policy of a specification, built on first use.
+        """Return the policy of a specification, built on first use.
 
         Raises:
             UsageError: there is no such policy, or it cannot act in this environment.
@@ -63,7 +68,11 @@ class Switch:
         self._due[:] = True
 
     def take_over(self, hand: HandControl, world: int) -> None:
-        """Let the hand act in a world from the next step on."""
+        """Let teleoperation act in a world from the next step on.
+
+        Raises:
+            UsageError: the environment has another control mode than teleoperation needs.
+        """
         hand.begin(self._env, world)
         self.hand = hand
         self.hand_world = world
@@ -75,13 +84,13 @@ class Switch:
         self.hand_world = None
 
     def reset(self, mask: np.ndarray) -> None:
-        """New episodes begin in the worlds of ``mask`` (W,) bool."""
+        """Note that new episodes began in the worlds of ``mask`` (W,) bool."""
         self._due |= mask
         if self.hand is not None and self.hand_world is not None and mask[self.hand_world]:
             self.hand.begin(self._env, self.hand_world)
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
-        """Actions (W, A) for the present state."""
+        """Compute the actions (W, A) float32 for the present state."""
         policy = self.policy(self._chosen)
         if self._due.any():
             policy.reset(self._due)
@@ -102,7 +111,7 @@ class Switch:
         return actions
 
     def notes(self) -> ActionNotes:
-        """Notes about the actions of the last ``act``."""
+        """Return who acted in each world in the last `act`, and which action was intended."""
         assert self._last is not None
         return self._last
 

@@ -1,4 +1,4 @@
-"""Episodes that people drove, wholly or in part, on their way into a shard."""
+"""Recording of the viewer's episodes, including teleoperated ones, to a shard."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ from mjhab.rollout.sinks import StepView
 from mjhab.viewer.sources.hand import HUMAN
 
 Known = Callable[[RunInfo, int, int], bool]
-"""Whether an episode of a run, by seed and index, is in a shard."""
+"""Tells whether the episode of a run with a seed and an index is in a shard."""
 
 
 class Cuttable:
-    """An environment whose episodes can be ended by hand: they are then truncated by the next control step.
+    """Wrapper of an environment that can truncate episodes at the next control step.
 
-    cut: (W,) bool, the worlds to end. inner: the environment.
+    Attributes:
+        cut: (W,) bool, worlds whose episode the next step truncates; cleared by it.
+        inner: the environment, which all other attributes are forwarded to.
     """
 
     def __init__(self, inner: SequentialTaskEnv) -> None:
@@ -36,11 +38,11 @@ class Cuttable:
         return getattr(self.inner, name)
 
     def as_env(self) -> SequentialTaskEnv:
-        """This object, which has all that the environment has."""
+        """Return this object, typed as the environment whose attributes it forwards."""
         return cast(SequentialTaskEnv, self)
 
     def step(self, actions: np.ndarray) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One control step, see the environment."""
+        """Take one control step as `SequentialTaskEnv.step`, with ``truncated`` set in the worlds of ``cut``."""
         obs, reward, terminated, truncated, info = self.inner.step(actions)
         truncated = truncated | self.cut
         self.cut = np.zeros_like(self.cut)
@@ -48,17 +50,17 @@ class Cuttable:
 
 
 class TakeRecorder(Recorder):
-    """Records episodes under the name of who acted in them.
+    """Record episodes, with a run description that names who acted in them.
 
-    An episode in which a person acted is the policy's ``human``, and a take of its own: the same episode can be driven
-    again. Without a person, an episode that is in the shard already is left out, since it would be the same. Who acted
-    in which step is in its dataset ``actor``.
+    An episode in which a person acted is recorded as one of the policy "human", with a unique take id, so that the same
+    episode can be recorded several times. An episode without a person that is in the shard already is left out, because
+    it would be identical. The dataset ``actor`` of an episode has the actor of every step.
 
     Args:
-        writer: where to.
-        env: what is rolled out.
-        policy: name and identity of the policy that acts where nobody drives.
-        known: whether the writer has an episode already.
+        writer: the shard.
+        env: the environment that is rolled out.
+        policy: name and identity of the policy that acts in worlds that are not teleoperated.
+        known: tells whether the shard has an episode already.
     """
 
     def __init__(

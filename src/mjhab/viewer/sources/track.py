@@ -1,4 +1,4 @@
-"""What a viewer knows of one episode: a row per state, from a running world or from a shard."""
+"""Data of one episode for the viewer: one `Moment` per state, from a running world or from a shard."""
 
 from __future__ import annotations
 
@@ -20,9 +20,14 @@ from mjhab.tasks.thresholds import TaskConfig
 class Moment:
     """One state of an episode, and the control step that led to it.
 
-    qpos: (nq,) generalized positions. active: index of the active subtask; the length of the plan once all are done.
-    robot_force [N] and cumulative_force [N x control steps] of the active subtask. checks: (len(CHECKS),) uint8.
-    reward, terms: of the step; 0 and empty in the first state. actor: name of who acted.
+    Attributes:
+        qpos: (nq,) generalized positions of the world.
+        active: index of the active subtask in the plan; the length of the plan once all are done.
+        robot_force: contact force on the robot [N].
+        cumulative_force: its sum since the active subtask began [N x control steps].
+        checks: (len(CHECKS),) uint8, 0 or 1.
+        reward, terms: reward of the step and its terms by name; 0 and empty in the first state.
+        actor: name of the policy or person that acted in the step; "" in the first state.
     """
 
     qpos: np.ndarray
@@ -37,12 +42,19 @@ class Moment:
 
 @dataclass(eq=False)
 class Track:
-    """An episode, growing while it runs.
+    """An episode; a running one is appended to.
 
-    title: names it for people. index: its number among the episodes of its seed. plan: its subtasks; force_limits: of
-    each [N x control steps], infinite without one. instruction: what the episode asks for, instructions: the same for
-    each subtask; empty in recordings of older versions.
-    moments: state 0 is that after the reset. events: (control step, name). ended: how each finished subtask ended.
+    Attributes:
+        title: name for people.
+        home: name of the home.
+        index: number of the episode among those of its seed.
+        plan: the subtasks.
+        force_limits: limit of the cumulative force of each subtask [N x control steps], infinite for none.
+        instruction, instructions: natural-language instruction of the episode and of each subtask; "" and () if the
+            recording has none.
+        moments: the states; the first is that after the reset.
+        events: (control step, name), in order.
+        ended: label of how each finished subtask ended, by index in the plan.
     """
 
     title: str
@@ -56,7 +68,7 @@ class Track:
     events: list[Event] = field(default_factory=list)
     ended: dict[int, str] = field(default_factory=dict)
     over: str = ""
-    """How the episode ended, in words; empty while it runs."""
+    """How the episode ended, for people; "" while it runs."""
 
     @property
     def last(self) -> int:
@@ -64,25 +76,25 @@ class Track:
         return len(self.moments) - 1
 
     def events_until(self, step: int) -> list[Event]:
-        """Events up to a control step, the first one first."""
+        """Return the events up to and including a control step, in order."""
         return [event for event in self.events if event[0] <= step]
 
     def limit_at(self, step: int) -> float:
-        """Limit of the cumulative force [N x control steps] in force in a state."""
+        """Return the limit of the cumulative force [N x control steps] that holds in a state; infinite for none."""
         active = self.moments[step].active
         return self.force_limits[active] if active < len(self.force_limits) else math.inf
 
     def begin_of(self, step: int) -> int:
-        """Index of the first state in which the subtask was active that is active in a state."""
+        """Return the index of the first state of the subtask that is active in a state."""
         active = self.moments[step].active
         while step > 0 and self.moments[step - 1].active == active:
             step -= 1
         return step
 
     def terms_at(self, step: int) -> Mapping[str, float]:
-        """Reward terms of the control step that led to a state, of the subtask that was active in it.
+        """Return the reward terms of the control step that led to a state, of the subtask active in that step.
 
-        The reward of a chain has the terms of all its subtasks; those of the others are 0.
+        The reward of a chain of subtasks has the terms of all of them; those of inactive ones are 0 and left out.
         """
         terms = self.moments[step].terms
         active = self.moments[max(step - 1, 0)].active
@@ -90,26 +102,26 @@ class Track:
         return {name: value for name, value in terms.items() if name in own} or terms
 
     def actors(self) -> list[str]:
-        """Names of those who acted, in the order of their first action."""
+        """Return the names of the actors, in the order of their first action."""
         return list(dict.fromkeys(moment.actor for moment in self.moments[1:]))
 
     def describe(self, index: int) -> str:
-        """Name of a subtask of the plan."""
+        """Return a name of the subtask at an index of the plan: kind and target."""
         entry = self.plan[index]
         return f"{entry.kind} {entry.target}".strip()
 
 
 def force_limits(plan: Sequence[PlanEntry], config: TaskConfig) -> tuple[float, ...]:
-    """Limit of the cumulative force of every subtask of a plan [N x control steps]."""
+    """Look up the limit of the cumulative force of every subtask of a plan [N x control steps]."""
     return tuple(float(limits_of(config, entry.kind).force_limit) for entry in plan)
 
 
 def recorded_track(episode: Episode, config: TaskConfig) -> Track:
-    """The track of a recorded episode.
+    """Read the track of a recorded episode.
 
     Args:
-        episode: of a shard; its states must have been recorded.
-        config: thresholds in force when it was recorded.
+        episode: of a shard, recorded with states.
+        config: thresholds that it was recorded with.
 
     Raises:
         UsageError: it was recorded, or imported, without states.
@@ -158,6 +170,6 @@ def recorded_track(episode: Episode, config: TaskConfig) -> Track:
 
 
 def _checks(rows: np.ndarray) -> np.ndarray:
-    """(N+1, len(CHECKS)) uint8; shards of older versions lack the last column."""
+    """Checks (N + 1, len(CHECKS)) uint8 of N control steps; columns that the shard lacks are filled with 0."""
     missing = len(CHECKS) - rows.shape[1]
     return np.pad(rows, ((0, 0), (0, missing)))

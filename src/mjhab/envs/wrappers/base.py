@@ -107,7 +107,7 @@ class ObservationMap(VectorWrapper, ABC):
     def __init__(self, env: VectorEnv, single_space: spaces.Dict) -> None:
         super().__init__(env)
         # torchrl's GymWrapper looks for it; Gymnasium's wrappers do not pass it on.
-        self.autoreset_mode = env.metadata["autoreset_mode"]
+        self.autoreset_mode = env.metadata.get("autoreset_mode")
         self.single_observation_space = single_space
         self.observation_space = batched(single_space, env.num_envs)
 

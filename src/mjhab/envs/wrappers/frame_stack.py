@@ -40,8 +40,6 @@ class FrameStack(VectorWrapper):
         self, env: VectorEnv, num_stack: int | None = None, keys: Sequence[str] | None = None
     ) -> None:
         super().__init__(env)
-        # torchrl's GymWrapper looks for it; Gymnasium's wrappers do not pass it on.
-        self.autoreset_mode = env.metadata["autoreset_mode"]
         num_stack = _frames_of(env, num_stack)
         if num_stack < 1:
             raise UsageError(f"FrameStack: num_stack must be at least 1, got {num_stack}")
@@ -50,6 +48,8 @@ class FrameStack(VectorWrapper):
             raise UsageError(
                 f"FrameStack: metadata['autoreset_mode'] of {env} must be an AutoresetMode, got {mode!r}."
             )
+        # torchrl's GymWrapper looks for it; Gymnasium's wrappers do not pass it on.
+        self.autoreset_mode = mode
         space = dict_space(env, "FrameStack")
         if keys is None:
             keys = [leaf.path[0] for leaf in require_images(env, "FrameStack")]

@@ -202,7 +202,7 @@ def _follow_arc(
             way > 0
             and not view.finger_forces(link.id).any()
             and now < 0.9 * goal
-            and _far(view, link, path)
+            and _far(view, link)
         ):
             return False
         yield link_path.action(view, path, aim, way * pace, gripper)
@@ -264,7 +264,7 @@ def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
     return False
 
 
-def _far(view: WorldView, link: JointedLink, path: LinkPath) -> bool:
+def _far(view: WorldView, link: JointedLink) -> bool:
     """Whether the tcp is more than 6 cm from the handle, measured horizontally."""
     handle = link.handle_pose(view.link_q(link.id))[0]
     return bool(np.linalg.norm(motion.tcp(view)[0][:2] - handle[:2]) > 0.06)

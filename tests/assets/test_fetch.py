@@ -210,8 +210,10 @@ def test_documents_are_bounded(
     hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mjhab.assets.transfer.MAX_DOCUMENT_MB", 1e-5)
+    count = Count()
     with pytest.raises(TransferError, match="larger than"):
-        fetch(SOURCE, tmp_path, progress=Count().progress())
+        fetch(SOURCE, tmp_path, progress=count.progress())
+    assert count.waits == [], "it would be as large again"
 
 
 def test_a_list_of_files_has_an_end(
@@ -338,7 +340,7 @@ def test_unknown_data_sets_are_refused_with_a_hint() -> None:
 def test_an_answer_of_something_else_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: bytes, hub: FakeHub
 ) -> None:
-    monkeypatch.setattr("mjhab.assets.hub.get", lambda *asked: (body, ""))
+    monkeypatch.setattr("mjhab.assets.hub.get", lambda *asked, **options: (body, ""))
     with pytest.raises(TransferError, match=r"not JSON|field 'sha' must be") as caught:
         fetch(SOURCE, tmp_path)
     assert "\n" not in str(caught.value)

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from mjhab.cli.main import main
+from mjhab.cli.streams import SturdyStream
 from mjhab.evaluation import evaluate
 from mjhab.rollout.store import read_records
 from tests.rollout.fake_env import FakeEnv
@@ -62,3 +63,13 @@ def test_closed_streams_are_opened_before_a_file_gets_their_number() -> None:
     )
     command = f'exec "{sys.executable}" -c "{code}" <&- >&- 2>&-'
     assert subprocess.run(command, shell=True, timeout=60, check=False).returncode == 0
+
+
+@pytest.mark.parametrize("is_closed", [False, True])
+def test_a_stream_without_a_descriptor_discards_what_it_cannot_write(is_closed: bool) -> None:
+    stream = io.StringIO()
+    if is_closed:
+        stream.close()
+    sturdy = SturdyStream(stream)
+    assert sturdy.write("text") == 4
+    sturdy.flush()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -36,8 +35,3 @@ def test_any_value_is_taken_or_refused(name: str) -> None:
             continue
         if isinstance(default, str):
             assert isinstance(getattr(config, name), str | None)
-
-
-def test_paths_become_texts() -> None:
-    config = EnvConfig(subtask="pick", spawns=Path("a/b.npz"))  # type: ignore[arg-type]
-    assert config.spawns == "a/b.npz"

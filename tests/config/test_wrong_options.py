@@ -20,7 +20,7 @@ from mjhab.scenes.pack_source import PackRequest, pack_request
 WRONG: dict[Any, tuple[Any, ...]] = {
     str: (3, 1.5, True, [], ["a"], {}, b"x", object(), "x" * 5000, "a\0b", math.nan),
     int: ("3", 1.5, True, [], {}, -1, 2**64, 10**30, math.nan, np.bool_(True), np.float64(2)),
-    float: ("a", True, [], {}, math.nan, math.inf, -1.0, 2.0),
+    float: ("a", True, [], {}, math.nan, math.inf, -1.0, 2.0, 10**400),
     bool: ("no", 2, 3.0, [], math.nan),
     tuple: ("x", 3, [3], [None], [["a"]], {"a": 1}, {"a"}, ["x" * 5000]),
     Mapping: (3, "x", [1], {3: 4}, True),

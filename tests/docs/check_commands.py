@@ -121,11 +121,11 @@ def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
 
 def with_files(words: Sequence[str], folder: Path) -> list[str]:
     """The words with the files of a folder in place of patterns such as ``scores/*/result.json``, as in a shell."""
-    return [
-        str(found)
-        for word in words
-        for found in ("*" in word and sorted(folder.resolve().glob(word))) or [word]
-    ]
+    given: list[str] = []
+    for word in words:
+        found = sorted(map(str, folder.resolve().glob(word))) if "*" in word else []
+        given += found or [word]
+    return given
 
 
 def end(process: subprocess.Popen[str]) -> None:

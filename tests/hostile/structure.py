@@ -43,11 +43,12 @@ SLOW_SECONDS = 5.0
 
 @dataclass(frozen=True)
 class Subject:
-    """A kind of file. make: writes valid ones into a folder. change: changes a part. read: all readers of them."""
+    """A kind of file. make: writes valid ones into a folder. change: changes a part. read: all readers of them; whether
+    none refused."""
 
     make: Callable[[Path], None]
     change: Callable[[Path, random.Random], None]
-    read: Callable[[Path], None]
+    read: Callable[[Path], bool]
 
 
 # -- changes -----------------------------------------------------------------------------------------------------------
@@ -176,20 +177,26 @@ def _fit_digests(file: h5py.File) -> None:
 # -- readers -----------------------------------------------------------------------------------------------------------
 
 
-def asked(*acts: Callable[[], Any]) -> None:
-    """Call readers, each of which gives data or raises an error of ours."""
+def asked(*acts: Callable[[], Any]) -> bool:
+    """Call readers, each of which gives data or raises an error of ours; whether all gave data."""
+    refused = 0
     for act in acts:
-        with contextlib.suppress(MjhabError):
+        try:
             act()
+        except MjhabError:
+            refused += 1
+    return not refused
 
 
-def command(*words: object) -> None:
-    """Run a command; its exit code says that it succeeded, failed or refused, and errors are one line."""
+def command(*words: object) -> bool:
+    """Run a command; its exit code says that it succeeded, failed or refused, and errors are one line. Whether it
+    succeeded."""
     err = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(err):
         code = main([str(word) for word in words])
     assert code in (0, 1, 2), f"exit code {code} of {words}"
     assert "Traceback" not in err.getvalue()
+    return code == 0
 
 
 def make_shard(folder: Path) -> None:
@@ -197,7 +204,7 @@ def make_shard(folder: Path) -> None:
     record(folder / "a.h5", range(2), env, images=ImageFormat())
 
 
-def read_shard(folder: Path) -> None:
+def read_shard(folder: Path) -> bool:
     path = folder / "a.h5"
 
     def read_all() -> None:
@@ -211,18 +218,25 @@ def read_shard(folder: Path) -> None:
             for camera, output in episode.images:
                 episode.frame(camera, output, episode.steps)
 
-    asked(
-        lambda: check(path), read_all, lambda: stats(path), lambda: to_maniskill(path, folder / "m")
+    return all(
+        [
+            asked(
+                lambda: check(path),
+                read_all,
+                lambda: stats(path),
+                lambda: to_maniskill(path, folder / "m"),
+            ),
+            command("data", "query", path, "--where", "steps > 0 and seed >= 0", "--json"),
+            command("data", "stats", path, "--json"),
+            command("label", path),
+            asked(lambda: repair(path)),
+        ]
     )
-    command("data", "query", path, "--where", "steps > 0 and label != 'x'", "--json")
-    command("data", "stats", path, "--json")
-    command("label", path)
-    asked(lambda: repair(path))
 
 
-def replay_shard(folder: Path) -> None:
+def replay_shard(folder: Path) -> bool:
     """Takes seconds: it builds an environment for every draw."""
-    command("replay", folder / "a.h5", "--verify")
+    return command("replay", folder / "a.h5", "--verify")
 
 
 def make_export(folder: Path) -> None:
@@ -234,14 +248,15 @@ def make_export(folder: Path) -> None:
     shutil.rmtree(folder / "set")
 
 
-def read_import(folder: Path) -> None:
-    command(
+def read_import(folder: Path) -> bool:
+    taken = command(
         "data", "import", "ms_hab", folder / "b.h5", "--task", "set_table", "--out", folder / "in"
     )
     written = [*(folder / "in").rglob("*.h5")] if (folder / "in").is_dir() else []
     for path in written:
         report = check(path)
         assert not report.damaged, report.damaged
+    return taken and bool(written)
 
 
 RUN = ("--policy", "zero", "--episodes", "4", "--worlds", "2", "--films", "0", "--json")
@@ -252,10 +267,12 @@ def make_run(folder: Path) -> None:
         command("eval", *RUN, "--out", folder / "run")
 
 
-def read_run(folder: Path) -> None:
+def read_run(folder: Path) -> bool:
     with _without_physics():
-        command("eval", *RUN, "--resume", "--out", folder / "run")
+        resumed = command("eval", *RUN, "--resume", "--out", folder / "run")
+        # Read, and refused: these are not runs of one subtask.
         command("eval", *RUN, "--alone", folder / "run", "--out", folder / "other")
+    return resumed
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,5 +17,6 @@ def test_a_changed_part_ends_in_data_or_in_an_error_of_ours(name: str, tmp_path:
     template = tmp_path / "template"
     template.mkdir()
     SUBJECTS[name].make(template)
-    SUBJECTS[name].read(template)
+    shutil.copytree(template, tmp_path / "sound")
+    assert SUBJECTS[name].read(tmp_path / "sound"), "the unchanged file is refused"
     assert sum(1 for _ in try_draws(name, range(DRAWS), template, tmp_path / "work")) == DRAWS

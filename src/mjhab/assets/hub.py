@@ -36,7 +36,7 @@ def list_files(
     """
     api = f"{endpoint}/api/datasets/{repo}"
     url = f"{api}/revision/{quote(revision, safe='')}"
-    commit = _field(_json(get(url, sleep, True)[0], url), "sha", str, url)
+    commit = _field(_json(get(url, sleep, first=True)[0], url), "sha", str, url)
     files: list[RemoteFile] = []
     tree = f"{api}/tree/{commit}"
     query = "recursive=true&expand=false"

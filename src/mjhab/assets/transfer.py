@@ -80,7 +80,7 @@ def get(
     while attempt < TRIES:
         try:
             with _open(url, timeout=FIRST_TIMEOUT if first else TIMEOUT) as answer:
-                return _document(answer), answer.headers.get("Link", "")
+                return _document(url, answer), answer.headers.get("Link", "")
         except (OSError, http.client.HTTPException, ValueError) as error:
             problem = _worth_another_try(url, error)
             if _is_unreached(error) and (_is_silent(error) or attempt + 1 >= UNREACHED_TRIES):
@@ -99,22 +99,21 @@ def get(
     )
 
 
-def _document(answer: http.client.HTTPResponse) -> bytes:
+def _document(url: str, answer: http.client.HTTPResponse) -> bytes:
     """The body of an answer.
 
     Raises:
-        TimeoutError: it takes longer than `MAX_DOCUMENT_S`.
-        ValueError: it is larger than `MAX_DOCUMENT_MB`.
+        TransferError: it takes longer than `MAX_DOCUMENT_S` or is larger than `MAX_DOCUMENT_MB`.
     """
     began = time.monotonic()
-    body = b""
+    body = bytearray()
     while chunk := answer.read1(CHUNK):
         body += chunk
         if len(body) > MAX_DOCUMENT_MB * 2**20:
-            raise ValueError(f"the answer is larger than {MAX_DOCUMENT_MB} MB")
+            raise TransferError(f"{url}: the answer is larger than {MAX_DOCUMENT_MB} MB.")
         if time.monotonic() - began > MAX_DOCUMENT_S:
-            raise TimeoutError(f"the answer took longer than {MAX_DOCUMENT_S:g} s")
-    return body
+            raise TransferError(f"{url}: the answer took longer than {MAX_DOCUMENT_S:g} s.")
+    return bytes(body)
 
 
 def download(

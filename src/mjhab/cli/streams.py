@@ -70,9 +70,16 @@ def _null_device() -> TextIO:
 
 
 def _discard_output(stream: TextIO) -> None:
-    """Lead a stream that cannot be written to the null device, so that the interpreter exits without an error."""
+    """Lead a stream that cannot be written to the null device, so that the interpreter exits without an error.
+
+    A closed stream, or one without a descriptor, stays as it is.
+    """
+    try:
+        number = stream.fileno()
+    except (OSError, ValueError):
+        return
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, stream.fileno())
+    os.dup2(nowhere, number)
     os.close(nowhere)
 
 

@@ -13,7 +13,6 @@ from mjhab.core.errors import UsageError
 from mjhab.data.select.query import read_filter
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import full_spec, inspect_policy
-from mjhab.serving.address import MAX_PORT
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from mjhab.viewer import require_viser
@@ -27,9 +26,6 @@ def run_view(options: ViewOptions) -> int:
     """Run the command; returns 0. A page is served until Ctrl-C or SIGTERM."""
     at_least("worlds", options.worlds, 1)
     at_least("episode", options.episode, 0)
-    at_least("horizon", options.horizon, 0)
-    if not 0 <= options.port <= MAX_PORT:
-        raise UsageError(f"--port must be from 0 to {MAX_PORT}, got {options.port}.")
     _check_choice(options)
     if options.export is not None:
         return _export(options)

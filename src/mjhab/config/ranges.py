@@ -11,6 +11,8 @@ MAX_NUMBER = 10**9
 """Largest value of an option that has no range of its own."""
 RANGES: dict[str, tuple[int, int]] = {
     "seed": (0, 2**63 - 1),
+    "check_seed": (0, 2**63 - 1),
+    "port": (0, 65_535),
     "worlds": (1, 65_536),
     "num_envs": (1, 10_000_000),
     "workers": (0, 256),

@@ -31,7 +31,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
-from mjhab.core.files.reading import parse_json
+from mjhab.core.files.reading import is_file, parse_json
 from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
 from mjhab.core.typed.records import read_record
@@ -299,14 +299,14 @@ class SpawnSet:
         Raises:
             UsageError: there is no such file, it is not a spawn set, or it is damaged.
         """
-        if not path.is_file():
+        if not is_file(path):
             raise UsageError(
                 f"there is no file {path}; `mjhab spawns make --out {path}` makes one."
             )
         with open_arrays(path, "spawn set", MAX_SET_MB) as data:
             header = _read_header(str(data["header"]))
             columns = {name: data[name] for name in _COLUMNS}
-            stated = header.pop("digest", "")
+            stated = header.pop("digest")
             if content_digest(header, columns) != stated:
                 raise ValueError("its content is not what its header says")
         try:

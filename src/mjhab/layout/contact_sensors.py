@@ -53,7 +53,7 @@ def add_touch_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) ->
 
     The first number is the count of contacts. `pair_force` uses it to select the contacts of a force sensor that are
     with ``body``. This replaces a force sensor per pair of bodies: the engine evaluates every sensor in every substep,
-    70 ns each even without contacts.
+    and each takes time even without contacts.
     """
     readings = _Readings((_FOUND, _POS), _MAXFORCE, CONTACT_SLOTS)
     _add_sensor(spec, name, subtree, body, readings, whole_subtree=True)

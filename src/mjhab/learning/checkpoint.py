@@ -97,7 +97,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
         layout = Layout.from_plain(config.inputs, described["layout"])
         about = read_record(dict[str, Any], head.get("about", {}), "about")
         return Checkpoint(config, layout, about, tensors)
-    except (ValueError, UsageError) as error:
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+    except ValueError as error:
         raise UsageError(f"{path} is damaged: its header is no student's ({error})") from error
 
 
@@ -167,6 +169,8 @@ def restoring(path: Path) -> Iterator[None]:
     """
     try:
         yield
+    except torch.OutOfMemoryError:
+        raise
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
         raise UsageError(
             f"{path} does not hold the state of this run ({reason(error)}); begin a new run."

@@ -361,6 +361,8 @@ SIZES = {
     "sampling_steps": 1000,
 }
 """Largest values of the fields of a student that a file describes; the presets stay far below."""
+PAPER_LOG_STD = (-20.0, 2.0)
+"""`NetworkConfig.log_std` in MS-HAB (mshab/agents/sac)."""
 MAX_STAGES = 16
 """Most entries of ``channels`` and ``unet`` in a file."""
 
@@ -372,7 +374,12 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
         UsageError: a field is unknown to this version, is of another type, or is out of `SIZES`.
     """
     try:
-        config: StudentConfig = read_record(StudentConfig, values, "student")
+        config: StudentConfig = read_record(StudentConfig, _with_log_std(values), "student")
+        least, most = config.network.log_std
+        if not least < most:
+            raise ValueError(
+                f"student.network.log_std: expected two rising numbers, got {least}, {most}."
+            )
         for part in (config, config.inputs, config.network):
             for name, most in SIZES.items():
                 _check_size(name, getattr(part, name, 0), most)
@@ -383,6 +390,14 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
             f"the config of a student does not fit this version of mjhab: {error}"
         ) from error
     return config
+
+
+def _with_log_std(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The values of a file; one without ``log_std`` is older than this field, and its encoder told the limits."""
+    network = values.get("network")
+    if not isinstance(network, dict) or "log_std" in network or network.get("encoder") != "strided":
+        return values
+    return {**values, "network": {**network, "log_std": list(PAPER_LOG_STD)}}
 
 
 def _check_size(name: str, value: int | tuple[int, ...], most: int) -> None:

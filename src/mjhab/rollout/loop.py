@@ -64,13 +64,12 @@ def rollout(
 
 
 def _check(episodes: Collection[int], max_steps: int | None) -> None:
-    # The indices of a range and of IndicesLeft are distinct, and there may be too many for a set.
-    lazy = isinstance(episodes, range | IndicesLeft)
-    named = episodes[:: len(episodes) - 1 or 1] if isinstance(episodes, range) else episodes
-    if not isinstance(episodes, IndicesLeft) and any(index < 0 for index in named):
-        raise UsageError(f"episode indices must be >= 0, got {min(named)}.")
-    if not lazy and len(set(episodes)) != len(episodes):
-        raise UsageError("episode indices must be distinct; one is named twice.")
+    # Those of IndicesLeft are distinct and >= 0, and there may be too many for a set.
+    if not isinstance(episodes, IndicesLeft):
+        if any(index < 0 for index in episodes):
+            raise UsageError(f"episode indices must be >= 0, got {min(episodes)}.")
+        if len(set(episodes)) != len(episodes):
+            raise UsageError("episode indices must be distinct; one is named twice.")
     if max_steps is not None and max_steps < 1:
         raise UsageError(f"max_steps must be >= 1, got {max_steps}.")
 

@@ -118,9 +118,9 @@ def check_extent(path: Path, extent: np.ndarray) -> None:
     Raises:
         UsageError: an extent is not within `MIN_EXTENT_M` and `MAX_EXTENT_M`.
     """
-    shown = " x ".join(f"{size:g}" for size in extent.tolist())
+    measured = " x ".join(f"{size:g}" for size in extent.tolist())
     if extent.max() > MAX_EXTENT_M or extent.min() < MIN_EXTENT_M:
         raise UsageError(
-            f"{path}: the object measures {shown} m; expected {MIN_EXTENT_M:g} to {MAX_EXTENT_M:g} m along every axis. "
-            "Files are read in metres; `scale` converts from another unit."
+            f"{path}: the object measures {measured} m; expected {MIN_EXTENT_M:g} to {MAX_EXTENT_M:g} m along every "
+            "axis. Files are read in metres; `scale` converts from another unit."
         )

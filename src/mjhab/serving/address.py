@@ -10,8 +10,6 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.serving.dialects.names import dialect_named
 
 SCHEMES = ("ws://", "wss://")
-MAX_PORT = (1 << 16) - 1
-"""Largest number of a TCP port."""
 PROMPTS = ("subtask", "task")
 TOKEN_VARIABLE = "MJHAB_POLICY_TOKEN"
 """Environment variable with the token that a server asks for, at both ends."""

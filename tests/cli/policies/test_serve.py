@@ -39,7 +39,7 @@ def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
     [
         (["serve", "expret"], "Did you mean 'expert'"),
         (["serve", "expert", "--dialect", "grpc"], "unknown dialect 'grpc'"),
-        (["serve", "expert", "--port", "70000"], "--port must be below 65536"),
+        (["serve", "expert", "--port", "70000"], "--port must be at most 65,535"),
         (["serve", "expert", "--max-message-mb", "0"], "max-message-mb must be at least 1"),
         (["serve", "ws://localhost:1"], "is served already"),
         (["eval", "--policy", "ws://127.0.0.1:1"], "no policy server at ws://127.0.0.1:1"),

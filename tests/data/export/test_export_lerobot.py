@@ -253,6 +253,14 @@ def test_segmentation_is_left_out_on_demand(tmp_path: Path) -> None:
     assert set(done.images) == {RGB, DEPTH} and not (tmp_path / "set/meta/segments.json").exists()
 
 
+def test_poses_of_cameras_go_with_their_images(tmp_path: Path) -> None:
+    for index, names in enumerate((NAMES, ())):
+        env = FakeEnv(images=True, segments=names)
+        record(tmp_path / f"{index}.h5", [index], env, images=ImageFormat())
+    none = Choice(rgb=False, depth=False, seg=False)
+    assert export(tmp_path, tmp_path / "out/set", choice=none).episodes == 2
+
+
 def test_ids_that_mean_other_things_are_refused(tmp_path: Path) -> None:
     for index, (name, names) in enumerate((("a", NAMES), ("b", NAMES[::-1]))):
         env = FakeEnv(images=True, segments=names)

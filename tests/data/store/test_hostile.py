@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -328,12 +330,21 @@ def test_a_run_of_other_types_damages_its_episodes_and_ends_no_command(
         assert main(command) == 1, command
 
 
+def large_header() -> bytes:
+    """A PNG whose header states 60,000 x 60,000 pixels."""
+    data = bytearray(encode(np.zeros((4, 4, 1), int), "depth", ImageFormat()))
+    data[16:24] = struct.pack(">II", 60_000, 60_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    return bytes(data)
+
+
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
         (b"no picture", "frame 0 of images/head/depth: the bytes are no picture"),
         (encode(np.zeros((4, 4, 3), np.uint8), "rgb", ImageFormat()), "pixels I;16 or I, not RGB"),
         (encode(np.zeros((4, 5000, 1), int), "depth", ImageFormat()), "5000 x 4 pixels"),
+        (large_header(), "the bytes are no picture"),
     ],
 )
 def test_frames_that_are_no_pictures(tmp_path: Path, frame: bytes, message: str) -> None:

@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 
 def run_serve(options: ServeOptions) -> int:
     """Serve until Ctrl-C or SIGTERM; returns 0."""
-    at_least("port", options.port, 0)
     at_least("seed", options.seed, 0)
     at_least("max-message-mb", options.max_message_mb, 1)
-    if options.port >= 1 << 16:
-        raise UsageError(f"--port must be below {1 << 16}, got {options.port}.")
     if options.policy.startswith(SCHEMES):
         raise UsageError(f"{options.policy} is served already.")
     require_serving()

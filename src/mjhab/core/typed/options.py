@@ -100,7 +100,7 @@ def _read(name: str, kind: Any, value: Any) -> Any:
     if origin is int and isinstance(value, Integral) and not is_bool:
         return int(value)
     if origin is float and isinstance(value, Real) and not is_bool:
-        return float(value) if math.isfinite(value) else _UNFIT
+        return _number(value)
     if origin is tuple and isinstance(value, list | tuple):
         return _tuple(name, typing.get_args(kind), value)
     if origin is Mapping and isinstance(value, Mapping):
@@ -108,6 +108,14 @@ def _read(name: str, kind: Any, value: Any) -> Any:
     if dataclasses.is_dataclass(origin) and isinstance(value, typing.cast(type, origin)):
         return value
     return _UNFIT
+
+
+def _number(value: Real) -> Any:
+    try:
+        number = float(value)
+    except OverflowError:
+        return _UNFIT
+    return number if math.isfinite(number) else _UNFIT
 
 
 def _tuple(name: str, kinds: tuple[Any, ...], value: list[Any] | tuple[Any, ...]) -> Any:

@@ -93,7 +93,14 @@ def _telling() -> Iterator[None]:
     """Turn what Pillow raises for broken pictures into ValueError."""
     try:
         yield
-    except (OSError, SyntaxError, EOFError, struct.error, zlib.error) as error:
+    except (
+        Image.DecompressionBombError,
+        OSError,
+        SyntaxError,
+        EOFError,
+        struct.error,
+        zlib.error,
+    ) as error:
         raise ValueError(f"the bytes are no picture ({reason(error)})") from error
 
 

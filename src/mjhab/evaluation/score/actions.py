@@ -24,33 +24,6 @@ NO_MORE = "the recorded actions end here"
 """Fault of a world in which a replayed episode outlasts its recorded actions."""
 
 
-class ActionKeeper(Sink[RecordedEnv]):
-    """Writes the actions and the start digest of every finished episode to a file of its own in ``folder``."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._starts: dict[int, str] = {}
-        self._actions: dict[int, list[np.ndarray]] = {}
-
-    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
-        """Start recording the worlds in ``mask`` (W,)."""
-        for w in np.flatnonzero(mask).tolist():
-            self._starts[w] = start_digest(env, w)
-            self._actions[w] = []
-
-    def on_step(self, env: RecordedEnv, step: StepView) -> None:
-        """Remember the applied actions."""
-        for w in np.flatnonzero(step.active).tolist():
-            self._actions[w].append(np.array(step.actions[w], np.float32))
-
-    def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
-        """Write the actions of the episode."""
-        text = f"{self._starts[world]} {packed_actions(np.stack(self._actions[world]))}"
-        path = kept_path(self._folder, record.index)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
-
-
 class StartKeeper(Sink[RecordedEnv]):
     """Remembers the start digest of every finished episode, by its index."""
 
@@ -66,6 +39,34 @@ class StartKeeper(Sink[RecordedEnv]):
     def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
         """Give the digest to the episode."""
         self.starts[record.index] = self._now[world]
+
+
+class ActionKeeper(StartKeeper):
+    """Writes the actions and the start digest of every finished episode to a file of its own in ``folder``."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._folder = folder
+        self._actions: dict[int, list[np.ndarray]] = {}
+
+    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+        """Start recording the worlds in ``mask`` (W,)."""
+        super().on_reset(env, info, mask)
+        for w in np.flatnonzero(mask).tolist():
+            self._actions[w] = []
+
+    def on_step(self, env: RecordedEnv, step: StepView) -> None:
+        """Remember the applied actions."""
+        for w in np.flatnonzero(step.active).tolist():
+            self._actions[w].append(np.array(step.actions[w], np.float32))
+
+    def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
+        """Write the actions of the episode."""
+        super().on_episode_end(env, world, record)
+        text = f"{self.starts[record.index]} {packed_actions(np.stack(self._actions[world]))}"
+        path = kept_path(self._folder, record.index)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
 
 
 def kept_path(folder: Path, index: int) -> Path:

@@ -167,7 +167,7 @@ def read_for_table(path: Path) -> Result:
     """
     content = _read_json(path)
     if content.get("format") != SUMMARY_FORMAT:
-        return read_result(path)
+        return _result_of(path, content)
     if content.get("version") != VERSION:
         raise UsageError(
             f"{path} is not a summary of version {VERSION}; `mjhab score` writes them."
@@ -221,7 +221,11 @@ def read_result(path: Path) -> Result:
     Raises:
         UsageError: it is not a result file, it was edited, or its numbers do not follow from its episodes.
     """
-    content = _read_json(path)
+    return _result_of(path, _read_json(path))
+
+
+def _result_of(path: Path, content: Mapping[str, Any]) -> Result:
+    """The checked content of a result file, see `read_result`."""
     if content.get("format") == SUMMARY_FORMAT:
         raise UsageError(
             f"{path} is a summary, which has no episodes to verify; give the result.json beside it."

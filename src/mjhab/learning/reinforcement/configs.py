@@ -16,6 +16,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import (
     BC,
     GAUSSIAN,
+    PAPER_LOG_STD,
     TEACHING,
     InputConfig,
     NetworkConfig,
@@ -334,7 +335,7 @@ PAPER_SAC = ReinforcementConfig(
         3,
         state_features=50,
         norm=False,
-        log_std=(-20.0, 2.0),  # mshab/agents/sac
+        log_std=PAPER_LOG_STD,
     ),
     sac=SacConfig(
         gamma=0.95,

@@ -111,6 +111,11 @@ def gaussian_of(student: BehaviourCloning) -> ActionGaussian:
     count = len(student.layout.actions)
     normalizer = student.action_normalizer
     least, most = made.log_std_limits
+    if not least < math.log(START_STD) < most:
+        raise UsageError(
+            f"network.log_std must enclose {math.log(START_STD):.2f}, the spread of an actor that begins from a "
+            f"student; got {least}, {most}."
+        )
     share = 2.0 * (math.log(START_STD) - least) / (most - least) - 1.0
     with torch.no_grad():
         # The first rows of the head are the first action of the chunk, normalized.

@@ -268,7 +268,7 @@ class _Reader:
         material = self.document.pick("materials", part.whole("material"))
         surface = material.part("pbrMetallicRoughness")
         color = surface.numbers("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3]
-        if not (np.abs(color) <= 1.0).all():
+        if not ((color >= 0.0) & (color <= 1.0)).all():
             raise ValueError(f"{surface.place('baseColorFactor')}: expected numbers from 0 to 1")
         if "baseColorTexture" not in surface:
             return color, None, bend

@@ -161,7 +161,7 @@ def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
 def terms_html(terms: Mapping[str, float], total: float) -> str:
     """Write the reward of a step and its terms, as bars to the right (positive) and left (negative) of zero."""
     if not terms:
-        told = f"reward {total:.3f}; this reward has no terms (--reward dense has)"
+        told = f"reward {total:.3f}; no terms in this state"
         return f'<p style="font-size:12px;margin:2px 0">{told}</p>'
     most = max(1e-9, *(abs(value) for value in terms.values()))
     rows = [f'<p style="font-size:12px;margin:2px 0">reward <b>{total:.3f}</b></p>']

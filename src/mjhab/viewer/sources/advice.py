@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from mjhab.data.store.reading import Episode
-from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.evaluation.recorded import recorded_env
 from mjhab.experts.policy import ExpertPolicy
 from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
+from mjhab.viewer.sources.recorded_envs import RecordedEnvs
 from mjhab.viewer.sources.track import Track
 
 PLAN_STEPS = 20
@@ -33,7 +32,7 @@ class RecordedPlans:
         self.problem = ""
         self._reading = reading
         self._pool = ThreadPoolExecutor(1, "plans")
-        self._envs: dict[str, SequentialTaskEnv] = {}
+        self._envs = RecordedEnvs()
         self._known: dict[tuple[str, str, int], Future[PlanMarks | None]] = {}
 
     def at(self, episode: Episode, track: Track, step: int) -> PlanMarks | None:
@@ -56,15 +55,14 @@ class RecordedPlans:
     def close(self) -> None:
         """Close the environments after the current computation."""
         self._pool.shutdown(cancel_futures=True)
-        for env in self._envs.values():
-            env.close()
+        self._envs.close()
 
     def _plan(self, episode: Episode, track: Track, step: int) -> PlanMarks | None:
         if track.moments[step].active >= len(track.plan):
             return None
         with self._reading:
             state = _state_at(episode, track, step)
-        env = self._env(episode)
+        env = self._envs.of(episode)
         env.reset(seed=episode.record.seed, options={"episode": [episode.record.index]})
         env.set_state(0, state)
         expert = ExpertPolicy(env)
@@ -79,12 +77,6 @@ class RecordedPlans:
                 break
             env.step(action)
         return marks
-
-    def _env(self, episode: Episode) -> SequentialTaskEnv:
-        run = episode.run
-        if run.config_id not in self._envs:
-            self._envs[run.config_id] = recorded_env(run, num_envs=1, threads=1)
-        return self._envs[run.config_id]
 
 
 def _state_at(episode: Episode, track: Track, step: int) -> dict[str, Any]:

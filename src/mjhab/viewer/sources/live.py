@@ -25,6 +25,7 @@ from mjhab.rollout.records import EpisodeRecord, PlanEntry
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
+from mjhab.viewer.sources.advice import PLAN_STEPS
 from mjhab.viewer.sources.hand import HUMAN, HandControl
 from mjhab.viewer.sources.pace import Pace
 from mjhab.viewer.sources.switch import Switch
@@ -104,6 +105,7 @@ class LiveSession:
         self._failed = False
         self._plan_wanted = False
         self._plan_token: tuple[int, int, int] | None = None
+        self._plan_tries = 0
         self._adviser: ExpertPolicy | None = None
         self._cut_done = threading.Event()
         self._jobs: queue.SimpleQueue[Callable[[LiveSession], object]] = queue.SimpleQueue()
@@ -265,7 +267,8 @@ class LiveSession:
     def _note_plan(self) -> None:
         """Set ``expert_plan`` in the watched world.
 
-        If the expert acts there, it is its present plan; else a second expert plans once at the start of each subtask.
+        If the expert acts there, it is its present plan; else a second expert plans in the first control steps of each
+        subtask.
         """
         assert self.switch is not None and self.env is not None
         world = self.watched
@@ -279,9 +282,11 @@ class LiveSession:
             if token != self._plan_token:
                 self._adviser.reset(np.arange(self.env.num_envs) == world)
                 self.expert_plan = None
+                self._plan_tries = 0
             self._plan_token = token
             # Some scripts have a plan only after some control steps.
-            if self.expert_plan is None:
+            if self.expert_plan is None and self._plan_tries < PLAN_STEPS:
+                self._plan_tries += 1
                 self._adviser.act_in({}, {}, np.arange(self.env.num_envs) == world)
             script = self._adviser.script(world)
         self.expert_plan = plan_marks(script) if script is not None else None

@@ -8,15 +8,14 @@ from pathlib import Path
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.select.query import Filter
-from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.reading import Episode, open_shard, shard_paths
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.evaluation.recorded import recorded_env
 from mjhab.rollout.store import EPISODES
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
 from mjhab.viewer.sources.advice import RecordedPlans
 from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.recorded_envs import RecordedEnvs
 from mjhab.viewer.sources.track import Track, recorded_track
 
 MAX_LISTED = 2000
@@ -52,7 +51,7 @@ class Replay:
         # One tuple, assigned at once: the thread of a page sets it while the thread of the frames reads it.
         self._shown: tuple[Episode, Track] | None = None
         self._episodes: dict[str, Episode] = {}
-        self._envs: dict[str, SequentialTaskEnv] = {}
+        self._envs = RecordedEnvs()
         self._plan_wanted = False
         self._problem = ""
         # Held to read a shard: a page loads episodes while the expert's thread reads others.
@@ -124,19 +123,13 @@ class Replay:
         Raises:
             UsageError: see `load`.
         """
-        return self._env_of(self._episodes[title])
-
-    def _env_of(self, episode: Episode) -> SequentialTaskEnv:
-        run: RunInfo = episode.run
-        if run.config_id not in self._envs:
-            self._envs[run.config_id] = recorded_env(run, num_envs=1, threads=1)
-        return self._envs[run.config_id]
+        return self._envs.of(self._episodes[title])
 
     @property
     def sim(self) -> CpuSimulator:
         """Simulator whose layout has the home of the episode that is shown."""
         assert self._shown is not None, "there are no homes before there is a track"
-        return self._env_of(self._shown[0]).sim
+        return self._envs.of(self._shown[0]).sim
 
     @property
     def track(self) -> Track | None:
@@ -170,8 +163,7 @@ class Replay:
     def close(self) -> None:
         """Close the environments."""
         self._plans.close()
-        for env in self._envs.values():
-            env.close()
+        self._envs.close()
 
     def set_policy(self, spec: str) -> None:
         """Do nothing: recorded episodes have no policy to replace."""

@@ -57,6 +57,8 @@ IMAGES = {
 MAPS = {"depth": "int16", "seg": "int32"}
 """Image output to its type, of those that are stored in columns (N, H, W)."""
 CAMERA_POSE = "camera_pose"
+CAMERA_POSE_PATH = "obs/sensor_param/{}/cam2world_gl"
+"""Path in a shard of the recorded poses (N+1, 4, 4) of a camera."""
 """Poses (N, 4, 4) of a camera, see CONVENTIONS. Not "observation.", because LeRobot takes such features for state."""
 ACTION = "action"
 INTENDED = "intended_action"
@@ -253,12 +255,13 @@ class _Export:
         if state.task:
             columns[ENVIRONMENT_STATE] = np.concatenate(list(state.task.values()), axis=1)[:count]
         for camera, output in episode.images:
-            key = f"{IMAGES[output]}.{camera}"
-            if output in MAPS and key in self._features:
+            if output in MAPS and (key := f"{IMAGES[output]}.{camera}") in self._features:
                 frames = [episode.frame(camera, output, t)[..., 0] for t in range(count)]
                 columns[key] = np.stack(frames).astype(MAPS[output])
-        for camera, path in _camera_poses(episode).items():
-            columns[f"{CAMERA_POSE}.{camera}"] = episode.array(path)[:count]
+        for key in self._features:
+            if key.startswith(f"{CAMERA_POSE}."):
+                path = CAMERA_POSE_PATH.format(key.removeprefix(f"{CAMERA_POSE}."))
+                columns[key] = episode.array(path)[:count]
         return columns
 
     def finish(self) -> Exported:
@@ -319,28 +322,23 @@ def describe(episode: Episode, choice: Choice) -> Features:
     }
     if state.task:
         features[ENVIRONMENT_STATE] = _state_feature(state.task, episode)
-    for camera, output in episode.images:
+    chosen = [
+        (camera, output)
+        for camera, output in episode.images
+        if output in IMAGES and getattr(choice, output)
+    ]
+    for camera, output in chosen:
         height, width = episode.frame(camera, output, 0).shape[:2]
         key = f"{IMAGES[output]}.{camera}"
-        if not getattr(choice, output):
-            continue
         if output in MAPS:
             features[key] = _feature(MAPS[output], (height, width), ["height", "width"])
         else:
             features[key] = _film_feature(height, width)
-    for camera in _camera_poses(episode):
-        features[f"{CAMERA_POSE}.{camera}"] = _feature("float32", (4, 4), ["row", "column"])
+    paths = set(episode.paths)
+    for camera in dict.fromkeys(camera for camera, _ in chosen):
+        if CAMERA_POSE_PATH.format(camera) in paths:
+            features[f"{CAMERA_POSE}.{camera}"] = _feature("float32", (4, 4), ["row", "column"])
     return features
-
-
-def _camera_poses(episode: Episode) -> dict[str, str]:
-    """Camera to the path of its recorded poses (N+1, 4, 4)."""
-    found = {}
-    for camera in dict.fromkeys(camera for camera, _ in episode.images):
-        path = f"obs/sensor_param/{camera}/cam2world_gl"
-        if path in episode.paths:
-            found[camera] = path
-    return found
 
 
 def _feature(

@@ -25,6 +25,13 @@ def test_fields_are_set_by_name() -> None:
     assert changed.dagger is not None and changed.dagger.rounds == 2
 
 
+def test_fields_that_depend_on_each_other_are_set_in_any_order() -> None:
+    preset = preset_of(BC, "small")
+    for words in (["chunk=1", "execute=1"], ["execute=1", "chunk=1"]):
+        student = with_changes(preset, words).student
+        assert (student.chunk, student.execute) == (1, 1)
+
+
 @pytest.mark.parametrize(
     ("word", "told"),
     [

@@ -61,15 +61,20 @@ def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
     """
     student = config.student
     dagger = config.dagger
+    own: dict[str, Any] = {}
     known = settable(config)
     for word in words:
         name, text = _split(word, known)
         value = _read(name, text, known[name])
-        part, _, field = name.partition(".")
+        part, dot, field = name.partition(".")
         if part == DAGGER:
             dagger = _replaced(dagger, field, value)
-        else:
+        elif dot:
             student = _set(student, name, value)
+        else:
+            own[name] = value
+    # Together, because a student is checked as a whole: chunk=1 alone would be refused before execute=1 is read.
+    student = dataclasses.replace(student, **own)
     return dataclasses.replace(config, student=student, dagger=dagger)
 
 

@@ -9,11 +9,12 @@ import pytest
 
 from mjhab.cli.main import main
 from mjhab.learning import configs
-from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig
+from mjhab.learning.changes import with_changes
+from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig, preset_of
 from mjhab.learning.reproduce.rows import table_rows
 from mjhab.learning.reproduce.spec import TableSpec
 from mjhab.learning.reproduce.studies import config_of
-from mjhab.learning.reproduce.variants import STYLES, VARIANTS
+from mjhab.learning.reproduce.variants import CHANGED, STYLES, VARIANTS, Imitation
 from mjhab.reports.paper import paper_success
 from tests.learning.small import config
 
@@ -40,7 +41,11 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--column", "rl_all", "--preset", "small"), "preset"),
         (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
         (("--demos", "-1"), "--demos must be at least 0"),
-        (("--demos", "5"), "--demos is for table5, demo_count, filters, not for table1"),
+        (("--demos", "5"), "--demos is for table5, demo_count, filters, choices, not for table1"),
+        (
+            ("--updates", "5"),
+            "--updates is for table5, demo_count, filters, choices, not for table1",
+        ),
     ],
 )
 def test_bad_input(
@@ -157,7 +162,46 @@ def test_the_diffusion_policy_sees_images_of_the_presets_size() -> None:
         episodes=1, films=0, seed=0, assets="builtin", worlds=1, threads=1, resume=False,
         profile="ms_hab",
     )  # fmt: skip
-    small, paper = (config_of(spec, algorithm).student for algorithm in ("bc", "diffusion"))
+    small, paper = (
+        config_of(spec, Imitation(algorithm)).student for algorithm in ("bc", "diffusion")
+    )
     assert paper.algorithm == "diffusion" and paper.chunk == 16
     assert paper.inputs.image_size == small.inputs.image_size == 32
     assert paper.updates == small.updates
+
+
+def test_choices_share_data_where_they_need_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    student = config(inputs=InputConfig(image_size=16), demos=1, updates=9, hold_steps=5)
+    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
+    kept = ("preset", "chunk_1", "whole_episodes", "px_64", "no_noise")
+    chosen = [variant for variant in VARIANTS["choices"] if variant.name in kept]
+    monkeypatch.setitem(VARIANTS, "choices", tuple(chosen))
+    words = ["reproduce", "choices", *COMMAND[2:], "--out", str(tmp_path), "--worlds", "1"]
+    words += ["--threads", "1", "--split", "train", "--episodes", "1", "--updates", "2"]
+    assert main(words) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [row["rules"] for row in rows] == list(kept)
+    folder = tmp_path / "set_table.close.drawer"
+    assert sorted(path.name for path in (folder / "data").iterdir() if path.is_dir()) == [
+        "demonstrations",
+        "demonstrations_64px",
+        "demonstrations_whole",
+        "undisturbed",
+    ]
+    trained = {
+        name: json.loads((folder / "train" / name / "config.json").read_text("utf-8"))
+        for name in kept
+    }
+    students = {name: found["config"]["student"] for name, found in trained.items()}
+    assert students["chunk_1"]["chunk"] == students["chunk_1"]["execute"] == 1
+    assert students["whole_episodes"]["hold_steps"] == -1
+    assert students["px_64"]["inputs"]["image_size"] == 64
+    assert all(found["updates"] == 2 for found in students.values())
+
+
+def test_every_choice_changes_the_preset() -> None:
+    small = preset_of("bc", "small")
+    for name, (_, changes) in CHANGED.items():
+        assert (with_changes(small, changes) == small) == (name == "preset")

@@ -35,7 +35,7 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
         UsageError: a number is out of range.
     """
     least = {"episodes": 1, "worlds": 1, "workers": 1}
-    for name in (*least, "films", "seed", "threads", "demos"):
+    for name in (*least, "films", "seed", "threads", "demos", "updates"):
         at_least(name, getattr(options, name), least.get(name, 0))
     at_least("budget-minutes", options.budget_minutes, 0)
     return TableSpec(
@@ -48,6 +48,7 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
         backend=options.backend,
         device=options.device,
         demos=options.demos,
+        updates=options.updates,
         workers=options.workers,
         budget_minutes=options.budget_minutes,
         profile=options.profile,

@@ -13,6 +13,7 @@ from mjhab.data.store.episode_data import last_label
 from mjhab.learning.reproduce.rows import TableRow
 from mjhab.learning.reproduce.variants import (
     AS_PUBLISHED,
+    CHOICES,
     DEMO_COUNT,
     FILTERS,
     STUDIES,
@@ -36,6 +37,7 @@ TITLES = {
     TABLE5: "Table 5: imitation",
     DEMO_COUNT: "Number of demonstrations",
     FILTERS: "Place: which demonstrations",
+    CHOICES: "Choices of the presets",
 }
 PAPER_TITLES = dict(
     zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True)

@@ -22,6 +22,7 @@ from mjhab.learning.reproduce.rows import (
     task_rows,
 )
 from mjhab.learning.reproduce.variants import (
+    CHOICES,
     DEMO_COUNT,
     FILTERS,
     GOAL_ZONES,
@@ -32,7 +33,11 @@ from mjhab.learning.reproduce.variants import (
 
 DEFAULT_PRESETS = {STUDENTS: "small"}
 REINFORCEMENT_PRESET = "fast"
-DEFAULT_ROWS = {DEMO_COUNT: ("tidy_house/pick",), FILTERS: ("prepare_groceries/place",)}
+DEFAULT_ROWS = {
+    DEMO_COUNT: ("tidy_house/pick",),
+    FILTERS: ("prepare_groceries/place",),
+    CHOICES: ("set_table/open/drawer", "tidy_house/place"),
+}
 """Rows of a study if none are named."""
 
 
@@ -49,7 +54,8 @@ class TableSpec(ProfileChoice):
     policies: folder of an earlier reproduction whose policies are evaluated; None trains new ones.
     backend, device: of the environments of reinforcement learning, see `EnvConfig`; in STUDIES device is that of the
     network, see `training_device`. demos: number of episodes that the expert tries for each data set of a study, 0 for
-    that of the preset. workers: processes of the expert in a study; they change the speed, not the results.
+    that of the preset. updates: of each network of a study, 0 for those of the preset. workers: processes of
+    the expert in a study; they change the speed, not the results.
     """
 
     what: str
@@ -70,6 +76,7 @@ class TableSpec(ProfileChoice):
     backend: str = "cpu"
     device: str = ""
     demos: int = 0
+    updates: int = 0
     workers: int = 1
 
     @property
@@ -115,8 +122,9 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
         raise UsageError(f"{spec.what} is about imitation: leave out --column {spec.column}.")
     if spec.what in STUDIES and spec.policies is not None:
         raise UsageError(f"{spec.what} compares ways of training: leave out --policies.")
-    if spec.demos and spec.what not in STUDIES:
-        raise UsageError(f"--demos is for {', '.join(STUDIES)}, not for {spec.what}.")
+    for name in ("demos", "updates"):
+        if getattr(spec, name) and spec.what not in STUDIES:
+            raise UsageError(f"--{name} is for {', '.join(STUDIES)}, not for {spec.what}.")
     rows = [known[name] for name in spec.rows or DEFAULT_ROWS.get(spec.what, known)]
     for row in rows:
         for part in policy_rows(row):
@@ -144,6 +152,5 @@ def table_config(spec: TableSpec) -> dict[str, Any]:
     names = ("what", "column", "budget_minutes", "split", "episodes", "seed", "assets", "backend")
     shown = {name: getattr(spec, name) for name in names}
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}
-    if spec.demos:
-        shown["demos"] = spec.demos
-    return {**shown, "preset": spec.preset_name, **policies, **profile_options(spec)}
+    given = {name: getattr(spec, name) for name in ("demos", "updates") if getattr(spec, name)}
+    return {**shown, **given, "preset": spec.preset_name, **policies, **profile_options(spec)}

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.machine import cores
-from mjhab.learning.configs import BC, DIFFUSION, TrainConfig, preset_of
+from mjhab.learning.changes import with_changes
+from mjhab.learning.configs import BC, DIFFUSION, StudentConfig, TrainConfig, preset_of
 from mjhab.learning.reproduce.rows import TableRow
 from mjhab.learning.reproduce.spec import TableSpec
 from mjhab.learning.reproduce.variants import STYLES, Imitation
@@ -43,8 +44,10 @@ def train_imitation(
 
     scene = Scene(row.task, row.subtask, row.target, assets=spec.assets, **profile_options(spec))
     means = Means(spec.worlds, spec.workers, spec.threads or max(1, cores() // spec.workers))
-    config = config_of(spec, imitation.algorithm)
-    places = tuple(_collected(spec, scene, means, folder / DATA, name) for name in imitation.data)
+    config = config_of(spec, imitation)
+    places = tuple(
+        _collected(spec, config, scene, means, folder / DATA, name) for name in imitation.data
+    )
     half = f"success and index < {_episodes(spec) // 2}" if len(places) > 1 else ""
     request = Request(
         config=config,
@@ -63,14 +66,16 @@ def train_imitation(
     return train(request, run, resume=resume)
 
 
-def config_of(spec: TableSpec, algorithm: str) -> TrainConfig:
-    """Preset of an algorithm; the diffusion policy sees images of the size of the request's preset."""
+def config_of(spec: TableSpec, imitation: Imitation) -> TrainConfig:
+    """How a policy is trained; the diffusion policy sees images of the size of the request's preset."""
     chosen = preset_of(BC, spec.preset_name)
-    if algorithm == BC:
-        return chosen
-    paper = preset_of(DIFFUSION).student
-    inputs = dataclasses.replace(paper.inputs, image_size=chosen.student.inputs.image_size)
-    return TrainConfig(dataclasses.replace(paper, inputs=inputs, updates=chosen.student.updates))
+    if imitation.algorithm != BC:
+        paper = preset_of(DIFFUSION).student
+        inputs = dataclasses.replace(paper.inputs, image_size=chosen.student.inputs.image_size)
+        student = dataclasses.replace(paper, inputs=inputs, updates=chosen.student.updates)
+        chosen = TrainConfig(student)
+    updates = (f"updates={spec.updates}",) if spec.updates else ()
+    return with_changes(chosen, (*imitation.changes, *updates))
 
 
 def _episodes(spec: TableSpec) -> int:
@@ -82,16 +87,30 @@ def _by_name(style: tuple[str, ...]) -> dict[str, str]:
     return {word.partition("=")[0]: word for word in style}
 
 
-def _collected(spec: TableSpec, scene: Scene, means: Means, out: Path, name: str) -> Path:
+def _data_folder(config: StudentConfig, preset: StudentConfig, name: str) -> str:
+    """Name of the folder of a data set; variants share it where they need the same images and the same ends."""
+    parts = [name or "demonstrations"]
+    if config.inputs.image_size != preset.inputs.image_size:
+        parts.append(f"{config.inputs.image_size}px")
+    if config.hold_steps != preset.hold_steps:
+        parts.append("whole" if config.hold_steps < 0 else f"until_{config.hold_steps}")
+    return "_".join(parts)
+
+
+def _collected(
+    spec: TableSpec, config: TrainConfig, scene: Scene, means: Means, out: Path, name: str
+) -> Path:
     """The folder of a data set; collects what it lacks."""
     from mjhab.learning.runs.collection import Collector, Round
     from mjhab.learning.runs.session import Request, layout_for
 
-    config = preset_of(BC, spec.preset_name)
-    student = config.student
-    layout = layout_for(Request(config, scene, means))
-    changes = {**_by_name(student.style), **_by_name(STYLES[name])}
-    wanted = Round(0, _episodes(spec), hold_steps=student.hold_steps, style=tuple(changes.values()))
-    folder = out / (name or "demonstrations")
+    preset = preset_of(BC, spec.preset_name).student
+    inputs = dataclasses.replace(preset.inputs, image_size=config.student.inputs.image_size)
+    seen = TrainConfig(dataclasses.replace(preset, inputs=inputs))
+    layout = layout_for(Request(seen, scene, means))
+    changes = {**_by_name(preset.style), **_by_name(STYLES[name])}
+    hold_steps = config.student.hold_steps
+    wanted = Round(0, _episodes(spec), hold_steps=hold_steps, style=tuple(changes.values()))
+    folder = out / _data_folder(config.student, preset, name)
     Collector(scene, layout.env_options(), means, spec.seed).collect(wanted, folder)
     return folder

@@ -17,11 +17,15 @@ LONG_HORIZON = "long_horizon"
 TABLE5 = "table5"
 DEMO_COUNT = "demo_count"
 FILTERS = "filters"
-STUDIES = (TABLE5, DEMO_COUNT, FILTERS)
+CHOICES = "choices"
+"""Not a result of the paper: what single choices of our presets are worth."""
+STUDIES = (TABLE5, DEMO_COUNT, FILTERS, CHOICES)
 """Results about imitation: their variants differ in how policies are trained, not in how they are judged."""
 DEMOS_PER_OBJECT = (1, 10, 100, 500, 1000)
 PLACED = "placed"
 DROPPED = "dropped"
+UNDISTURBED = "undisturbed"
+SEARCHED = "searched"
 SAFE_FORCE_LIMIT = 1400.0
 """Limit on the cumulative force in the paper's ablation of human-safe force thresholds [N x control steps]."""
 
@@ -31,20 +35,38 @@ class Imitation:
     """How a study trains a policy by imitation.
 
     algorithm: of `mjhab train`. data: names of the data sets that it learns from, keys of `STYLES`; with several, the
-    first half of the episodes of each. per_target: number of demonstrations of every target, 0 for all.
+    first half of the episodes of each. per_target: number of demonstrations of every target, 0 for all. changes: fields
+    of the preset that are set, see `with_changes`.
     """
 
     algorithm: str = BC
     data: tuple[str, ...] = ("",)
     per_target: int = 0
+    changes: tuple[str, ...] = ()
 
 
 STYLES: dict[str, tuple[str, ...]] = {
     "": (),
     PLACED: ("plan=search", "release=place"),
     DROPPED: ("plan=search", "release=drop"),
+    UNDISTURBED: ("noise=0", "base_noise=0"),
+    SEARCHED: ("plan=search", "waits=counted", "pull=base", "open_further=0"),
 }
 """What the data sets of a study change in the style of the preset's expert, by name."""
+
+
+CHANGED: dict[str, tuple[str, tuple[str, ...]]] = {
+    "preset": ("the preset as it is", ()),
+    "chunk_1": ("one action predicted and executed", ("chunk=1", "execute=1")),
+    "chunk_4": ("4 actions predicted", ("chunk=4",)),
+    "whole_episodes": ("demonstrations are not cut after success", ("hold_steps=-1",)),
+    "last_weights": ("no moving average of the weights", ("optimizer.ema=0",)),
+    "no_previous_action": ("without the previous action", ("inputs.previous_action=false",)),
+    "no_base_velocity": ("without the velocity of the base", ("inputs.base_velocity=false",)),
+    "px_64": ("images of 64 x 64 px", ("inputs.image_size=64",)),
+    "px_128": ("images of 128 x 128 px", ("inputs.image_size=128",)),
+}
+"""Variants of `CHOICES` that change fields of the preset: description and fields, by name."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +142,22 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
         Variant("place_in_goal", "objects put down", imitation=Imitation(data=(PLACED,))),
         Variant("drop_to_goal", "objects dropped", imitation=Imitation(data=(DROPPED,))),
         Variant("split_50_50", "half of each", imitation=Imitation(data=(PLACED, DROPPED))),
+    ),
+    CHOICES: (
+        *(
+            Variant(name, about, imitation=Imitation(changes=changes))
+            for name, (about, changes) in CHANGED.items()
+        ),
+        Variant(
+            "no_noise",
+            "the expert is not disturbed (no DART)",
+            imitation=Imitation(data=(UNDISTURBED,)),
+        ),
+        Variant(
+            "search",
+            "the usual expert, disturbed: it searches instead of following a rule",
+            imitation=Imitation(data=(SEARCHED,)),
+        ),
     ),
 }
 """Rules of evaluation, or ways of training, for each result of the paper, by the result's name. Training uses the rules

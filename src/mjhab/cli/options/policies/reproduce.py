@@ -27,14 +27,15 @@ class ReproduceOptions(ProfileOptions):
     what: Annotated[
         tyro.conf.Positional[str],
         tyro.conf.arg(
-            metavar="table1|table5|demo_count|filters|force_limits|goal_zones|long_horizon"
+            metavar="table1|table5|demo_count|filters|choices|force_limits|goal_zones|long_horizon"
         ),
     ]
     """table1: success in single subtasks, ten rows. force_limits: the same policies without force limits, and with a
     limit of 1,400 N x steps. goal_zones: Place with goals of other shapes. long_horizon: whole tasks, with one policy
     per subtask, unchanged and simplified. table5: behaviour cloning and the diffusion policy. demo_count: 1 to 1,000
     demonstrations per object (of --rows, else tidy_house/pick). filters: Place from objects put down, dropped, or both
-    (of --rows, else prepare_groceries/place)."""
+    (of --rows, else prepare_groceries/place). choices: a preset of `mjhab train bc` with one choice changed at a time:
+    chunk, image size, noise of the expert, ... (of --rows, else set_table/open/drawer and tidy_house/place)."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Folder of the runs, of results.json and of report.html."""
     rows: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROW ...")] = ()
@@ -52,12 +53,15 @@ class ReproduceOptions(ProfileOptions):
     backend: Name = "cpu"
     """Simulation backend of reinforcement learning: cpu, warp (on a GPU), or auto. Evaluation is on the CPU."""
     device: Name = ""
-    """With backend warp: cuda:0, cuda:1, ...; the first one if absent. In table5, demo_count and filters: where
-    networks are trained, as in `mjhab train bc`."""
+    """With backend warp: cuda:0, cuda:1, ...; the first one if absent. In table5, demo_count, filters and choices:
+    where networks are trained, as in `mjhab train bc`."""
     demos: Number = 0
-    """In table5, demo_count and filters: episodes that the expert tries per data set; those of the preset if absent."""
+    """In table5, demo_count, filters and choices: episodes that the expert tries per data set; those of the preset if
+    absent."""
+    updates: Number = 0
+    """In table5, demo_count, filters and choices: updates of each network; those of the preset if absent."""
     workers: Number = 1
-    """In table5, demo_count and filters: processes of the expert. Changes the speed, never the results."""
+    """In table5, demo_count, filters and choices: processes of the expert. Changes the speed, never the results."""
     profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = "ms_hab"
     """Environment of training and evaluation; ms_hab is that of the paper."""
     split: Name = "val"

@@ -23,6 +23,19 @@ class EngineSpec:
 
 
 @dataclass(frozen=True)
+class ScalingSpec:
+    """`scaling.measure_scaling`: engine and environment with each number of ``worlds`` and of ``threads``."""
+
+    worlds: tuple[int, ...] = (1, 4, 16, 64, 256)
+    threads: tuple[int, ...] = ()
+    task: str = "tidy_house"
+    rounds: int = 5
+    seed: int = 0
+    assets: str = "builtin"
+    robot: str | None = None
+
+
+@dataclass(frozen=True)
 class EnvBenchSpec(ProfileChoice):
     """`env.measure`: one environment with each of several numbers of ``worlds``."""
 

@@ -23,6 +23,7 @@ class BenchCommand:
 
     command: (
         Annotated[opt.BenchSimOptions, Sub("sim")]
+        | Annotated[env.BenchScalingOptions, Sub("scaling")]
         | Annotated[opt.BenchGraspOptions, Sub("grasp")]
         | Annotated[env.BenchEnvOptions, Sub("env")]
         | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
@@ -73,6 +74,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     opt.EpisodesCommand: ("cli.worlds.episodes", "run_episodes"),
     spawn.SpawnsCommand: ("cli.worlds.spawns", "run_spawns"),
     opt.BenchSimOptions: ("cli.bench.engine", "bench_sim"),
+    env.BenchScalingOptions: ("cli.bench.scaling", "bench_scaling"),
     opt.BenchGraspOptions: ("cli.bench.engine", "bench_grasp"),
     env.BenchEnvOptions: ("cli.bench.env", "bench_env"),
     spawn.BenchSpawnOptions: ("cli.worlds.spawns", "bench_spawn"),

@@ -64,7 +64,6 @@ CHANGED: dict[str, tuple[str, tuple[str, ...]]] = {
     "no_previous_action": ("without the previous action", ("inputs.previous_action=false",)),
     "no_base_velocity": ("without the velocity of the base", ("inputs.base_velocity=false",)),
     "px_64": ("images of 64 x 64 px", ("inputs.image_size=64",)),
-    "px_128": ("images of 128 x 128 px", ("inputs.image_size=128",)),
 }
 """Variants of `CHOICES` that change fields of the preset: description and fields, by name."""
 
@@ -157,6 +156,11 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
             "search",
             "the usual expert, disturbed: it searches instead of following a rule",
             imitation=Imitation(data=(SEARCHED,)),
+        ),
+        Variant(
+            "px_128",
+            "images of 128 x 128 px",
+            imitation=Imitation(changes=("inputs.image_size=128",)),
         ),
     ),
 }

@@ -13,8 +13,11 @@ import mjhab
 from mjhab.bench.simulation.engine import measure_engine
 from mjhab.bench.simulation.grasp import grasp_table
 from mjhab.bench.specs import EngineSpec
+from mjhab.cli.main import main
+from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.envs.observations.state import state_dim
+from mjhab.episodes.spawn_sets import SpawnSet
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.robots.robot import Robot
 
@@ -75,6 +78,27 @@ def test_the_expert_reaches_for_a_bowl_with_it(boxy: Robot) -> None:
         hand = obs["extra/tcp_pose_wrt_base"][0, :3]
         nearest = min(nearest, float(np.linalg.norm(obs["extra/obj_pose_wrt_base"][0, :3] - hand)))
     assert nearest < 0.5 * start
+
+
+@pytest.mark.usefixtures("boxy")
+def test_a_spawn_set_is_of_its_robot(tmp_path: Path) -> None:
+    path = tmp_path / "place.npz"
+    asked = ("--subtask", "place", "--target", "024_bowl", "--count", "2", "--pool", "1")
+    assert main(["spawns", "make", "--robot", "boxy", *asked, "--out", str(path)]) == 0
+    made = SpawnSet.read(path)
+    assert made.recipe.robot == "boxy" and made.describe()["robot"] == "boxy"
+
+    options = {"task": "set_table", "subtask": "place", "target": "024_bowl"}
+    env = mjhab.make(robot="boxy", spawns=str(path), **options)
+    _, info = env.reset(seed=0, options={"episode": [1]})
+    qpos = env.state.robot_q[0]
+    np.testing.assert_allclose(qpos, made.columns["qpos"][1][: len(qpos)], atol=1e-6)
+    assert info["is_grasped"][0]
+    env.close()
+    with pytest.raises(
+        UsageError, match=r"starts of robot 'boxy', the environment has robot 'fetch'"
+    ):
+        mjhab.make(spawns=str(path), **options)
 
 
 @pytest.mark.usefixtures("boxy")

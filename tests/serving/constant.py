@@ -71,6 +71,8 @@ def an_ask(image: bool = True) -> Ask:
     """What a world could show."""
     picture = np.full((32, 32, 3), 7, np.uint8) if image else None
     return Ask(
+        robot="boxy",
+        cameras=("boxy_head", "boxy_hand"),
         external=picture,
         wrist=picture,
         state=np.arange(42, dtype=np.float32),

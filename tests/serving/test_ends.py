@@ -70,8 +70,8 @@ def test_a_batch_holds_all_worlds() -> None:
         assert connection.ask([an_ask()], False).shape == (1, 4, 13)
         connection.close()
     for seen, worlds in zip(policy.seen, (3, 1), strict=True):
-        assert seen["robot_fetch::fetch_head::rgb"].shape == (worlds, 32, 32, 3)
-        assert seen["robot_fetch::proprio"].shape == (worlds, 42)
+        assert seen["robot_boxy::boxy_head::rgb"].shape == (worlds, 32, 32, 3)
+        assert seen["robot_boxy::proprio"].shape == (worlds, 42)
         assert seen["prompt"] == ["pick up the bowl"] * worlds
 
 

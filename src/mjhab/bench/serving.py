@@ -13,6 +13,7 @@ import numpy as np
 
 from mjhab.bench.specs import ServingSpec
 from mjhab.evaluation.resolve import resolve_policy
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ACTION_SIZE, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
@@ -163,6 +164,8 @@ def _ask() -> Ask:
     shape = (IMAGE_SIZE_PX, IMAGE_SIZE_PX, 3)
     head, hand = (random.integers(0, 256, shape, np.uint8) for _ in range(2))
     return Ask(
+        robot=DEFAULT_ROBOT,
+        cameras=("external", "wrist"),
         external=head,
         wrist=hand,
         state=np.zeros(42, np.float32),

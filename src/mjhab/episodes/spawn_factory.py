@@ -15,7 +15,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.episodes.generator import Episode, EpisodeMaker
-from mjhab.episodes.rosters import object_roster
+from mjhab.episodes.source import open_setting
 from mjhab.episodes.spawn_sets import (
     SUFFIX,
     SpawnRecipe,
@@ -26,9 +26,7 @@ from mjhab.episodes.spawn_sets import (
     pack_rows,
     write,
 )
-from mjhab.episodes.starts import StartMaker, check_target
-from mjhab.layout.layout import Layout
-from mjhab.scenes.packs import open_pack
+from mjhab.episodes.starts import StartMaker
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -43,7 +41,8 @@ class SpawnFactory:
         recipe: content of the spawn set.
 
     Raises:
-        UsageError: the recipe names a task, subtask, target or home that does not exist.
+        UsageError: the recipe names a task, subtask, target, home or robot that does not exist, or the robot lacks
+            joints that the subtask needs.
     """
 
     def __init__(self, recipe: SpawnRecipe) -> None:
@@ -57,10 +56,9 @@ class SpawnFactory:
             assets=recipe.assets,
             seed=recipe.seed,
             spawn_rule=recipe.spawn_rule,
+            robot=recipe.robot,
         )
-        pack = open_pack(config.assets)
-        self.layout = Layout(pack, object_roster(config, pack))
-        check_target(config, self.layout)
+        self.layout = open_setting(config).layout
         self.sim = CpuSimulator(self.layout, 1, 1)
         wanted = recipe.target if recipe.target in self.layout.roster else ""
         self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, config.home, wanted)

@@ -39,6 +39,7 @@ from mjhab.core.version import __version__
 from mjhab.episodes.generator import Episode
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.scenes.pack_check import MAX_POSITION_M, check_range
 from mjhab.scenes.spec import Vec3
 from mjhab.tasks.plan import Target
@@ -100,6 +101,7 @@ class SpawnRecipe:
         pool: with n > 0, start i has the home and object poses of episode i modulo n; with 0, of episode i.
         harvested: starts with a held object also use the grasps that were added on this machine.
         spawn_rule: see `profiles.Profile`.
+        robot: name of the robot.
     """
 
     task: str
@@ -113,6 +115,7 @@ class SpawnRecipe:
     pool: int = 0
     harvested: bool = False
     spawn_rule: str = "front_box"
+    robot: str = DEFAULT_ROBOT
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,6 +225,7 @@ def _read_header(text: str) -> dict[str, Any]:
         check_name(f"recipe, {name}", recipe[name])
     for name in ("subtask", "target"):
         check_name(f"recipe, {name}", recipe[name], empty=True)
+    check_name("recipe, robot", recipe.get("robot", DEFAULT_ROBOT))
     return header
 
 
@@ -320,9 +324,16 @@ class SpawnSet:
         """Read a file and check that it was made for a layout.
 
         Raises:
-            UsageError: as in `read`, or it was made for another layout.
+            UsageError: as in `read`, or it was made for another robot or layout.
         """
         found = cls.read(path)
+        made_for = found.recipe.robot
+        robot = layout.robot.name
+        if made_for != robot:
+            raise UsageError(
+                f"{path} holds starts of robot {made_for!r}, the environment has robot {robot!r}. Set "
+                f"robot={made_for!r}, or make a set with `mjhab spawns make --robot {robot}`."
+            )
         here = layout_digest(layout)
         if found.header["layout"] != here:
             versions = found.header["versions"]

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.typed.records import read_record
+from mjhab.robots.registry import robot_named
 
 BC = "bc"
 FLOW = "flow"
@@ -29,7 +30,8 @@ HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN, GAUSSIAN_ACTIONS)
 class InputConfig:
     """Inputs of a student. Besides these it always receives the environment's state vector.
 
-    cameras, image_size: square depth images and their side [px]; no cameras for the state only.
+    cameras, image_size: square depth images, by default of the cameras of the default robot, and their side [px]; no
+    cameras for the state only.
     history: number of observations, the current one included. stack_state: whether the history contains the state;
     False gives the images of all observations and the state of the current one.
     previous_action: the action executed in the previous control step.
@@ -42,7 +44,7 @@ class InputConfig:
     shift: largest random shift of training images [px].
     """
 
-    cameras: tuple[str, ...] = ("fetch_head", "fetch_hand")
+    cameras: tuple[str, ...] = robot_named().camera_names
     image_size: int = 32
     history: int = 1
     stack_state: bool = True

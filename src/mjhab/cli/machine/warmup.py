@@ -55,13 +55,15 @@ class _Work:
         from mjhab.config.env import EnvConfig
         from mjhab.episodes.rosters import roster
         from mjhab.layout.layout import Layout
+        from mjhab.robots.registry import robot_named
         from mjhab.scenes.packs import open_pack
 
         self.options = options
         self.config = EnvConfig(
             task=options.task, assets=options.assets, **profile_options(options)
         )
-        self.layout = Layout(open_pack(options.assets), roster(options.task))
+        robot = robot_named(self.config.robot)
+        self.layout = Layout(open_pack(options.assets), roster(options.task), robot)
 
     @functools.cached_property
     def simulator(self) -> CpuSimulator:

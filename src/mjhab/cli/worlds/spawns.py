@@ -12,6 +12,7 @@ from mjhab.config.profile_choice import resolved_profile
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.core.progress import progress_bar
+from mjhab.robots.registry import DEFAULT_ROBOT
 
 
 def run_spawns(options: SpawnsMakeOptions | SpawnsListOptions) -> int:
@@ -42,6 +43,7 @@ def make(options: SpawnsMakeOptions) -> int:
         options.pool,
         options.harvested,
         resolved["spawn_rule"],
+        options.robot or DEFAULT_ROBOT,
     )
     begun = time.perf_counter()
     shown = 0
@@ -91,6 +93,7 @@ def listing(options: SpawnsListOptions) -> int:
         return 0
     columns = (
         "file",
+        "robot",
         "task",
         "subtask",
         "target",
@@ -160,6 +163,7 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
         options.assets,
         pool=options.pool,
         spawn_rule=resolved["spawn_rule"],
+        robot=options.robot or DEFAULT_ROBOT,
     )
     factory = SpawnFactory(recipe)
     threads = options.threads or cores()

@@ -280,7 +280,7 @@ class _Source:
         if names is not None and arrays["actions"].shape[1] != len(names):
             raise UsageError(
                 f"{self.path}: {name} has actions of {arrays['actions'].shape[1]} numbers; {self._control_mode()} has "
-                f"{len(names)} ({', '.join(names)}). Give data of the robot Fetch."
+                f"{len(names)} ({', '.join(names)}). Give data of the robot {ENV['robot']!r}."
             )
         # What the file says is checked as it is where a shard is read: names become parts of paths.
         record = EpisodeRecord.from_dict(self._record(told, index, arrays).to_dict())

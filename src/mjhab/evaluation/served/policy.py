@@ -145,10 +145,13 @@ class ServedPolicy:
         spec = info["episode_spec"][w]
         prompt = spec["instruction"] if self._address.prompt == "task" else info["instruction"][w]
         robot = self._env.layout.robot
-        head, hand = (obs.get(camera_key(camera, "rgb")) for camera in robot.camera_names)
+        external, wrist = (*robot.camera_names, "", "")[:2]
+        head, hand = (obs.get(camera_key(camera, "rgb")) for camera in (external, wrist))
         q = self._env.state.robot_q[w]
         opened = float(np.mean(q[robot.columns.fingers])) / robot.limits.gripper[1]
         return Ask(
+            robot=robot.name,
+            cameras=(external, wrist),
             external=None if head is None else head[w],
             wrist=None if hand is None else hand[w],
             state=np.asarray(obs[STATE_KEY][w], np.float32),

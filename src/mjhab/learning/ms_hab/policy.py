@@ -17,12 +17,12 @@ from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.data.store.object_axes import to_scan_axes
 from mjhab.learning.ms_hab.checkpoint import load_network
-from mjhab.learning.ms_hab.network import IMAGE_SIDE_PX, STATE_SIZE, Network
+from mjhab.learning.ms_hab.network import CAMERAS, IMAGE_SIDE_PX, STATE_SIZE, Network
 
 ENV_OPTIONS: dict[str, Any] = {
     "profile": "ms_hab",
     "obs_mode": "depth",
-    "cameras": ("fetch_head", "fetch_hand"),
+    "cameras": tuple(name.removesuffix("_depth") for name in CAMERAS),
     "camera_size": IMAGE_SIDE_PX,
     "control_mode": "pd_joint_delta_pos",
 }

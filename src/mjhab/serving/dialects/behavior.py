@@ -15,6 +15,8 @@ from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
 from mjhab.serving.dialects.parts import entry_of, mapping, numbers_of, own_parts, present, stacked
 from mjhab.serving.packing import ProtocolError
 
+_PROPRIO = "::proprio"
+"""End of the key of the state; in front of it stands the robot."""
 _CHUNK = "__action_chunk_size__"
 """Key of the number of actions that a request asks for."""
 
@@ -36,13 +38,15 @@ class Behavior:
     def request(
         self, asks: Sequence[Ask], metadata: Mapping[str, Any], batch: bool
     ) -> dict[str, Any]:
+        robot = f"robot_{asks[0].robot}"
+        head, hand = asks[0].cameras
         images = {
-            "robot_fetch::fetch_head::rgb": stacked([ask.external for ask in asks], batch),
-            "robot_fetch::fetch_hand::rgb": stacked([ask.wrist for ask in asks], batch),
+            f"{robot}::{head}::rgb": stacked([ask.external for ask in asks], batch),
+            f"{robot}::{hand}::rgb": stacked([ask.wrist for ask in asks], batch),
         }
         prompts = [ask.prompt for ask in asks]
         message = present(images) | {
-            "robot_fetch::proprio": stacked([ask.state for ask in asks], batch),
+            f"{robot}{_PROPRIO}": stacked([ask.state for ask in asks], batch),
             "prompt": prompts if batch else prompts[0],
             **own_parts(asks, batch=batch),
         }
@@ -67,7 +71,7 @@ class Behavior:
         request = mapping(message)
         if "reset" in request:
             return Incoming(True)
-        state = request.get("robot_fetch::proprio")
+        state = next((value for key, value in request.items() if str(key).endswith(_PROPRIO)), None)
         batch = len(state) if isinstance(state, np.ndarray) and state.ndim == 2 else None
         return Incoming(False, request, batch)
 

@@ -18,12 +18,15 @@ RESET_DONE = "reset successful"
 class Ask:
     """Observation of one world that is sent to a policy server.
 
+    robot: its name. cameras: of the external and the wrist image, "" for a camera that the robot lacks.
     external, wrist: images (H, W, 3) uint8, None if not rendered. state: (S,) float32 proprioception and goals. arm:
     (N,) positions of the arm's joints [rad]. gripper: 0 for an open gripper, 1 for a closed one. tcp: (6,) position [m]
     and rotation vector [rad] in the frame of the base. prompt: the instruction. session: name of the episode's session.
     chunk: largest number of actions in the answer. own: additional entries for servers of mjhab.
     """
 
+    robot: str
+    cameras: tuple[str, str]
     external: np.ndarray | None
     wrist: np.ndarray | None
     state: np.ndarray

@@ -121,6 +121,13 @@ def test_gym_wrapper_resets_the_worlds_of_a_vector_environment_itself() -> None:
     assert torch.equal(found["next", "observation"][:, 0], found["observation"][:, 1])
 
 
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
+def test_gym_wrapper_refuses_worlds_that_reset_themselves(autoreset: str) -> None:
+    # The errors are torchrl's: environments cannot tell who wraps them.
+    with pytest.raises((IndexError, RuntimeError)):
+        GymWrapper(mjhab.make_train(**{**OPTIONS, "autoreset": autoreset}))
+
+
 def test_gym_env_makes_worlds_by_id() -> None:
     check_env_specs(GymEnv(ENV_ID, **SHORT))
     found = SerialEnv(2, lambda: GymEnv(ENV_ID, **SHORT)).rollout(
@@ -134,6 +141,10 @@ EXAMPLES = [
     for block in blocks(ROOT / "docs" / "training.md")
     if block.language == "python" and "torchrl" in block.code
 ]
+
+
+def test_the_documentation_has_examples() -> None:
+    assert len(EXAMPLES) == 2
 
 
 @pytest.mark.parametrize("code", EXAMPLES, ids=range(len(EXAMPLES)))

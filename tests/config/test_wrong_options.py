@@ -91,6 +91,20 @@ def test_options_of_another_backend_are_refused(options: dict[str, Any]):
         EnvConfig(**options)
 
 
+@pytest.mark.parametrize("device", ["cuda:7", "cuda", "banana", "CPU"])
+def test_the_cpu_backend_has_no_other_device(device: str):
+    for device_free in ("", "cpu"):
+        assert EnvConfig(device=device_free).device == device_free
+    with pytest.raises(UsageError, match=f"backend 'cpu' has no device '{device}'"):
+        mjhab.make(device=device)
+
+
+def test_auto_does_not_fall_back_from_a_device_that_was_asked_for(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("mjhab.sim.backends.cuda_devices", list)
+    with pytest.raises(UsageError, match="backend 'cpu' has no device 'cuda:7'"):
+        mjhab.make(backend="auto", device="cuda:7")
+
+
 @pytest.mark.parametrize("assets", [None, 3, 1.5, [], ["builtin"], object(), b"x"])
 def test_assets_are_a_place_or_a_request(assets: Any):
     with pytest.raises(UsageError, match="assets must be the name or path of a pack"):

@@ -16,7 +16,14 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.spawn_factory import CHUNK, SpawnFactory, make_set, partial_folder
-from mjhab.episodes.spawn_sets import SpawnRecipe, SpawnRow, SpawnSet, layout_digest, write
+from mjhab.episodes.spawn_sets import (
+    SpawnRecipe,
+    SpawnRow,
+    SpawnSet,
+    check_size,
+    layout_digest,
+    write,
+)
 from mjhab.episodes.spawns import ARM_NOISE
 from mjhab.episodes.starts import StartMaker
 from mjhab.layout.layout import Layout
@@ -179,6 +186,27 @@ def test_made_up_starts_are_refused(
     write(path, header, {**made.columns, name: change(made.columns[name])})
     with pytest.raises(UsageError, match=rf"forged\.npz: {message}"):
         SpawnSet.read(path)
+
+
+def test_a_set_that_could_not_be_read_is_not_written(
+    made: SpawnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(
+        UsageError, match=r"10,000,000 starts takes .* MB.*2,048.*at most \d{3},\d{3} starts"
+    ):
+        check_size(made.columns, 10_000_000)
+    size = sum(column.nbytes for column in made.columns.values())
+    monkeypatch.setattr("mjhab.episodes.spawn_sets._MAX_COLUMNS_BYTES", size - 1)
+    rows = len(made.columns["home"])
+    with pytest.raises(UsageError, match=f"make at most {rows - 1} starts"):
+        write(tmp_path / "a.npz", made.header, made.columns)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_set_that_will_be_too_large_is_refused_before_it_is_made(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="a spawn set of 1,000,000,000 starts"):
+        make_set(replace(RECIPE, count=10**9), tmp_path / "a.npz", 1, quiet)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("field", ["task", "split", "subtask", "target"])

@@ -18,7 +18,7 @@ from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
 from mjhab.scenes.spec import HANDLE_POINTS
-from mjhab.sim.backends import BACKENDS
+from mjhab.sim.backends import BACKENDS, check_device
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.household.spec import TaskSpec
 from mjhab.tasks.rewards.scoring import REWARD_FORMULAS, REWARD_NORMALISERS, RewardOptions
@@ -87,8 +87,8 @@ class EnvConfig:
     every goal, as the paper does; "drive" leaves the way to the policy, and arm and grasp count. Navigate alone is
     always driven. render_mode: "rgb_array" makes ``render()`` give human views. backend: "cpu"; "warp" for the
     environments on a GPU, `device.DeviceEnv`; "auto" is warp where there is CUDA. device, starts, buffers: of backend
-    warp: the device ("" for the first GPU; "cpu" is slow, for tests); how many precomputed starts worlds draw from (0:
-    by num_envs); other sizes of the engine's buffers (`BufferSizes`).
+    warp: the device ("" for the first GPU; "cpu" is slow, for tests; backend cpu takes no other than these two); how
+    many precomputed starts worlds draw from (0: by num_envs); other sizes of the engine's buffers (`BufferSizes`).
     """
 
     trains: ClassVar[bool] = False
@@ -233,6 +233,7 @@ class EnvConfig:
                 raise UsageError(
                     f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
                 )
+        check_device(self.backend, self.device)
         size = self.camera_size
         for pixels in size if isinstance(size, tuple) else (size,):
             whole_number("camera_size", pixels)

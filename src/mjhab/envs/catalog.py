@@ -10,7 +10,7 @@ import gymnasium
 from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.envs.conversion import keep_what_is_no_number
-from mjhab.sim.backends import resolve
+from mjhab.sim.backends import check_device, resolve
 from mjhab.tasks.household.registry import TASKS, task_with
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -91,7 +91,9 @@ def make_train(**options: Any) -> Any:
 
 def build(config: EnvConfig) -> TaskLoop:
     """Build the vector environment of a configuration."""
-    if resolve(config.backend) == "warp":
+    backend = resolve(config.backend)
+    check_device(backend, config.device)
+    if backend == "warp":
         from mjhab.envs.device.env import DeviceEnv
 
         return DeviceEnv(config)

@@ -21,6 +21,7 @@ from mjhab.episodes.spawn_sets import (
     SpawnRecipe,
     SpawnRow,
     SpawnSet,
+    check_size,
     header_of,
     join,
     pack_rows,
@@ -118,13 +119,15 @@ def make_set(
         overwrite: replace ``out``, and delete the partial files of an interrupted run of another recipe.
 
     Raises:
-        UsageError: ``out`` exists or does not end with ``.npz``, or there are partial files of another recipe.
+        UsageError: ``out`` exists or does not end with ``.npz``, there are partial files of another recipe, or the set
+            would be too large to be read.
     """
     if out.suffix != SUFFIX:
         raise UsageError(f"a spawn set ends with {SUFFIX}, got {out}.")
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
     factory = SpawnFactory(recipe)
+    check_size(pack_rows([factory.row(0)]), recipe.count)
     header = factory.header()
     folder = partial_folder(out)
     _resume(folder, header, overwrite)

@@ -47,6 +47,9 @@ from mjhab.tasks.plan import Target
 FORMAT = "mjhab-spawns-1"
 MAX_SET_MB = 2048
 """Largest unpacked size of a set [MB]: about half a million starts."""
+_MB = 2**20
+_MAX_COLUMNS_BYTES = (MAX_SET_MB - 1) * _MB
+"""The rest is for the header."""
 _HEADER = {
     "recipe": dict[str, Any],
     "pack": str,
@@ -171,8 +174,33 @@ def join(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in _COLUMNS}
 
 
+def check_size(columns: dict[str, np.ndarray], count: int) -> None:
+    """Check that a set can be read again.
+
+    Args:
+        columns: starts of it, at least one.
+        count: number of starts that it will have.
+
+    Raises:
+        UsageError: that many starts are larger than `MAX_SET_MB`; the message says how many fit.
+    """
+    rows = len(columns["home"])
+    row_bytes = sum(column.nbytes for column in columns.values()) / rows
+    fitting = int(_MAX_COLUMNS_BYTES / row_bytes)
+    if count > fitting:
+        raise UsageError(
+            f"a spawn set of {count:,} starts takes {count * row_bytes / _MB:,.0f} MB, and at most {MAX_SET_MB:,} MB "
+            f"are read: make at most {fitting:,} starts, or several sets of other seeds."
+        )
+
+
 def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) -> SpawnSet:
-    """Add the digest to the header, write the set atomically and return it."""
+    """Add the digest to the header, write the set atomically and return it.
+
+    Raises:
+        UsageError: it is larger than `MAX_SET_MB`.
+    """
+    check_size(columns, len(columns["home"]))
     header = {**header, "digest": content_digest(header, columns)}
     text = np.array(json.dumps(header))
     write_atomic(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, shown
 
 if TYPE_CHECKING:
     from mjhab.envs.parts.worlds import Worlds
@@ -20,11 +20,18 @@ def make_expert(env: Worlds, styles: Styles | None = None) -> ExpertPolicy:
         styles: distribution from which every episode draws its style; without it the experts act in the plain style.
 
     Raises:
-        UsageError: experts cannot act in the environment's control mode, base mode or with its stationary parts.
+        UsageError: it is no such environment, or experts cannot act in its control mode, base mode or with its
+            stationary parts.
     """
+    from mjhab.envs.sequential import SequentialTaskEnv
     from mjhab.experts.policy import ExpertPolicy
     from mjhab.robots.controllers import DEFAULT_MODE
 
+    if not isinstance(env, SequentialTaskEnv):
+        raise UsageError(
+            "make_expert takes the vector environment of mjhab.make or mjhab.make_train on backend 'cpu' (of a "
+            f"wrapper, env.unwrapped; of one world, env.unwrapped.worlds), not {shown(env)}."
+        )
     config = env.config
     # The head may be stationary: no subtask needs it to move.
     free = set(config.stationary) <= {"head"}

@@ -75,7 +75,7 @@ def object_from_glb(
     points = np.concatenate([hull.vertices for hull in hulls]).astype(float)
     center = ((points.min(axis=0) + points.max(axis=0)) / 2).round(6)
     half = (np.ptp(points, axis=0) / 2).round(6)
-    check_extent(path, 2 * half)
+    check_extent(path, 2 * half, "Files are read in metres; `scale` converts from another unit.")
     meshes = {f"{name}/piece_{k}": _moved(hull, -center) for k, hull in enumerate(hulls)}
     collision = tuple(Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False) for mesh in meshes)
     drawn = [dataclasses.replace(part, vertices=part.vertices - center) for part in seen or pieces]
@@ -108,12 +108,13 @@ def _moved(mesh: Mesh, shift: np.ndarray) -> Mesh:
     return dataclasses.replace(mesh, vertices=(mesh.vertices + shift).astype(np.float32))
 
 
-def check_extent(path: Path, extent: np.ndarray) -> None:
+def check_extent(path: Path, extent: np.ndarray, remedy: str) -> None:
     """Check the size of an object.
 
     Args:
         path: the file, for the message.
         extent: (3,) of its bounding box [m].
+        remedy: what to do with another size, a sentence for the message.
 
     Raises:
         UsageError: an extent is not within `MIN_EXTENT_M` and `MAX_EXTENT_M`.
@@ -122,5 +123,5 @@ def check_extent(path: Path, extent: np.ndarray) -> None:
     if extent.max() > MAX_EXTENT_M or extent.min() < MIN_EXTENT_M:
         raise UsageError(
             f"{path}: the object measures {measured} m; expected {MIN_EXTENT_M:g} to {MAX_EXTENT_M:g} m along every "
-            "axis. Files are read in metres; `scale` converts from another unit."
+            f"axis. {remedy}"
         )

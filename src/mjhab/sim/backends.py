@@ -40,6 +40,18 @@ def resolve(name: str) -> str:
     return name
 
 
+def check_device(backend: str, device: str) -> None:
+    """Check that a backend can use a device; which devices backend "warp" has shows when it is opened.
+
+    Raises:
+        UsageError: backend "cpu" was asked for another device than "" or "cpu".
+    """
+    if backend == "cpu" and device not in ("", "cpu"):
+        raise UsageError(
+            f"backend 'cpu' has no device {device!r}: leave device out, or take backend 'warp', which simulates on one."
+        )
+
+
 def cuda_devices() -> list[str]:
     """Return the names of the CUDA devices that Warp can use, e.g. ["cuda:0"]. Warp must be installed."""
     from mjhab.sim.warp import probe as warp_probe
@@ -70,7 +82,9 @@ def open_simulator(
         UsageError: unknown backend or device, no CUDA device, the extra is missing, or no room for the worlds.
     """
     extra: dict[str, Any] = {"drives": drives}
-    if resolve(name) == "warp":
+    name = resolve(name)
+    check_device(name, device)
+    if name == "warp":
         from mjhab.sim.warp.simulator import WarpSimulator
 
         return WarpSimulator(layout, num_worlds, device, **extra)

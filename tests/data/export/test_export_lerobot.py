@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -251,6 +252,23 @@ def test_segmentation_is_left_out_on_demand(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", [1], FakeEnv(images=True, segments=NAMES), images=ImageFormat())
     done = export(tmp_path / "a.h5", tmp_path / "set", choice=Choice(seg=False))
     assert set(done.images) == {RGB, DEPTH} and not (tmp_path / "set/meta/segments.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("segments", "seg", "written"),
+    [(NAMES, True, {"cameras", "segments"}), (NAMES, False, {"cameras"}), ((), True, set())],
+)
+def test_the_card_names_the_files_that_are_there(
+    segments: Sequence[str], seg: bool, written: set[str], tmp_path: Path
+) -> None:
+    env = FakeEnv(images=True, segments=segments)
+    record(tmp_path / "a.h5", [1], env, images=ImageFormat())
+    export(tmp_path / "a.h5", tmp_path / "set", choice=Choice(seg=seg))
+    card = (tmp_path / "set/README.md").read_text()
+    assert "Conventions:" in card
+    for name in ("cameras", "segments"):
+        path = f"meta/{name}.json"
+        assert (path in card) == (tmp_path / "set" / path).exists() == (name in written)
 
 
 def test_poses_of_cameras_go_with_their_images(tmp_path: Path) -> None:

@@ -421,6 +421,10 @@ def test_bad_files(tmp_path: Path) -> None:
     refused("has no traj_4")
     path.with_suffix(".json").write_text(good)
     with h5py.File(path, "r+") as file:
+        del file["traj_0/terminated"]
+        file["traj_0/terminated"] = np.zeros(0, bool)
+    refused(r"terminated must be rows of numbers, not .* \(0,\)")
+    with h5py.File(path, "r+") as file:
         del file["traj_0/rewards"], file["traj_0/obs/extra"]
     refused(r"traj_0 has no rewards, obs/extra; it has obs, actions")
     path.with_suffix(".json").unlink()

@@ -281,6 +281,18 @@ def test_attributes_that_contradict_the_record(
     assert message in "; ".join(report.damaged[path, name])
 
 
+def test_an_episode_without_its_run_is_not_copied(tmp_path: Path, picks: bytes) -> None:
+    path = tmp_path / "a.h5"
+    path.write_bytes(picks)
+    with h5py.File(path, "r+") as file:
+        run = next(iter(group(file, "runs")))
+        del file[f"runs/{run}"]
+    with open_shard(path) as shard, ShardWriter(tmp_path / "b.h5") as writer:
+        with pytest.raises(DamagedError, match=f"its run {run}\\) is missing or damaged"):
+            writer.adopt(shard, shard.names)
+        assert not writer.names
+
+
 @pytest.mark.parametrize(
     ("entry", "value"),
     [

@@ -209,6 +209,17 @@ def test_a_broken_scan_is_named(tmp_path: Path, damage: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_scan_of_another_size_says_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.scenes.object_glb.MAX_EXTENT_M", 0.01)
+    with pytest.raises(
+        UsageError, match="no scan of a YCB object; download the file again"
+    ) as caught:
+        read_scan(real_data("ycb", BOWL, SCAN))
+    assert "scale" not in str(caught.value)
+
+
 def sphere(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
     u, v = np.meshgrid(
         np.linspace(0, 2 * np.pi, 2 * count, endpoint=False), np.linspace(0.02, np.pi - 0.02, count)

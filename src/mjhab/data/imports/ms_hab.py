@@ -475,8 +475,12 @@ def _ending(trajectory: h5py.Group) -> str:
 
 
 def _rows(parent: h5py.Group, path: str) -> np.ndarray:
-    """A dataset of a trajectory, which has at least one row."""
+    """A dataset of a trajectory (n, ...), n >= 1: one row per control step or per state.
+
+    Raises:
+        ValueError: it has no rows, or they are not numbers.
+    """
     array = content(dataset(parent, path))
-    if not array.ndim or array.dtype.kind not in "biuf":
+    if not array.ndim or not len(array) or array.dtype.kind not in "biuf":
         raise ValueError(f"{path} must be rows of numbers, not {array.dtype} {array.shape}")
     return array

@@ -115,8 +115,7 @@ class EpisodeData:
         )
         wrong = wrong or unnamed_actors(arrays, self.actors)
         wrong += record_problems(self.record)
-        if self.ending not in ENDINGS:
-            wrong.append(f"it ended by {self.ending[:60]!r}; endings are {', '.join(ENDINGS)}")
+        wrong += ending_problems(self.ending)
         if wrong:
             raise ValueError(
                 f"episode {self.record.index} does not fit the schema: {'; '.join(wrong)}"
@@ -157,6 +156,13 @@ def record_problems(record: EpisodeRecord) -> list[str]:
                 f"its record has a subtask from step {entry.start_step} to {entry.end_step} of {record.steps}"
             )
     return found
+
+
+def ending_problems(ending: str) -> list[str]:
+    """Describe an ending that is not one of `schema.ENDINGS`; empty if it is one."""
+    if ending in ENDINGS:
+        return []
+    return [f"it ended by {ending[:60]!r}; endings are {', '.join(ENDINGS)}"]
 
 
 def last_label(record: EpisodeRecord) -> str:

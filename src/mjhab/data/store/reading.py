@@ -20,6 +20,7 @@ from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.names import check_name
 from mjhab.data.store.episode_data import (
     RunInfo,
+    ending_problems,
     episode_digest,
     from_bytes,
     last_label,
@@ -44,7 +45,6 @@ from mjhab.data.store.older import POSES, STAND_INS, canonical_poses, stand_in
 from mjhab.data.store.schema import (
     ATTRIBUTE_TYPES,
     COLUMNS,
-    ENDINGS,
     EPISODES,
     FIELDS,
     NEEDED_ATTRIBUTES,
@@ -135,6 +135,12 @@ class Episode:
         """The run that made it: config, versions, layout."""
         with self._reading():
             return self.shard.run(self.attributes["run"])
+
+    @property
+    def run_data(self) -> dict[str, Any]:
+        """JSON data of the run that made it, with what later versions added."""
+        with self._reading():
+            return self.shard.run_data(self.attributes["run"])
 
     @functools.cached_property
     def attributes(self) -> dict[str, Any]:
@@ -402,12 +408,9 @@ class Episode:
             for name, value in told.items()
             if name in self.attributes and self.attributes[name] != value
         ]
-        if self.attributes["ending"] not in ENDINGS:
-            wrong.append(
-                f"it ended by {self.attributes['ending'][:60]!r}; endings are {', '.join(ENDINGS)}"
-            )
+        wrong += ending_problems(self.attributes["ending"])
         name = self.attributes["run"]
-        if run_id(self.shard.told[name]) != name:
+        if run_id(self.run_data) != name:
             wrong.append("what made it (its run) is not what was written")
         if self.run.episode_name(self.record.seed, self.record.index) != self.name:
             wrong.append(
@@ -487,6 +490,16 @@ class Shard:
                 found[name] = from_bytes(content(dataset(runs, name)))
         return found
 
+    def run_data(self, name: str) -> dict[str, Any]:
+        """JSON data of a run, by its name.
+
+        Raises:
+            ValueError: it is missing or cannot be read.
+        """
+        if name not in self.told:
+            raise ValueError(f"what made it (its run {name}) is missing or damaged")
+        return self.told[name]
+
     def run(self, name: str) -> RunInfo:
         """A run that made episodes, by its name.
 
@@ -494,9 +507,7 @@ class Shard:
             ValueError: it is missing or not what was written.
         """
         if name not in self._runs:
-            if name not in self.told:
-                raise ValueError(f"what made it (its run {name}) is missing or damaged")
-            self._runs[name] = RunInfo.from_dict(self.told[name])
+            self._runs[name] = RunInfo.from_dict(self.run_data(name))
         return self._runs[name]
 
     @functools.cached_property

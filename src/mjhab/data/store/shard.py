@@ -151,13 +151,14 @@ class ShardWriter:
         return sum(self._adopt(shard, batch) for batch in _batches(shard, names))
 
     def _adopt(self, shard: Shard, names: Sequence[str]) -> int:
-        runs = {str(shard.episode(name).attributes["run"]) for name in names}
+        episodes = [shard.episode(name) for name in names]
+        runs = {str(episode.attributes["run"]): episode.run_data for episode in episodes}
 
         def fill(file: h5py.File) -> None:
-            for name in names:
-                shard.episode(name).copy_to(group(file, EPISODES))
-            for run in sorted(runs - self._runs):
-                _put(group(file, RUNS), run, to_bytes(shard.told[run]))
+            for episode in episodes:
+                episode.copy_to(group(file, EPISODES))
+            for run in sorted(runs.keys() - self._runs):
+                _put(group(file, RUNS), run, to_bytes(runs[run]))
             self._raise_schema(file)
 
         grown = self._change(fill)

@@ -95,7 +95,8 @@ def read_scan(path: Path) -> Scan:
         raise UsageError(
             f"{path}: not one mesh with a base colour texture; download the file again."
         )
-    check_extent(path, np.ptp(part.vertices, axis=0))
+    extent = np.ptp(part.vertices, axis=0)
+    check_extent(path, extent, "This is no scan of a YCB object; download the file again.")
     center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
     return Scan(part.vertices - center, part.faces.astype(np.int64), part.uv, part.texture)
 

@@ -160,7 +160,7 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
                 "name": track.describe(index),
                 "color": kind_color(entry.kind),
                 "ended": track.ended.get(index, ""),
-                "instruction": "".join(track.instructions[index : index + 1]),
+                "instruction": track.instruction_of(index),
                 "terms": list(term_names(entry.kind)),
             }
             for index, entry in enumerate(track.plan)

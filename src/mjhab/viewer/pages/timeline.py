@@ -116,12 +116,12 @@ def actors_html(track: Track, step: int) -> str:
 
 def about_html(track: Track, step: int) -> str:
     """Write title, instruction, instruction of the subtask that is active in a state, and home of an episode."""
-    active = track.moments[step].active
     lines = [f"<b>{escape(track.title)}</b>"]
     if track.instruction:
         lines.append(f"“{escape(track.instruction)}”")
-    if active < len(track.instructions) and track.instructions[active] != track.instruction:
-        lines.append(f"now: “{escape(track.instructions[active])}”")
+    now = track.instruction_of(track.moments[step].active)
+    if now not in ("", track.instruction):
+        lines.append(f"now: “{escape(now)}”")
     lines.append(f"<small>home {escape(track.home)}</small>")
     return f'<div style="padding:0 8px">{"<br>".join(lines)}</div>'
 

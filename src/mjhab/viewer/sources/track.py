@@ -101,6 +101,10 @@ class Track:
         own = term_names(self.plan[active].kind) if active < len(self.plan) else ()
         return {name: value for name, value in terms.items() if name in own} or terms
 
+    def instruction_of(self, index: int) -> str:
+        """Return the instruction of the subtask at an index of the plan; "" if there is none."""
+        return self.instructions[index] if index < len(self.instructions) else ""
+
     def actors(self) -> list[str]:
         """Return the names of the actors, in the order of their first action."""
         return list(dict.fromkeys(moment.actor for moment in self.moments[1:]))

@@ -286,16 +286,24 @@ class _Export:
         if not films:
             info["video_path"] = None
         write_json(self._root / "meta/info.json", info)
-        if self._cameras:
-            write_json(self._root / CAMERAS, dict(self._cameras))
-        if self._segments:
-            write_json(self._root / SEGMENTS, list(self._segments))
+        about_images = self._about_images()
         write_json(self._root / ABOUT, CONVENTIONS)
         (self._root / "README.md").write_text(
-            _card(self._robot, self._made, self._until, self._features), encoding="utf-8"
+            _card(self._robot, self._made, self._until, about_images), encoding="utf-8"
         )
         images = [key for key in self._features if key.startswith(tuple(IMAGES.values()))]
         return Exported(len(self._made), self._frames, tuple(images))
+
+    def _about_images(self) -> str:
+        """Write the files about cameras as far as the episodes have them; returns what the card says of the images."""
+        files = []
+        if self._cameras:
+            write_json(self._root / CAMERAS, dict(self._cameras))
+            files.append(f"Calibration of the cameras: `{CAMERAS}`.")
+        if self._segments:
+            write_json(self._root / SEGMENTS, list(self._segments))
+            files.append(f"Names of segmentation ids: `{SEGMENTS}`.")
+        return _card_images(self._features, files)
 
 
 def describe(episode: Episode, choice: Choice) -> Features:
@@ -416,7 +424,7 @@ def _differs(episode: Episode, first: Features, other: Features) -> UsageError:
     )
 
 
-def _card(robot: str, made: Sequence[Made], until: Until, features: Features) -> str:
+def _card(robot: str, made: Sequence[Made], until: Until, about_images: str) -> str:
     licences = dict.fromkeys(each.licence for each in made)
     frames = sum(each.steps for each in made)
     teleported = sum(each.row["navigation"] == "teleport" for each in made)
@@ -424,7 +432,7 @@ def _card(robot: str, made: Sequence[Made], until: Until, features: Features) ->
         f"`{STATE}` is proprioception (joints, velocity of the base, tcp pose); `{ENVIRONMENT_STATE}` is privileged "
         "state of the simulation (object, goal, grasp)."
     ]
-    about.append(_card_cameras(features))
+    about.append(about_images)
     if teleported:
         about.append(
             f"In {teleported} of {len(made)} episodes the environment teleported the robot to every goal. "
@@ -453,11 +461,10 @@ def _card(robot: str, made: Sequence[Made], until: Until, features: Features) ->
     return "\n".join(lines)
 
 
-def _card_cameras(features: Features) -> str:
-    """What a user of the images has to know; "" without images."""
+def _card_images(features: Features, files: Sequence[str]) -> str:
+    """What a user of the images has to know, after sentences about ``files``; "" without images."""
     if not any(key.startswith(tuple(IMAGES.values())) for key in features):
         return ""
     topics = ("camera", "camera_pose", "mount", "intrinsic", "depth", "segmentation", "quaternion")
     lines = [f"- {topic}: {CONVENTIONS[topic]}" for topic in topics]
-    files = f"Calibration of the cameras: `{CAMERAS}`; names of segmentation ids: `{SEGMENTS}`. Conventions:"
-    return "\n".join([files, "", *lines])
+    return "\n".join([" ".join([*files, "Conventions:"]), "", *lines])

@@ -40,6 +40,7 @@ class InputConfig:
     and the heading of the link's frame in the base frame (cos, sin); zeros without a link. Privileged information:
     only a simulator provides it.
     condition: one-hot of the active subtask and of the type of its target.
+    sentence: the instruction of the active subtask as a bag of words, see `sentences.encode_sentence`.
     normalize: normalize to mean 0 and standard deviation 1 with the statistics of the first demonstrations.
     shift: largest random shift of training images [px].
     """
@@ -52,6 +53,7 @@ class InputConfig:
     base_velocity: bool = False
     link_state: bool = False
     condition: bool = True
+    sentence: bool = False
     normalize: bool = True
     shift: int = 1
 

@@ -192,6 +192,7 @@ def layout_of_data(
             robot=str(episode.run.config["env"].get("robot", "")),
         )
         _images(episode, layout, 1)
+        _sentences(episode, layout)
     return layout
 
 
@@ -371,12 +372,34 @@ def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarr
         )
     if layout.inputs.previous_action:
         parts.append(np.concatenate([np.zeros_like(executed[:1]), executed[:-1]]))
-    if layout.inputs.condition:
+    if layout.condition_width:
         plan = episode.record.plan
+        sentences = _sentences(episode, layout)
         pointers = np.minimum(episode.array("subtasks/active")[:steps], len(plan) - 1)
-        codes = np.stack([layout.condition(entry.kind, kind_of(entry.target)) for entry in plan])
-        parts.append(codes[pointers])
+        codes = [
+            layout.condition(entry.kind, kind_of(entry.target), sentence)
+            for entry, sentence in zip(plan, sentences, strict=True)
+        ]
+        parts.append(np.stack(codes)[pointers])
     return np.concatenate(parts, axis=1, dtype=np.float32)
+
+
+def _sentences(episode: Episode, layout: Layout) -> Sequence[str]:
+    """The instruction of every subtask of the plan; "" if the student takes none.
+
+    Raises:
+        UsageError: the episode was recorded without instructions.
+    """
+    plan = episode.record.plan
+    if not layout.inputs.sentence:
+        return [""] * len(plan)
+    told = episode.record.instructions
+    if len(told) != len(plan) or not all(told):
+        raise UsageError(
+            f"episode {episode.name} of {episode.shard.path} was recorded without instructions, which a student with "
+            "inputs.sentence=true learns from; leave out this input, or record new episodes: mjhab generate"
+        )
+    return told
 
 
 def base_velocity_of(episode: Episode) -> np.ndarray:

@@ -12,6 +12,7 @@ from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.typed.records import read_record
 from mjhab.learning.configs import InputConfig
+from mjhab.learning.sentences import SENTENCE_WIDTH, encode_sentence
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -121,6 +122,8 @@ class Layout:
         if self.inputs.condition:
             entries += [(f"subtask/{name}", 1) for name in self.kinds]
             entries += [(f"target/{name}", 1) for name in self.targets]
+        if self.inputs.sentence:
+            entries.append(("sentence", SENTENCE_WIDTH))
         return tuple(entries)
 
     @property
@@ -135,8 +138,14 @@ class Layout:
 
     @property
     def measured_width(self) -> int:
-        """Width of the first part of the vector, which is measured and normalized; the one-hot condition follows."""
-        return self.width - (len(self.kinds) + len(self.targets) if self.inputs.condition else 0)
+        """Width of the first part of the vector, which is measured and normalized; the condition follows."""
+        return self.width - self.condition_width
+
+    @property
+    def condition_width(self) -> int:
+        """Width of what the student is told about the active subtask, see `condition`; 0 if it is told nothing."""
+        one_hot = len(self.kinds) + len(self.targets) if self.inputs.condition else 0
+        return one_hot + (SENTENCE_WIDTH if self.inputs.sentence else 0)
 
     @property
     def image_keys(self) -> tuple[str, ...]:
@@ -168,14 +177,28 @@ class Layout:
             raise ValueError("layout.control: expected control mode and kind of base.")
         return layout
 
-    def condition(self, subtask: str, target: str) -> np.ndarray:
-        """One-hot condition of a subtask and its type of target, (n,) float32; empty if the student has no condition.
+    def condition(self, subtask: str, target: str, sentence: str = "") -> np.ndarray:
+        """What the student is told about a subtask, (condition_width,) float32.
+
+        Args:
+            subtask: its kind.
+            target: type of its target.
+            sentence: its instruction.
+
+        Returns:
+            The one-hot of kind and target, and the encoded sentence, each if it is among the inputs.
 
         Raises:
-            UsageError: the student was not trained on this subtask or target.
+            UsageError: the student has the one-hot and was not trained on this subtask or target.
         """
-        if not self.inputs.condition:
-            return np.zeros(0, np.float32)
+        parts = [np.zeros(0, np.float32)]
+        if self.inputs.condition:
+            parts.append(self._one_hot(subtask, target))
+        if self.inputs.sentence:
+            parts.append(encode_sentence(sentence))
+        return np.concatenate(parts)
+
+    def _one_hot(self, subtask: str, target: str) -> np.ndarray:
         if subtask not in self.kinds:
             raise unknown_name("subtask of this student", subtask, self.kinds)
         if target not in self.targets:

@@ -90,7 +90,7 @@ class StudentPolicy:
             parts.append(self._env.link_state())
         if layout.inputs.previous_action:
             parts.append(self._last)
-        if layout.inputs.condition:
+        if layout.condition_width:
             parts.append(self._conditions(info))
         images = [
             pooled(nearness(np.asarray(obs[key])[..., 0]), self._pool) for key in layout.image_keys
@@ -100,12 +100,14 @@ class StudentPolicy:
 
     def _conditions(self, info: Mapping[str, Any]) -> np.ndarray:
         layout = self.student.layout
-        codes = np.zeros((len(self._step), layout.width - layout.measured_width), np.float32)
+        codes = np.zeros((len(self._step), layout.condition_width), np.float32)
+        # Environments tell the sentence of the active subtask, so that it changes with the subtask of a chain.
+        sentences = info["instruction"] if layout.inputs.sentence else [""] * len(codes)
         for w, episode in enumerate(info["episode_spec"]):
             if episode is not None:
                 plan = episode["plan"]
                 entry = plan[min(int(info["pointer"][w]), len(plan) - 1)]
-                codes[w] = layout.condition(entry["kind"], kind_of(entry["target"]))
+                codes[w] = layout.condition(entry["kind"], kind_of(entry["target"]), sentences[w])
         return codes
 
     def _plan(self, worlds: np.ndarray, info: Mapping[str, Any]) -> None:

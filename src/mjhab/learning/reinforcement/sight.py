@@ -96,17 +96,19 @@ class Sight:
         self._images = torch.zeros(
             worlds, inputs.history, *frames, dtype=torch.uint8, device=self.device
         )
-        self._codes = torch.zeros(worlds, layout.width - layout.measured_width, device=self.device)
+        self._codes = torch.zeros(worlds, layout.condition_width, device=self.device)
         self._horizon = float(max(horizons(env.task_config)))
 
     def begin(self, fresh: Tensor, info: Mapping[str, Any]) -> None:
         """Set the subtask condition of the worlds in ``fresh`` (W,) bool from their new episodes."""
         layout = self._layout
-        if not layout.inputs.condition:
+        if not layout.condition_width:
             return
         for world in torch.nonzero(fresh).flatten().tolist():
-            plan = self._episode(info, world)["plan"]
-            code = layout.condition(plan[0]["kind"], kind_of(plan[0]["target"]))
+            episode = self._episode(info, world)
+            first = episode["plan"][0]
+            sentence = episode["instructions"][0] if layout.inputs.sentence else ""
+            code = layout.condition(first["kind"], kind_of(first["target"]), sentence)
             self._codes[world] = torch.from_numpy(code).to(self.device)
 
     def _episode(self, info: Mapping[str, Any], world: int) -> Mapping[str, Any]:
@@ -139,7 +141,7 @@ class Sight:
             parts.append(torch.as_tensor(self._env.link_state()))
         if inputs.previous_action:
             parts.append(last)
-        if inputs.condition:
+        if self._layout.condition_width:
             parts.append(self._codes)
         vector = torch.cat(parts, dim=1)[:, None]
         images = self._frames(obs)[:, None]

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -180,6 +180,15 @@ $(TORCHRL)/.ready: $(SETUP_FILES) | $(BIN)/python
 test-torchrl: $(TORCHRL)/.ready  ## torchrl trains in our environments
 	$(TORCHRL)/bin/python -m pytest tests/adapters/check_torchrl.py $(PYTEST_ARGS)
 
+ROBOSUITE := .venv-robosuite
+$(ROBOSUITE)/.ready: | $(BIN)/python
+	@echo "mjhab: getting the files of robosuite into $(ROBOSUITE), once (160 MB)"
+	@$(PIP) install -q --no-deps --target $(ROBOSUITE) robosuite==1.5.2
+	@touch $@
+
+test-panda: $(VENV)/.dev $(ROBOSUITE)/.ready  ## the robot panda_omron does every subtask; its episodes are recorded and replayed
+	PYTHONPATH=src:$(ROBOSUITE) $(BIN)/python -m pytest tests/robots/check_panda_omron.py $(PYTEST_ARGS)
+
 check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -211,4 +220,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(RSL_RL) $(TORCHRL) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(RSL_RL) $(TORCHRL) $(ROBOSUITE) src/*.egg-info

@@ -19,7 +19,7 @@ from gymnasium.wrappers.vector import NumpyToTorch as VectorNumpyToTorch
 
 import mjhab
 from mjhab.core.errors import UsageError
-from mjhab.core.frozen import FrozenMap
+from mjhab.core.typed.frozen import FrozenMap
 from mjhab.data.record.recorder import Recorder
 from mjhab.envs.observations.modes import STATE_KEY
 from mjhab.envs.observations.state import BASE_VELOCITY_KEY, state_dim

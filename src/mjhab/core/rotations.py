@@ -1,11 +1,17 @@
 """Rotations and poses on arrays: quaternions wxyz (unit), poses as 7 numbers x, y, z, w, x, y, z.
 
-Every function takes numpy or torch arrays, batches over the leading axes (which broadcast) and keeps the dtype.
+Every function but `wrap` takes numpy or torch arrays, batches over the leading axes (which broadcast) and keeps the
+dtype.
 """
 
 from __future__ import annotations
 
-from mjhab.core.arrays import Array, constant, namespace
+import numpy as np
+
+from mjhab.core.arrays import Array, Table, constant, namespace, norm3
+
+IDENTITY = Table(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+"""The rotation matrix (3, 3) that turns nothing."""
 
 _SIGN_WEIGHTS = (8.0, 4.0, 2.0, 1.0)
 """Each is more than the sum of those behind it: the weighted sum of signs has the sign of the first that is not 0."""
@@ -177,3 +183,35 @@ def frame_from_axes(approach: Array, closing: Array) -> Array:
     y2 = y[..., 2]
     z = xp.stack([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0], axis=-1)
     return xp.stack([x, y, z], axis=-1)
+
+
+def wrap(angle: np.ndarray | float) -> np.ndarray:
+    """Return angles [rad] wrapped to [-pi, pi)."""
+    return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
+
+
+def rotation_vector(rot: Array) -> Array:
+    """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), with norms in [0, pi]."""
+    xp = namespace(rot)
+    quat = quat_from_mat(rot)
+    sin_half = norm3(quat[..., 1:])
+    angle = 2 * xp.atan2(sin_half, quat[..., 0])
+    scale = xp.where(
+        sin_half > 1e-9, angle / xp.maximum(sin_half, constant((1e-12,), sin_half)), 2.0
+    )
+    return quat[..., 1:] * scale[..., None]
+
+
+def mat_from_rotation_vector(vector: Array) -> Array:
+    """Return the rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
+    xp = namespace(vector)
+    angle = norm3(vector)[:, None, None]
+    x = vector[:, 0]
+    y = vector[:, 1]
+    z = vector[:, 2]
+    zero = xp.zeros_like(x)
+    skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    safe = xp.maximum(angle, constant((1e-9,), angle))
+    first = xp.where(angle > 1e-6, xp.sin(angle) / safe, 1.0)
+    second = xp.where(angle > 1e-6, (1 - xp.cos(angle)) / safe**2, 0.5)
+    return constant(IDENTITY, vector) + first * skew + second * (skew @ skew)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from mjhab.core.frozen import FrozenMap
+from mjhab.core.typed.frozen import FrozenMap
 
 
 def keep_what_is_no_number() -> None:

@@ -15,8 +15,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.joints import BASE
-from mjhab.core.rotations import mat_from_quat, pose_mul
-from mjhab.robots.kinematics import wrap
+from mjhab.core.rotations import mat_from_quat, pose_mul, wrap
 from mjhab.scenes.freespace import FreeMap, shared_map
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.scratch import Scratch

@@ -15,7 +15,7 @@ KERNEL_MODULES = (
     "experts.base.follower",
     "experts.base.navigation",
     "experts.base.pilot",
-    "robots.kinematics",
+    "robots.damped_steps",
 )
 """Modules whose code or constants are compiled into kernels: a change in one of them recompiles the kernels."""
 kernel = compiler(*KERNEL_MODULES)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.render.jit import color_inline, kernel
 from mjhab.render.patterns import pattern_tile
-from mjhab.render.raster.jit import color_inline, kernel
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE
 
 LEVELS = MAX_TEXTURE.bit_length() + 1

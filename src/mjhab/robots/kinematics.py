@@ -1,7 +1,7 @@
-"""Batched forward kinematics, Jacobians and damped least-squares steps of a robot tree, on numpy and torch.
+"""Batched forward kinematics and Jacobians of a robot tree, on numpy and torch.
 
-The end-effector controllers and the scripted experts use it. The caller gives the tree of links and the order of the
-joint columns; those of a moving base are x, y and yaw in the world frame.
+The end-effector controllers and the scripted experts use it, with the steps of `damped_steps`. The caller gives the
+tree of links and the order of the joint columns; those of a moving base are x, y and yaw in the world frame.
 
 Letters: N configurations, Q joint columns, L links. Lengths [m], angles [rad], quaternions wxyz. Results are float64
 for numpy and of the tensor's dtype for torch.
@@ -19,26 +19,14 @@ import numpy as np
 from mjhab.core.arrays import (
     Array,
     Table,
-    between,
     constant,
     empty,
     indices,
-    may_hold,
     namespace,
-    norm3,
     zeros,
 )
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.rotations import quat_from_mat
-
-DAMPING = 1e-4
-"""Least damping of the normal equations. DAMPING_PER_ERROR adds more far from the goal, where linearisation is poor."""
-DAMPING_PER_ERROR = 0.03
-"""Damping added per squared norm of the error; the squared norm is clipped at 1."""
-_EYES = {
-    n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n))) for n in range(1, 7)
-}
-_EYE = _EYES[3]
+from mjhab.core.rotations import IDENTITY
 
 
 class TreeRow(Protocol):
@@ -241,7 +229,7 @@ class Chain:
         pos = empty((count, n_links, 3), q)
         axes = empty((count, n_links, 3, 3), q)  # [n, link, axis, xyz]: rows are the link axes
         pos[:, 0] = constant((0.0, 0.0, self.root_height), q)
-        axes[:, 0] = constant(_EYE, q)
+        axes[:, 0] = constant(IDENTITY, q)
         cos = xp.cos(q)
         sin = xp.sin(q)
         for i, joint in enumerate(self.joints):
@@ -310,145 +298,6 @@ class Chain:
     def clip(self, q: np.ndarray) -> np.ndarray:
         """Return ``q`` (..., Q) clipped to the joint limits."""
         return np.clip(q, self.lower, self.upper)
-
-
-def in_base(base_pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Transform world points (N, 3) [m] to the frames of base poses (N, 3) (x, y, yaw); z is not changed."""
-    yaw = base_pose[:, 2]
-    dx = points[:, 0] - base_pose[:, 0]
-    dy = points[:, 1] - base_pose[:, 1]
-    c = np.cos(yaw)
-    s = np.sin(yaw)
-    return np.stack([c * dx + s * dy, c * dy - s * dx, points[:, 2]], axis=1)
-
-
-def wrap(angle: np.ndarray | float) -> np.ndarray:
-    """Return angles [rad] wrapped to [-pi, pi)."""
-    return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
-
-
-def rotation_vector(rot: Array) -> Array:
-    """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), with norms in [0, pi]."""
-    xp = namespace(rot)
-    quat = quat_from_mat(rot)
-    sin_half = norm3(quat[..., 1:])
-    angle = 2 * xp.atan2(sin_half, quat[..., 0])
-    scale = xp.where(
-        sin_half > 1e-9, angle / xp.maximum(sin_half, constant((1e-12,), sin_half)), 2.0
-    )
-    return quat[..., 1:] * scale[..., None]
-
-
-def rotate(vector: Array) -> Array:
-    """Return the rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad]."""
-    xp = namespace(vector)
-    angle = norm3(vector)[:, None, None]
-    x = vector[:, 0]
-    y = vector[:, 1]
-    z = vector[:, 2]
-    zero = xp.zeros_like(x)
-    skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    safe = xp.maximum(angle, constant((1e-9,), angle))
-    first = xp.where(angle > 1e-6, xp.sin(angle) / safe, 1.0)
-    second = xp.where(angle > 1e-6, (1 - xp.cos(angle)) / safe**2, 0.5)
-    return constant(_EYE, vector) + first * skew + second * (skew @ skew)
-
-
-def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING) -> Array:
-    """Compute a damped least-squares step.
-
-    Args:
-        error: (N, E) task-space error to reduce.
-        jac: (N, E, D) Jacobian of D joints.
-        pull: (N, D) desired joint change, applied in the null space of the task.
-        damping: least damping, see DAMPING.
-
-    Returns:
-        (N, D) joint changes.
-    """
-    xp = namespace(error)
-    size = xp.minimum(xp.sum(error * error, axis=1), constant((1.0,), error))
-    square = jac @ jac.swapaxes(1, 2) + (damping + DAMPING_PER_ERROR * size)[
-        :, None, None
-    ] * constant(_EYES[error.shape[1]], error)
-    wanted = error - xp.einsum("nij,nj->ni", jac, pull)
-    return xp.einsum("nij,ni->nj", jac, _solve(square, wanted)) + pull
-
-
-def _solve(square: Array, wanted: Array) -> Array:
-    """Solve ``square x = wanted`` (N, E) for symmetric positive definite matrices (N, E, E); return x (N, E)."""
-    if isinstance(square, np.ndarray):
-        return np.linalg.solve(square, wanted[..., None])[..., 0]
-    # torch's solver waits for the device to check success. These matrices need no pivots in Gauss-Jordan elimination.
-    xp = namespace(square)
-    eye = constant(_EYES[wanted.shape[1]], wanted)
-    both = xp.concat([square, wanted[..., None]], axis=2)
-    for k in range(wanted.shape[1]):
-        row = both[:, k] / both[:, k, k, None]
-        both = both - (both[:, :, k] - eye[k])[..., None] * row[:, None]
-    return both[..., -1]
-
-
-@dataclass(frozen=True, eq=False)
-class StepBounds:
-    """Bounds of a joint step [m or rad].
-
-    Attributes:
-        low: (N, D) lower limit minus joint position.
-        high: (N, D) upper limit minus joint position.
-        largest: largest absolute change of a joint, one number or (D,).
-    """
-
-    low: Array
-    high: Array
-    largest: Array | float
-
-
-def limited_step(
-    error: Array,
-    jac: Array,
-    pull: Array,
-    bounds: StepBounds,
-    damping: float = DAMPING,
-) -> Array:
-    """Compute a damped least-squares step within joint limits.
-
-    A joint that would pass its limit moves to the limit, and the step of the others is recomputed for the remaining
-    error. Clipping the step alone would stall at the limits.
-
-    Args:
-        error: (N, E), see `damped_step`.
-        jac: (N, E, D), see `damped_step`.
-        pull: (N, D), see `damped_step`.
-        bounds: limits of the step.
-        damping: see `damped_step`.
-
-    Returns:
-        (N, D) joint changes.
-    """
-    low = bounds.low
-    high = bounds.high
-    xp = namespace(error)
-    stopped = xp.zeros_like(pull)
-    free = xp.ones_like(pull)
-    for last in (False, False, True):
-        remaining = error - xp.einsum("nij,nj->ni", jac, stopped)
-        step = _bounded(
-            stopped + damped_step(remaining, jac * free[:, None], pull * free, damping) * free,
-            bounds.largest,
-        )
-        over = (free > 0) & ((step < low) | (step > high))
-        if last or not may_hold(over):
-            break
-        stopped = xp.where(over, between(step, low, high), stopped)
-        free = xp.where(over, 0.0, free)
-    return step
-
-
-def _bounded(step: Array, largest: Array | float) -> Array:
-    xp = namespace(step)
-    share = xp.max(xp.abs(step) / largest, axis=1, keepdims=True)
-    return step / xp.maximum(share, constant((1.0,), share))
 
 
 def _rows(q: Array) -> Array:

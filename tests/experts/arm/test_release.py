@@ -11,7 +11,7 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
-from mjhab.core.rotations import quat_from_mat
+from mjhab.core.rotations import mat_from_rotation_vector, quat_from_mat
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion, release
 from mjhab.experts.planning.workplace import surroundings
@@ -49,7 +49,9 @@ def fallen(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
 def leaning(tilt: float, about: float, yaw: float = 0.0) -> np.ndarray:
     """Rotation by ``yaw`` about the vertical, then by ``tilt`` about the level direction ``about`` [rad]."""
     axis = tilt * np.array([[np.cos(about), np.sin(about), 0.0]])
-    return ik.rotate(axis)[0] @ ik.rotate(np.array([[0.0, 0.0, yaw]]))[0]
+    return (
+        mat_from_rotation_vector(axis)[0] @ mat_from_rotation_vector(np.array([[0.0, 0.0, yaw]]))[0]
+    )
 
 
 @pytest.mark.parametrize(

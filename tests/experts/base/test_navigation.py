@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.errors import UsageError
+from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.base.follower import Follower
 from mjhab.experts.base.navigation import FloorClearance, Planner
-from mjhab.robots.kinematics import wrap
 
 ORIGIN = np.array([-4.0, -3.0])
 CELL = 0.05

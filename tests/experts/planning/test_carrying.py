@@ -13,7 +13,7 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
-from mjhab.core.rotations import mat_from_quat
+from mjhab.core.rotations import mat_from_quat, wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
@@ -38,7 +38,6 @@ from mjhab.experts.planning.workplace import Scene, Work, surroundings
 from mjhab.experts.skills.pick_plans import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.skills.place import DROP_HEIGHTS_M, Release, hand_goals, place
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.robots.kinematics import wrap
 
 route_module = importlib.import_module("mjhab.experts.base.route")
 place_module = importlib.import_module("mjhab.experts.skills.place")

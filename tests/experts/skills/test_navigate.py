@@ -8,13 +8,13 @@ from scipy.ndimage import distance_transform_edt
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
+from mjhab.core.rotations import wrap
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
 from mjhab.experts.base.driving import BRISK, simulate
 from mjhab.experts.base.floorplan import BASE_CLEARANCE_M, SLICES_M, Arm, Floorplan
 from mjhab.experts.base.lattice import YAWS, Lattice, Leg
 from mjhab.experts.skills import navigate
-from mjhab.robots.kinematics import wrap
 from mjhab.tasks.plan import Subtask
 
 CELL = 0.05

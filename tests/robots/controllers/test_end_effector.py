@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector
 from mjhab.robots.controllers import CONTROL_MODES, make_controller
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
-from mjhab.robots.kinematics import rotate, rotation_vector
 from tests.robots.controllers.robot_bench import (
     ARM,
     BENT,
@@ -80,7 +80,7 @@ def test_one_command_of_the_end_effector_is_met_and_its_turn_clipped_by_norm(mod
     own = mode.endswith("align")
     move = 0.1 * actions[:, :3, None]
     np.testing.assert_allclose(got_pos, pos + (rot @ move if own else move)[..., 0], atol=2e-4)
-    want = rot @ rotate(turn) if own else rotate(turn) @ rot
+    want = rot @ mat_from_rotation_vector(turn) if own else mat_from_rotation_vector(turn) @ rot
     np.testing.assert_allclose(rotation_vector(want @ got_rot.swapaxes(1, 2)), 0.0, atol=2e-3)
     assert np.linalg.norm(turn[0]) == pytest.approx(0.1)
 

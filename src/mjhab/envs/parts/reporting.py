@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.frozen import FrozenMap
+from mjhab.core.typed.frozen import FrozenMap
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.narration import Narrator
 from mjhab.layout.layout import Layout

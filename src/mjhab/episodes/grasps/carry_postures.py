@@ -17,7 +17,7 @@ from mjhab.core.errors import MjhabError
 from mjhab.core.files.cache import write_cached
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps.stable import HOLD_TIME_S, StableGrasp, StableGrasps
-from mjhab.robots.kinematics import damped_step
+from mjhab.robots.damped_steps import damped_step
 from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.thresholds import TaskConfig

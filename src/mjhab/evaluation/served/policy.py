@@ -10,13 +10,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from mjhab.core.rotations import mat_from_quat
+from mjhab.core.rotations import mat_from_quat, rotation_vector
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
 from mjhab.evaluation.served.action_spaces import ActionReader
 from mjhab.evaluation.served.metadata import own_part, space_of
-from mjhab.robots.kinematics import rotation_vector
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection, PolicyFault
 from mjhab.serving.dialects.dialect import Ask

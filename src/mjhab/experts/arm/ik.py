@@ -13,9 +13,10 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.joints import BASE
+from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector, wrap
 from mjhab.experts.arm import ik_kernels
 from mjhab.experts.arm.frame_kernels import tree_of
-from mjhab.robots.kinematics import Chain, rotate, rotation_vector, wrap
+from mjhab.robots.kinematics import Chain
 
 Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
@@ -271,7 +272,7 @@ def straight_line(
     far = np.linalg.norm(way, axis=1) / reach
     wide = np.linalg.norm(spin, axis=1) / turn
     share = 1.0 / np.maximum(np.maximum(far, wide), 1.0)
-    return pos + share[:, None] * way, rotate(share[:, None] * spin) @ rot
+    return pos + share[:, None] * way, mat_from_rotation_vector(share[:, None] * spin) @ rot
 
 
 def _floats(values: Array) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.core.rotations import mat_from_rotation_vector
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import approach_clearance
 from mjhab.episodes.grasps.stable import ObjectShape
@@ -50,7 +51,7 @@ def tipped(shape: ObjectShape, rot: Array) -> Array:
     if shape.kind in ("cylinder", "bowl"):
         # Turn the frame about the symmetry axis so that the lowest point is in its x-z plane.
         yaw = np.arctan2(-rot[2, 1], -rot[2, 0])
-        turn = rot @ ik.rotate(np.array([[0.0, 0.0, yaw]]))[0]
+        turn = rot @ mat_from_rotation_vector(np.array([[0.0, 0.0, yaw]]))[0]
     down = -turn[2]
     down = np.where(np.abs(down) < 1e-9, 0.0, down)
     side = int(np.argmax(np.abs(down) / half))

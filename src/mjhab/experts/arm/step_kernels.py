@@ -1,7 +1,7 @@
 """Compiled damped least squares: the bounded step of one configuration that reduces its task error.
 
-The arithmetic is that of `robots.kinematics.limited_step`, for one configuration at a time. Letters: D columns that may
-move, L links.
+The arithmetic is that of `robots.damped_steps.limited_step`, for one configuration at a time. Letters: D columns that
+may move, L links.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from mjhab.experts.arm.frame_kernels import Tree
 from mjhab.experts.jit import inline
-from mjhab.robots.kinematics import DAMPING, DAMPING_PER_ERROR
+from mjhab.robots.damped_steps import DAMPING, DAMPING_PER_ERROR
 
 Array = np.ndarray
 
@@ -106,7 +106,7 @@ def _solve(square: Array, x: Array) -> None:
 
 @inline
 def _set_damped_step(s: Space) -> None:
-    """Write the damped step of the free columns for ``s.remaining`` into ``s.step``, see `kinematics.damped_step`."""
+    """Write the damped step of the free columns for ``s.remaining`` into ``s.step``, see `damped_steps.damped_step`."""
     size = 0.0
     for i in range(6):
         size += s.remaining[i] * s.remaining[i]
@@ -134,7 +134,7 @@ def _set_damped_step(s: Space) -> None:
 
 @inline
 def set_limited_step(s: Space) -> None:
-    """Write the step within the bounds ``s.low``, ``s.high`` into ``s.step``, see `kinematics.limited_step`."""
+    """Write the step within the bounds ``s.low``, ``s.high`` into ``s.step``, see `damped_steps.limited_step`."""
     columns = len(s.step)
     s.stopped[:] = 0.0
     s.free[:] = True

@@ -11,11 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.base.floorplan import Floorplan, turn_between
 from mjhab.experts.base.lattice import Leg, length
 from mjhab.experts.base.pilot import SPEED_LAG_S, Pilot
-from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 WANTED_CLEARANCE_M = 0.02

@@ -14,11 +14,11 @@ from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
+from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.planning.carry import held_spheres
-from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 BASE_CLEARANCE_M = 0.29

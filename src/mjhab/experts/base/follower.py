@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 

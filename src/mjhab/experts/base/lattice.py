@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from mjhab.core.rotations import wrap
 from mjhab.experts.base.floorplan import Floorplan, turn_between
-from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 MOVES = np.array(

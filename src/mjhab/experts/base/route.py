@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.joints import BASE
+from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
@@ -17,7 +18,6 @@ from mjhab.experts.arm.gentle import Care, eased
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import MAX_SPEED_M_S, Pilot, simulate
-from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray

@@ -9,6 +9,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
+from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
@@ -16,7 +17,6 @@ from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.pilot import simulate
 from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
 from mjhab.experts.style import wait_for
-from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
+from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import drive_steps
 from mjhab.experts.planning.workplace import HandGoals, Scene, Work
-from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import ArmReach, Footprint
 
 Array = np.ndarray

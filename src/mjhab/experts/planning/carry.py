@@ -12,7 +12,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
-from mjhab.core.rotations import mat_from_quat
+from mjhab.core.rotations import mat_from_quat, wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
@@ -29,7 +29,6 @@ from mjhab.experts.base.route import (
 )
 from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
 from mjhab.experts.planning.workplace import surroundings
-from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray

@@ -19,9 +19,10 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
+from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.robots.kinematics import Chain, wrap
+from mjhab.robots.kinematics import Chain
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.core.joints import BASE_XY, BASE_YAW
+from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
@@ -22,7 +23,6 @@ from mjhab.experts.base.lattice import YAWS, Lattice, Leg, turns
 from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS
 from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
-from mjhab.robots.kinematics import wrap
 
 Array = np.ndarray
 WANTED_DISTANCE_M = 0.95

@@ -16,7 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.boxes import Boxes, sphere_box_distance
-from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_axis_angle, quat_mul
+from mjhab.core.rotations import (
+    frame_from_axes,
+    mat_from_quat,
+    quat_from_axis_angle,
+    quat_mul,
+    wrap,
+)
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import ObjectShape
@@ -26,7 +32,6 @@ from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
 from mjhab.experts.planning.carry import ReachIn, drive_in
 from mjhab.experts.planning.reach import settle_reach, stances
 from mjhab.experts.planning.workplace import CLEARANCES_M, HandGoals, Scene, Stance, Work
-from mjhab.robots.kinematics import wrap
 from mjhab.robots.parts import Gripper
 
 Array = np.ndarray

@@ -13,9 +13,9 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
-from mjhab.core.rotations import mat_from_quat
+from mjhab.core.rotations import mat_from_quat, mat_from_rotation_vector
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import care_for
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.arm.release import (
@@ -301,8 +301,8 @@ def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> Hand
     most = GOAL_SHARE * view.config.goal_tol
     yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
-    turns = ik.rotate(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
-    leans = ik.rotate(np.array(tilts)[:, None] * np.array([*aside, 0.0]))
+    turns = mat_from_rotation_vector(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
+    leans = mat_from_rotation_vector(np.array(tilts)[:, None] * np.array([*aside, 0.0]))
     pos = []
     rot = []
     score = []
@@ -334,7 +334,7 @@ def _sides(every: bool) -> list[tuple[Array, float]]:
     if every:
         half = np.pi / 2
         for axis in ((half, 0, 0), (-half, 0, 0), (0, half, 0), (0, -half, 0), (2 * half, 0, 0)):
-            sides.append((ik.rotate(np.array([axis], float))[0], LAID_PRICE))
+            sides.append((mat_from_rotation_vector(np.array([axis], float))[0], LAID_PRICE))
     return sides
 
 

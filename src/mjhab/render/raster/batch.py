@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.render.jit import kernel
 from mjhab.render.raster.arrays import Bodies, Lens, Scratch
-from mjhab.render.raster.jit import kernel
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.occlusion import ambient_occlusion
 from mjhab.render.raster.shading import Openness, ShadeScratch, shade

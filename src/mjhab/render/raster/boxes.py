@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.render.jit import kernel
 from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.fill import fill_quad
-from mjhab.render.raster.jit import kernel
 
 
 @kernel

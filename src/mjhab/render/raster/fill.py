@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.render.raster.jit import inline, kernel
+from mjhab.render.jit import inline, kernel
 
 EDGE_SLACK = 1e-7
 """Pixel centres at most this far outside an edge count as inside, so that shared edges leave no holes."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.render.jit import kernel
 from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.boxes import draw_box
-from mjhab.render.raster.jit import kernel
 from mjhab.render.raster.meshes import draw_mesh, fitting_level
 from mjhab.render.raster.sight import find_in_sight, hidden, sort_by_depth
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.render.raster.jit import color_inline, color_kernel
+from mjhab.render.jit import color_inline, color_kernel
 
 LAMP_REACH = 2.4
 """Distance [m] at which the light of a lamp has fallen to 0.35 of that at the lamp, by inverse-square falloff."""

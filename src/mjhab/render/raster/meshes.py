@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.render.jit import inline, kernel
 from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.fill import fill, fill_clipped
-from mjhab.render.raster.jit import inline, kernel
 
 PLANE_SLACK = 1e-5
 """Tolerance of back-face culling for the float32 planes of faces, relative to the camera's distance from the origin of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.render.raster.jit import color_inline, color_kernel
+from mjhab.render.jit import color_inline, color_kernel
 
 RADIUS = 0.3
 """Largest distance [m] at which surfaces occlude each other."""

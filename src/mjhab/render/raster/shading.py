@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.render.jit import color_inline, color_kernel
 from mjhab.render.raster.arrays import FACE_BITS
-from mjhab.render.raster.jit import color_inline, color_kernel
 from mjhab.render.raster.lighting import blended_share, light_point, sky
 from mjhab.render.raster.surfaces import fill_frame, normal_at, place_point
 from mjhab.render.raster.texturing import pattern_axes, texture_level, textured

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.render.jit import inline, kernel
 from mjhab.render.raster.arrays import ORDER_BUCKETS, PARKED_BELOW
-from mjhab.render.raster.jit import inline, kernel
 
 BALL_SLACK = 1e-3
 """Added to the radii of bounding spheres [m], to cover the rounding errors of the float32 test."""

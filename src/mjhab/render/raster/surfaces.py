@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.render.raster.jit import color_inline
+from mjhab.render.jit import color_inline
 from mjhab.render.textures import Texels
 
 

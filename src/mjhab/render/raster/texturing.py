@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjhab.render.jit import color_inline
 from mjhab.render.patterns import SHADE_TOP
-from mjhab.render.raster.jit import color_inline
 from mjhab.render.raster.surfaces import normal_at, place_point
 from mjhab.render.textures import copy_for, sample
 

@@ -7,9 +7,11 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.arrays import Array, between, constant, namespace, zeros
+from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector
 from mjhab.robots.controllers.arm import ArmRequest, CommandedArm
 from mjhab.robots.controllers.table import ActionEntry
-from mjhab.robots.kinematics import Chain, StepBounds, limited_step, rotate, rotation_vector
+from mjhab.robots.damped_steps import StepBounds, limited_step
+from mjhab.robots.kinematics import Chain
 
 Start = Literal["measured", "target", "absolute"]
 """Reference of a command: the measured tcp pose, the previous target, or the frame of `Robot.arm_root`."""
@@ -73,13 +75,13 @@ class EndEffector(CommandedArm):
     def _goal(self, move: Array, begin: Array) -> tuple[Array, Array]:
         """Return the goal position (W, 3) [m] and rotation (W, 3, 3) in the frame of `Robot.arm_root`."""
         if self._start == "absolute":
-            return move[:, :3], rotate(move[:, 3:])
+            return move[:, :3], mat_from_rotation_vector(move[:, 3:])
         pos, rot = self._chain.tip_pose(begin)
         if not self._rotates:
             return pos + move, rot
         xp = namespace(move)
         length = xp.sqrt(xp.sum(move[:, 3:] ** 2, axis=1, keepdims=True))
-        turn = rotate(
+        turn = mat_from_rotation_vector(
             move[:, 3:] * (self._turn / xp.maximum(length, constant((self._turn,), length)))
         )
         if self._own_axes:

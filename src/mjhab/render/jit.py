@@ -1,4 +1,4 @@
-"""Decorators that compile the kernels of the rasterizer."""
+"""Decorators that compile the kernels of the rasterizer and of the textures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import partial
 from mjhab.core.kernels.jit import compiler
 
 KERNEL_MODULES = (
-    "render.raster.jit",
+    "render.jit",
     "render.raster.arrays",
     "render.raster.boxes",
     "render.raster.meshes",

@@ -5,7 +5,7 @@ Every function takes numpy or torch arrays, batches over the leading axes (which
 
 from __future__ import annotations
 
-from mjhab.core.arrays import Array, constant, namespace
+from mjhab.core.arrays import Array, cast, constant, namespace
 
 _SIGN_WEIGHTS = (8.0, 4.0, 2.0, 1.0)
 """Each is more than the sum of those behind it: the weighted sum of signs has the sign of the first that is not 0."""
@@ -18,7 +18,7 @@ def quat_canonical(q: Array) -> Array:
     """
     xp = namespace(q)
     # Not xp.sign: array_api_compat's for torch makes the host wait for the device.
-    signs = xp.astype(q > 0, q.dtype) - xp.astype(q < 0, q.dtype)
+    signs = cast(q > 0, q.dtype) - cast(q < 0, q.dtype)
     negative = signs @ constant(_SIGN_WEIGHTS, q) < 0
     return xp.where(negative[..., None], -q, q)
 

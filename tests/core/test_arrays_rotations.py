@@ -11,7 +11,18 @@ import pytest
 import torch
 
 from mjhab.core import rotations as rot
-from mjhab.core.arrays import as_like, constant, namespace, pick_column, to_numpy, where_rows
+from mjhab.core.arrays import (
+    as_like,
+    cast,
+    constant,
+    join_as,
+    namespace,
+    object_array,
+    pick_column,
+    pile,
+    to_numpy,
+    where_rows,
+)
 from tests.tasks.build import assert_same
 
 RNG = np.random.default_rng(0)
@@ -132,3 +143,22 @@ def test_array_helpers() -> None:
     assert constant((1.0, 2.0), table * 1.0) is constant((1.0, 2.0), table * 1.0)
     with pytest.raises(TypeError):
         namespace(np.ones(1), torch.ones(1))
+
+
+@pytest.mark.parametrize("library", [np, torch])
+def test_rows_and_columns_are_joined_the_same_in_both_libraries(library: Any) -> None:
+    one = library.asarray([0.1, 2.0, 3.0], dtype=library.float64)
+    two = library.asarray([4.0, 5.0, 6.0], dtype=library.float64)
+    yes = library.asarray([True, False, True])
+    assert to_numpy(pile((one, two))).tolist() == [[0.1, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    joined = to_numpy(join_as((one[:, None], yes[:, None]), library.float32))
+    assert joined.dtype == np.float32
+    assert joined.tolist() == [[np.float32(0.1), 1.0], [2.0, 0.0], [3.0, 1.0]]
+    assert to_numpy(cast(yes, library.float64)).tolist() == [1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("items", [[[], []], [[1], [2]], [None, {"a": 1}], ["ab", "cd"]])
+def test_object_arrays_hold_the_objects_themselves(items: list[Any]) -> None:
+    array = object_array(items)
+    assert array.shape == (2,)
+    assert all(held is item for held, item in zip(array, items, strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.tasks.household.registry import chain
-from mjhab.tasks.measure import measure
+from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, Target, TaskPlan, stack_plans
 from mjhab.tasks.progress import Progress, accumulate, start
 from mjhab.tasks.signals import Signals
@@ -362,3 +362,18 @@ def test_measuring_changes_nothing() -> None:
 def test_progress_type_is_what_start_makes() -> None:
     plan = plan_of(PICK)
     assert isinstance(start(plan, CONFIG), Progress) and REST[3] == 0.386
+
+
+@pytest.mark.parametrize("kind", [PICK, PLACE, NAVIGATE, OPEN, CLOSE])
+def test_checks_that_no_world_has_are_left_out_without_a_difference(kind: int) -> None:
+    plan = plan_of(kind, config=ZERO_REST)
+    progress = start(plan, ZERO_REST)
+    active = active_entries(plan, progress.pointer, ZERO_REST)
+    everything = replace(active, has_goals=True, has_joints=True, has_ways=True)
+    state = resting(rest=ZERO_REST.rest_qpos)
+    lean = measure(state, plan, progress, ZERO_REST, active)
+    full = measure(state, plan, progress, ZERO_REST, everything)
+    for field in fields(Signals):
+        np.testing.assert_array_equal(getattr(lean, field.name), getattr(full, field.name))
+    asked = (active.has_goals, active.has_joints, active.has_ways)
+    assert asked == (kind == PLACE, kind in (OPEN, CLOSE), kind == NAVIGATE)

@@ -47,10 +47,7 @@ def to_numpy(array: Array) -> np.ndarray:
 
 def object_array(items: Sequence[Any]) -> np.ndarray:
     """(n,) array of n objects, whatever they are: lists of one length stay lists."""
-    array = np.empty(len(items), object)
-    for index, item in enumerate(items):
-        array[index] = item
-    return array
+    return np.fromiter(items, object, len(items))
 
 
 def as_like(values: Array, like: Array, dtype: Any = None) -> Array:
@@ -130,7 +127,8 @@ def may_hold(mask: Array) -> bool:
 
     For numpy only work that would be thrown away is skipped by it; elsewhere the answer is always True.
     """
-    return bool(mask.any()) if type(mask) is np.ndarray else True
+    # Counting is several times faster than ``mask.any()``, and a control step asks some twenty times.
+    return bool(np.count_nonzero(mask)) if type(mask) is np.ndarray else True
 
 
 def pick_column(table: Array, index: Array) -> Array:
@@ -144,9 +142,25 @@ def pick_column(table: Array, index: Array) -> Array:
 
 
 def pile(rows: Sequence[Array]) -> Array:
-    """Return K arrays (W,) as one (K, W); cheaper than ``stack``, which reshapes every one of them."""
-    xp = namespace(rows[0])
-    return xp.reshape(xp.concat(rows), (len(rows), rows[0].shape[0]))
+    """Return K arrays (W,) of one dtype as one (K, W); cheaper than ``stack``, which reshapes every one of them."""
+    if type(rows[0]) is np.ndarray:
+        return np.array(rows)
+    return namespace(rows[0]).concat(rows).reshape(len(rows), -1)
+
+
+def cast(array: Array, dtype: Any) -> Array:
+    """The array as ``dtype``; on numpy faster than the standard's ``astype``, which checks its arguments in Python."""
+    if type(array) is np.ndarray:
+        return array.astype(dtype)
+    return namespace(array).astype(array, dtype)
+
+
+def join_as(parts: Sequence[Array], dtype: Any) -> Array:
+    """Return arrays (W, n) side by side, as ``dtype``; numpy converts while it copies."""
+    if type(parts[0]) is np.ndarray:
+        return np.concatenate(parts, axis=1, dtype=dtype)
+    xp = namespace(parts[0])
+    return xp.astype(xp.concat(parts, axis=1), dtype)
 
 
 def count(size: int, like: Array) -> Array:

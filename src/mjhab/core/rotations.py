@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.arrays import Array, Table, constant, namespace, norm3
+from mjhab.core.arrays import Array, Table, cast, constant, namespace, norm3
 
 IDENTITY = Table(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 """The rotation matrix (3, 3) that turns nothing."""
@@ -24,7 +24,7 @@ def quat_canonical(q: Array) -> Array:
     """
     xp = namespace(q)
     # Not xp.sign: array_api_compat's for torch makes the host wait for the device.
-    signs = xp.astype(q > 0, q.dtype) - xp.astype(q < 0, q.dtype)
+    signs = cast(q > 0, q.dtype) - cast(q < 0, q.dtype)
     negative = signs @ constant(_SIGN_WEIGHTS, q) < 0
     return xp.where(negative[..., None], -q, q)
 

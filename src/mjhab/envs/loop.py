@@ -12,6 +12,7 @@ would wait for the device.
 from __future__ import annotations
 
 import dataclasses
+import operator
 from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
@@ -37,6 +38,8 @@ from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.subtasks.registry import properties
+
+_checkers = operator.attrgetter(*CHECKERS)
 
 
 class Told(Protocol):
@@ -252,7 +255,7 @@ class TaskLoop(VectorEnv, ABC):
                 f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
             )
         self._reseed(seed, mask)
-        episodes = self._next_episodes() if wanted is None else self._chosen_episodes(wanted, mask)
+        episodes = None if wanted is None else self._chosen_episodes(wanted, mask)
         self._renew(mask, self._no, episodes)
         return self._keyed(self._observe()), self.info()
 
@@ -264,15 +267,20 @@ class TaskLoop(VectorEnv, ABC):
         """Convert values to an array of the backend's library and device; the dtype is kept."""
         return self._xp.asarray(values, device=device_of(self._like))
 
-    def _renew(self, fresh: Array, moved: Array, episodes: Array) -> Array:
-        """Begin ``episodes`` (W,) in the worlds ``fresh``, and the next subtask in the worlds ``moved``.
+    def _renew(self, fresh: Array, moved: Array, episodes: Array | None = None) -> Array:
+        """Begin episodes in the worlds ``fresh``, and the next subtask in the worlds ``moved``.
+
+        Args:
+            fresh: (W,) bool.
+            moved: (W,) bool.
+            episodes: (W,) int64 index of the episode that each fresh world begins; the next one of each if None.
 
         Returns:
             (W,) bool, worlds whose physics state was changed.
         """
         moved = moved & ~fresh
         if may_hold(fresh):
-            self._restart(fresh, episodes)
+            self._restart(fresh, self._next_episodes() if episodes is None else episodes)
         changed = self._place(fresh, moved)
         if may_hold(changed):
             self.state = self.sim.state()
@@ -398,7 +406,7 @@ class TaskLoop(VectorEnv, ABC):
             reward = self._xp.where(fresh, 0.0, reward)
         if mode != "disabled" or not self.config.subtask:
             moved = outcome.advanced & ~outcome.done
-            changed = self._renew(fresh, moved, self._next_episodes())
+            changed = self._renew(fresh, moved)
         else:
             changed = fresh
         if mode == "next_step":
@@ -438,8 +446,9 @@ class TaskLoop(VectorEnv, ABC):
             "spawn_fallback": self.fallback,
             "reward_terms": self.reward_terms,
         }
-        info |= {name: getattr(signals, name) for name in CHECKERS}
-        return info | told.entries()
+        info.update(zip(CHECKERS, _checkers(signals), strict=True))
+        info.update(told.entries())
+        return info
 
 
 def _give_up(broken: Array, progress: Progress, signals: Signals) -> tuple[Progress, Signals]:

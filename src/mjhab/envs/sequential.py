@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
-from mjhab.core.arrays import Array
+from mjhab.core.arrays import Array, may_hold
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE_XY
 from mjhab.envs.loop import TaskLoop
@@ -149,7 +149,7 @@ class SequentialTaskEnv(TaskLoop):
             return fresh
         self.teleports.begin(fresh | moved, self.focus.navigates)
         changed = fresh
-        if self.teleports.waiting.any():
+        if may_hold(self.teleports.waiting):
             pointer = self.progress.pointer
             changed = fresh.copy()
             for landing in self.teleports.run(
@@ -181,7 +181,7 @@ class SequentialTaskEnv(TaskLoop):
         before = self.sim.qpos.copy()
         self.sim.step(ctrl)
         broken = self.sim.broken()
-        if broken.any():
+        if may_hold(broken):
             worlds = np.flatnonzero(broken).tolist()
             self.sim.mend(worlds, [self.homes[w] for w in worlds], before[worlds])
         return broken.copy()
@@ -189,7 +189,7 @@ class SequentialTaskEnv(TaskLoop):
     def _measure(self, world: WorldState, progress: Progress) -> Signals:
         signals = super()._measure(world, progress)
         waiting = self.teleports.waiting
-        if not waiting.any():
+        if not may_hold(waiting):
             return signals
         # A Navigate that waits for its teleport has not succeeded, even if the robot is at the goal by chance.
         return dataclasses.replace(signals, success=signals.success & ~waiting)

@@ -25,7 +25,16 @@ from mjhab.core.arrays import (
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.tasks.plan import PlanArrays
-from mjhab.tasks.signals import CHECKS, SIGNAL_CHECKS, Active, Signals, Standing, WorldState
+from mjhab.tasks.signals import (
+    CHECKS,
+    JOINT_CHECKS,
+    SIGNAL_CHECKS,
+    WAY_CHECKS,
+    Active,
+    Signals,
+    Standing,
+    WorldState,
+)
 from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, force_limits, properties
 from mjhab.tasks.subtasks.spec import Measure
 from mjhab.tasks.success import masks
@@ -46,6 +55,7 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
     # A finished plan has kind -1, which reads the last entry: no limit.
     limits = constant(force_limits(config), goal_pos)
     applies, optional = masks(kind, config.ignore_arm)
+    unfinished = ~properties(plan.kind, "keeps_goal")[0] | (order >= pointer[:, None])
     return Active(
         index=index,
         kind=kind,
@@ -56,10 +66,18 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
         must_hold=must_hold,
         rest_tol=xp.where(loose[:, None], config.arm_tol_grasped, tight),
         force_limit=limits[kind],
-        unfinished=~properties(plan.kind, "keeps_goal")[0] | (order >= pointer[:, None]),
+        unfinished=unfinished,
         applies=applies,
         optional=optional,
+        has_goals=_any_applies(applies, ("at_goal",)) or may_hold(~unfinished),
+        has_joints=_any_applies(applies, JOINT_CHECKS),
+        has_ways=_any_applies(applies, WAY_CHECKS),
     )
+
+
+def _any_applies(applies: Array, names: Sequence[str]) -> bool:
+    """Whether one of the checks ``names`` applies in some world, as far as that is free to know (`may_hold`)."""
+    return any(may_hold(applies[CHECKS.index(name)]) for name in names)
 
 
 def _grip(state: WorldState, nav: Array, config: TaskConfig) -> tuple[Array, Array, Array]:
@@ -119,6 +137,21 @@ def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskCon
     return inside
 
 
+def _goals(
+    state: WorldState, plan: PlanArrays, active: Active, config: TaskConfig
+) -> tuple[Array, Array]:
+    """Whether the active subtask's object is at its goal, and whether those of all finished Places are: two (W,) bool.
+
+    Where no subtask has a goal for an object, False and True.
+    """
+    if not active.has_goals:
+        no = active.kind < active.kind
+        return no, ~no
+    there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)  # (W, S)
+    placed_ok = namespace(there).all(there | active.unfinished, axis=-1)
+    return pick_column(there, active.index), placed_ok
+
+
 def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Array:
     """(W,) bool: the tcp is at its rest point. ``cos``, ``sin`` (W,): of the base's heading."""
     base = state.base_pose
@@ -155,7 +188,13 @@ def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple
 def _arrival(
     state: WorldState, active: Active, cos: Array, sin: Array, config: TaskConfig
 ) -> tuple[Array, Array]:
-    """Whether the base is near the navigation goal (and inside its box), and whether it faces it: two (W,) bool."""
+    """Whether the base is near the navigation goal (and inside its box), and whether it faces it: two (W,) bool.
+
+    Both are False where no world drives.
+    """
+    if not active.has_ways:
+        no = active.kind < active.kind
+        return no, no
     xp = namespace(state.base_pose)
     position = state.base_pose[:, BASE_XY]
     to_goal = active.goal_pos[:, :2] - position
@@ -171,7 +210,13 @@ def _arrival(
 def _joint(
     state: WorldState, active: Active, config: TaskConfig
 ) -> tuple[Array, Array, Array, Array]:
-    """Whether the active link is opened, closed, slightly opened, slightly closed: four (W,) bool."""
+    """Whether the active link is opened, closed, slightly opened, slightly closed: four (W,) bool.
+
+    All are False where no subtask has a link.
+    """
+    if not active.has_joints:
+        no = active.kind < active.kind
+        return no, no, no, no
     span = state.joint_max - state.joint_min
     opening = state.joint_q - state.joint_min
     return (
@@ -209,7 +254,7 @@ def measure(
     cos = xp.cos(yaw)
     sin = xp.sin(yaw)
     is_grasped, contact, target_force = _grip(state, active.navigate, config)
-    there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)  # (W, S)
+    there, placed_ok = _goals(state, plan, active, config)
     # In the order of CHECKS.
     rows = (
         is_grasped,
@@ -219,7 +264,7 @@ def measure(
         contact,
         state.target_contact | contact,
         state.ee_contact | contact,
-        pick_column(there, active.index),
+        there,
         *_joint(state, active, config),
         *_arrival(state, active, cos, sin, config),
         ~is_grasped,
@@ -232,7 +277,7 @@ def measure(
         target_force=target_force,
         cumulative_force=cumulative,
         success=(checks | active.optional).all(0),
-        placed_ok=xp.all(there | active.unfinished, axis=-1),
+        placed_ok=placed_ok,
         kind=active.kind,
         must_hold=active.must_hold,
     )

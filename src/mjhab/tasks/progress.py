@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from mjhab.core.arrays import Array, constant, namespace, pick_column, where_rows, zeros
+from mjhab.core.arrays import (
+    Array,
+    cast,
+    constant,
+    may_hold,
+    namespace,
+    pick_column,
+    where_rows,
+    zeros,
+)
 from mjhab.tasks.plan import PlanArrays
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import horizons
@@ -92,7 +101,7 @@ def reset_rows(progress: Progress, mask: Array, plan: PlanArrays, config: TaskCo
 def accumulate(progress: Progress, robot_force: Array) -> Progress:
     """Count one control step: its force (W,) [N] and its time. Worlds that are done do not change."""
     xp = namespace(robot_force)
-    step = xp.astype(~progress.done, progress.pointer.dtype)
+    step = cast(~progress.done, progress.pointer.dtype)
     force = xp.where(progress.done, 0.0, robot_force)
     return Progress(
         progress.pointer,
@@ -122,7 +131,6 @@ def advance(
     """
     if config.continuous:
         return _advance_continuous(progress, signals, config.hold_steps)
-    xp = namespace(progress.pointer)
     alive = ~progress.done
     advanced = alive & signals.success & signals.placed_ok & signals.force_ok
     force_exceeded = alive & ~signals.force_ok
@@ -147,15 +155,30 @@ def advance(
     )
     new = Progress(
         pointer,
-        xp.where(moved, _horizon(plan, pointer, config), progress.steps_left),
+        progress.steps_left,
+        progress.subtask_step,
+        progress.episode_step,
+        progress.cumulative_force,
+        progress.peak_force,
+        progress.success_once | advanced,
+        progress.done | done,
+    )
+    return (_begin_next(new, moved, plan, config) if may_hold(moved) else new), outcome
+
+
+def _begin_next(progress: Progress, moved: Array, plan: PlanArrays, config: TaskConfig) -> Progress:
+    """Set horizon, time and force to those at the start of the subtask at the pointer in the worlds ``moved`` (W,)."""
+    xp = namespace(moved)
+    return Progress(
+        progress.pointer,
+        xp.where(moved, _horizon(plan, progress.pointer, config), progress.steps_left),
         xp.where(moved, 0, progress.subtask_step),
         progress.episode_step,
         xp.where(moved, 0.0, progress.cumulative_force),
         xp.where(moved, 0.0, progress.peak_force),
-        (progress.success_once | advanced) & ~moved,
-        progress.done | done,
+        progress.success_once & ~moved,
+        progress.done,
     )
-    return new, outcome
 
 
 def _advance_continuous(

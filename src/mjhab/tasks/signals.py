@@ -29,6 +29,10 @@ CHECKS: tuple[str, ...] = (
 """Rows of the check tables. ``let_go``: nothing is held; ``hold_ok``: the object to carry is held, or there is none."""
 SIGNAL_CHECKS = CHECKS[: CHECKS.index("let_go")]
 """Checks that are fields of `Signals`; the others are only conditions of success."""
+JOINT_CHECKS = ("opened", "closed", "slightly_opened", "slightly_closed")
+"""Checks of the joint of a subtask's link."""
+WAY_CHECKS = ("near", "oriented")
+"""Checks of the base on its way to a goal."""
 
 
 class Standing(Protocol):
@@ -152,3 +156,10 @@ class Active:
     """(K, W) bool, rows ``CHECKS``: the check means something for the kind; see ``success.masks``."""
     optional: Array
     """(K, W) bool: the check is no condition of the kind."""
+    has_goals: bool
+    """The object of some world's subtask, or of a finished one, has to be at a goal. On a device, which is not asked,
+    this and the next two are True."""
+    has_joints: bool
+    """Some world's subtask has a check of ``JOINT_CHECKS``."""
+    has_ways: bool
+    """Some world's subtask has a check of ``WAY_CHECKS``."""

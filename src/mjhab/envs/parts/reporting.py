@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mjhab.config.env import EnvConfig
+from mjhab.core.arrays import may_hold
 from mjhab.core.typed.frozen import FrozenMap
 from mjhab.episodes.generator import Episode
 from mjhab.episodes.narration import Narrator
@@ -79,15 +81,20 @@ class Reporter:
         Returns:
             New (W,) arrays of objects: descriptions of the episodes, and sentences of the active subtasks.
         """
-        moved = (pointer != self._pointer).tolist()
-        for world, plan in enumerate(plans):
-            if moved[world] or self._told[world] is not plan:
-                spec = self.describe(world, episodes[world], plan)
-                self._specs[world] = spec
-                self._sentences[world] = active_instruction(spec, int(pointer[world]))
-                self._told[world] = plan if spec is not None else None
-        self._pointer = pointer.copy()
+        moved = pointer != self._pointer
+        if may_hold(moved) or not all(map(operator.is_, plans, self._told)):
+            for world, plan in enumerate(plans):
+                if moved[world] or self._told[world] is not plan:
+                    self._tell(world, episodes[world], plan, int(pointer[world]))
+            self._pointer = pointer.copy()
         return {"instruction": self._sentences.copy(), "episode_spec": self._specs.copy()}
+
+    def _tell(self, world: int, episode: Episode | None, plan: TaskPlan, pointer: int) -> None:
+        """Set the description and the sentence of a world to those of an episode at ``pointer``."""
+        spec = self.describe(world, episode, plan)
+        self._specs[world] = spec
+        self._sentences[world] = active_instruction(spec, pointer)
+        self._told[world] = plan if spec is not None else None
 
 
 def describe_episode(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.config.env import DENSE_MODES, REWARD_MODES
-from mjhab.core.arrays import Array, as_like, count, namespace, norm3, zeros
+from mjhab.core.arrays import Array, as_like, cast, count, namespace, norm3, zeros
 from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE_XY
 from mjhab.envs.parts.plan_tables import Focus
@@ -130,7 +130,7 @@ class Rewarder:
             return self._zero + 0.0, {}
         if self.mode in ("sparse", "pointer"):
             counted = inputs.signals.success if self.mode == "sparse" else inputs.progress.pointer
-            return namespace(counted).astype(counted, self._zero.dtype), {}
+            return cast(counted, self._zero.dtype), {}
         scored = self.dense.score(self._view(inputs))
         reward = (
             scored.total / scored.normaliser if self.mode == "normalized_dense" else scored.total

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjhab.core.arrays import may_hold
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.plan_tables import PlanTables
@@ -72,7 +73,8 @@ class Teleports:
 
     def begin(self, mask: np.ndarray, navigates: np.ndarray) -> None:
         """Begin new subtasks in the worlds of ``mask`` (W,) bool; a teleport is due where ``navigates`` (W,) bool."""
-        self.pending = np.where(mask, np.where(navigates, 0, -1), self.pending)
+        if may_hold(mask):
+            self.pending = np.where(mask, np.where(navigates, 0, -1), self.pending)
 
     def run(
         self,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.arrays import object_array
+from mjhab.core.arrays import may_hold, object_array
 from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
@@ -57,7 +57,7 @@ class Tracker:
     def update(self, signals: Signals, progress: Progress) -> list[list[str]]:
         """Add one control step, before the pointer advances; returns the names of its events per world."""
         assert self._notes is not None
-        live = ~progress.done if progress.done.any() else None
+        live = ~progress.done if may_hold(progress.done) else None
         return self._notes.step(signals.kind, signals, progress.episode_step, live)
 
     def ended(
@@ -65,7 +65,7 @@ class Tracker:
     ) -> list[dict[str, Any] | None]:
         """Records of the subtasks that ended in this step; ``progress`` is the one before the pointer moved."""
         records: list[dict[str, Any] | None] = [None] * self._num_worlds
-        if not outcome.ended.any():
+        if not may_hold(outcome.ended):
             return records
         assert self._notes is not None
         labels = self._notes.labels(signals.kind)

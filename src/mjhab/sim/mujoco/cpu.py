@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from mjhab.core.arrays import may_hold, norm3
 from mjhab.core.errors import UsageError
 from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.contact_sensors import (
@@ -93,16 +94,22 @@ class CpuSimulator:
         # The layout gives objects contiguous addresses, so that slices of qpos and qvel are views, not copies.
         self._object_q = _rows(a.object_q, 7)
         self._object_v = _rows(a.object_v, 6)
-        # The first number of every contact sensor is its number of contacts.
         self._link_starts = a.link_force
         self._hand_starts = a.hand_force
         self._touch_starts = a.touch
+        # The first number of every contact sensor is its number of contacts. One read for all sensors is cheaper than
+        # one for each kind, because the step has emptied the processor's caches.
+        self._counts = np.concatenate([a.touch, a.hand_force, a.link_force])
+        self._hand_counts = slice(len(a.touch), len(a.touch) + len(a.hand_force))
+        self._link_counts = slice(self._hand_counts.stop, len(self._counts))
         self._force_block = np.arange(FORCE_SENSOR_WIDTH)
         self._touch_block = np.arange(TOUCH_SENSOR_WIDTH)
         self._depth_col = int(first.sensor("robot_depth").adr[0])
         self._taint = np.zeros(num_worlds, np.uint8)
         self._broken = np.zeros(num_worlds, bool)
-        self._warned = np.zeros((num_worlds, self.batch.warning.shape[1]), np.int64)
+        self._warnings = self.batch.warning[:, :, 1]
+        """(W, kinds) live number of warnings of each kind since the world's reset."""
+        self._warned = np.zeros(self._warnings.shape, np.int64)
         self._nan_warned = self._warned.copy()
 
     @property
@@ -125,7 +132,7 @@ class CpuSimulator:
 
     def _forward(self, ids: Sequence[int]) -> None:
         self.batch.forward(ids=ids)
-        self._warned[ids] = self._nan_warned[ids] = self.batch.warning[ids, :, 1]
+        self._warned[ids] = self._nan_warned[ids] = self._warnings[ids]
         self._taint[ids] = 0
 
     def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
@@ -207,10 +214,9 @@ class CpuSimulator:
         a = self.addresses
         qpos = self._qpos
         worlds = self.num_worlds
-        touch = self._sensors[:, self._touch_starts] > 0
-        hand_force, hand_touch = self._hand_forces(touch)
-        force = self._link_forces()
-        squared = force * force
+        found = self._sensors[:, self._counts] > 0
+        touch = found[:, : self._hand_counts.start]
+        hand_force, ee_contact = self._hand_forces(found[:, self._hand_counts], touch)
         return SimState(
             robot_q=qpos[:, a.robot_q],
             robot_qd=self._qvel[:, a.robot_v],
@@ -219,44 +225,50 @@ class CpuSimulator:
             tcp_vel=self._sensors[:, a.tcp_velocity : a.tcp_velocity + 3],
             link_q=qpos[:, a.link_q],
             link_qd=self._qvel[:, a.link_v],
-            link_force=np.sqrt(squared[..., 0] + squared[..., 1] + squared[..., 2]),
+            link_force=self._link_forces(found[:, self._link_counts]),
             finger_force=hand_force[:, :2],
             touch=touch,
-            ee_contact=hand_touch.any(axis=1),
+            ee_contact=ee_contact,
             body_pos=self._xpos,
             body_mat=self._xmat,
             body_quat=self._xquat,
         )
 
-    def _link_forces(self) -> np.ndarray:
-        """Return (W, K, 3): net normal contact force [N] of each force link on other bodies, world frame."""
-        force = np.zeros((self.num_worlds, len(self._link_starts), 3))
+    def _link_forces(self, found: np.ndarray) -> np.ndarray:
+        """Return (W, K): norm of the net normal contact force [N] of each force link on other bodies.
+
+        ``found`` (W, K) bool: the link has contacts.
+        """
+        force = np.zeros(found.shape)
         # Few sensors have contacts; the others are not read.
-        world, link = (self._sensors[:, self._link_starts] > 0).nonzero()
-        force[world, link] = normal_force(
-            self._read(world, self._link_starts[link], self._force_block)
-        )
+        if may_hold(found):
+            world, link = found.nonzero()
+            readings = self._read(world, self._link_starts[link], self._force_block)
+            force[world, link] = norm3(normal_force(readings))
         return force
 
-    def _hand_forces(self, touch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _hand_forces(self, pressed: np.ndarray, touch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the contact forces of the targets on the left finger, the right finger and the tcp link.
 
         Args:
+            pressed: (W, 3) bool: the link has contacts.
             touch: (W, N + L) bool: some robot link has a contact with the target.
 
         Returns:
-            (W, 3, N + L, 3) force [N] of each target on the link, world frame; (W, 3, N + L) bool: they have a contact.
+            (W, 3, N + L, 3) force [N] of each target on the link, world frame; (W, N + L) bool: some of the links has a
+            contact with the target.
         """
-        pressed = self._sensors[:, self._hand_starts] > 0
+        force = np.zeros((*pressed.shape, touch.shape[1], 3))
+        if not may_hold(pressed):
+            return force, np.zeros(touch.shape, bool)
         contact = pressed[:, :, None] & touch[:, None]
-        force = np.zeros((*contact.shape, 3))
         world, link, target = contact.nonzero()
         listed = self._read(world, self._hand_starts[link], self._force_block)
         touches = self._read(world, self._touch_starts[target], self._touch_block)
         pushed, contact[world, link, target] = pair_force(listed, touches)
         # The sensor gives the force of the link on the target; the sign is turned.
         force[world, link, target] = -pushed
-        return force, contact
+        return force, np.asarray(contact.any(axis=1))
 
     def _read(self, world: np.ndarray, start: np.ndarray, block: np.ndarray) -> np.ndarray:
         """Return (n, len(block)) sensor data: row i is that of world ``world[i]`` from column ``start[i]`` on."""
@@ -272,13 +284,13 @@ class CpuSimulator:
 
     def _update_taint(self) -> None:
         deep = self._sensors[:, self._depth_col] < -PENETRATION_LIMIT
-        if deep.any():
+        if may_hold(deep):
             self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
         self._broken[:] = False
-        warnings = self.batch.warning[:, :, 1]
+        warnings = self._warnings
         rose = warnings > self._warned
         # The sum is finite only if every entry is: one test for all worlds.
-        if rose.any() or not math.isfinite(self._qpos.sum()):
+        if may_hold(rose) or not math.isfinite(self._qpos.sum()):
             for name, kinds in _TAINT_WARNINGS.items():
                 hit = rose[:, [int(k) for k in kinds]].any(axis=1)
                 self._taint |= hit.astype(np.uint8) << TAINTS.index(name)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.arrays import Array, namespace, to_numpy
+from mjhab.core.arrays import Array, may_hold, namespace, to_numpy
 from mjhab.tasks.labelling import events as ev
 from mjhab.tasks.labelling import state as lb
 from mjhab.tasks.labelling.labels import label, label_names
@@ -87,7 +87,7 @@ class SubtaskTracker:
         """
         before = self._labels.now
         now = lb.watch(signals)
-        if self._begun.all() and not to_numpy(before ^ now).any():
+        if not may_hold(~self._begun) and not may_hold(to_numpy(before ^ now)):
             # No check changed in any world: there are no events, and the state stays the same.
             return [[] for _ in self._notes]
         labels = lb.add(self._labels, now)

@@ -8,12 +8,10 @@ from functools import partial
 from typing import Any
 
 from mjhab.tasks.rewards.table import RewardTable
+from mjhab.tasks.signals import JOINT_CHECKS
 from mjhab.tasks.subtasks.event_lists import EXCESS, last
 from mjhab.tasks.subtasks.spec import AT_REST, LabelRule, PublishedLabels, SubtaskSpec
 from mjhab.tasks.thresholds import SubtaskConfig
-
-JOINT_CHECKS = ("opened", "closed", "slightly_opened", "slightly_closed")
-"""Checks that mean something for subtasks that move a joint."""
 
 
 @dataclass(frozen=True)

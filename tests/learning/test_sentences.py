@@ -25,6 +25,7 @@ from mjhab.learning.demos import (
 )
 from mjhab.learning.layout import Layout
 from mjhab.learning.policy import StudentPolicy
+from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.session import Request
 from mjhab.learning.runs.train import train
@@ -43,6 +44,8 @@ from mjhab.tasks.instructions import Request as Sentence
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
+from tests.learning.reinforcement.toy import LAYOUT as LINE
+from tests.learning.reinforcement.toy import Toy
 from tests.learning.small import INPUTS, STATE, config, fake_env, layout, train_config
 
 TOLD = dataclasses.replace(INPUTS, cameras=(), image_size=0, condition=False, sentence=True)
@@ -278,3 +281,18 @@ def test_a_checkpoint_may_be_told_another_sentence(tmp_path: Path) -> None:
     assert (asked != act(["open it", "push it"])).any()
     with pytest.raises(UsageError, match=r"deaf\.safetensors takes no instruction"):
         resolve_policy(files["deaf"], env, PolicyOptions(instruction="shut it"))
+
+
+def test_agents_of_reinforcement_learning_see_the_sentence_of_their_episode() -> None:
+    told = dataclasses.replace(LINE, inputs=dataclasses.replace(LINE.inputs, sentence=True))
+    env = Toy(2)
+    sight = Sight(env, told, privileged=False)
+    plan = ({"kind": "close", "target": DRAWER},)
+    sentences = WORDINGS["close"]
+    info = {"episode_spec": [{"plan": plan, "instructions": (one,)} for one in sentences]}
+    obs, _ = env.reset(seed=0)
+    fresh = torch.ones(2, dtype=torch.bool)
+    sight.begin(fresh, info)
+    seen = sight.see(obs, info, torch.zeros(2, 1), fresh)
+    codes = np.stack([encode_sentence(one) for one in sentences])
+    np.testing.assert_array_equal(seen.vector[:, told.measured_width :].numpy(), codes)

@@ -110,6 +110,12 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path
         ({"horizon": 10**20}, "horizon must be at most"),
         ({"frame_stack": 10**9}, "frame_stack must be at most 256"),
         ({"policy": "zero", "style": ("speed=0.5",)}, "only the policy expert has a style"),
+        ({"instruction": "shut it"}, "an instruction needs a subtask"),
+        ({"instruction": "shut it", "subtask": "close"}, "the policy zero takes no instruction"),
+        (
+            {"instruction": "shut it", "subtask": "close", "policy": ZeroPolicy},
+            "the policy zero takes no instruction",
+        ),
         ({"policy": "nobody"}, "unknown policy 'nobody'"),
         ({"policy": object()}, "object has no reset and no act"),
         ({"policy": FakeEnv}, "FakeEnv has no act"),

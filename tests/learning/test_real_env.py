@@ -76,6 +76,7 @@ def test_a_run_leaves_a_student_data_and_an_evaluation(run: tuple[Path, Request]
     assert (out / "evaluations" / "latest" / "report.html").is_file()
     page = (out / "report.html").read_text(encoding="utf-8")
     assert 'id="loss-plot"' in page and 'src="http' not in page
+    assert "latest, episode_00000" in page and page.count("<video") == 1
     first, second = (list(episodes(out / "data" / f"round_00{number}")) for number in range(2))
     assert len(first) == len(second) == 1
 

@@ -14,7 +14,8 @@ import torch
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.reading import episodes
-from mjhab.learning.checkpoint import load_checkpoint
+from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
+from mjhab.learning.checkpoint import load_checkpoint, save_student
 from mjhab.learning.configs import ACT, BC, FLOW, student_from_plain, to_plain
 from mjhab.learning.demos import (
     BatchSampler,
@@ -24,6 +25,7 @@ from mjhab.learning.demos import (
 )
 from mjhab.learning.layout import Layout
 from mjhab.learning.policy import StudentPolicy
+from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.session import Request
 from mjhab.learning.runs.train import train
@@ -42,6 +44,8 @@ from mjhab.tasks.instructions import Request as Sentence
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
+from tests.learning.reinforcement.toy import LAYOUT as LINE
+from tests.learning.reinforcement.toy import Toy
 from tests.learning.small import INPUTS, STATE, config, fake_env, layout, train_config
 
 TOLD = dataclasses.replace(INPUTS, cameras=(), image_size=0, condition=False, sentence=True)
@@ -256,3 +260,39 @@ def test_the_sentence_counts_not_the_subtask_and_changes_within_an_episode() -> 
     second = policy.act(obs, info_of(told, pointer=1))
     assert first[0].max() < 0.0
     assert second[1].min() > 0.0 > second[[0, 2, 3]].max()
+
+
+def test_a_checkpoint_may_be_told_another_sentence(tmp_path: Path) -> None:
+    told = layout(TOLD)
+    files = {name: str(tmp_path / f"{name}.safetensors") for name in ("told", "deaf")}
+    save_student(Path(files["told"]), make_student(config(inputs=TOLD), told, seed=1), {})
+    deaf = dataclasses.replace(TOLD, sentence=False)
+    save_student(Path(files["deaf"]), make_student(config(inputs=deaf), layout(deaf)), {})
+    env = fake_env(2, told)
+    obs = {"state": np.zeros((2, 5), np.float32)}
+
+    def act(sentences: list[str], instruction: str = "") -> np.ndarray:
+        policy = resolve_policy(files["told"], env, PolicyOptions(instruction=instruction))
+        policy.reset(np.ones(2, bool))
+        return policy.act(obs, info_of(sentences))
+
+    asked = act(["open it", "push it"], "shut it")
+    np.testing.assert_array_equal(asked, act(["shut it", "shut it"]))
+    assert (asked != act(["open it", "push it"])).any()
+    with pytest.raises(UsageError, match=r"deaf\.safetensors takes no instruction"):
+        resolve_policy(files["deaf"], env, PolicyOptions(instruction="shut it"))
+
+
+def test_agents_of_reinforcement_learning_see_the_sentence_of_their_episode() -> None:
+    told = dataclasses.replace(LINE, inputs=dataclasses.replace(LINE.inputs, sentence=True))
+    env = Toy(2)
+    sight = Sight(env, told, privileged=False)
+    plan = ({"kind": "close", "target": DRAWER},)
+    sentences = WORDINGS["close"]
+    info = {"episode_spec": [{"plan": plan, "instructions": (one,)} for one in sentences]}
+    obs, _ = env.reset(seed=0)
+    fresh = torch.ones(2, dtype=torch.bool)
+    sight.begin(fresh, info)
+    seen = sight.see(obs, info, torch.zeros(2, 1), fresh)
+    codes = np.stack([encode_sentence(one) for one in sentences])
+    np.testing.assert_array_equal(seen.vector[:, told.measured_width :].numpy(), codes)

@@ -24,6 +24,7 @@ from mjhab.learning.checkpoint import (
     save_training,
 )
 from mjhab.learning.configs import (
+    FILMED_EPISODES,
     HEADS,
     PRESETS,
     DaggerConfig,
@@ -41,6 +42,7 @@ from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import BrokenLossError, Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Batch
+from mjhab.rollout.records import EpisodeRecord
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.data.select.test_query import GOOD
@@ -417,6 +419,41 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(
     assert summary["evaluated_samples"] == (32 if last else 24)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert f"{last or 2} episodes in homes of split {split}" in page
+
+
+@pytest.mark.parametrize("films", [None, 0])
+def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
+    films: int | None, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judge_without_simulation(monkeypatch)
+    judge = Session._evaluate_in
+    filmed: list[int] = []
+
+    def with_films(
+        session: Session, scene: Scene, split: str, episodes: int, films: int, out: Path
+    ) -> list[EpisodeRecord]:
+        filmed.append(films)
+        for index in range(films):
+            path = out / "films" / f"episode_{index:05d}.mp4"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(b"film")
+        return judge(session, scene, split, episodes, films, out)
+
+    monkeypatch.setattr(Session, "_evaluate_in", with_films)
+    told = request(source, eval_episodes=6, round_episodes=2)
+    several = dataclasses.replace(told, also=(Scene("set_table", "open", "fridge/top_door"),))
+    for asked, scenes in ((told, 1), (several, 2)):
+        if films is not None:
+            asked = dataclasses.replace(asked, films=films)
+        most = FILMED_EPISODES if films is None else films
+        filmed.clear()
+        train(asked, tmp_path / f"{scenes}")
+        wanted = [most, 0, 0, most]
+        assert filmed == [count for count in wanted for _ in range(scenes)]
+        page = (tmp_path / f"{scenes}" / "report.html").read_text(encoding="utf-8")
+        assert page.count("<video") == 2 * most * scenes
+    if films is None:
+        assert "latest, set_table.open.fridge.top_door, episode_00001" in page
 
 
 def test_without_an_evaluation_no_split_is_told(source: Path, tmp_path: Path) -> None:

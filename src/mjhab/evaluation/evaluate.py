@@ -32,6 +32,7 @@ from mjhab.evaluation.resolve import (
     PolicyOptions,
     full_spec,
     inspect_policy,
+    no_instruction,
     resolve_policy,
 )
 from mjhab.reports.metrics import AloneRates, alone_rates, rows_by_kind, rows_by_position, summarize
@@ -56,7 +57,9 @@ Spec = TypeVar("Spec")
 """`EvalSpec`, or another dataclass of options that is used like it."""
 FILM_QUALITY = 27
 """x264 constant rate factor. The film of a whole chain takes a few MB, because the report embeds it."""
-NOT_IN_CONFIG = frozenset({"policy", "style", "env", "out", "resume", "overwrite", "alone"})
+NOT_IN_CONFIG = frozenset(
+    {"policy", "style", "instruction", "env", "out", "resume", "overwrite", "alone"}
+)
 """Fields of `EvalSpec` that a run's configuration stores in another form, or not at all."""
 FIXED_ENV_OPTIONS = frozenset({"num_envs", "autoreset", "backend", "device", "starts", "buffers"})
 """Environment options that an evaluation sets itself."""
@@ -72,7 +75,8 @@ class EvalSpec:
 
     policy: see `PolicyLike`. style: style options of the expert, see `Styles.parse`.
     task: the household task. subtask: evaluate only this subtask, from spawned start states; None evaluates the whole
-    task. target: only this object or furniture link of the subtask; None for all.
+    task. target: only this object or furniture link of the subtask; None for all. instruction: sentence that the policy
+    is told in all episodes of the subtask, in place of their own; None for these.
     episodes: number of episodes, with indices 0 to N-1. worlds: number of parallel worlds. seed: of the run. Seed and
     index determine an episode, so it is the same for every policy.
     split, home, assets, episodes_file, spawns, navigate, threads: as in `EnvConfig`; None for "".
@@ -102,6 +106,7 @@ class EvalSpec:
     threads: int = 0
     films: int = 4
     style: tuple[str, ...] = ()
+    instruction: str | None = None
     env: Mapping[str, Any] = field(default_factory=dict)
     out: Path | None = None
     resume: bool = False
@@ -125,6 +130,10 @@ class EvalSpec:
         Styles.parse(self.style)
         if self.target and not self.subtask:
             raise UsageError("a target needs a subtask: a whole task has its targets in its plan.")
+        if self.instruction and not self.subtask:
+            raise UsageError(
+                "an instruction needs a subtask: in a whole task every subtask has a sentence of its own."
+            )
         for name in ("worlds", "seed", "threads", "films"):
             object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         object.__setattr__(self, "episodes", whole_number("episodes", self.episodes, least=1))
@@ -319,7 +328,11 @@ def make_policy(spec: EvalSpec, env: RolloutEnv) -> Policy:
     """
     policy = spec.policy
     if isinstance(policy, str):
-        return resolve_policy(policy, env, PolicyOptions(spec.seed, spec.style))
+        return resolve_policy(
+            policy, env, PolicyOptions(spec.seed, spec.style, spec.instruction or "")
+        )
+    if spec.instruction:
+        raise no_instruction(describe_policy(policy).name)
     if isinstance(policy, type) or not hasattr(policy, "act"):
         return construct_policy(cast(Callable[..., Policy], policy), env)
     check_policy(policy, type(policy).__name__)
@@ -372,6 +385,8 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
             chosen[f.name] = getattr(spec, f.name)
     if spec.style:
         chosen["style"] = Styles.parse(spec.style).words
+    if spec.instruction:
+        chosen["instruction"] = spec.instruction
     options = env_options(spec, facts)
     config = EnvConfig(task=spec.task, subtask=spec.subtask or "", **plain(options))
     chosen |= plain(config.of_profile())

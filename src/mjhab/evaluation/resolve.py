@@ -38,10 +38,15 @@ class PolicyFacts:
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """Options of a policy. seed: of the run. style: style options of the expert, see `Styles.parse`."""
+    """Options of a policy.
+
+    seed: of the run. style: style options of the expert, see `Styles.parse`. instruction: sentence that the policy gets
+    in place of the episodes' own; "" for these.
+    """
 
     seed: int = 0
     style: tuple[str, ...] = ()
+    instruction: str = ""
 
 
 class PolicyModule(Protocol):
@@ -69,12 +74,14 @@ class PolicyKind:
     """A kind of policy specification.
 
     form: pattern of its specifications, for messages. matches: whether a specification is of this kind; kinds are
-    tried in order of registration. module: full name of a `PolicyModule`.
+    tried in order of registration. module: full name of a `PolicyModule`. takes_instruction: whether its policies may
+    be told `PolicyOptions.instruction`.
     """
 
     form: str
     matches: Callable[[str], bool]
     module: str
+    takes_instruction: bool = False
 
     def load(self) -> PolicyModule:
         """Import the module."""
@@ -88,7 +95,10 @@ POLICY_KINDS: list[PolicyKind] = [
         "mjhab.evaluation.named_policies",
     ),
     PolicyKind(
-        STUDENT, lambda spec: spec.partition(":")[0] == STUDENT, "mjhab.learning.shipped_kind"
+        STUDENT,
+        lambda spec: spec.partition(":")[0] == STUDENT,
+        "mjhab.learning.shipped_kind",
+        takes_instruction=True,
     ),
     PolicyKind(
         "ms_hab:CHECKPOINT.pt",
@@ -99,13 +109,20 @@ POLICY_KINDS: list[PolicyKind] = [
         "ws://HOST:PORT",
         lambda spec: spec.startswith(("ws://", "wss://")),
         "mjhab.evaluation.served.kind",
+        takes_instruction=True,
     ),
     PolicyKind(
         "CHECKPOINT.safetensors",
         lambda spec: spec.endswith(".safetensors"),
         "mjhab.learning.policy_kind",
+        takes_instruction=True,
     ),
-    PolicyKind("POLICIES.json", lambda spec: spec.endswith(".json"), "mjhab.learning.by_subtask"),
+    PolicyKind(
+        "POLICIES.json",
+        lambda spec: spec.endswith(".json"),
+        "mjhab.learning.by_subtask",
+        takes_instruction=True,
+    ),
     PolicyKind(
         "FILE.py:CLASS",
         lambda spec: spec.endswith(".py") or ".py:" in spec,
@@ -135,12 +152,25 @@ def resolve_policy(spec: str, env: RolloutEnv, options: PolicyOptions | None = N
     Args:
         spec: "expert", "random", "zero", "FILE.py:CLASS", or the form of another registered kind; see `full_spec`.
         env: the vector environment that it will act in, with autoreset "disabled".
-        options: the seed of the run and the expert's style; None for seed 0 and no style.
+        options: None for seed 0, no style and the instructions of the episodes.
 
     Raises:
-        UsageError: the specification matches no kind, there is no such policy, or it cannot act in this environment.
+        UsageError: the specification matches no kind, there is no such policy, it cannot act in this environment, or
+            it takes no instruction and ``options`` has one.
     """
-    return _kind_of(spec).load().build_policy(spec, env, options or PolicyOptions())
+    options = options or PolicyOptions()
+    kind = _kind_of(spec)
+    if options.instruction and not kind.takes_instruction:
+        raise no_instruction(spec)
+    return kind.load().build_policy(spec, env, options)
+
+
+def no_instruction(policy: str) -> UsageError:
+    """Make the error for a policy that is told a sentence which it cannot read."""
+    return UsageError(
+        f"the policy {policy} takes no instruction. A student does that was trained with sentences (mjhab train ... "
+        "--set inputs.sentence=true), and so does a served policy (ws://HOST:PORT)."
+    )
 
 
 def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> str:

@@ -27,6 +27,7 @@ class StudentPolicy:
         seed: of the noise that flow matching or diffusion start from.
         pool: the environment's images are so many times as wide and high as the student's, which sees means of
             ``pool`` x ``pool`` pixels.
+        instruction: what a student with sentences is told in place of the episodes' instructions; "" for these.
 
     Raises:
         UsageError: the environment's observations or actions do not match the student's.
@@ -34,12 +35,20 @@ class StudentPolicy:
 
     name = "student"
 
-    def __init__(self, student: Student, env: ActingEnv, seed: int = 0, pool: int = 1) -> None:
+    def __init__(
+        self,
+        student: Student,
+        env: ActingEnv,
+        seed: int = 0,
+        pool: int = 1,
+        instruction: str = "",
+    ) -> None:
         student.layout.check_env(env, pool)
         self.student = student
         self._env = env
         self._seed = seed
         self._pool = pool
+        self._instruction = instruction
         config = student.config
         layout = student.layout
         worlds = env.num_envs
@@ -101,8 +110,10 @@ class StudentPolicy:
     def _conditions(self, info: Mapping[str, Any]) -> np.ndarray:
         layout = self.student.layout
         codes = np.zeros((len(self._step), layout.condition_width), np.float32)
-        # Environments tell the sentence of the active subtask, so that it changes with the subtask of a chain.
-        sentences = info["instruction"] if layout.inputs.sentence else [""] * len(codes)
+        sentences = [self._instruction] * len(codes)
+        if layout.inputs.sentence and not self._instruction:
+            # That of the active subtask: it changes within a chain.
+            sentences = info["instruction"]
         for w, episode in enumerate(info["episode_spec"]):
             if episode is not None:
                 plan = episode["plan"]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import is_file
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, no_instruction
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 
@@ -91,7 +91,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool
 
     Raises:
         UsageError: as `inspect_policy`; the environment's observations or actions do not match the student's; or
-            ``options`` sets a style.
+            ``options`` sets a style, or an instruction for students without sentences.
     """
     if options.style:
         raise UsageError(f"only the policy expert has a style; {spec} has none.")
@@ -101,6 +101,8 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool
 
     acting = cast("ActingEnv", env)
     students = [load_student(path) for path in members(spec)]
+    if options.instruction and not any(student.config.inputs.sentence for student in students):
+        raise no_instruction(spec)
     several = len(students) > 1
     policies = [
         StudentPolicy(
@@ -108,6 +110,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool
             acting,
             options.seed,
             student.layout.pool_in(acting) if pools or several else 1,
+            options.instruction,
         )
         for student in students
     ]

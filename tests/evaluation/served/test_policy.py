@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -12,9 +13,14 @@ import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
 from mjhab.evaluation.served.twin import Place, Twin, TwinResponder, TwinSession
+from mjhab.learning.checkpoint import save_student
+from mjhab.learning.configs import InputConfig
+from mjhab.learning.layout import layout_of
+from mjhab.learning.students.heads import make_student
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
 from mjhab.serving.server import ServerOptions
+from tests.learning.small import config
 from tests.serving.constant import Constant, serving
 
 STEPS = 8
@@ -93,7 +99,11 @@ def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_execu
         served.reset(np.ones(1, bool))
         acted = np.stack([served.act(obs, info)[0] for _ in range(6)])
         served.close()  # type: ignore[attr-defined]
-    assert len(policy.seen) == 2
+        told = resolve_policy(address, env, PolicyOptions(instruction="shut the drawer"))
+        told.reset(np.ones(1, bool))
+        told.act(obs, info)
+        told.close()  # type: ignore[attr-defined]
+    assert len(policy.seen) == 3
     names = [entry.name for entry in env.action_table]
     sent = [
         "ee_x",
@@ -118,6 +128,7 @@ def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_execu
     )
     np.testing.assert_array_equal(request["observation/state"], obs["state"][0])
     assert request["prompt"] == info["episode_spec"][0]["instruction"]
+    assert policy.seen[-1]["prompt"] == "shut the drawer"
 
 
 def test_the_action_space_of_a_server_is_taken_and_a_wrong_control_mode_refused() -> None:
@@ -190,6 +201,24 @@ def test_a_student_acts_over_the_line_as_it_does_at_home() -> None:
         served.close()  # type: ignore[attr-defined]
     assert [record.error for record in away] == ["", ""]
     assert [r.final_state for r in away] == [r.final_state for r in at_home]
+
+
+def test_a_student_is_told_the_sentence_of_the_client(tmp_path: Path) -> None:
+    inputs = InputConfig(cameras=(), image_size=0, condition=False, sentence=True)
+    env = world(target="kitchen_counter/drawer3")
+    path = str(tmp_path / "told.safetensors")
+    save_student(Path(path), make_student(config(inputs=inputs), layout_of(env, inputs, ())), {})
+
+    def final_states(policy: str, instruction: str = "") -> list[str]:
+        acting: Any = resolve_policy(policy, env, PolicyOptions(instruction=instruction))
+        records = rollout(env, acting, [0, 1], seed=0, max_steps=4)
+        assert [record.error for record in records] == ["", ""]
+        return [record.final_state for record in records]
+
+    with serving(TwinResponder(path, PolicyOptions())) as server:
+        away = [final_states(spec(server.port)), final_states(spec(server.port), "shut it")]
+    at_home = [final_states(path), final_states(path, "shut it")]
+    assert away == at_home and at_home[0] != at_home[1]
 
 
 def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:

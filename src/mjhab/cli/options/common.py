@@ -89,6 +89,9 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
     from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
     plan, look, noise, base_noise, noise_kind, hold, dither (see docs/data.md)."""
+    instruction: Annotated[str | None, tyro.conf.arg(metavar="SENTENCE")] = None
+    """With --subtask: tell the policy this sentence in place of the episodes' own, e.g. "shut the drawer". For a
+    student that was trained with sentences (see docs/training.md) and for a served policy."""
     episodes: Number = 20
     """Number of episodes, with indices 0 to N-1. The same index is the same episode for every policy."""
     worlds: Number = 8

@@ -85,6 +85,7 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
         threads=options.threads,
         films=options.films,
         style=options.style,
+        instruction=options.instruction,
         env={**given, **profile_options(options)},
         out=options.out,
         resume=options.resume,

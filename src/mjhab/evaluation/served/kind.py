@@ -64,7 +64,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     require_serving()
     from mjhab.evaluation.served.policy import ServedPolicy
 
-    return ServedPolicy(Address.parse(spec), cast("Any", env))
+    return ServedPolicy(Address.parse(spec), cast("Any", env), options.instruction)
 
 
 def _as_json(value: Any) -> Any:

@@ -52,6 +52,7 @@ class ServedPolicy:
     Args:
         address: of the server, with the protocol's options.
         env: the environment to act in.
+        instruction: the prompt in place of the episodes' sentences; "" for these.
 
     Raises:
         UsageError: there is no such server, or the environment's actions do not match the policy's.
@@ -59,8 +60,9 @@ class ServedPolicy:
 
     name = "served"
 
-    def __init__(self, address: Address, env: RecordedEnv) -> None:
+    def __init__(self, address: Address, env: RecordedEnv, instruction: str = "") -> None:
         self._address = address
+        self._instruction = instruction
         self._env = env
         count = 1 if address.batch else env.num_envs
         self._connections = [Connection(address) for _ in range(count)]
@@ -142,7 +144,7 @@ class ServedPolicy:
 
     def _ask(self, w: int, obs: Any, info: Mapping[str, Any]) -> Ask:
         spec = info["episode_spec"][w]
-        prompt = spec["instruction"] if self._address.prompt == "task" else info["instruction"][w]
+        told = spec["instruction"] if self._address.prompt == "task" else info["instruction"][w]
         robot = self._env.layout.robot
         external, wrist = (*robot.camera_names, "", "")[:2]
         head, hand = (obs.get(camera_key(camera, "rgb")) for camera in (external, wrist))
@@ -157,7 +159,7 @@ class ServedPolicy:
             arm=np.asarray(q[list(robot.arm_columns)], np.float32),
             gripper=float(np.clip(1.0 - opened, 0.0, 1.0)),
             tcp=_position_and_turn(obs[TCP_POSE][w]),
-            prompt=prompt,
+            prompt=self._instruction or told,
             session=self._worlds[w].session,
             chunk=self._address.execute,
             own=self._own_part(w, obs) if self._needs else None,
@@ -166,6 +168,8 @@ class ServedPolicy:
     def _own_part(self, w: int, obs: Any) -> dict[str, Any]:
         """The part of a request that only mjhab servers need: configuration, step, and state of the world."""
         part: dict[str, Any] = {"config": self._config, "step": self._worlds[w].step}
+        if self._instruction:
+            part["instruction"] = self._instruction
         if "world" in self._needs:
             part["world"] = self._env.get_state(w)
         if "observation" in self._needs:

@@ -194,6 +194,8 @@ def _act(twin: Twin, part: Mapping[str, Any]) -> np.ndarray:
     seen = _mapping(part.get("observation"), "observation")
     obs = {key: np.asarray(value)[None] for key, value in seen.items()}
     info = env.info()
+    if "instruction" in part:
+        info["instruction"] = np.array([str(part["instruction"])], object)
     action = twin.policy.act(obs, info)[0]
     twin.expects = dataclasses.replace(place, step=place.step + 1)
     return action

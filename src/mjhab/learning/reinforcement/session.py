@@ -28,7 +28,7 @@ from mjhab.learning.checkpoint import (
     save_tensors,
     saved_state,
 )
-from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
+from mjhab.learning.configs import BC, FILMED_EPISODES, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
 from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
@@ -78,7 +78,7 @@ class ReinforcementRequest:
     budget_seconds: float = 0.0
     eval_episodes: int = 100
     round_episodes: int = 32
-    films: int = 0
+    films: int = FILMED_EPISODES
     backend: str = "cpu"
     device: str = ""
     data: tuple[Path, ...] = ()

@@ -195,15 +195,23 @@ def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _films(folder: TrainingFolder) -> str:
-    paths = sorted((folder.path / EVALUATIONS).glob(f"*/{FILMS}/*.mp4"))
+    evaluations = folder.path / EVALUATIONS
+    # With several scenes the run folder of each lies below that of the evaluation.
+    paths = sorted(evaluations.rglob(f"{FILMS}/*.mp4"))
     if not paths:
         return ""
     films = "".join(
-        f"<figure>{_video(path)}<figcaption>{escape(f'{path.parents[1].name}, {path.stem}')}</figcaption></figure>"
+        f"<figure>{_video(path)}<figcaption>{escape(_caption(path.relative_to(evaluations)))}</figcaption></figure>"
         for path in paths
     )
     hint = "Episodes of the first and the last evaluation, at twice real time."
     return parts.section("Films", hint, f'<div class="films">{films}</div>')
+
+
+def _caption(film: Path) -> str:
+    """Evaluation, scene if there are several, and episode: "first, set_table.close, episode_00000"."""
+    where = film.with_suffix("").parts
+    return ", ".join(part for part in where if part != FILMS)
 
 
 def _video(path: Path) -> str:

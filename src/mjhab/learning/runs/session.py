@@ -22,7 +22,7 @@ from mjhab.learning.checkpoint import (
     save_training,
     saved_state,
 )
-from mjhab.learning.configs import TrainConfig
+from mjhab.learning.configs import FILMED_EPISODES, TrainConfig
 from mjhab.learning.demos import (
     BatchSampler,
     Demonstrations,
@@ -91,7 +91,7 @@ class Request:
     eval_episodes: int = 100
     round_episodes: int = 32
     torch_threads: int = 0
-    films: int = 0
+    films: int = FILMED_EPISODES
     ray: str = ""
     also: tuple[Scene, ...] = ()
     device: str = CPU

@@ -21,6 +21,7 @@ from mjhab.cli.options.common import (
     Sub,
 )
 from mjhab.cli.options.datasets.data import Where
+from mjhab.learning.configs import FILMED_EPISODES
 
 DataPlaces = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...")]
 Minutes = Annotated[float, tyro.conf.arg(metavar="MINUTES")]
@@ -47,8 +48,8 @@ class RunOptions(PolicyProfileOptions):
     """Episodes of the final evaluation; 0 for none."""
     round_episodes: Number = 32
     """Episodes of the evaluations during training; 0 for none."""
-    films: Number = 0
-    """Number of episodes to film in the first and in the last evaluation."""
+    films: Number = FILMED_EPISODES
+    """Number of episodes to film in the first and in the last evaluation, for the report of the run; 0 for none."""
     seed: Number = 0
     """Seed of everything: weights, batches, episodes."""
     split: Name = "train"

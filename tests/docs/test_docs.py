@@ -10,6 +10,7 @@ import functools
 import re
 import runpy
 import shutil
+import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
@@ -117,8 +118,24 @@ def test_commands_exist(page: Path) -> None:
                 check_command(command, block.reason)
 
 
+def make_targets() -> list[str]:
+    """Targets of the Makefile that have a description."""
+    return re.findall(r"^([a-z0-9-]+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def test_make_help_lists_every_target() -> None:
+    shown = subprocess.run(
+        ["make", "--no-print-directory", "help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert re.findall(r"^  make (\S+)", shown.stdout, re.MULTILINE) == make_targets()
+
+
 def check_command(command: Command, reason: str) -> None:
-    targets = re.findall(r"^([a-z0-9-]+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    targets = make_targets()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     words = command.words
     if command.program == "make":

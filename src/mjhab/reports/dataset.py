@@ -20,6 +20,7 @@ from mjhab.reports.dataset_forces import force_plots
 from mjhab.reports.dataset_labels import grouped, label_order, label_table
 from mjhab.reports.metrics import wilson
 from mjhab.reports.mosaics import Mosaic, OpenFilm, mosaic
+from mjhab.reports.paper import beside_the_paper, rules_of
 from mjhab.reports.plots import tone
 from mjhab.reports.run import render_page
 from mjhab.rollout.records import EpisodeRecord
@@ -29,8 +30,7 @@ _LABEL_HINT = (
     "Percent of the subtasks in this data set, from which a filter may have removed some labels. Published rules: the "
     "labels of MS-HAB's code, as in the columns of the paper (Tables 6 to 13, 1,008 episodes each: RL-Per has one "
     "policy per object, RL-All one for all objects, IL imitates RL-Per). Own rules: mjhab's labels, the field label of "
-    "filters. Homes, objects and physics differ from the paper's, so this compares data sets, not policies. The "
-    "paper's numbers are of profile ms_hab, stillness published; those of this data set are of "
+    "filters. Homes, objects and physics differ from the paper's, so this compares data sets, not policies."
 )
 _FILM_HINT = (
     "Episodes by the label of their last subtask, side by side, at four times real time, from the named camera. An "
@@ -73,11 +73,11 @@ def render_data_report(
     text = where.text if where else None
     runs = _runs(found.matched)
     policies = list(dict.fromkeys(run.policy for run in runs))
-    rules = "; ".join(dict.fromkeys(map(_rules, runs)))
+    rules = "; ".join(dict.fromkeys(rules_of(run.config.get("env", {})) for run in runs))
     body = [
         _header(records, policies, rules, text),
         _cards(records, size / found.of),
-        parts.section("Labels", f"{_LABEL_HINT}{rules}.", _labels(records)),
+        parts.section("Labels", f"{_LABEL_HINT} {beside_the_paper(rules)}", _labels(records)),
         parts.section("Films", _FILM_HINT, _films(found.matched, records, open_film, begin)),
         parts.section("Forces", _FORCE_HINT, _pairs(list(plots))),
         parts.section(
@@ -100,12 +100,6 @@ def _runs(members: Sequence[Place]) -> list[RunInfo]:
         with open_shard(path) as shard:
             runs += [run for run in shard.runs.values() if run.config_id in wanted]
     return runs
-
-
-def _rules(run: RunInfo) -> str:
-    """The rules by which the episodes of a run were judged; runs without a word on them are of the first version."""
-    env = run.config.get("env", {})
-    return f"profile {env.get('profile', 'mjhab')}, stillness {env.get('stillness', 'absolute')}"
 
 
 def _header(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
+from typing import Any
 
 from mjhab.core.names import kind_of
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -43,6 +45,16 @@ ABLATIONS: dict[str, dict[str, str | dict[str, str]]] = {
 }
 """What the paper says about other rules and ways of training, by result and variant, where it differs by split
 (MS-HAB, ICLR 2025)."""
+
+
+def rules_of(env: Mapping[str, Any]) -> str:
+    """The rules by which episodes were judged, from options of `EnvConfig`; those of the first version have none."""
+    return f"profile {env.get('profile', 'mjhab')}, stillness {env.get('stillness', 'absolute')}"
+
+
+def beside_the_paper(rules: str) -> str:
+    """A sentence for pages that show numbers judged by ``rules`` (see `rules_of`) beside the paper's."""
+    return f"The paper's numbers are of profile ms_hab, stillness published; ours are of {rules}."
 
 
 @dataclass(frozen=True)

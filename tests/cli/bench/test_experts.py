@@ -104,6 +104,7 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
     ]
     page = (made / "report.html").read_text(encoding="utf-8")
     assert "labels-open" in page and "paper-open" in page and "Partial" not in page
+    assert "stillness published; ours are of profile mjhab, stillness absolute." in page
     assert not re.findall(r"<(?:script|link|img|video)\b[^>]*\s(?:src|href)=[^>]*>", page)
     capsys.readouterr()
     assert main([*COMMAND, "--out", str(made), "--resume", "--json"]) == 0

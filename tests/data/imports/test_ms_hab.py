@@ -292,7 +292,7 @@ def test_filters_statistics_reports_and_windows_work_on_it(tmp_path: Path) -> No
         and "data:video/mp4" in page
     )
     rules = "profile ms_hab, stillness published"
-    assert f"{rules}; those of this data set are of {rules}." in page
+    assert f"{rules}; ours are of {rules}." in page
     windows = WindowDataset(
         shards,
         Window(history=2, chunk=4, images=("fetch_head/depth",)),

@@ -10,6 +10,7 @@ from typing import Any
 from mjhab.bench.experts.rows import ALL, CHAIN, PAPER_POLICY, Result
 from mjhab.reports import parts
 from mjhab.reports.metrics import wilson
+from mjhab.reports.paper import beside_the_paper, rules_of
 from mjhab.reports.plots import Figure, labels_figure
 from mjhab.reports.run import render_page
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -36,7 +37,10 @@ def render_experts(
     body = [_header(results, config), _cards(singles, chains)]
     plots = {}
     if groups:
-        hint = f"Success once within the horizon and the force limit of a subtask, all targets. {_GENTLE} {_PAPER}"
+        hint = (
+            f"Success once within the horizon and the force limit of a subtask, all targets. {_GENTLE} {_PAPER} "
+            f"{beside_the_paper(rules_of(config))}"
+        )
         body.append(parts.section("Per subtask", hint, _table(groups)))
     if chains:
         hint = (
@@ -79,7 +83,8 @@ def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
     shown = [
         ("homes", f"{', '.join(dict.fromkeys(r.pack for r in results))}, {config['split']}"),
         ("seed", config["seed"]),
-        ("profile", config["profile"]),
+        ("rules", rules_of(config)),
+        ("starts", config["spawn_rule"]),
     ]
     chips = "".join(
         f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown

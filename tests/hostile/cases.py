@@ -152,24 +152,27 @@ RECORDS: dict[str, bytes] = {
     "an integer of 5,000 digits": LONG_INTEGER.encode() + b"\n",
     "binary": b"\xff\xfe\x00\n",
 }
-FIELDS: dict[str, Any] = {
-    "index": -1,
-    "seed": -1,
-    "steps": -5,
-    "plan": 3,
-    "subtasks": None,
-    "events": [[1]],
-    "force": ["x"],
-    "taint": 7,
-    "success_once": None,
-}
+FIELDS: tuple[tuple[str, Any], ...] = (
+    ("index", -1),
+    ("seed", -1),
+    ("steps", -5),
+    ("plan", 3),
+    ("subtasks", None),
+    ("subtasks", {}),
+    ("events", [[1]]),
+    ("force", ["x"]),
+    ("force", ""),
+    ("taint", 7),
+    ("taint", "dropped"),
+    ("success_once", None),
+)
 
 
 def run_folders() -> Iterator[Case]:
     for name, line in RECORDS.items():
         yield Case("run folder", f"record is {name}", with_records(line + line, resumed))
-    for field, value in FIELDS.items():
-        yield Case("run folder", f"record with {field} = {value}", with_field(field, value))
+    for field, value in FIELDS:
+        yield Case("run folder", f"record with {field} = {value!r}", with_field(field, value))
     for field in ("index", "steps"):
         yield Case("run folder", f"record with {field} = NaN", with_field(field, float("nan")))
         yield Case("run folder", f"record with {field} = 1e300", with_field(field, 1e300))

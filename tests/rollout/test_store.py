@@ -165,6 +165,21 @@ def test_a_folder_that_could_not_be_opened_is_free(tmp_path: Path) -> None:
             RunFolder.open(tmp_path, CONFIG, resume=True)
 
 
+def test_a_refused_policy_leaves_nothing_but_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    for path in (tmp_path / "new", tmp_path / "mine"):
+        with pytest.raises(UsageError), RunFolder.open(path, CONFIG):
+            raise UsageError("actions must be finite")
+    assert [entry.name for entry in tmp_path.rglob("*")] == ["mine"]
+
+
+def test_a_refusal_in_a_run_keeps_its_episodes(tmp_path: Path) -> None:
+    run(RunFolder.open(tmp_path, CONFIG))
+    with pytest.raises(UsageError), RunFolder.open(tmp_path, CONFIG, resume=True):
+        raise UsageError("actions must be finite")
+    assert len(read_records(tmp_path)) == 6
+
+
 def test_a_killed_writer_leaves_nothing_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "config.json.lock").write_text("process 1 on another machine\n")
     with RunFolder.open(tmp_path, CONFIG) as folder:

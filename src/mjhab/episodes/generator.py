@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
-from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.names import below
 from mjhab.core.registration.plugins import source_digest
 from mjhab.core.seeding import stream
@@ -158,8 +158,9 @@ class EpisodeMaker:
             MjhabError: no draw of ``_ATTEMPTS`` came to rest.
         """
         path = self._path(seed, index)
-        if path.exists():
-            return self._load(path, seed, index)
+        found = read_cached(path, lambda file: self._load(file, seed, index))
+        if found is not None:
+            return found
         episode, _ = self.make(seed, index)
         self._save(path, episode)
         return episode

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import mujoco
 
-from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.names import below
 from mjhab.layout.layout import Layout, build_spec
@@ -47,12 +47,20 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
         ValueError: MuJoCo refuses the home; the message names it.
     """
     path = model_path(layout, home)
-    if not path.exists():
+    found = read_cached(path, _load)
+    if found is None:
         try:
             model = build_spec(layout, home).compile()
         except ValueError as error:
             reason = ", ".join(str(error).splitlines())
             raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
-        path = write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None))
-    # Saving drops the signature of a freshly compiled model: loading from the file makes all models equal.
+        # Saving drops the signature of a freshly compiled model: loading from the file makes all models equal.
+        found = _load(write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None)))
+    return found
+
+
+def _load(path: Path) -> mujoco.MjModel:
+    # MuJoCo warns of a file that is not there.
+    if not path.exists():
+        raise FileNotFoundError(path)
     return mujoco.MjModel.from_binary_path(str(path))

@@ -165,6 +165,8 @@ def _values(data: Mapping[str, Any]) -> dict[str, Any]:
     values["error"] = _sentence(data.get("error", ""))
     values["config_hash"] = str(data.get("config_hash", ""))
     values["final_state"] = str(data["final_state"])
+    for name in ("plan", "subtasks", "events", "force", "taint"):
+        _check_list(name, data[name])
     values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
     values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
     values["events"] = _events(data["events"])
@@ -179,6 +181,12 @@ def _count(name: str, value: Any) -> int:
     if not whole or not 0 <= int(value) <= MAX_COUNT:
         raise ValueError(f"{name} must be a whole number from 0, not {str(value)[:60]!r}.")
     return int(value)
+
+
+def _check_list(name: str, value: Any) -> None:
+    """Refuse what can be gone through like a list, but is none: keys of an object, characters of a text."""
+    if isinstance(value, Mapping | str):
+        raise ValueError(f"{name} must be a list, not {str(value)[:60]!r}.")
 
 
 def _truth(name: str, value: Any) -> bool:

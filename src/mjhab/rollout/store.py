@@ -40,7 +40,8 @@ FREE_KEYS = frozenset({"episodes", "films", "worlds", "threads"})
 class RunFolder:
     """A run folder that is open for writing: nobody else can open it. Make one with ``RunFolder.open``.
 
-    Use as a context manager, or ``close`` it.
+    Use as a context manager, or ``close`` it. A context that a `UsageError` ends before the first record (a policy
+    whose actions are none) leaves nothing in the folder.
     """
 
     def __init__(
@@ -51,12 +52,19 @@ class RunFolder:
         self._hash = config_hash(config)
         self._records = {record.index: record for record in records}
         self._lock: WriteLock | None = lock
+        self._is_new = False
 
     def __enter__(self) -> RunFolder:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        refused = kind is not None and issubclass(kind, UsageError) and not self._records
+        if refused:
+            # So that the corrected command may use the folder.
+            _delete_own(self.path)
         self.close()
+        if refused and self._is_new and not any(self.path.iterdir()):
+            self.path.rmdir()
 
     def close(self) -> None:
         """Let others write into the folder; closing twice is fine."""
@@ -81,6 +89,7 @@ class RunFolder:
         """
         config = json.loads(json.dumps(config))
         check_folder(path, config, resume=resume, overwrite=overwrite)
+        is_new = not path.exists()
         path.mkdir(parents=True, exist_ok=True)
         lock = WriteLock(path / CONFIG, path)
         try:
@@ -95,7 +104,9 @@ class RunFolder:
         except BaseException:
             lock.release()
             raise
-        return cls(path, config, records, lock)
+        folder = cls(path, config, records, lock)
+        folder._is_new = is_new
+        return folder
 
     @property
     def records(self) -> list[EpisodeRecord]:

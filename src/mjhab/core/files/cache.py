@@ -8,8 +8,10 @@ import os
 import secrets
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.progress import say
@@ -19,6 +21,9 @@ CACHE_VARIABLE = "MJHAB_CACHE"
 _MANY_FILES = "episodes"
 """Folder of the cache with too many files to link, which are quickly made again."""
 _USABLE: set[Path] = set()
+_DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
+"""What readers of JSON, npz and compiled models raise for a file that is not whole."""
+Content = TypeVar("Content")
 
 
 def cache_dir() -> Path:
@@ -114,6 +119,17 @@ def write_cached(path: Path, write: Callable[[Path], object]) -> Path:
         except OSError as full:
             raise MjhabError(f"{moved} cannot be written ({full.strerror or full}).") from full
         return moved
+
+
+def read_cached(path: Path, read: Callable[[Path], Content]) -> Content | None:
+    """Return what ``read`` makes of a cached file; None if it is not there or damaged, so that it is made again.
+
+    A file may be cut or full of zeros after a crash of the machine, or where a cache was copied in part.
+    """
+    try:
+        return read(path)
+    except _DAMAGED:
+        return None
 
 
 def assets_dir() -> Path:

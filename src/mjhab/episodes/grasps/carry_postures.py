@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import MjhabError
-from mjhab.core.files.cache import write_cached
+from mjhab.core.files.cache import read_cached, write_cached
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps.stable import HOLD_TIME_S, StableGrasp, StableGrasps
 from mjhab.robots.damped_steps import damped_step
@@ -62,9 +62,10 @@ class CarryPostures:
         with self._held.lock:
             if kind not in self._arms:
                 path = self._path(kind)
-                if not path.exists():
-                    path = _save(path, self._make(kind))
-                self._arms[kind] = _load(path)
+                found = read_cached(path, _load)
+                if found is None:
+                    found = _load(_save(path, self._make(kind)))
+                self._arms[kind] = found
             return self._arms[kind]
 
     def digest(self, kind: str) -> str:

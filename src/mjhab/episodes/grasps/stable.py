@@ -17,7 +17,7 @@ from threading import RLock
 import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
-from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
 from mjhab.episodes.grasps.candidates import Grasps, LyingObject, ObjectShape, grasp_candidates
@@ -231,10 +231,10 @@ class StableGrasps:
         """Return the grasps of an object type without those of `add`; raises as `grasps`."""
         self._check(kind)
         path = below(self.folder, f"{kind}.npz")
-        if path.exists():
-            return _load(path)
-        found = self._search(kind)
-        _save(path, found)
+        found = read_cached(path, _load)
+        if found is None:
+            found = self._search(kind)
+            _save(path, found)
         return found
 
     def _search(self, kind: str) -> list[StableGrasp]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.spec import Home, Placement
 
@@ -44,7 +44,7 @@ def cached_homes(
     """
     digest = hashlib.sha256(_code_digest() + repr(tuple(keys)).encode()).hexdigest()[:24]
     path = cache_dir() / "homes" / f"{pack}-{digest}.json"
-    props = _read(path, len(keys))
+    props = read_cached(path, lambda file: _read(file, len(keys)))
     if props is not None:
         return tuple(replace(bare(*key), props=row) for key, row in zip(keys, props, strict=True))
     homes = tuple(furnish(*key) for key in keys)
@@ -53,13 +53,9 @@ def cached_homes(
     return homes
 
 
-def _read(path: Path, count: int) -> list[tuple[Placement, ...]] | None:
-    """Props of every home; None if there is no such file or it is incomplete (for example after a full disk)."""
-    try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
-        props = [
-            tuple(Placement(name, (x, y, z), yaw) for name, (x, y, z), yaw in row) for row in rows
-        ]
-    except (OSError, ValueError, TypeError):
-        return None
-    return props if len(props) == count else None
+def _read(path: Path, count: int) -> list[tuple[Placement, ...]]:
+    """Props of every home; raises ValueError if there are more or fewer homes than ``count``."""
+    rows = json.loads(path.read_text(encoding="utf-8"))
+    if len(rows) != count:
+        raise ValueError(f"{path} has {len(rows)} homes, not {count}")
+    return [tuple(Placement(name, (x, y, z), yaw) for name, (x, y, z), yaw in row) for row in rows]

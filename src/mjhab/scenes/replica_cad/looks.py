@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.formats.gltf import Primitive, read_glb
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
@@ -34,7 +33,7 @@ class Looks:
             UsageError: a file is missing or broken; the message names it.
         """
         path = cache_dir() / "replica_cad" / f"looks-{self._digest()}.npz"
-        found = _load(path, list(self.wanted)) if path.exists() else None
+        found = read_cached(path, lambda file: _load(file, list(self.wanted)))
         if found is not None:
             return found
         made = {name: textured_mesh(self._parts(name)) for name in self.wanted}
@@ -71,10 +70,6 @@ class Looks:
         return digest.hexdigest()[:24]
 
 
-def _load(path: Path, names: list[str]) -> dict[str, Mesh] | None:
-    """Meshes from a cache file; None if it cannot be read, in which case they are read from their sources again."""
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: mesh_from_arrays(name, arrays) for name in names}
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
-        return None
+def _load(path: Path, names: list[str]) -> dict[str, Mesh]:
+    with np.load(path, allow_pickle=False) as arrays:
+        return {name: mesh_from_arrays(name, arrays) for name in names}

@@ -17,7 +17,7 @@ import torch
 import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.joints import BASE
 from mjhab.core.seeding import stream
 from mjhab.layout.compile import home_hash
@@ -135,13 +135,16 @@ def buffer_sizes(
     for home in chosen:
         digest.update(home_hash(layout, home).encode())
     path = cache_dir() / "warp" / f"sizes-{digest.hexdigest()[:24]}.json"
-    if path.exists():
-        demand = Demand(**json.loads(path.read_text(encoding="utf-8")))
-    else:
+    demand = read_cached(path, _load)
+    if demand is None:
         demand = measure_demand(layout, model, a, chosen, device)
         text = json.dumps(dataclasses.asdict(demand))
         write_cached(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return demand.sizes(num_worlds, model(homes[0].name).nv)
+
+
+def _load(path: Path) -> Demand:
+    return Demand(**json.loads(path.read_text(encoding="utf-8")))
 
 
 def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes:

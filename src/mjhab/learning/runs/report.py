@@ -137,15 +137,18 @@ def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:
     return f'<header><h1>{escape(_title(folder))}</h1><div class="chips">{chips}</div></header>'
 
 
-def _cards(summary: Mapping[str, Any]) -> str:
+def _success_card(summary: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Name, value and what is told more of the success rate."""
+    if summary["success_once"] is None:
+        return "success once", "-", "not evaluated"
     low, high = summary["interval"]
-    success = "-" if summary["success_once"] is None else parts.percent(summary["success_once"])
+    more = f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {_episodes(summary)}"
+    return "success once", parts.percent(summary["success_once"]), more
+
+
+def _cards(summary: Mapping[str, Any]) -> str:
     values = [
-        (
-            "success once",
-            success,
-            f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {_episodes(summary)}",
-        ),
+        _success_card(summary),
         ("time", f"{summary['seconds'] / 60:.1f} min", "collection and evaluation included"),
         ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
         *_time_card(summary),

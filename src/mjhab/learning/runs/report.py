@@ -142,7 +142,8 @@ def _success_card(summary: Mapping[str, Any]) -> tuple[str, str, str]:
     if summary["success_once"] is None:
         return "success once", "-", "not evaluated"
     low, high = summary["interval"]
-    more = f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {_episodes(summary)}"
+    episodes = f"{summary['episodes']} episodes in homes of split {summary['split']}"
+    more = f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {episodes}"
     return "success once", parts.percent(summary["success_once"]), more
 
 
@@ -164,13 +165,6 @@ def _cards(summary: Mapping[str, Any]) -> str:
         for name, value, more in values
     )
     return f'<div class="cards">{tiles}</div>'
-
-
-def _episodes(summary: Mapping[str, Any]) -> str:
-    """Number and homes of the episodes behind the success rate."""
-    if not summary["episodes"]:
-        return "no episode evaluated"
-    return f"{summary['episodes']} episodes in homes of split {summary['split']}"
 
 
 def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:

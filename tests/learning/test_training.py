@@ -457,8 +457,10 @@ def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
 
 
 def test_without_an_evaluation_no_split_is_told(source: Path, tmp_path: Path) -> None:
-    summary = train(request(source, eval_split="val"), tmp_path / "run").summary
-    assert (summary["split"], summary["success_once"], summary["episodes"]) == (None, None, 0)
+    done = train(request(source, eval_split="val"), tmp_path / "run")
+    told = {name: done.summary[name] for name in ("split", "success_once", "interval", "episodes")}
+    assert told == {"split": None, "success_once": None, "interval": None, "episodes": 0}
+    assert "not evaluated" in done.report.read_text(encoding="utf-8")
 
 
 def test_ctrl_c_during_an_update_keeps_whole_updates(

@@ -77,15 +77,17 @@ class Judgement:
         }
 
     def summary(self) -> dict[str, Any]:
-        """The part of a run's summary that this evaluation gives; "split" and "success_once" are None without one."""
+        """The part of a run's summary that this evaluation gives; everything but "episodes" is None without one."""
         records = self.records
-        low, high = wilson(sum(record.success_once for record in records), len(records))
+        if not records:
+            names = ("split", "success_once", "interval", "evaluated_samples")
+            return {**dict.fromkeys(names), "episodes": 0}
         return {
-            "split": self.split or None,
-            "success_once": mean(record.success_once for record in records) if records else None,
-            "interval": [low, high],
+            "split": self.split,
+            "success_once": mean(record.success_once for record in records),
+            "interval": list(wilson(sum(record.success_once for record in records), len(records))),
             "episodes": len(records),
-            "evaluated_samples": self.samples if records else None,
+            "evaluated_samples": self.samples,
         }
 
 

@@ -137,15 +137,19 @@ def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:
     return f'<header><h1>{escape(_title(folder))}</h1><div class="chips">{chips}</div></header>'
 
 
-def _cards(summary: Mapping[str, Any]) -> str:
+def _success_card(summary: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Name, value and what is told more of the success rate."""
+    if summary["success_once"] is None:
+        return "success once", "-", "not evaluated"
     low, high = summary["interval"]
-    success = "-" if summary["success_once"] is None else parts.percent(summary["success_once"])
+    episodes = f"{summary['episodes']} episodes in homes of split {summary['split']}"
+    more = f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {episodes}"
+    return "success once", parts.percent(summary["success_once"]), more
+
+
+def _cards(summary: Mapping[str, Any]) -> str:
     values = [
-        (
-            "success once",
-            success,
-            f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {_episodes(summary)}",
-        ),
+        _success_card(summary),
         ("time", f"{summary['seconds'] / 60:.1f} min", "collection and evaluation included"),
         ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
         *_time_card(summary),
@@ -161,13 +165,6 @@ def _cards(summary: Mapping[str, Any]) -> str:
         for name, value, more in values
     )
     return f'<div class="cards">{tiles}</div>'
-
-
-def _episodes(summary: Mapping[str, Any]) -> str:
-    """Number and homes of the episodes behind the success rate."""
-    if not summary["episodes"]:
-        return "no episode evaluated"
-    return f"{summary['episodes']} episodes in homes of split {summary['split']}"
 
 
 def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:

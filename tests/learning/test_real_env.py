@@ -189,6 +189,7 @@ def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
         Means(1, 1, 1),
         eval_episodes=1,
         round_episodes=0,
+        films=0,
         also=(opening,),
     )
     result = train(request, tmp_path / "run")
@@ -218,7 +219,7 @@ def test_other_robots_are_trained_with_their_own_cameras(tmp_path: Path) -> None
     student = config(inputs=inputs, demos=2, updates=1, hold_steps=HOLD_STEPS)
     scene = dataclasses.replace(SCENE, robot=robot.name, profile="")
     request = Request(
-        TrainConfig(student), scene, Means(1, 1, 1), eval_episodes=1, round_episodes=0
+        TrainConfig(student), scene, Means(1, 1, 1), eval_episodes=1, round_episodes=0, films=0
     )
     try:
         train(request, tmp_path / "run")

@@ -78,7 +78,9 @@ class Killed(Exception):
 def request(config: ReinforcementConfig) -> ReinforcementRequest:
     """A run without evaluations."""
     torch.set_num_threads(1)
-    return ReinforcementRequest(config, SCENE, threads=1, eval_episodes=0, round_episodes=0)
+    return ReinforcementRequest(
+        config, SCENE, threads=1, eval_episodes=0, round_episodes=0, films=0
+    )
 
 
 @pytest.mark.parametrize(

@@ -68,6 +68,7 @@ def train_curve(preset: str, seed: int, samples: int, run: Path) -> list[tuple[i
             threads=cores(),
             eval_episodes=EPISODES,
             round_episodes=EPISODES,
+            films=0,
         )
         result = train_reinforcement(request, run, resume=(run / "config.json").is_file())
         if result.interrupted:

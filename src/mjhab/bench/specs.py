@@ -54,6 +54,10 @@ class EnvBenchSpec(ProfileChoice):
     assets: str = "builtin"
 
 
+SOAK_CACHE_MB = 128.0
+"""Limit of the memory cache in `mjhab bench soak` [MB]; a million steps of SetTable fill it."""
+
+
 @dataclass(frozen=True)
 class SoakSpec(ProfileChoice):
     """`soak.soak`: random actions in every training environment of a task, ``worlds`` of each.

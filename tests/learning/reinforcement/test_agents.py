@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +26,7 @@ from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac import Sac, SacLearner
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Worlds
+from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import START_STD, gaussian_of
 from mjhab.learning.students.heads import make_student
@@ -111,6 +115,37 @@ def test_the_critic_has_a_learning_rate_of_its_own() -> None:
     learner.update(rollout, 0.0)
     after = list(agent.value.parameters())
     assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(before, after, strict=True))
+
+
+def test_a_gradient_that_is_not_finite_ends_the_run() -> None:
+    place, width = worlds()
+    agent = Ppo(PPO_TOY, LAYOUT, width, seed=0)
+    learner = PpoLearner(agent, place, PPO_TOY, seed=0)
+    rollout, _ = learner.collect()
+    for value in agent.parameters():
+        value.register_hook(lambda gradient: gradient * torch.inf)
+    before = [value.clone() for value in agent.parameters()]
+    with pytest.raises(
+        BrokenLossError, match=r"gradient became (nan|inf) in update 1\. The student"
+    ):
+        learner.update(rollout, 0.0)
+    assert all(map(torch.equal, before, agent.parameters()))
+
+
+def test_a_replay_buffer_larger_than_the_disk_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shape = ReplayShape(WORLDS, 64, 4, (0, 0, 0), 0, 1)
+    nearly_full = SimpleNamespace(free=shape.total_bytes)
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: nearly_full)
+    with pytest.raises(UsageError, match="free on the disk of"):
+        ReplayBuffer(shape, torch.device("cpu"), tmp_path / "replay")
+    assert not any(tmp_path.iterdir())
+    monkeypatch.undo()
+    ReplayBuffer(shape, torch.device("cpu"), tmp_path / "replay")
+    # Files that are there need no room.
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: nearly_full)
+    ReplayBuffer(shape, torch.device("cpu"), tmp_path / "replay")
 
 
 @pytest.mark.parametrize("atoms", [0, 31])

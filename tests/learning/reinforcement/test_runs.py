@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import signal
 import socket
 from pathlib import Path
 
 import pytest
 import torch
-from torch.multiprocessing.spawn import spawn
+from torch.multiprocessing.spawn import ProcessExitedException, spawn
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.checkpoint import load_checkpoint, load_student
@@ -29,6 +30,7 @@ from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Scene
 from mjhab.learning.runs.run import Logbook
+from mjhab.learning.runs.training import BrokenLossError
 
 SCENE = Scene(
     "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
@@ -110,6 +112,51 @@ def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     assert set(wanted) == set(found)
     for name, value in wanted.items():
         assert torch.equal(value, found[name]), name
+
+
+def _train_and_kill(rank: int, out: Path) -> None:
+    """Train in a process that kills itself after the first checkpoint, as ``kill -9`` does."""
+    check = sessions.ReinforcementSession.check_time
+
+    def killed(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 40:
+            os.kill(os.getpid(), signal.SIGKILL)
+        check(self)
+
+    sessions.ReinforcementSession.check_time = killed  # type: ignore[method-assign]
+    train_reinforcement(request(TINY_RLPD), out)
+
+
+def test_a_run_that_was_sent_sigkill_resumes(tmp_path: Path) -> None:
+    with pytest.raises(ProcessExitedException, match="SIGKILL"):
+        spawn(_train_and_kill, (tmp_path / "killed",))
+    train_reinforcement(request(TINY_RLPD), tmp_path / "whole")
+    train_reinforcement(request(TINY_RLPD), tmp_path / "killed", resume=True)
+    wanted, found = (
+        load_checkpoint(tmp_path / name / "training.safetensors").tensors
+        for name in ("whole", "killed")
+    )
+    assert all(torch.equal(value, found[name]) for name, value in wanted.items())
+
+
+def test_a_broken_loss_leaves_the_student_of_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update = PpoLearner.update
+
+    def breaks(self: PpoLearner, rollout: object, progress: float) -> dict[str, float]:
+        if self.updates == 3:
+            with torch.no_grad():
+                for value in self.agent.parameters():
+                    value.fill_(torch.nan)
+        return update(self, rollout, progress)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(PpoLearner, "update", breaks)
+    with pytest.raises(BrokenLossError, match="update 4"):
+        train_reinforcement(request(TINY), tmp_path)
+    kept = load_checkpoint(tmp_path / "student.safetensors")
+    assert kept.about["samples"] == TINY.checkpoint_samples
+    assert all(torch.isfinite(value).all() for value in kept.tensors.values())
 
 
 def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> None:

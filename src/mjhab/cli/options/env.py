@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.bench.specs import EnvBenchSpec, RewardSpec, ScalingSpec, SoakSpec
+from mjhab.bench.specs import SOAK_CACHE_MB, EnvBenchSpec, RewardSpec, ScalingSpec, SoakSpec
 from mjhab.cli.options.common import (
     Assets,
     Backend,
@@ -115,6 +115,9 @@ class BenchSoakOptions(MemoryOptions, ProfileOptions, SoakSpec):
     """Threads of the physics; 0 takes all cores."""
     seed: Number = SoakSpec.seed
     """Seed of the episodes and of the actions."""
+    cache_mb: Annotated[float | None, tyro.conf.arg(metavar="MB")] = SOAK_CACHE_MB
+    """Limit of the cache of homes, maps and episodes in memory [MB]. By default less than elsewhere, so that it is full
+    long before the end: a cache that still fills looks like growth."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder of soak.json and memory.svg, the memory curve."""
     json: bool = False

@@ -15,6 +15,7 @@ from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, Trunk
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import PpoConfig, ReinforcementConfig
+from mjhab.learning.reinforcement.finite import check_finite
 from mjhab.learning.reinforcement.networks import Value
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.returns import (
@@ -25,7 +26,6 @@ from mjhab.learning.reinforcement.returns import (
 from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
-from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
@@ -325,7 +325,7 @@ class PpoLearner:
         ``progress`` is the fraction of the run's samples collected so far; it sets the learning rate.
 
         Raises:
-            BrokenLossError: the loss is not finite.
+            BrokenLossError: the loss or the gradient is not finite.
         """
         config = self.config
         share = 1.0 - (1.0 - config.learning_rate_end) * progress
@@ -398,21 +398,21 @@ class PpoLearner:
             loss = loss + imitation * self._imitation_loss(random)
         if config.entropy_coefficient:
             loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
-        if not math.isfinite(float(loss.detach())):
-            raise BrokenLossError(
-                f"the loss became {float(loss.detach())} in update {self.updates + 1}. The weights from before it are "
-                "kept; a smaller learning rate may help."
-            )
+        update = self.updates + 1
+        check_finite(float(loss.detach()), "the loss", update)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         parameters = list(agent.parameters())
         distributed.average_gradients(parameters)
-        if config.clip_jointly:
-            nn.utils.clip_grad_norm_(parameters, config.clip_norm)
-        else:
-            # The critic's gradients are larger, and under one joint limit they would scale the actor's down.
-            nn.utils.clip_grad_norm_(agent.acting_parameters(), config.clip_norm)
-            nn.utils.clip_grad_norm_(agent.value.parameters(), config.clip_norm)
+        # The critic's gradients are larger, and under one joint limit they would scale the actor's down.
+        parts = (
+            [parameters]
+            if config.clip_jointly
+            else [list(agent.acting_parameters()), list(agent.value.parameters())]
+        )
+        for part in parts:
+            norm = nn.utils.clip_grad_norm_(part, config.clip_norm)
+            check_finite(float(norm), "the norm of the gradient", update)
         self.optimizer.step()
         with torch.no_grad():
             divergence = ((ratio - 1.0) - logarithm).mean()

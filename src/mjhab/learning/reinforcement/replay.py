@@ -6,6 +6,7 @@ episode an extra entry holds the last observation; no transition starts from it.
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -61,23 +62,29 @@ class ReplayShape:
         count = self.worlds * self.steps
         return f"replay buffer: {count:,} control steps, {self.total_bytes / 2**30:.2f} GiB"
 
-    def check(self, device: torch.device) -> None:
-        """Refuse a buffer that does not fit into memory.
+    def check(self, device: torch.device, folder: Path | None = None) -> None:
+        """Refuse a buffer that does not fit into memory, or whose new files do not fit on the disk of ``folder``.
 
         Raises:
-            UsageError: how much it takes, what there is, and which capacity fits.
+            UsageError: how much it takes, what there is, and how many control steps fit.
         """
         if device.type == "cuda":
             free = torch.cuda.mem_get_info(device)[0]
         else:
             megabytes = available_mb()
             free = sys.maxsize if megabytes is None else int(megabytes * 1e6)
+        self._check_room(free, "free")
+        if folder is not None:
+            # The files are sparse: on a full disk the first access beyond it would kill the process.
+            self._check_room(shutil.disk_usage(folder).free, f"free on the disk of {folder}")
+
+    def _check_room(self, free: int, where: str) -> None:
         most = int(MEMORY_SHARE * free)
         if self.total_bytes > most:
             fitting = most // self.row_bytes
             raise UsageError(
-                f"the {self.words} does not fit: {free / 2**30:.2f} GiB are free. A capacity of "
-                f"{fitting:,} fits (--capacity {fitting}), or smaller images."
+                f"the {self.words} does not fit: {free / 2**30:.2f} GiB are {where}. A capacity of {fitting:,} control "
+                f"steps fits (--capacity {fitting}, or fewer demonstrations if these are too many), or smaller images."
             )
 
 
@@ -117,7 +124,8 @@ class ReplayBuffer:
                 f"a replay buffer of {shape.steps} control steps per world is too small; it needs more than "
                 f"{reserve + 2}. Raise --capacity."
             )
-        shape.check(device)
+        is_new = folder is not None and not folder.exists()
+        shape.check(device, folder.parent if is_new else None)
         self.shape = shape
         self.device = device
         self._reserve = reserve

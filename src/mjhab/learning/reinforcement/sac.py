@@ -15,10 +15,10 @@ from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Encoder
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, SacConfig
+from mjhab.learning.reinforcement.finite import check_finite, gradient_norm
 from mjhab.learning.reinforcement.networks import Critics
 from mjhab.learning.reinforcement.replay import ReplayBuffer, Transitions
 from mjhab.learning.reinforcement.sight import Seen
-from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.gaussian import LARGEST_ACTION, SquashedGaussian
 from mjhab.learning.students.heads import make_student
 
@@ -133,7 +133,7 @@ class SacLearner:
             Metrics of the update by name.
 
         Raises:
-            BrokenLossError: the loss is not finite.
+            BrokenLossError: a loss or a gradient is not finite.
         """
         random = self.random("update")
         told = {"critic_loss": self._judge(batch, random)}
@@ -204,16 +204,14 @@ class SacLearner:
         return told
 
     def _step(self, name: str, loss: Tensor, parameters: list[nn.Parameter]) -> None:
-        if not math.isfinite(float(loss.detach())):
-            raise BrokenLossError(
-                f"the loss of the {name} became {float(loss.detach())} in update {self.updates + 1}. The weights "
-                "from before it are kept; a smaller learning rate may help."
-            )
+        update = self.updates + 1
+        check_finite(float(loss.detach()), f"the loss of the {name}", update)
         if not loss.requires_grad:
             return
         self.optimizers[name].zero_grad(set_to_none=True)
         loss.backward()
         distributed.average_gradients(parameters)
+        check_finite(gradient_norm(parameters), f"the norm of the gradient of the {name}", update)
         self.optimizers[name].step()
 
     @torch.no_grad()

@@ -310,7 +310,7 @@ class ReinforcementSession:
         self.save_actor(actor)
 
     def keep_last(self, actor: Student) -> None:
-        """Make the actor of this moment the run's student, after Ctrl-C or a broken loss, if it was ever updated.
+        """Make the actor of this moment the run's student, after Ctrl-C, if it was ever updated.
 
         The training checkpoint stays that of the last regular one, so a resumed run is exactly repeated from there.
         """

@@ -36,7 +36,6 @@ from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.train import TrainingResult
-from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.gaussian import SquashedGaussian
 from mjhab.learning.students.student import Student
 from mjhab.tasks.subtasks.registry import SUBTASKS, horizons
@@ -54,7 +53,7 @@ def train_reinforcement(
 
     Raises:
         UsageError: folder, scene or checkpoint do not fit.
-        BrokenLossError: the loss became NaN; the weights from before it are kept as the run's student.
+        BrokenLossError: a loss or a gradient is not finite; the run's student is that of the last checkpoint.
     """
     interrupted = False
     with refused_leaves_nothing(out), open_reinforcement(request, out, resume) as session:
@@ -75,10 +74,8 @@ def train_reinforcement(
             # Random weights are not judged.
             if request.eval_episodes and session.standing.trained:
                 session.evaluate_student(request.eval_episodes)
-        except (KeyboardInterrupt, BrokenLossError) as error:
+        except KeyboardInterrupt:
             session.keep_last(run.actor)
-            if isinstance(error, BrokenLossError):
-                raise
             interrupted = True
         finally:
             summary = summarize(session)

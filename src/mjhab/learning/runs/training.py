@@ -22,7 +22,7 @@ SECOND_MOMENT = "second_moment"
 
 
 class BrokenLossError(MjhabError):
-    """The loss or gradient became NaN or infinite; the weights did not change."""
+    """The loss or gradient became NaN or infinite; the update did not take place."""
 
 
 @dataclass(frozen=True)

@@ -189,15 +189,14 @@ TEACHING = (
     "plan=rule",
     "waits=visible",
     "pull=arm",
-    "close=sweep",
     "open_further=0.08",
     "noise=0..0.2",
     "base_noise=0..0.2",
     "noise_kind=bursts",
 )
 """Style of an expert that is imitated: a rule instead of a search, no waits that only a counter ends, drawers pulled by
-the arm (a student cannot see how much room is behind it), doors shut by the base alone and opened with some margin; arm
-and base are disturbed while the student learns what it intended (DART)."""
+the arm (a student cannot see how much room is behind it), doors opened with some margin; arm and base are disturbed
+while the student learns what it intended (DART)."""
 
 SMALL = StudentConfig(inputs=InputConfig(base_velocity=True), style=TEACHING)
 

@@ -19,6 +19,7 @@ PLACE = "place"
 DROP = "drop"
 PUSH = "push"
 THROW = "throw"
+SWEEP = "sweep"
 GRASP = "grasp"
 BASE = "base"
 ARM = "arm"
@@ -68,8 +69,9 @@ class Style:
     close: str = field(
         default=ANY,
         metadata={
-            "words": (ANY, PUSH, THROW, GRASP),
-            "about": "how doors and drawers are shut: push all the way, throw (doors), hold the handle (drawers)",
+            "words": (ANY, PUSH, THROW, SWEEP, GRASP),
+            "about": "how doors and drawers are shut: push all the way, throw or sweep (doors), hold the handle "
+            "(drawers)",
         },
     )
     pull: str = field(

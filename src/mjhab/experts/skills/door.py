@@ -18,10 +18,16 @@ from mjhab.experts.planning import approach, link_path, stances
 from mjhab.experts.planning.link_path import LinkPath
 from mjhab.experts.planning.stances import Frame, Stances
 from mjhab.experts.skills import door_stances
-from mjhab.experts.skills.door_stances import HALF_OPEN_SHARE, OPEN_TO_SHARE, PRESS_AHEAD_RAD
+from mjhab.experts.skills.door_stances import (
+    HALF_OPEN_SHARE,
+    OPEN_TO_SHARE,
+    PRESS_AHEAD_RAD,
+    SWEEP_SPEED_M_S,
+)
 from mjhab.experts.style import style_of, wait_for
+from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
-from mjhab.tasks.style import PUSH
+from mjhab.tasks.style import PUSH, SWEEP
 
 Array = np.ndarray
 Motion = motion.Motion
@@ -80,6 +86,11 @@ PRESS_STEPS = 2
 JAMMED_FORCE_N = 300.0
 """Sum of the contact forces on the robot's links at which a motion is given up."""
 
+SWEEP_STEPS = 100
+"""Greatest number of control steps of a sweep."""
+SWEPT_M = 0.02
+"""Distance from the end of a sweep at which the base has arrived."""
+
 
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Open a hinged door: grasp the bar, follow its arc, release it, return to rest; again after a slip."""
@@ -113,8 +124,11 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
 def close_door(view: WorldView, link: JointedLink) -> Motion:
     """Close a hinged door: reach behind it and accelerate it along its arc, then fold the arm while it swings shut.
 
-    With the style ``close=push`` the hand pushes the door all the way. Both are repeated while the door is ajar.
+    With the style ``close=push`` the hand pushes the door all the way. Both are repeated while the door is ajar. With
+    ``close=sweep`` the base drives against the door with the arm at rest, where there is room for it.
     """
+    if style_of(view).close == SWEEP:
+        yield from _sweep(view, link)
     throws = style_of(view).close != PUSH
     while view.steps_left > 40 and view.link_q(link.id) > AJAR_SHARE * link.range[1]:
         start = view.link_q(link.id) + PRESS_AHEAD_RAD
@@ -144,6 +158,41 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         else:
             yield from approach.retreat(view, 0.06)
     return (yield from approach.fold(view))
+
+
+def _sweep(view: WorldView, link: JointedLink) -> Motion:
+    """Drive to the outside of an open door and push it shut with the arm at rest, in a straight line.
+
+    Returns whether the door is shut.
+    """
+    # Stances are cached per angle: rounding up limits the number of searches.
+    angle = float(np.ceil(10.0 * view.link_q(link.id))) / 10.0
+    search = functools.partial(door_stances.sweeps, angle=angle)
+    found = stances.cached(view.robot, link, f"sweep {angle:.1f}", search)
+    path = _reachable(view, link, found, np.linspace(1.0, 0.0, door_stances.SWEEP_WAY_POINTS))
+    if path is None:
+        return False
+    yield from approach.go(view, path.route, motion.OPEN)
+    end = path.q[-1]
+    last = view.link_q(link.id)
+    still = 0
+    for _ in range(SWEEP_STEPS):
+        now = view.link_q(link.id)
+        speed = style_of(view).speed * (last - now) / STEP_SECONDS
+        still = still + 1 if abs(now - last) < AT_REST_RAD else 0
+        last = now
+        way = end[:2] - view.base[:2]
+        ahead = float(way @ [np.cos(end[2]), np.sin(end[2])])
+        shut = now < AJAR_SHARE * link.range[1]
+        if still > PRESS_STEPS and (shut or ahead < SWEPT_M):
+            break
+        drive = 0.0
+        if not shut and _coasts(speed) < now + COAST_SPARE_RAD:
+            drive = min(SWEEP_SPEED_M_S, 0.2 + 0.35 * now, 3.0 * max(ahead, 0.0))
+        aim = np.arctan2(way[1], way[0]) if ahead > 0.4 else end[2]
+        turn = float(np.clip(3.0 * wrap(aim - view.base[2]), -0.6, 0.6))
+        yield motion.action(view, motion.rest_goal(view), gripper=motion.OPEN, drive=(drive, turn))
+    return view.link_q(link.id) < AJAR_SHARE * link.range[1]
 
 
 def _follow_arc(

@@ -12,8 +12,10 @@ from itertools import product
 import numpy as np
 
 from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink
-from mjhab.experts.arm import ik
+from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning import stances
 from mjhab.experts.planning.stances import Stances
 from mjhab.robots.robot import Robot
@@ -45,6 +47,21 @@ PUSH_YAWS_RAD = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
 """Pairs of yaws of the pushing hand, at the open and at the closed door; 0 points straight at the furniture. The first
 pair is for half open doors only: behind a door that is open by 2.2 rad, a hand at yaw 0.6 is parallel to it, and at
 smaller yaws the hand touches the edge of the door on its way in."""
+
+SWEEP_STEP_M = 0.05
+"""Distance between two poses of the base at which a sweep is checked."""
+SWEEP_SPEED_M_S = 0.7
+"""Speed of the base while it sweeps a door shut with the arm at rest."""
+SWEEP_CLEAR_RAD = 0.08
+"""Angle between the door and the robot at the beginning of a sweep."""
+SWEEP_TURN_RAD = 0.3
+"""Largest turn of the door per `SWEEP_STEP_M`; larger ones mean that the arm meets the edge or the inside."""
+SWEEP_OUTSIDE_M = 0.04
+"""Least distance from the outside of the door at which a part of the robot comes past its edge."""
+SWEEP_END_RAD = -0.03
+"""Door angle at which a sweep ends: a little beyond the closed door, so that the arm presses it."""
+SWEEP_WAY_POINTS = 6
+"""Way points of a sweep."""
 
 
 def pull_angles(link: JointedLink, further: float = 0.0) -> Array:
@@ -233,3 +250,82 @@ def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
         tries = 5 if half else 8
         found.append(_search(robot, link, base, hands, tries=tries, mode="approach"))
     return Stances.join(found)
+
+
+def sweeps(robot: Robot, link: JointedLink, angle: float) -> Stances:
+    """Find straight drives with the arm at rest that push a door shut from its outside.
+
+    The door is a plane that turns around its hinge, the robot a set of circles seen from above: those of its spheres
+    that are as high as the door. The door angle along a drive is the largest one at which no circle cuts the plane.
+
+    Args:
+        robot: the robot.
+        link: the door.
+        angle: present angle of the door [rad].
+
+    Returns:
+        Stances with `SWEEP_WAY_POINTS` way points.
+    """
+    low, high = _panel(link)
+    m = _hand_side(link)
+    centers, radius = _resting_circles(robot, float(low[2]), float(high[2]))
+    base = _drives(m)
+    c = np.cos(base[..., 2, None])
+    s = np.sin(base[..., 2, None])
+    x = base[..., 0, None] + c * centers[:, 0] - s * centers[:, 1]
+    y = m * (base[..., 1, None] + s * centers[:, 0] + c * centers[:, 1])
+    room = radius + high[0]
+    far = np.hypot(x, y)
+    bearing = np.arctan2(y, x)
+    meets = far**2 - room**2 < (float(np.abs([low[1], high[1]]).max()) + radius) ** 2
+    widest = bearing + np.arccos(np.minimum(room / np.maximum(far, 1e-9), 1.0))
+    widest = np.where(meets, widest, np.inf).min(axis=2)
+    # Positions before the last one that is clear of the door do not matter: the sweep begins there.
+    first = _last_clear(widest > angle + SWEEP_CLEAR_RAD)
+    row = np.arange(base.shape[1])
+    door = np.where(row <= first[:, None], angle, np.minimum(widest, angle))
+    door = np.minimum.accumulate(door, axis=1)
+    before = np.c_[np.full(len(door), angle), door[:, :-1]]
+    outside = far * np.cos(before[..., None] - bearing) - high[0]
+    enters = meets.copy()
+    enters[:, 1:] &= ~meets[:, :-1]
+    wrong = (enters & (outside < SWEEP_OUTSIDE_M)).any(axis=2) | (before - door > SWEEP_TURN_RAD)
+    shut = door <= SWEEP_END_RAD
+    last = shut.argmax(axis=1)
+    wrong &= (row > first[:, None]) & (row <= last[:, None])
+    fits = (first >= 0) & shut.any(axis=1) & ~wrong.any(axis=1)
+    found = [
+        np.linspace(base[i, first[i]], base[i, last[i]], SWEEP_WAY_POINTS)
+        for i in np.flatnonzero(fits)
+    ]
+    q = np.repeat(robot.rest[None, None], SWEEP_WAY_POINTS, axis=1)
+    q = np.repeat(q, len(found), axis=0)
+    q[..., BASE] = np.array(found).reshape(len(found), SWEEP_WAY_POINTS, 3)
+    length = np.linalg.norm(q[:, -1, :2] - q[:, 0, :2], axis=1)
+    return Stances(q, np.zeros(len(q)), length / SWEEP_SPEED_M_S / STEP_SECONDS)
+
+
+def _drives(m: float) -> Array:
+    """Poses (N, K, 3) of the base on straight drives towards the outside of an open door; ``m``: `_hand_side`."""
+    headings = np.pi + m * np.arange(0.5, 1.71, 0.1)
+    asides = np.arange(-0.8, 0.81, 0.05)
+    along = np.arange(-1.8, 0.4, SWEEP_STEP_M)
+    yaw, aside = (part.ravel()[:, None] for part in np.meshgrid(headings, asides))
+    x = np.cos(yaw) * along - np.sin(yaw) * aside
+    y = np.sin(yaw) * along + np.cos(yaw) * aside
+    return np.stack([0.4 + x, y, np.broadcast_to(yaw, x.shape)], axis=2)
+
+
+def _last_clear(clear: Array) -> Array:
+    """Index (N,) of the last position before the first one of (N, K) that is not clear; -1 for none."""
+    return np.where(clear.all(axis=1), -1, (~clear).argmax(axis=1) - 1)
+
+
+def _resting_circles(robot: Robot, low: float, high: float) -> tuple[Array, Array]:
+    """Centres (C, 2) in the frame of the base and radii (C,) of the resting robot's spheres between two heights [m]."""
+    whole = motion.spheres(robot)
+    rest = robot.rest.copy()
+    rest[BASE] = 0.0
+    centers = whole.centers(whole.chain.forward(rest[None]))[0]
+    there = (centers[:, 2] + whole.radius > low) & (centers[:, 2] - whole.radius < high)
+    return centers[there, :2], whole.radius[there]

@@ -113,9 +113,13 @@ def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
         lasting.callback(end, process)
         assert process.stdout is not None
         return bool(process.stdout.readline())
-    done = subprocess.run(
-        words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, timeout=COMMAND_SECONDS
-    )
+    try:
+        done = subprocess.run(
+            words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, timeout=COMMAND_SECONDS
+        )
+    except subprocess.TimeoutExpired:
+        print(f"not done after {COMMAND_SECONDS:.0f} s", file=sys.stderr)
+        return False
     return done.returncode == 0
 
 

@@ -75,7 +75,9 @@ def _serve(options: ViewOptions) -> int:
 
     ended = threading.Event()
     before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
-    viewer = Viewer(_source(options), options.host, options.port)
+    source = _source(options)
+    source.prepare()
+    viewer = Viewer(source, options.host, options.port)
     try:
         viewer.start()
         url = f"http://{options.host}:{viewer.port}"
@@ -125,11 +127,7 @@ def _source(options: ViewOptions) -> Source:
     )
     # Nobody drives before a page is open, and time would run out: the page begins with a pause.
     pace = Pace(playing=options.policy != HUMAN)
-    session = LiveSession(
-        spec, options.episode, pace, policies=options.policies, shard=options.record
-    )
-    session.prepare()
-    return session
+    return LiveSession(spec, options.episode, pace, policies=options.policies, shard=options.record)
 
 
 def _reward_with_terms(options: ViewOptions) -> str:

@@ -37,6 +37,7 @@ SMALL: dict[str, str] = {
     "films": "0",
     "budget_minutes": "0.3",
     "eval_episodes": "2",
+    "round_episodes": "2",
     "takeovers": "2",
     "samples": "200",
     "keep": "steps >= 0",

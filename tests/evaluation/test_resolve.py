@@ -84,7 +84,7 @@ def test_policies_with_a_name() -> None:
         policy.reset(np.ones(1, bool))
     np.testing.assert_array_equal(seeded.act(None, info), again.act(None, info))
     assert inspect_policy("expert") == PolicyFacts("expert")
-    with pytest.raises(UsageError, match="zero has none"):
+    with pytest.raises(UsageError, match="only the policy expert has a style"):
         resolve_policy("zero", FakeEnv(1), PolicyOptions(style=("speed=0.5",)))
 
 

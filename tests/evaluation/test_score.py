@@ -287,6 +287,30 @@ def test_the_command_checks_and_tabulates(
     assert set(told) >= {"track", "score", "episodes", "digest"}
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--check", "RESULT", "--policy", "zero"], "--policy has no meaning with --check"),
+        (["--check", "RESULT", "--episodes", "3"], "--episodes has no meaning with --check"),
+        (["--table", "RESULT", "--check-seed", "1"], "--check-seed has no meaning with --table"),
+        (["--starts", "--policy", "zero"], "--policy has no meaning with --starts"),
+        (["--check-seed", "1"], "--check-seed is for --check FILE"),
+        (["--check", "FOLDER"], "is a folder; give the result.json in it"),
+        (["--table", "RESULT", "SUMMARY"], "are the same result; give one of them"),
+    ],
+)
+def test_what_would_be_passed_over_is_refused(
+    words: list[str],
+    message: str,
+    result: tuple[Path, Result],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = result[0]
+    places = {"RESULT": file, "FOLDER": file.parent, "SUMMARY": file.with_name("summary.json")}
+    assert main(["score", *(str(places.get(word, word)) for word in words)]) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_a_summary_makes_the_same_table_and_cannot_be_checked(
     result: tuple[Path, Result], tmp_path: Path
 ) -> None:

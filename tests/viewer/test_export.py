@@ -127,6 +127,8 @@ def test_the_command_writes_a_page(
     evaluation = tmp_path / "evaluation"
     evaluation.mkdir()
     (evaluation / "episodes.jsonl").touch()
+    file = shard / "shard_000.h5"
+    recorded = file.read_bytes()
     for wrong, why in (
         (
             [*words, "--episode", "2"],
@@ -136,12 +138,19 @@ def test_the_command_writes_a_page(
         (["view", str(evaluation), "--export", str(out)], "keeps no states"),
         (["view", str(shard), "--horizon", "9"], "--horizon is for running worlds"),
         (["view", "--export", str(out)], "give a shard"),
+        (["view", "--where", "steps > 3"], "--where is for recorded episodes"),
+        (["view", str(shard), "--worlds", "4"], "--worlds is for running worlds"),
+        (["view", str(shard), "--policies", "zero"], "--policies is for running worlds"),
+        (["view", str(shard), "--export", str(file)], "shard_000.h5 must end with .html"),
+        (["view", str(shard), "--export", str(evaluation)], "is a folder; give a file such as"),
+        (["view", "--record", str(tmp_path / "mine.txt")], "must end with .h5"),
         (["view", str(shard), "--record", "a.h5"], "running worlds"),
         (["view", str(tmp_path)], "no shards"),
         (["view", "--policy", "expret"], "expert"),
     ):
         assert main(wrong) == 2
         assert why in capsys.readouterr().err
+    assert file.read_bytes() == recorded
 
 
 def test_without_viser_it_says_what_to_install(

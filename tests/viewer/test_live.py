@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.cli.main import main
 from mjhab.cli.options.view import ViewOptions
 from mjhab.cli.view import _source
 from mjhab.data.store.reading import open_shard
@@ -214,6 +215,38 @@ def test_a_policy_that_fails_is_told_and_can_be_replaced(tmp_path: Path) -> None
         made.set_policy("nobody")
         until(lambda: made.problem)
         assert "unknown policy 'nobody'" in made.problem
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "why"),
+    [
+        (["--subtask", "pick", "--target", "sofa"], 2, "unknown target 'sofa'"),
+        (["--subtask", "pick", "--home", "castle"], 2, "castle"),
+        (["--subtask", "pick", "--reward", "big"], 2, "unknown reward mode 'big'"),
+        (["--subtask", "close", "--record", "text.h5"], 1, "text.h5 is not an HDF5 file"),
+    ],
+)
+def test_what_cannot_work_ends_the_command_before_a_page_is_served(
+    words: list[str],
+    code: int,
+    why: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("mjhab.viewer.pages.app.Viewer", pytest.fail)
+    Path("text.h5").write_text("no shard")
+    assert main(["view", *words, "--threads", "1"]) == code
+    assert why in capsys.readouterr().err
+
+
+def test_errors_of_ours_are_told_without_a_place_in_the_code() -> None:
+    with session("zero", playing=False) as made:
+        until_step(made, 0)
+        made.set_policy("nobody")
+        until(lambda: made.problem)
+        assert made.problem.startswith("unknown policy") and "line" not in made.problem
 
 
 def test_a_policy_that_sees_gets_a_world_with_cameras(tmp_path: Path) -> None:

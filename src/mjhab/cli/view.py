@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 import threading
 from typing import TYPE_CHECKING
@@ -21,6 +22,11 @@ from mjhab.viewer.sources.hand import HUMAN
 if TYPE_CHECKING:
     from mjhab.viewer.sources.source import Source
 
+RECORDED_OPTIONS = ("places", "where", "preset", "export")
+"""Options that recorded episodes alone have."""
+SHARED_OPTIONS = ("episode", "host", "port", "threads", "json")
+"""Options of both; all others are for running worlds."""
+
 
 def run_view(options: ViewOptions) -> int:
     """Run the command; returns 0. A page is served until Ctrl-C or SIGTERM."""
@@ -34,13 +40,17 @@ def run_view(options: ViewOptions) -> int:
 
 
 def _check_choice(options: ViewOptions) -> None:
-    if options.places and options.record:
-        raise UsageError("--record is for running worlds: leave out the shards to look at.")
-    if options.export and not options.places:
-        raise UsageError("--export writes a recorded episode: give a shard or a folder of shards.")
-    for name in ("policy", "horizon", "reward"):
-        if options.places and getattr(options, name) != getattr(ViewOptions, name):
-            raise UsageError(f"--{name} is for running worlds: leave out the shards to look at.")
+    for field in dataclasses.fields(options):
+        name = field.name
+        given = getattr(options, name) != field.default
+        if given and options.places and name not in (*RECORDED_OPTIONS, *SHARED_OPTIONS):
+            raise UsageError(
+                f"--{name.replace('_', '-')} is for running worlds: leave out the shards to look at."
+            )
+        if given and not options.places and name in RECORDED_OPTIONS:
+            raise UsageError(
+                f"--{name} is for recorded episodes: give a shard or a folder of them."
+            )
 
 
 def _export(options: ViewOptions) -> int:
@@ -65,14 +75,16 @@ def _serve(options: ViewOptions) -> int:
 
     ended = threading.Event()
     before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
-    viewer = Viewer(_source(options), options.host, options.port)
+    source = _source(options)
+    source.prepare()
+    viewer = Viewer(source, options.host, options.port)
     try:
         viewer.start()
         url = f"http://{options.host}:{viewer.port}"
         if options.json:
             print_json({"url": url, "port": viewer.port})
         else:
-            other = f" (port {options.port} is in use)" if viewer.port != options.port else ""
+            other = f" (port {options.port} is in use)" * (options.port not in (0, viewer.port))
             print(f"Open {url}{other}. Ctrl-C ends.", flush=True)
         ended.wait()
     except KeyboardInterrupt:

@@ -30,6 +30,7 @@ from mjhab.evaluation.own_policy import (
 from mjhab.evaluation.resolve import (
     PolicyFacts,
     PolicyOptions,
+    check_style,
     full_spec,
     inspect_policy,
     no_instruction,
@@ -125,9 +126,7 @@ class EvalSpec:
         ):
             if given is not None and given not in valid:
                 raise unknown_name(kind, given, valid)
-        if self.style and self.policy != "expert":
-            raise UsageError("only the policy expert has a style.")
-        Styles.parse(self.style)
+        check_style(self.policy, self.style)
         if self.target and not self.subtask:
             raise UsageError("a target needs a subtask: a whole task has its targets in its plan.")
         if self.instruction and not self.subtask:

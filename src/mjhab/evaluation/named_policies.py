@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from mjhab.core.errors import UsageError
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, check_style
 from mjhab.rollout.policy import Policy, RandomPolicy, RolloutEnv, ZeroPolicy
 from mjhab.tasks.style import Styles
 
@@ -21,8 +20,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     Raises:
         UsageError: ``options`` sets a style for a policy without one, or the expert cannot act in this environment.
     """
-    if spec != "expert" and options.style:
-        raise UsageError(f"only the policy expert has a style; {spec} has none.")
+    check_style(spec, options.style)
     worlds = cast(Any, env)
     if spec == "zero":
         return ZeroPolicy(len(worlds.action_table))

@@ -7,12 +7,13 @@ that is imported on first use, so that a kind may need a heavy library, or a pac
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.tasks.style import Styles
 
 EXPERT = "expert"
 NAMED_POLICIES = (EXPERT, "random", "zero")
@@ -171,6 +172,17 @@ def no_instruction(policy: str) -> UsageError:
         f"the policy {policy} takes no instruction. A student does that was trained with sentences (mjhab train ... "
         "--set inputs.sentence=true), and so does a served policy (ws://HOST:PORT)."
     )
+
+
+def check_style(policy: object, style: Sequence[str]) -> None:
+    """Check the style options of a policy, see `Styles.parse`.
+
+    Raises:
+        UsageError: an option is unknown or out of range, or the policy is not the expert, which alone has a style.
+    """
+    if style and policy != EXPERT:
+        raise UsageError("only the policy expert has a style.")
+    Styles.parse(style)
 
 
 def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> str:

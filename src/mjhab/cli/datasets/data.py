@@ -21,6 +21,7 @@ from mjhab.cli.options.datasets.data import (
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.outputs import check_file
 from mjhab.core.progress import late_bar, progress_bar
 from mjhab.data.export.folders import broken
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
@@ -129,10 +130,7 @@ def _report(options: DataReportOptions) -> int:
     from mjhab.render.film import FilmWriter
     from mjhab.reports.dataset import render_data_report
 
-    if options.out.is_dir():
-        raise UsageError(
-            f"--out {options.out} is a folder; give a file such as {options.out / 'report.html'}."
-        )
+    check_file(options.out, ".html")
     where = read_filter(options.where, options.preset)
     with late_bar("films") as begin:
         page = render_data_report(options.places, FilmWriter, where, begin)

@@ -10,7 +10,7 @@ from typing import Any
 
 from mjhab.config.ranges import MAX_NUMBER, check_range, range_of
 from mjhab.core.errors import UsageError
-from mjhab.core.files.outputs import check_output
+from mjhab.core.files.outputs import check_file, check_output
 
 MAX_TEXT_CHARACTERS = 1000
 MAX_FILTER_CHARACTERS = 10_000
@@ -18,6 +18,9 @@ FILTERS = ("where", "keep")
 MAX_PATH_CHARACTERS = 4096
 OUTPUTS = ("out", "page", "export", "log", "record")
 """Options that name output files or folders."""
+
+KINDS = {"page": ".md", "export": ".html", "record": ".h5"}
+"""Options that name a file of one kind, and how its name ends."""
 
 
 def check_limits(options: Any) -> None:
@@ -35,6 +38,8 @@ def check_limits(options: Any) -> None:
             _check(field.name, one)
         if field.name in OUTPUTS and isinstance(value, Path):
             check_output(value, _shown(field.name))
+            if field.name in KINDS:
+                check_file(value, KINDS[field.name], _shown(field.name))
 
 
 def _check(name: str, value: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import sys
 from pathlib import Path
@@ -15,22 +16,24 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.evaluation.evaluate import EvaluationInterrupted
 from mjhab.evaluation.score.leaderboard import leaderboard
-from mjhab.evaluation.score.result import Result, read_for_table, read_result
-from mjhab.evaluation.score.run import CHECKED_EPISODES, RESULT_FILE, ScoreSpec, check, score
+from mjhab.evaluation.score.result import RESULT_FILE, Result, read_for_table, read_result
+from mjhab.evaluation.score.run import CHECKED_EPISODES, ScoreSpec, check, score
 from mjhab.evaluation.score.starts import write_starts
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.serving.address import with_options
 
 _MOST_SHOWN = 10
+MODES = {
+    "check": ("check", "check_seed", "json"),
+    "table": ("table", "page", "json"),
+    "starts": ("starts", "track", "split", "worlds", "threads", "json"),
+}
+"""What the command does instead of scoring, by option, and the options that it takes then."""
 
 
 def run_score(options: ScoreOptions) -> int:
     """Run the command; returns 0, 1 if a check finds episodes with another outcome, or 130 after Ctrl-C."""
-    modes = [bool(options.check), bool(options.table), options.starts]
-    if sum(modes) > 1:
-        raise UsageError("--check, --table and --starts exclude each other.")
-    if options.page and not options.table:
-        raise UsageError("--page is for --table FILE ...")
+    _check_options(options)
     if options.check:
         return _check(options.check, options)
     if options.table:
@@ -40,6 +43,29 @@ def run_score(options: ScoreOptions) -> int:
         print(f"{count} starts of {options.track}/{options.split} written")
         return 0
     return _score(options)
+
+
+def _check_options(options: ScoreOptions) -> None:
+    """Refuse options that would be passed over.
+
+    Raises:
+        UsageError: names the option.
+    """
+    modes = [name for name in MODES if getattr(options, name)]
+    if len(modes) > 1:
+        raise UsageError("--check, --table and --starts exclude each other.")
+    given = [
+        field.name
+        for field in dataclasses.fields(options)
+        if getattr(options, field.name) != field.default
+    ]
+    for name in given:
+        shown = f"--{name.replace('_', '-')}"
+        if modes and name not in MODES[modes[0]]:
+            raise UsageError(f"{shown} has no meaning with --{modes[0]}: leave it out.")
+        if not modes and name in (*MODES["check"], *MODES["table"]) and name != "json":
+            mode = "check FILE" if name in MODES["check"] else "table FILE ..."
+            raise UsageError(f"{shown} is for --{mode}")
 
 
 def _score(options: ScoreOptions) -> int:
@@ -139,6 +165,11 @@ def _check(path: Path, options: ScoreOptions) -> int:
 
 def _table(options: ScoreOptions) -> int:
     results = [read_for_table(path) for path in options.table]
+    places: dict[str, Path] = {}
+    for path, result in zip(options.table, results, strict=True):
+        first = places.setdefault(result.digest, path)
+        if first != path:
+            raise UsageError(f"{first} and {path} are the same result; give one of them.")
     text = leaderboard(results)
     page = options.page
     if page is None:

@@ -35,6 +35,27 @@ def check_output(path: Path, option: str = "--out") -> None:
         ) from error
 
 
+def check_file(path: Path, suffix: str, option: str = "--out") -> None:
+    """Refuse a file of another kind than a command writes, so that a slip replaces no recorded data or results.
+
+    Args:
+        path: the file, which is replaced if it exists.
+        suffix: what its name ends with, such as ".html".
+        option: what the user gave it by, for the message.
+
+    Raises:
+        UsageError: it is a folder, or its name ends otherwise.
+    """
+    example = path.with_suffix(suffix)
+    if path.is_dir():
+        example = path / f"report{suffix}"
+        raise UsageError(f"{option} {_shown(path)} is a folder; give a file such as {example}.")
+    if path.suffix.lower() != suffix:
+        raise UsageError(
+            f"{option} {_shown(path)} must end with {suffix}, for instance {_shown(example)}."
+        )
+
+
 def _probe(path: Path) -> None:
     """Make and delete a folder in the lowest folder at or above ``path`` that exists.
 

@@ -24,6 +24,7 @@ from mjhab.rollout.records import EpisodeRecord
 FORMAT = "mjhab-score"
 SUMMARY_FORMAT = "mjhab-score-summary"
 VERSION = 1
+RESULT_FILE = "result.json"
 MAX_FILE_BYTES = 1 << 30
 
 
@@ -265,6 +266,8 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> Result:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder; give the {RESULT_FILE} in it.")
     if not path.is_file():
         raise UsageError(f"there is no file {path}.")
     if path.stat().st_size > MAX_FILE_BYTES:

@@ -27,7 +27,7 @@ from mjhab.evaluation.score.actions import (
 )
 from mjhab.evaluation.score.capabilities import capabilities_of
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
-from mjhab.evaluation.score.result import Result, Scored, write_result, write_summary
+from mjhab.evaluation.score.result import RESULT_FILE, Result, Scored, write_result, write_summary
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.records import EpisodeRecord
@@ -37,7 +37,6 @@ FREE_OPTIONS = frozenset(
     {"obs_mode", "cameras", "camera_size", "control_mode", "base", "stationary", "profile", "robot"}
 )
 """Environment options that a policy may choose: observations, control and robot. The benchmark fixes all others."""
-RESULT_FILE = "result.json"
 SUMMARY_FILE = "summary.json"
 CHECKED_EPISODES = 100
 """Largest number of episodes that a check replays."""

@@ -18,9 +18,16 @@ from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, inspect_policy, resolve_policy
+from mjhab.evaluation.resolve import (
+    PolicyFacts,
+    PolicyOptions,
+    check_style,
+    inspect_policy,
+    resolve_policy,
+)
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy
+from mjhab.scenes.packs import open_pack
 from mjhab.serving.dialects.dialect import OWN
 
 NEEDS = ("world", "observation")
@@ -57,10 +64,13 @@ class TwinResponder:
         assets: the asset pack whose homes clients may use.
 
     Raises:
-        UsageError: there is no such policy.
+        UsageError: there is no such policy or asset pack, or the policy has no such style.
     """
 
     def __init__(self, spec: str, options: PolicyOptions, assets: str = BUILTIN) -> None:
+        check_style(spec, options.style)
+        if assets != BUILTIN:
+            open_pack(assets)
         self.facts: PolicyFacts = inspect_policy(spec)
         self._spec = spec
         self._options = options

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.errors import MjhabError
 from mjhab.data.record.recorder import signal_rows
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs.sequential import SequentialTaskEnv
@@ -113,6 +114,16 @@ class LiveSession:
         self._thread = threading.Thread(target=self._run, name="worlds", daemon=True)
 
     # -- called by the page, on its threads -----------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """Make the first environment and policy and open the shard, so that what cannot work is told before `start`.
+
+        Raises:
+            UsageError: the options of the worlds or the policy cannot work, or the shard cannot be written.
+            DamagedError: the file is no shard.
+        """
+        self._prepare(self._wish.policy)
+        self._open_shard()
 
     def start(self) -> None:
         """Start the thread that runs the worlds."""
@@ -358,14 +369,18 @@ class LiveSession:
         print(f"mjhab: {problem}", file=sys.stderr)
 
     def _record(self) -> list[Sink]:
-        if self._shard is None:
-            return []
+        self._open_shard()
         if self._writer is None:
-            self._writer = ShardWriter(self._shard)
+            return []
         assert self.env is not None
         facts = describe_policy(self._needs(self._wish.policy)[0])
         about = {"name": facts.name, **facts.identity}
         return [TakeRecorder(self._writer, self.env, about, self._writer.has), _Counter(self)]
+
+    def _open_shard(self) -> None:
+        """Open the file that episodes are recorded to, if there is one."""
+        if self._shard is not None and self._writer is None:
+            self._writer = ShardWriter(self._shard)
 
     def note_kept(self) -> None:
         """Update the number of recorded episodes, after one was written."""
@@ -491,6 +506,8 @@ def _moment(
 
 
 def _told(error: Exception) -> str:
-    """Message about an error for the page: type, text, function and line."""
+    """Message about an error for the page: its text, with type, function and line if it is not one of ours."""
+    if isinstance(error, MjhabError):
+        return str(error)
     where = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"

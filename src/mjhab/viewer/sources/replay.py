@@ -136,6 +136,9 @@ class Replay:
         """The episode that is shown; None until one was read."""
         return None if self._shown is None else self._shown[1]
 
+    def prepare(self) -> None:
+        """Do nothing: the shards were read when this was made."""
+
     def start(self) -> None:
         """Show the episode at the position ``first``."""
         self.choose(self._first)

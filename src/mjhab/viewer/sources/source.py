@@ -67,6 +67,10 @@ class Source(Protocol):
         """Return the expert's plan in a state of the track; None if switched off, not yet computed, or missing."""
         ...
 
+    def prepare(self) -> None:
+        """Make what `start` needs, so that what cannot work is told before a page is served."""
+        ...
+
     def start(self) -> None:
         """Start to run, or show the first episode."""
         ...

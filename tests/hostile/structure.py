@@ -25,6 +25,7 @@ import numpy as np
 
 from mjhab.cli.main import main
 from mjhab.core.errors import MjhabError
+from mjhab.data.record.generation import CONFIG, TRIED, generate
 from mjhab.data.select.sets import stats
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import episode_digest
@@ -35,6 +36,7 @@ from mjhab.evaluation import evaluate
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
+from tests.data.record.crews import KEEP, InlineCrew, job
 from tests.hostile.mutations import changed_json
 from tests.rollout.fake_env import FakeEnv as RolloutEnv
 
@@ -285,6 +287,15 @@ def _without_physics() -> Iterator[None]:
         evaluate.make_env = real
 
 
+def make_set(folder: Path) -> None:
+    generate(job(folder / "set", KEEP, episodes=6), InlineCrew())
+
+
+def read_set(folder: Path) -> bool:
+    again = job(folder / "set", KEEP, episodes=6)
+    return asked(lambda: generate(again, InlineCrew(), resume=True))
+
+
 def _changing(
     change: Callable[[Path, random.Random], None], name: str
 ) -> Callable[[Path, random.Random], None]:
@@ -298,6 +309,8 @@ SUBJECTS: dict[str, Subject] = {
     "ms_hab HDF5": Subject(make_export, _changing(change_hdf5, "b.h5"), read_import),
     "run config": Subject(make_run, _changing(change_json_file, "run/config.json"), read_run),
     "run summary": Subject(make_run, _changing(change_json_file, "run/summary.json"), read_run),
+    "generation config": Subject(make_set, _changing(change_json_file, f"set/{CONFIG}"), read_set),
+    "tried episodes": Subject(make_set, _changing(change_json_line, f"set/{TRIED}"), read_set),
     "run records": Subject(make_run, _changing(change_json_line, "run/episodes.jsonl"), read_run),
 }
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from mjhab.cli.options import common as opt
-from mjhab.cli.options import env, expert, gpu, spawn
+from mjhab.cli.options import assets, engine, env, episodes, expert, gpu, homes, machine, spawn
 from mjhab.cli.options import view as look
 from mjhab.cli.options.common import Sub
 from mjhab.cli.options.datasets import data, export
 from mjhab.cli.options.datasets import generate as gen
+from mjhab.cli.options.policies import evaluate as evals
 from mjhab.cli.options.policies import reproduce as rep
 from mjhab.cli.options.policies import score as sco
 from mjhab.cli.options.policies import serve as srv
@@ -22,9 +22,9 @@ class BenchCommand:
     """Measure this machine and the physics."""
 
     command: (
-        Annotated[opt.BenchSimOptions, Sub("sim")]
-        | Annotated[env.BenchScalingOptions, Sub("scaling")]
-        | Annotated[opt.BenchGraspOptions, Sub("grasp")]
+        Annotated[engine.BenchSimOptions, Sub("sim")]
+        | Annotated[engine.BenchScalingOptions, Sub("scaling")]
+        | Annotated[engine.BenchGraspOptions, Sub("grasp")]
         | Annotated[env.BenchEnvOptions, Sub("env")]
         | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
         | Annotated[env.BenchSoakOptions, Sub("soak")]
@@ -40,13 +40,13 @@ class BenchCommand:
 
 
 Command = (
-    Annotated[opt.DemoOptions, Sub("demo")]
-    | Annotated[opt.EvalOptions, Sub("eval")]
+    Annotated[evals.DemoOptions, Sub("demo")]
+    | Annotated[evals.EvalOptions, Sub("eval")]
     | Annotated[env.EnvsCommand, Sub("envs")]
     | Annotated[env.RobotsCommand, Sub("robots")]
-    | Annotated[opt.HomesCommand, Sub("homes")]
-    | Annotated[opt.AssetsCommand, Sub("assets")]
-    | Annotated[opt.EpisodesCommand, Sub("episodes")]
+    | Annotated[homes.HomesCommand, Sub("homes")]
+    | Annotated[assets.AssetsCommand, Sub("assets")]
+    | Annotated[episodes.EpisodesCommand, Sub("episodes")]
     | Annotated[spawn.SpawnsCommand, Sub("spawns")]
     | Annotated[BenchCommand, Sub("bench")]
     | Annotated[sco.ScoreOptions, Sub("score")]
@@ -59,23 +59,23 @@ Command = (
     | Annotated[data.DataCommand, Sub("data")]
     | Annotated[data.LabelOptions, Sub("label")]
     | Annotated[export.ExportCommand, Sub("export")]
-    | Annotated[opt.ExamplesOptions, Sub("examples")]
+    | Annotated[machine.ExamplesOptions, Sub("examples")]
     | Annotated[gpu.WarmupOptions, Sub("warmup")]
-    | Annotated[opt.DoctorOptions, Sub("doctor")]
+    | Annotated[machine.DoctorOptions, Sub("doctor")]
 )
 
 RUNNERS: dict[type, tuple[str, str]] = {
-    opt.DemoOptions: ("cli.policies.evaluate", "run_demo"),
-    opt.EvalOptions: ("cli.policies.evaluate", "run_eval"),
+    evals.DemoOptions: ("cli.policies.evaluate", "run_demo"),
+    evals.EvalOptions: ("cli.policies.evaluate", "run_eval"),
     env.EnvsCommand: ("cli.worlds.envs", "run_envs"),
     env.RobotsCommand: ("cli.worlds.robots", "run_robots"),
-    opt.HomesCommand: ("cli.worlds.homes", "run_homes"),
-    opt.AssetsCommand: ("cli.worlds.assets", "run_assets"),
-    opt.EpisodesCommand: ("cli.worlds.episodes", "run_episodes"),
+    homes.HomesCommand: ("cli.worlds.homes", "run_homes"),
+    assets.AssetsCommand: ("cli.worlds.assets", "run_assets"),
+    episodes.EpisodesCommand: ("cli.worlds.episodes", "run_episodes"),
     spawn.SpawnsCommand: ("cli.worlds.spawns", "run_spawns"),
-    opt.BenchSimOptions: ("cli.bench.engine", "bench_sim"),
-    env.BenchScalingOptions: ("cli.bench.scaling", "bench_scaling"),
-    opt.BenchGraspOptions: ("cli.bench.engine", "bench_grasp"),
+    engine.BenchSimOptions: ("cli.bench.engine", "bench_sim"),
+    engine.BenchScalingOptions: ("cli.bench.scaling", "bench_scaling"),
+    engine.BenchGraspOptions: ("cli.bench.engine", "bench_grasp"),
     env.BenchEnvOptions: ("cli.bench.env", "bench_env"),
     spawn.BenchSpawnOptions: ("cli.worlds.spawns", "bench_spawn"),
     env.BenchSoakOptions: ("cli.bench.soak", "bench_soak"),
@@ -97,9 +97,9 @@ RUNNERS: dict[type, tuple[str, str]] = {
     data.DataCommand: ("cli.datasets.data", "run_data"),
     data.LabelOptions: ("cli.datasets.data", "run_data"),
     export.ExportCommand: ("cli.datasets.export", "run_export"),
-    opt.ExamplesOptions: ("cli.machine.examples", "run_examples"),
+    machine.ExamplesOptions: ("cli.machine.examples", "run_examples"),
     gpu.WarmupOptions: ("cli.machine.warmup", "run_warmup"),
-    opt.DoctorOptions: ("cli.machine.doctor", "run_doctor"),
+    machine.DoctorOptions: ("cli.machine.doctor", "run_doctor"),
 }
 """Module (below ``mjhab``) and function that run a command, by the class of its options or of its group. Modules are
 imported when the command runs, so that --help is fast."""

@@ -12,7 +12,6 @@ KERNEL_MODULES = (
     "experts.arm.ik_kernels",
     "experts.arm.sphere_gaps",
     "experts.arm.step_kernels",
-    "experts.base.follower",
     "experts.base.navigation",
     "experts.base.pilot",
     "robots.damped_steps",

@@ -16,6 +16,7 @@ from mjhab.render.primitives import capsule_mesh, primitive_mesh
 from mjhab.render.render_scene import RenderScene
 from mjhab.render.textures import TexturePool
 from mjhab.scenes.builtin.materials import MATERIALS, Material
+from mjhab.scenes.shapes.colors import srgb_to_linear
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Light, Vec3
 
@@ -24,12 +25,6 @@ PLAIN_FACE = 0
 """Id of the light grey material of meshes without colours or textures of their own."""
 MESH_GLOSS = 0.2
 """Gloss (0 to 1) of meshes with colours or textures of their own."""
-
-
-def srgb_to_linear(color: ArrayLike) -> np.ndarray:
-    """Convert sRGB values in 0..1 (any shape) to linear light."""
-    c = np.asarray(color, np.float64)
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def _pick(textures: tuple[np.ndarray, ...], number: int) -> np.ndarray | None:

@@ -16,6 +16,7 @@ from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.primitives import box_mesh
+from mjhab.render.raster.arrays import DIVERGED_BEYOND_M
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.render_scene import RenderScene
 from mjhab.robots.parts import CameraMount
@@ -39,8 +40,6 @@ HOME_FOVY = 0.8
 """Vertical field of view of the "top" view [rad]."""
 INSIDE_HEIGHT = 2.0
 """Height of the camera of the "inside" view [m]."""
-FAR = 1e4
-"""A body farther than this from the origin means that the physics has diverged [m]."""
 
 
 class BodyPoses(Protocol):
@@ -165,7 +164,7 @@ class HomeRenderer:
     ) -> dict[str, np.ndarray]:
         """Render robot cameras in all worlds.
 
-        A world whose physics has diverged (poses not finite, or beyond `FAR`) gets images of zeros.
+        A world whose physics has diverged (poses not finite, or beyond `DIVERGED_BEYOND_M`) gets images of zeros.
 
         Args:
             state: poses of the bodies.
@@ -185,9 +184,9 @@ class HomeRenderer:
         fovy = [mount.fovy for mount in self._cameras(cameras)]
         pos, mat = self.camera_poses(state, cameras)
         # NaN fails the comparison. It must not reach the kernels, which have no bounds checks.
-        sane = (np.abs(state.body_pos) < FAR).all((1, 2)) & (np.abs(state.body_mat) < 2.0).all(
-            (1, 2, 3)
-        )
+        sane = (np.abs(state.body_pos) < DIVERGED_BEYOND_M).all((1, 2)) & (
+            np.abs(state.body_mat) < 2.0
+        ).all((1, 2, 3))
         rows = slice(None) if sane.all() else sane
         drawn = self.rasterizer.render(
             index[rows],

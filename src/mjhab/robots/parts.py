@@ -102,7 +102,7 @@ class CameraMount:
     """A camera of the robot.
 
     ``pos`` [m] and ``quat`` (wxyz) are in the frame of link ``body``, in MuJoCo's convention: the camera looks along -z
-    with y up. ``resolution`` is (width, height) [pixels]; ``near`` and ``far`` are clipping distances [m].
+    with y up. ``resolution`` is (width, height) [pixels].
     """
 
     name: str
@@ -112,8 +112,6 @@ class CameraMount:
     fovy: float
     """Vertical field of view [rad]."""
     resolution: tuple[int, int] = (128, 128)
-    near: float = 0.01
-    far: float = 100.0
 
 
 LOOK_FORWARD: Quat = (0.5, 0.5, -0.5, -0.5)

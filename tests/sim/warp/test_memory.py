@@ -9,6 +9,7 @@ import importlib
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, cast
 
@@ -16,7 +17,9 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout
+from mjhab.robots.parts import Drives
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from tests.missing import need_warp
 from tests.sim.warp.start import (
@@ -80,6 +83,31 @@ def test_buffer_sizes_are_measured_once_and_hold_the_stress(
     assert not {"contact_overflow", "constraint_overflow", "nan"} & set().union(
         *bits_of(shared.taint())
     )
+
+
+def test_buffer_sizes_are_measured_for_every_kind_of_servos(
+    warp: ModuleType,
+    cpu: CpuSimulator,
+    layout: Layout,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    from mjhab.sim.warp import sizes as warp_sizes
+
+    measured: list[Any] = []
+
+    def measure(layout: Layout, model: Any, *_: object) -> Any:
+        measured.append(model)
+        return warp_sizes.Demand(
+            contacts=1, mean_contacts=1.0, ccd=1, mean_ccd=1.0, rows=1, awake=1
+        )
+
+    monkeypatch.setattr(warp_sizes, "measure_demand", measure)
+    monkeypatch.setattr(warp_sizes, "cache_dir", lambda: tmp_path)
+    by_speed = HomeModels(layout, Drives(velocity=layout.robot.group("arm")))
+    for model in (cpu.model, by_speed, cpu.model, by_speed):
+        warp_sizes.buffer_sizes(layout, model, cpu.addresses, WORLDS, cast(Any, None))
+    assert measured == [cpu.model, by_speed]
 
 
 def host_block(size: int, **_: object) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mjhab.bench.simulation.engine import measure_engine
-from mjhab.cli.options.common import BenchGraspOptions, BenchSimOptions
+from mjhab.cli.options.engine import BenchGraspOptions, BenchSimOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.robots.registry import DEFAULT_ROBOT
 

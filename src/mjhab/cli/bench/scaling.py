@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from mjhab.bench.simulation.scaling import MEASURED, MOST_CELLS, measure_scaling, threads_of
-from mjhab.cli.options.env import BenchScalingOptions
+from mjhab.cli.options.engine import BenchScalingOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores

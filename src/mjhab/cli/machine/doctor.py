@@ -8,7 +8,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.options.common import DoctorOptions
+from mjhab.cli.options.machine import DoctorOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.files.cache import cache_dir
 from mjhab.core.machine import cores, gpu_name, install_extra, installed, pip_install

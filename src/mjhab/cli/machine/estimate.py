@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.cli.options.common import DoctorOptions
+from mjhab.cli.options.machine import DoctorOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.envs.estimate import rooms

@@ -7,7 +7,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from mjhab.cli.options.common import ExamplesOptions
+from mjhab.cli.options.machine import ExamplesOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.errors import UsageError
 

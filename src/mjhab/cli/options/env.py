@@ -1,4 +1,4 @@
-"""The options of ``mjhab envs``, ``mjhab bench env`` and ``bench scaling``."""
+"""The options of ``mjhab envs`` and ``mjhab bench env``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.bench.specs import SOAK_CACHE_MB, EnvBenchSpec, RewardSpec, ScalingSpec, SoakSpec
+from mjhab.bench.specs import SOAK_CACHE_MB, EnvBenchSpec, RewardSpec, SoakSpec
 from mjhab.cli.options.common import (
     Assets,
     Backend,
@@ -146,36 +146,6 @@ class BenchRewardOptions(ProfileOptions, RewardSpec):
     """Folder of report.html and reward.json."""
     json: bool = False
     """Print one line of JSON at the end."""
-
-
-@dataclass(frozen=True)
-class BenchScalingOptions(ScalingSpec):
-    """Measure the engine and the environment with several numbers of worlds and threads.
-
-    From the table follows how much of a step is serial, and what more cores would give. It takes minutes, on an idle
-    machine.
-    """
-
-    worlds: Numbers = ScalingSpec.worlds
-    """Numbers of worlds that step in parallel."""
-    threads: Numbers = ScalingSpec.threads
-    """Numbers of threads; 1, 2, 4, ... up to the number of cores if absent."""
-    task: Name = ScalingSpec.task
-    """Task that sets homes and objects: set_table, tidy_house, prepare_groceries or one of a plugin."""
-    rounds: Number = ScalingSpec.rounds
-    """Pairs of blocks; the results are medians over them."""
-    seed: Number = ScalingSpec.seed
-    """Seed of the episodes."""
-    robot: MaybeName = None
-    """The robot (see: mjhab robots list); the default one if absent."""
-    assets: Assets = ScalingSpec.assets
-    """Asset pack: builtin, or the folder of another pack."""
-    stage_mesh: StageMesh = None
-    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
-    articulate: Joints = None
-    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
-    json: bool = False
-    """Print one line of JSON instead of tables."""
 
 
 @dataclass(frozen=True)

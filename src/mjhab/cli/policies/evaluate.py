@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjhab.cli.interrupts import sigterm_interrupts
-from mjhab.cli.options.common import DemoOptions, EvalOptions
+from mjhab.cli.options.policies.evaluate import DemoOptions, EvalOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.config.profile_choice import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation

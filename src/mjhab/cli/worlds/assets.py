@@ -20,7 +20,7 @@ from rich.progress import Progress as Bars
 
 from mjhab.assets.install import Progress, fetch, install_bundle, read_record, verify
 from mjhab.assets.sources import SOURCES, Source, hub_endpoint, source_named
-from mjhab.cli.options.common import (
+from mjhab.cli.options.assets import (
     AssetsFetchOptions,
     AssetsListOptions,
     AssetsVerifyOptions,

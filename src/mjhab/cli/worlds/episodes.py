@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mjhab.cli.options.common import EpisodesCheckOptions, EpisodesMakeOptions
+from mjhab.cli.options.episodes import EpisodesCheckOptions, EpisodesMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.reading import read_json_object

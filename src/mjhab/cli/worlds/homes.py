@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from mjhab.cli.options.common import (
+from mjhab.cli.options.homes import (
     HomesCheckOptions,
     HomesListOptions,
     HomesRenderOptions,

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Sequence
 from typing import Any
 
-from mjhab.cli.options.common import HomesCheckOptions
+from mjhab.cli.options.homes import HomesCheckOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.worlds.home_names import homes_of_split
 from mjhab.core.progress import progress_bar

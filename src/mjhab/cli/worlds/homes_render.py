@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.options.common import HomesRenderOptions
+from mjhab.cli.options.homes import HomesRenderOptions
 from mjhab.cli.output import at_least, print_json
 from mjhab.cli.worlds.home_names import find_home, homes_of_split
 from mjhab.core.errors import UsageError

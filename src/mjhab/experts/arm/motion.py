@@ -20,8 +20,8 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.base.follower import Follower
 from mjhab.experts.base.navigation import FloorClearance, Planner
+from mjhab.experts.base.pilot import Pilot
 from mjhab.robots.robot import Robot
 
 Array = np.ndarray
@@ -31,6 +31,8 @@ Until = Callable[[WorldView], bool]
 OPEN = 1.0
 CLOSED = -1.0
 """Gripper commands."""
+DRIVE_LOOKAHEAD_M = 0.2
+"""Look-ahead distance of the `Pilot` of `drive_to`."""
 QUIET_RAD_S = 0.3
 """Speed of every arm joint below which the arm counts as settled."""
 OPENED_M = 0.004
@@ -210,12 +212,12 @@ def drive_to(view: WorldView, goal: Array, *, gripper: float, max_steps: int = 1
         return False
     if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
         path = np.concatenate([path, goal[None, :2]])
-    follower = Follower(path, float(goal[2]))
+    pilot = Pilot(path, float(goal[2]), direction=1, lookahead=DRIVE_LOOKAHEAD_M)
     posture = view.q
     for _ in range(max_steps):
-        step = follower.step(view.base)
-        yield action(view, posture, gripper=gripper, drive=(step.v, step.w))
-        if step.done:
+        forward, turn, arrived = pilot.step(view.base)
+        yield action(view, posture, gripper=gripper, drive=(forward, turn))
+        if arrived:
             return True
     return False
 

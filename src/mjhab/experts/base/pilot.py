@@ -57,7 +57,7 @@ class Way(NamedTuple):
 class Pilot:
     """Controller that drives the base along a path, then turns it to a heading.
 
-    It is faster than `Follower` and ends within centimetres of the goal; the arm compensates the rest.
+    It ends within centimetres of the goal; the arm compensates the rest.
 
     Args:
         path: (P, 2) way points; the first is where the base is.

@@ -15,6 +15,8 @@ FACE_BITS = 18
 """An id of a pixel is ``instance << FACE_BITS | face of the drawn mesh``."""
 PARKED_BELOW = -25.0
 """Instances whose origin lies below this height [m] are parked pieces of other homes and are not drawn."""
+DIVERGED_BEYOND_M = 1e4
+"""A body farther than this from the origin means that the physics has diverged."""
 ORDER_BUCKETS = 128
 """Number of depth buckets of the front-to-back order of instances."""
 

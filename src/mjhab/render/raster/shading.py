@@ -15,6 +15,7 @@ from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.lighting import blended_share, light_point, sky
 from mjhab.render.raster.surfaces import fill_frame, normal_at, place_point
 from mjhab.render.raster.texturing import pattern_axes, texture_level, textured
+from mjhab.scenes.shapes.colors import linear_to_srgb
 
 SHORT_RUN = 3
 """Runs up to this many samples have constant light, that of their middle."""
@@ -62,8 +63,7 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
     linear = np.linspace(0.0, TONE_RANGE, entries)
     over = np.maximum(linear - 0.6, 0.0)
     linear = np.minimum(linear, 0.6) + 0.4 * (1.0 - np.exp(-over / 0.4))
-    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.round(255.0 * np.clip(srgb, 0.0, 1.0)).astype(np.uint8)
+    return np.round(255.0 * linear_to_srgb(linear)).astype(np.uint8)
 
 
 @color_inline

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjhab.render.raster.arrays import FACE_BITS, PARKED_BELOW
+from mjhab.render.raster.arrays import DIVERGED_BEYOND_M, FACE_BITS, PARKED_BELOW
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,8 +36,7 @@ EDGE = wp.constant(1.0e-4)
 """Tolerance of barycentric coordinates at the edges of faces."""
 ROUNDING = wp.constant(2.0e-6)
 """Relative rounding error of float32 coordinates."""
-FAR_AWAY = wp.constant(1.0e4)
-"""A body farther than this from the origin means that the physics has diverged [m]."""
+FAR_AWAY = wp.constant(DIVERGED_BEYOND_M)
 
 
 @wp.struct

@@ -56,7 +56,7 @@ CLUTTER_TYPES: tuple[str, ...] = tuple(name for name in SIZES if name != "013_ap
 """The nine object types of TidyHouse, of PrepareGroceries, and of the clutter of SetTable."""
 
 BOWL_WALL_M = 0.0045
-"""Thickness of the bowl's wall [m]."""
+"""Thickness of the collision wall of a bowl [m]; a scanned wall is thinner, too thin for a stable grasp."""
 _BOWL_PROFILE_M = ((0.046, -0.0275), (0.0735, -0.0075), (0.0805, 0.0275))
 """Outer (radius, z) [m] of the bowl at foot, knee and rim; steep above the knee, so that the rim can be grasped."""
 BOWL_FACETS = 12

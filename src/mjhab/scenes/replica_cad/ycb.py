@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from mjhab.core.errors import UsageError
-from mjhab.scenes.builtin.objects import MASSES
+from mjhab.scenes.builtin.objects import BOWL_WALL_M, MASSES
 from mjhab.scenes.formats.gltf import Primitive, read_glb
 from mjhab.scenes.object_glb import check_extent
 from mjhab.scenes.shapes.hulls import hull_mesh
@@ -33,8 +33,6 @@ MAX_HOLLOW_SHARE = 0.6
 """A scan whose volume is less than this fraction of its convex hull's is hollow and collides as a bowl."""
 HULL_DIRECTIONS = 160
 """Largest number of vertices of a collision hull."""
-BOWL_WALL_M = 0.0045
-"""Thickness of the collision wall of a bowl [m]; the scanned wall is thinner, too thin for a stable grasp."""
 RIM_PIECES = 16
 BASE_PIECES = 8
 _MAX_SAMPLE_EDGE_M = 0.006

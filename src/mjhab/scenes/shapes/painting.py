@@ -9,6 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from mjhab.scenes.formats.gltf import Primitive
+from mjhab.scenes.shapes.colors import linear_to_srgb
 from mjhab.scenes.shapes.meshes import Mesh
 
 Array = np.ndarray
@@ -39,7 +40,7 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
                 textures.append(fit_texture(part.texture, part.vertices[faces], uv))
         back = _open_faces(part.vertices, faces)
         both = np.concatenate([faces, faces[back][:, ::-1]])
-        color = np.broadcast_to(_srgb(part.color), (len(both), 3))
+        color = np.broadcast_to(linear_to_srgb(part.color), (len(both), 3))
         uv = np.concatenate([uv, uv[back][:, ::-1]])
         columns.append((part.vertices, both + start, color, uv, np.full(len(both), number)))
         start += len(part.vertices)
@@ -85,11 +86,6 @@ def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
 def _near_zero(uv: Array) -> Array:
     """Texture coordinates (F, 3, 2) shifted per face by whole periods towards 0, for the precision of float32."""
     return uv - np.floor(uv.min(axis=1, keepdims=True))
-
-
-def _srgb(linear: Array) -> Array:
-    linear = np.clip(np.asarray(linear, float), 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def _open_faces(points: Array, faces: Array) -> Array:

@@ -122,7 +122,7 @@ def buffer_sizes(
 
     Args:
         layout: the layout.
-        model: returns the compiled model of a home by name.
+        model: returns the compiled model of a home by name, with the servos that the worlds have.
         a: addresses of the layout.
         num_worlds: size of the batch.
         device: Warp device to measure on.
@@ -134,13 +134,17 @@ def buffer_sizes(
     digest = hashlib.sha256(repr((_FORMAT, mjw.__version__)).encode() + Path(__file__).read_bytes())
     for home in chosen:
         digest.update(home_hash(layout, home).encode())
+    # Servos decide how hard the robot pushes; the hash of a home has those of the robot, not of the control mode.
+    first = model(homes[0].name)
+    for servos in (first.actuator_gainprm, first.actuator_biasprm, first.jnt_actfrcrange):
+        digest.update(servos.tobytes())
     path = cache_dir() / "warp" / f"sizes-{digest.hexdigest()[:24]}.json"
     demand = read_cached(path, _load)
     if demand is None:
         demand = measure_demand(layout, model, a, chosen, device)
         text = json.dumps(dataclasses.asdict(demand))
         write_cached(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    return demand.sizes(num_worlds, model(homes[0].name).nv)
+    return demand.sizes(num_worlds, first.nv)
 
 
 def _load(path: Path) -> Demand:

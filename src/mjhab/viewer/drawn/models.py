@@ -15,6 +15,7 @@ import numpy as np
 
 from mjhab.render.patterns import SHADE_TOP
 from mjhab.render.render_scene import RenderScene
+from mjhab.scenes.shapes.colors import linear_to_srgb
 
 MAX_TEXTURE_SIDE = 256
 """Longest side of a texture in the browser [px]."""
@@ -150,7 +151,7 @@ class _Looks:
         mix = picture[..., :1] / 255.0
         shade = picture[..., 1:2] * (SHADE_TOP / 255.0)
         light = shade * (color + mix * (scene.mat_color2[material] - color))
-        return Look(np.ones(3), gloss, linear_to_srgb(light))
+        return Look(np.ones(3), gloss, srgb_bytes(light))
 
 
 def _picture(scene: RenderScene, number: int) -> np.ndarray:
@@ -164,11 +165,9 @@ def _picture(scene: RenderScene, number: int) -> np.ndarray:
     return np.stack([(words >> shift) & 255 for shift in (0, 8, 16)], axis=-1).astype(np.uint8)
 
 
-def linear_to_srgb(light: np.ndarray) -> np.ndarray:
+def srgb_bytes(light: np.ndarray) -> np.ndarray:
     """Convert linear light 0 to 1 (any shape, clipped) to sRGB uint8."""
-    c = np.clip(light, 0.0, 1.0)
-    value = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
-    return np.round(255.0 * value).astype(np.uint8)
+    return np.round(255.0 * linear_to_srgb(light)).astype(np.uint8)
 
 
 def _parts(

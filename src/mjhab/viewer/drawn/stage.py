@@ -10,7 +10,7 @@ import viser
 
 from mjhab.core.rotations import quat_from_mat
 from mjhab.viewer.drawn.glb import HomeFiles
-from mjhab.viewer.drawn.models import linear_to_srgb
+from mjhab.viewer.drawn.models import srgb_bytes
 from mjhab.viewer.drawn.plan_marks import PlanMarks
 from mjhab.viewer.drawn.posing import Pose
 
@@ -92,7 +92,7 @@ class Stage:
         for k, (pos, color) in enumerate(zip(home.lamp_pos, home.lamp_color, strict=True)):
             strength = float(color.max())
             x, y, z = pos.tolist()
-            r, g, b = linear_to_srgb(color / strength).tolist()
+            r, g, b = srgb_bytes(color / strength).tolist()
             lamp = self._scene.add_light_point(
                 f"/light/lamp{k}",
                 color=(r, g, b),

@@ -8,6 +8,7 @@ import pytest
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.pinches import Options
 from mjhab.episodes.grasps.stable import StableGrasps, shape_of
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
@@ -64,3 +65,29 @@ def test_every_object_type_can_be_held_without_a_policy(held: StableGrasps, name
     for grasp in grasps:
         assert 0.0 <= grasp.fingers <= 0.05
         assert np.linalg.norm(grasp.pose[:3]) < 0.15
+
+
+@pytest.mark.parametrize("slant", [0.12, 0.43])
+@pytest.mark.parametrize("name", ["003_cracker_box", "010_potted_meat_can"])
+def test_a_hand_turned_to_a_box_straddles_its_end(name: str, slant: float):
+    half = np.array(builtin_objects()[name].half)
+    shape = ObjectShape("box", (half[0], half[1], half[2]))
+    pose = np.append([0.4, -0.2, 0.9], UPRIGHT)
+    options = Options(slants=(slant,))
+    every = grasp_candidates(LyingObject.of(shape, pose, 0.9 - half[2]), options=options)
+    off = np.arccos(np.clip(np.abs(every.rot[:, :, 1]).max(axis=1), 0.0, 1.0))
+    found = every.take(np.abs(off - slant) < 1e-6)
+    assert len(found) > 0
+    # The grasp test allows 30 degrees between the closing line and the sides that the fingers press.
+    assert slant < np.radians(30.0)
+    hand = ROBOT.gripper
+    share = np.linspace(-1.0, 1.0, 21)
+    solid = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3) * half
+    points = np.einsum("gpj,gjk->gpk", pose[:3] + solid - found.pos[:, None], found.rot)
+    x, y, z = np.moveaxis(points, 2, 0)
+    between = (np.abs(x) < hand.finger[0]) & (np.abs(z) < hand.finger[1])
+    assert (np.abs(y[between]) < hand.opening / 2).all()
+    assert between.any(axis=1).all()
+    # The upper edge of a palm that points down may shove the box a little.
+    palm = (np.abs(y) < hand.palm_half[0]) & (np.abs(z) < hand.finger[1])
+    assert (x[palm] > hand.palm_x[1]).all()

@@ -114,7 +114,8 @@ def test_a_box_that_cannot_be_grasped_is_turned_and_stays_upright():
         assert view.link_forces.sum() < 400.0
         now = mat_from_quat(view.object_pose(obj)[3:])
         turn = float(np.degrees(np.arccos(np.clip(before[:, 0] @ now[:, 0], -1.0, 1.0))))
-        if turn > 30.0:
+        if turn > 15.0:
             break
-    assert turn > 30.0 and now[2, 2] > 0.95
+    # A hand that is itself turned to the sides of the box can grasp it after a small turn.
+    assert turn > 15.0 and now[2, 2] > 0.95
     assert motion.joint_gap(view, motion.rest_goal(view)) > 0.1

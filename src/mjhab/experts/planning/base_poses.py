@@ -90,6 +90,20 @@ def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
     return _spread(poses[reachable], steps[reachable])
 
 
+def given_poses(view: WorldView, work: Work, poses: Array) -> tuple[Array, Array]:
+    """The base ``poses`` (B, 3) with free floor that reach a hand pose, and the control steps (B,) of a straight drive
+    to them."""
+    cells = planner(view)
+    here = float(cells.clearance_at(view.base[None, :2])[0])
+    back = work.drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    room = np.minimum(cells.clearance_at(poses[:, :2]), cells.clearance_at(poses[:, :2] - back))
+    near = overreach(view.robot.reach, poses, work.goals).min(axis=1) < MAX_OVERREACH_M
+    poses = poses[near & (room >= min(cells.narrow, here))]
+    start = poses[:, :2] - back[: len(poses)]
+    way = np.linalg.norm(start - view.base[:2], axis=1)
+    return poses, 20.0 * way / 0.6 + 6.0 * work.drive_in / 0.3
+
+
 def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
     """Whether (B,) no wall or tall piece of furniture is between base poses (B, 2+) and ``point`` (3,)."""
     top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)

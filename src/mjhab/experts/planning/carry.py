@@ -34,6 +34,12 @@ from mjhab.robots.robot import Robot
 Array = np.ndarray
 BACK_WAYS_M = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Distances that the base may drive backwards while the arm moves to its rest pose."""
+OUT_WAYS_M = (0.42, 0.55, 0.7)
+"""The same from the inside of a shelf."""
+OUT_STEPS = 25
+"""Control steps of a drive out of a shelf at `HASTY_SPEED_M_S`, and to come to rest at the end."""
+HOME_DELAY = 1.2
+"""Control steps that the arm needs to its rest pose, as a multiple of `motion.steps_home`."""
 AROUND_BACK_WAYS_M = (0.0, 0.3)
 """The same for routes of `plan_around`, on which the arm passes through other postures."""
 SHELF_DEPTH_M = 0.42
@@ -246,7 +252,27 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
 
 
-def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) -> Route | None:
+def hurry_home(view: WorldView, obj: str) -> Motion:
+    """Bring the arm to rest while the base still drives out of a shelf, if one after the other takes too long and a
+    collision-free way is found. Returns whether it set out; the object may be lost then."""
+    if view.steps_left > OUT_STEPS + HOME_DELAY * float(motion.steps_home(view.robot, view.q)):
+        return False
+    robot = motion.spheres(view.robot).with_held(*held_spheres(view, obj))
+    route = plan_home(view, obj, robot, holding=True, ways=OUT_WAYS_M)
+    if route is None or route.room < 0.0:
+        return False
+    yield from follow(view, route, gripper=motion.CLOSED, held=obj)
+    return True
+
+
+def plan_home(
+    view: WorldView,
+    obj: str,
+    robot: RobotSpheres,
+    *,
+    holding: bool,
+    ways: tuple[float, ...] = BACK_WAYS_M,
+) -> Route | None:
     """A collision-free route to the rest pose with the shortest drive backwards, else the one with the most clearance;
     None when there is none."""
     others, target = surroundings(view, obj, view.tcp_pose[:3])
@@ -256,7 +282,7 @@ def plan_home(view: WorldView, obj: str, robot: RobotSpheres, *, holding: bool) 
     care = care_for(view) if holding else None
     cells = motion.planner(view.home)
     best: Route | None = None
-    for back in BACK_WAYS_M:
+    for back in ways:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break

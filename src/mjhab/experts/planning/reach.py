@@ -20,6 +20,7 @@ from mjhab.experts.planning.base_poses import (
     MAX_OVERREACH_M,
     OUT_CLEARANCE_M,
     base_poses,
+    given_poses,
     overreach,
     way_out,
 )
@@ -48,7 +49,9 @@ def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -
         blocked: if given, hand poses that can be reached but have no collision-free route are appended, for
             `sampled.roomier`.
     """
-    bases, drive = base_poses(view, work)
+    bases, drive = (
+        base_poses(view, work) if work.bases is None else given_poses(view, work, work.bases)
+    )
     if not len(bases):
         return []
     if work.drive_in and len(work.scene.target):

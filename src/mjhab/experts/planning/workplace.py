@@ -132,6 +132,7 @@ class Work:
         nearer: how much nearer [m] than that the hand may come just before its work.
         home: weight of the control steps from the work back to rest.
         far: stand far off even where one may stand nearer: that can save a long way.
+        bases: (B, 3) the base poses to choose from; None: they are searched.
     """
 
     point: Array
@@ -143,6 +144,7 @@ class Work:
     nearer: float = 0.0
     home: float = 0.0
     far: bool = False
+    bases: Array | None = None
 
 
 def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from mjhab.core.joints import BASE, BASE_XY
+from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
@@ -24,6 +25,7 @@ from mjhab.experts.planning.carry import (
     drive_out,
     go_home,
     grip,
+    hurry_home,
     inside_depth,
 )
 from mjhab.experts.planning.reach import hand_room, settle_reach
@@ -50,6 +52,10 @@ LIFT_M = 0.10
 """Height by which an object is lifted off an open surface before it is carried."""
 SHELF_LIFT_M = 0.025
 """The same on a shelf."""
+LIFT_STEPS = 16
+"""Control steps after which a lift by the arm alone is given up."""
+HASTY_LIFT_STEPS = 7
+"""The same on a shelf when few control steps are left."""
 LATE_IN_STEPS = 130
 """With fewer control steps left, the base drives into a shelf at `HASTY_SPEED_M_S`."""
 LATE_OUT_STEPS = 60
@@ -58,6 +64,8 @@ FINE_OPENING_M = 0.094
 """Opening of the hand above which less than 3 mm of free space are left on either side of the object."""
 FINE_CLOSING_M = 0.004
 """Motion of the fingers per control step while they close on a can beside its axis: an impact would push it out."""
+MIN_ALONG_COSINE = 0.995
+"""Cosine between the line on which the fingers close and an axis of a box above which they close along the axis."""
 MAX_SHORT_M = 0.025
 """Largest distance of the hand from its grasp at which the fingers close."""
 WAIT_STEPS = (5, 10, 20, 50)
@@ -106,13 +114,14 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             continue
         stance, goals, depth = found
         taken = yield from _take(view, obj, stance, goals, depth, hasty=inside)
-        short = taken is None and not depth and not short
+        short = taken is None and not short
         if short:
-            # The base stopped a little too far away: another grasp from the present base pose is the quickest. Only
-            # once, because a plan that keeps the base where it is would be repeated for ever.
+            # The base stopped a little too far away, or the object moved: another grasp from the present base pose is
+            # the quickest. Only once, because a plan that keeps the base where it is would be repeated for ever.
+            inside = inside or bool(depth)
             continue
         if taken:
-            if depth or inside:
+            if (depth or inside) and not (keep and (yield from hurry_home(view, obj))):
                 speed = (
                     HASTY_SPEED_M_S if inside or view.steps_left < LATE_OUT_STEPS else OUT_SPEED_M_S
                 )
@@ -195,7 +204,8 @@ def _nudge(view: WorldView, obj: str) -> Motion:
 def _take(
     view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float, hasty: bool = False
 ) -> Generator[Array, None, bool | None]:
-    """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach."""
+    """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach or,
+    on a shelf, was shifted on the way."""
     start = view.object_pose(obj)[:3]
     goal = goals.take(np.array([stance.goal]))
     opening = grip(view.robot, float(goal.opening[0]) + 0.004)
@@ -217,21 +227,24 @@ def _take(
         ):
             return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
-        return False
+        return None if depth else False
     joints = settle_reach(view, stance, np.stack([goal.pre[0], goal.pos[0]]), goal.rot[0])
     if joints is None:
         return None
-    if not (yield from _reach(view, goal, joints, opening)):
+    # Boxes leave enough room between the fingers: where little time is left they are taken quickly.
+    fine = _is_fine(goal)
+    quick = hasty and view.object_shape(obj).kind == "box"
+    if not (yield from _reach(view, goal, joints, opening, fine and not quick)):
         return False
+    fine = fine and not (quick and _is_along(view, obj, goal))
     pos = goal.pos[0]
     rot = goal.rot[0]
-    fine = _is_fine(goal)
     # Fingers that close while the hand still moves twist the object and press sideways for seconds.
     if fine:
         # A finger that brushed along shoved the object: the pads must meet both of its sides at once all the same.
         pos = pos + view.object_pose(obj)[:3] - start
     until = wait_for(view, motion.is_quiet)
-    steps = 6 if fine else 4
+    steps = 6 if fine and not quick else 4
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=steps, until=until)
     closed = yield from (
         motion.close_fingers(view, obj, steps=25, rate=FINE_CLOSING_M)
@@ -240,8 +253,8 @@ def _take(
     )
     if not closed:
         return False
-    up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if depth else LIFT_M])
-    return (yield from _lift(view, obj, up, rot, joints[1]))
+    up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if depth or hasty else LIFT_M])
+    return (yield from _lift(view, obj, up, rot, joints[1], quick))
 
 
 def _is_fine(goal: HandGoals) -> bool:
@@ -249,12 +262,19 @@ def _is_fine(goal: HandGoals) -> bool:
     return bool(goal.opening[0] > FINE_OPENING_M)
 
 
-def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float) -> Motion:
+def _is_along(view: WorldView, obj: str, goal: HandGoals) -> bool:
+    """Whether the fingers close along an axis of the object at a grasp (one row)."""
+    axes = mat_from_quat(view.object_pose(obj)[3:])
+    return bool(np.abs(goal.rot[0, :, 1] @ axes).max() > MIN_ALONG_COSINE)
+
+
+def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float, fine: bool) -> Motion:
     """Bring the open hand to a grasp (one row) by way of its ``pre``. Returns whether it got there.
 
     Args:
         joints: (2, J) configurations at ``pre`` and at the grasp.
         opening: gripper command.
+        fine: move slowly at the end.
     """
     yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
     # The torso is slow to stop: the last piece belongs to the arm alone.
@@ -271,7 +291,6 @@ def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float) -> M
     )
     if not (yield from motion.move_tcp(view, straight)):
         return False
-    fine = _is_fine(goal)
     if fine:
         until = wait_for(view, motion.is_quiet)
         yield from motion.still_tcp(
@@ -282,9 +301,13 @@ def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float) -> M
     return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= MAX_SHORT_M)
 
 
-def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array) -> Motion:
-    """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (J,): preferred posture."""
-    if not (yield from motion.raise_tcp(view, up, rot, rest=rest)):
+def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array, hasty: bool) -> Motion:
+    """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (J,): preferred posture.
+
+    ``hasty``: on a shelf, a lift that the arm cannot do in a few steps is left out.
+    """
+    steps = HASTY_LIFT_STEPS if hasty else LIFT_STEPS
+    if not (yield from motion.raise_tcp(view, up, rot, rest=rest, max_steps=steps)) and not hasty:
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(
             view,

@@ -53,12 +53,24 @@ clearance that applies to the hand."""
 OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=GRASP_ROOM_M[-1][0])
 # On a shelf there is little room: more directions around the object, a short approach, and boxes nearly as wide as the
 # hand opens. Below a low board no approach from above is possible: bowls are grasped by the rim from the front.
-SHELF_OPTIONS = replace(OPTIONS, fan=36, shallower=(0.0, 0.02), retreat=0.06, cells=31, scant=150.0)
+SHELF_OPTIONS = replace(
+    OPTIONS,
+    fan=36,
+    shallower=(0.0, 0.02),
+    retreat=0.06,
+    cells=31,
+    scant=150.0,
+    slants=(0.12, 0.24, 0.34, 0.43),
+)
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
 SHELF_BLUNT_M = 0.004
 """Length of the tips of the pads that does not count as contact on a shelf."""
 INSIDE_WAYS_M = (0.0, 0.1, 0.2, SHELF_DEPTH_M)
 """Distances that the base may drive straight into the shelf after a push."""
+AHEAD_M = np.arange(0.0, 0.17, 0.04)
+"""Distances straight ahead of where the base stands after a push, from which a grasp is tried first."""
+AHEAD_WAYS_M = (0.0, 0.12, 0.2, 0.3)
+"""Distances of the straight drive to these."""
 _HOME_WEIGHT = 0.8
 """Weight of the control steps from the grasp back to rest after a push, when few are left."""
 
@@ -170,36 +182,41 @@ def plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, HandG
     )
     room = hand_room(view.robot.gripper, every, around)
     best = None
-    least = np.inf
+    yaw = view.base[2]
+    ahead = view.base + AHEAD_M[:, None] * np.array([np.cos(yaw), np.sin(yaw), 0.0])
     for (asked, hand, nearer), arm in zip(GRASP_ROOM_M, CLEARANCES_M, strict=True):
         rows = np.flatnonzero((every.clear >= asked) & (room > hand))
         if not len(rows):
             continue
         goals = _diverse(every.take(rows))
-        for back in INSIDE_WAYS_M:
-            work = Work(
-                point=pose[:3],
-                goals=goals,
-                scene=scene,
-                drive_in=back,
-                avoid=failed,
-                room=arm,
-                nearer=nearer,
-                home=_HOME_WEIGHT,
-            )
-            for stance in stances(view, work):
-                cost = (
-                    stance.route.steps
-                    + in_steps(back)
-                    + _HOME_WEIGHT * float(motion.steps_home(view.robot, stance.at))
+        for bases, ways in ((ahead, AHEAD_WAYS_M), (None, INSIDE_WAYS_M)):
+            for back in ways:
+                work = Work(
+                    point=pose[:3],
+                    goals=goals,
+                    scene=scene,
+                    drive_in=back,
+                    avoid=failed,
+                    room=arm,
+                    nearer=nearer,
+                    home=_HOME_WEIGHT,
+                    bases=bases,
                 )
-                cost += 1e4 * max(-stance.route.room, 0.0)
-                if cost < least:
-                    best = (stance, goals, back)
-                    least = cost
-        if best is not None and best[0].route.room >= 0.0:
-            break
+                for stance in stances(view, work):
+                    found = stance, goals, back
+                    if best is None or _cost(view, found) < _cost(view, best):
+                        best = found
+            if best is not None and best[0].route.room >= 0.0:
+                return best
     return best
+
+
+def _cost(view: WorldView, found: tuple[Stance, HandGoals, float]) -> float:
+    """Control steps of a plan of `plan_inside`, much more if its route lacks clearance."""
+    stance, _, back = found
+    steps = stance.route.steps + in_steps(back)
+    home = _HOME_WEIGHT * float(motion.steps_home(view.robot, stance.at))
+    return steps + home + 1e4 * max(-stance.route.room, 0.0)
 
 
 def balanced(grasps: Grasps, centre: Array) -> Grasps:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+import torch
 
 Mutator = Callable[[bytes, random.Random], bytes]
 """A changed copy of the content of a file."""
@@ -203,3 +204,35 @@ def changed_safetensors(raw: bytes, rng: random.Random) -> bytes:
         text = changed_json(head, rng)
     text += b" " * (-len(text) % 8)
     return struct.pack("<Q", len(text)) + text + raw[8 + length :]
+
+
+TENSORS: tuple[Callable[[torch.Tensor], Any], ...] = (
+    lambda t: t[:0],
+    lambda t: t[None],
+    lambda t: t.flatten(),
+    lambda t: t.double(),
+    lambda t: t.to(torch.complex64),
+    lambda t: t.bool(),
+    lambda t: t.to_sparse(),
+    lambda t: torch.full_like(t, float("nan")),
+    lambda t: torch.zeros(()),
+    lambda t: t.tolist(),
+    lambda t: None,
+)
+
+
+def changed_torch(raw: bytes, rng: random.Random) -> bytes:
+    """A checkpoint of torch with one tensor changed, renamed or gone, or other content around the tensors."""
+    content: dict[str, Any] = torch.load(io.BytesIO(raw), weights_only=True)
+    weights = content["agent"]
+    name = rng.choice(sorted(weights))
+    way = rng.random()
+    if way < 0.6:
+        weights[name] = rng.choice(TENSORS)(weights[name])
+    elif way < 0.8:
+        weights[rng.choice(["", "actor.", 3, f"{name}.weight"])] = weights.pop(name)
+    else:
+        content["agent"] = rng.choice([weights[name], {}, [], None, 3, "text", {"agent": weights}])
+    out = io.BytesIO()
+    torch.save(content, out)
+    return out.getvalue()

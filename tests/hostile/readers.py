@@ -19,6 +19,7 @@ from mjhab.episodes.hab.format import from_json, read_hab, to_json
 from mjhab.episodes.spawn_sets import SpawnRow, SpawnSet, content_digest, pack_rows, write
 from mjhab.learning.by_subtask import describe_entries, read_entries
 from mjhab.learning.checkpoint import load_student, save_student
+from mjhab.learning.ms_hab.checkpoint import load_network
 from mjhab.learning.policy_kind import inspect_policy
 from mjhab.learning.students.heads import make_student
 from mjhab.scenes.formats.gltf import read_glb
@@ -37,9 +38,11 @@ from tests.hostile.mutations import (
     changed_glb,
     changed_json,
     changed_safetensors,
+    changed_torch,
     changed_xml,
 )
 from tests.learning import small
+from tests.learning.ms_hab_checkpoints import ppo_shapes, random_weights, save
 from tests.scenes.formats.glb import BOX, BOX_FACES, URDF, tiny_data_set, write_glb
 
 
@@ -226,6 +229,10 @@ def use_checkpoint(path: Path) -> None:
     student.layout.check_env(small.fake_env())
 
 
+def ms_hab_bytes(folder: Path) -> bytes:
+    return save(folder / "policy.pt", random_weights(ppo_shapes())).read_bytes()
+
+
 def read_shard(path: Path) -> None:
     with open_shard(path) as opened:
         for one in opened:
@@ -277,6 +284,7 @@ READERS: dict[str, Reader] = {
     "spawn set": Reader("s.npz", spawn_bytes, use_spawns, changed_spawns),
     "policies": Reader("p.json", policies_bytes, use_policies, changed_json),
     "checkpoint": Reader("c.safetensors", checkpoint_bytes, use_checkpoint, changed_safetensors),
+    "MS-HAB checkpoint": Reader("p.pt", ms_hab_bytes, load_network, changed_torch, 10),
     "shard": Reader(
         "b.h5", lambda folder: shard(folder / "made" / "a.h5").read_bytes(), read_shard
     ),

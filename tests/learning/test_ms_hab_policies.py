@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -343,3 +344,14 @@ def test_a_policy_acts_in_an_environment(tmp_path: Path) -> None:
         plain = Plain(CASES["sac"], weights, w, w)
         for obs, given in seen:
             np.testing.assert_allclose(given["actions"][w], plain.act(obs), atol=2e-4)
+
+
+def test_cut_checkpoints_of_the_old_format_are_refused(tmp_path: Path) -> None:
+    whole = io.BytesIO()
+    weights = {"agent": {"x": torch.zeros(2)}}
+    torch.save(weights, whole, _use_new_zipfile_serialization=False)
+    path = tmp_path / "policy.pt"
+    for length in range(0, len(whole.getvalue()), 5):
+        path.write_bytes(whole.getvalue()[:length])
+        with pytest.raises(UsageError, match=r"policy\.pt"):
+            load_network(path)

@@ -104,7 +104,9 @@ def _read(path: Path) -> Any:
             f"{path} needs more than tensors and was refused; nothing in it was executed. It asks for: "
             f"{', '.join(needed)}. {_SAVE_ALONE}"
         ) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+    except (
+        Exception
+    ) as error:  # a damaged pickle ends in any error: IndexError, TypeError, struct.error
         raise UsageError(
             f"{path} cannot be read as a checkpoint of torch: {_first_line(error)}"
         ) from error

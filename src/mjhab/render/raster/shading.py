@@ -1,7 +1,8 @@
 """Kernels of deferred shading: the colour of every pixel from the ids and inverse depths of the z-buffer.
 
 A row is shaded in runs of pixels on one face. Light varies slowly along a run: it is computed every few pixels (at
-nodes) and interpolated linearly; textures are sampled at every pixel. Light is linear rgb until ``tone_curve``.
+nodes), for all nodes of a row at once, and interpolated linearly; textures are sampled at every pixel. Light is linear
+rgb until ``tone_curve``.
 """
 
 from __future__ import annotations
@@ -12,9 +13,34 @@ import numpy as np
 
 from mjhab.render.jit import color_inline, color_kernel
 from mjhab.render.raster.arrays import FACE_BITS
-from mjhab.render.raster.lighting import blended_share, light_point, sky
+from mjhab.render.raster.lighting import (
+    DB,
+    DG,
+    DR,
+    FACING,
+    GLOSS,
+    MOST_NODES,
+    NODE_ROW,
+    NODE_ROWS,
+    NX,
+    NY,
+    NZ,
+    OPEN,
+    SB,
+    SG,
+    SR,
+    VX,
+    VY,
+    VZ,
+    X,
+    Y,
+    Z,
+    blended_share,
+    light_nodes,
+    sky,
+)
 from mjhab.render.raster.surfaces import fill_frame, normal_at, place_point
-from mjhab.render.raster.texturing import pattern_axes, texture_level, textured
+from mjhab.render.raster.texturing import texture_level, texture_map, textured
 from mjhab.scenes.shapes.colors import linear_to_srgb
 
 SHORT_RUN = 3
@@ -40,12 +66,17 @@ class ShadeScratch(NamedTuple):
         total: (3, width) f32, its sums over the samples of each pixel.
         frames: (I, 15) f64, see `surfaces.fill_frame`; entry i is valid if ``stamp[i] == stamp[-1]``.
         stamp: (I + 1,) i64, number of the image that ``frames`` was filled for; the last entry is the current image.
+        runs: (MOST_NODES, 5) i64, the runs of a stretch of a row: first column, last column + 1, face, material, first
+            node.
+        nodes: f32, the nodes of these runs, see `lighting.NODE_ROW`.
     """
 
     line: np.ndarray
     total: np.ndarray
     frames: np.ndarray
     stamp: np.ndarray
+    runs: np.ndarray
+    nodes: np.ndarray
 
 
 def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
@@ -55,6 +86,8 @@ def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
         np.empty((3, width), np.float32),
         np.empty((instances, 15)),
         np.zeros(instances + 1, np.int64),
+        np.empty((MOST_NODES, 5), np.int64),
+        np.empty(NODE_ROWS * NODE_ROW, np.float32),
     )
 
 
@@ -67,13 +100,13 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
 
 
 @color_inline
-def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, v, w, col, row):
-    """Light at the pixel (col, row) of inverse depth ``w``, and the cosine between normal and line of sight.
-
-    The light is that of `light_point`: diffuse rgb, specular rgb. The cosine is at least 0.05. (u, v) are the slopes of
-    the ray.
-    """
-    depth = 1.0 / w
+def _place_node(surface, poses, lens, openness, room, i, face, gloss, inverse, row, col, n):
+    """Write node ``n`` of the light: the point, the normal and so on of the pixel (row, col) on ``face``."""
+    height, width = inverse.shape
+    focal_inv = 1.0 / lens.focal
+    u = (col + 0.5 - 0.5 * width) * focal_inv
+    v = (0.5 * height - row - 0.5) * focal_inv
+    depth = 1.0 / inverse[row, col]
     m = lens.mat
     rot = poses.rot
     rx = m[0, 0] * u + m[0, 1] * v - m[0, 2]
@@ -99,12 +132,20 @@ def _node(surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, 
         rows = (row + 0.5) * openness.cells
         cols = (col + 0.5) * openness.cells
         open_share = blended_share(openness.share, openness.depths, rows, cols, depth)
-    x = lens.pos[0] + rx * depth
-    y = lens.pos[1] + ry * depth
-    z = lens.pos[2] + rz * depth
-    return light_point(lamps, home, x, y, z, nx, ny, nz, vx, vy, vz, gloss, open_share), max(
-        facing, 0.05
-    )
+    nodes = room.nodes
+    n = np.uint64(n)
+    nodes[n + X] = lens.pos[0] + rx * depth
+    nodes[n + Y] = lens.pos[1] + ry * depth
+    nodes[n + Z] = lens.pos[2] + rz * depth
+    nodes[n + NX] = nx
+    nodes[n + NY] = ny
+    nodes[n + NZ] = nz
+    nodes[n + VX] = vx
+    nodes[n + VY] = vy
+    nodes[n + VZ] = vz
+    nodes[n + GLOSS] = gloss
+    nodes[n + OPEN] = open_share
+    nodes[n + FACING] = facing
 
 
 @color_inline
@@ -124,77 +165,146 @@ def _fill_plain(line, left, count, r, g, b, p, d):
         line[2, x] = b0 + t * b1
 
 
-# One long function with many parameters keeps intermediate results in registers. Splitting it may also change colours
-# by one level, because ``fastmath`` reorders sums depending on the structure of the code.
 @color_inline
-def _shade_run(
-    surface, poses, lamps, home, lens, openness, room, i, face, row, start, stop, inverse, stride
-):
-    """Shade the pixels ``start`` to ``stop - 1`` of a row, all on ``face`` of instance ``i``, into ``room.line``."""
+def _place_runs(surface, poses, home, lens, openness, room, row, begin, end, inverse, ids, stride):
+    """Find the runs of the pixels ``begin`` to ``end - 1`` of a row, and place the nodes of their light.
+
+    Pixels of the background get their colour at once.
+
+    Returns:
+        The number of runs, written to ``room.runs``, and the number of nodes.
+    """
+    rows, columns = inverse.shape
+    inv = 1.0 / lens.focal
+    runs = 0
+    nodes = 0
+    x = begin
+    while x < end:
+        start = x
+        seen = inverse[row, x] > 0.0
+        tag = ids[row, x]
+        x += 1
+        while x < end and (inverse[row, x] > 0.0) == seen and (ids[row, x] == tag or not seen):
+            x += 1
+        if not seen:
+            for k in range(start, x):
+                sky(
+                    lens,
+                    (k + 0.5 - 0.5 * columns) * inv,
+                    (0.5 * rows - row - 0.5) * inv,
+                    room.line,
+                    k,
+                )
+            continue
+        i = tag >> FACE_BITS
+        face = surface.mesh_start[poses.drawn[i]] + (tag & ((1 << FACE_BITS) - 1))
+        fill_frame(poses, room, lens, i)
+        m = surface.instance_material[home, i]
+        if m < 0:
+            m = surface.face_material[face]
+        room.runs[runs, 0] = start
+        room.runs[runs, 1] = x
+        room.runs[runs, 2] = face
+        room.runs[runs, 3] = m
+        room.runs[runs, 4] = nodes
+        runs += 1
+        gloss = surface.gloss[m]
+        short = x - start <= SHORT_RUN
+        at = (start + x) // 2 if short else start
+        last = at if short else x - 1
+        while True:
+            _place_node(
+                surface, poses, lens, openness, room, i, face, gloss, inverse, row, at, nodes
+            )
+            nodes += 1
+            if at == last:
+                break
+            at = min(at + stride, last)
+    return runs, nodes
+
+
+@color_inline
+def _light_at(nodes, n):
+    """Light of node ``n``: diffuse rgb, specular rgb."""
+    return (
+        float(nodes[n + DR]),
+        float(nodes[n + DG]),
+        float(nodes[n + DB]),
+        float(nodes[n + SR]),
+        float(nodes[n + SG]),
+        float(nodes[n + SB]),
+    )
+
+
+@color_inline
+def _shade_run(surface, lens, room, run, row, inverse, ids, stride):
+    """Write the colours of a run into ``room.line``, from the light of its nodes."""
     height, width = inverse.shape
     inv = 1.0 / lens.focal
     cx = 0.5 * width - 0.5
-    v = (0.5 * height - row - 0.5) / lens.focal
+    v = (0.5 * height - row - 0.5) * inv
     f = room.frames
     line = room.line
-    fill_frame(poses, room, lens, i)
-    m = surface.instance_material[home, i]
-    if m < 0:
-        m = surface.face_material[face]
+    start = room.runs[run, 0]
+    stop = room.runs[run, 1]
+    face = room.runs[run, 2]
+    m = room.runs[run, 3]
+    n = np.uint64(room.runs[run, 4])
+    nodes = room.nodes
+    i = ids[row, start] >> FACE_BITS
     plain = surface.texture[m] < 0
-    gloss = surface.gloss[m]
     r = surface.color[m, 0]
     g = surface.color[m, 1]
     b = surface.color[m, 2]
     short = stop - start <= SHORT_RUN
+    if short and plain:
+        red = np.float32(r * nodes[n + DR] + nodes[n + SR])
+        green = np.float32(g * nodes[n + DG] + nodes[n + SG])
+        blue = np.float32(b * nodes[n + DB] + nodes[n + SB])
+        for x in range(start, stop):
+            line[0, x] = red
+            line[1, x] = green
+            line[2, x] = blue
+        return
     at = (start + stop) // 2 if short else start
-    left = start
-    begun = False
-    u = (at - cx) * inv
-    w = float(inverse[row, at])
-    first, second = pattern_axes(surface, i, face, f, u, v, w) if surface.pattern[m] else (0, 1)
-    p = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    turned = 1.0
-    while left < stop:
-        u = (at - cx) * inv
+    s0, su, sc, t0, tu, tc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if not plain:
         w = float(inverse[row, at])
-        q, facing = _node(
-            surface, poses, lamps, home, lens, openness, room, i, face, gloss, u, v, w, at, row
+        s0, su, sc, t0, tu, tc = texture_map(surface, f, i, face, m, (at - cx) * inv, v, w)
+    left = start
+    while left < stop:
+        # The column of the next node.
+        at = left + 1 if short else min(left + stride, stop - 1)
+        end = stop if short or at == stop - 1 else at
+        p = _light_at(nodes, n)
+        q = p if short else _light_at(nodes, n + np.uint64(1))
+        s = 1.0 / (at - left)
+        d = (
+            (q[0] - p[0]) * s,
+            (q[1] - p[1]) * s,
+            (q[2] - p[2]) * s,
+            (q[3] - p[3]) * s,
+            (q[4] - p[4]) * s,
+            (q[5] - p[5]) * s,
         )
-        if begun or short:
-            s = 1.0 / (at - left) if begun else 0.0
-            end = stop if short or at == stop - 1 else at
-            if not begun:
-                p = q
-                turned = facing
-            d = (
-                (q[0] - p[0]) * s,
-                (q[1] - p[1]) * s,
-                (q[2] - p[2]) * s,
-                (q[3] - p[3]) * s,
-                (q[4] - p[4]) * s,
-                (q[5] - p[5]) * s,
-            )
-            level = texture_level(
-                surface, m, face, f, i, inv / (float(inverse[row, left]) * np.sqrt(turned))
-            )
-            if plain:
-                _fill_plain(line, left, end - left, r, g, b, p, d)
-            else:
-                for x in range(left, end):
-                    w = float(inverse[row, x])
-                    t = float(x - left)
-                    r, g, b = textured(
-                        surface, f, i, face, m, first, second, level, (x - cx) * inv, v, w
-                    )
-                    line[0, x] = r * (p[0] + t * d[0]) + p[3] + t * d[3]
-                    line[1, x] = g * (p[1] + t * d[1]) + p[4] + t * d[4]
-                    line[2, x] = b * (p[2] + t * d[2]) + p[5] + t * d[5]
-            left = end
-        p = q
-        turned = facing
-        begun = True
-        at = min(at + stride, stop - 1)
+        if plain:
+            _fill_plain(line, left, end - left, r, g, b, p, d)
+        else:
+            turned = max(float(nodes[n + FACING]), 0.05)
+            pixel = inv / (float(inverse[row, left]) * np.sqrt(turned))
+            level = texture_level(surface, m, face, f, i, pixel)
+            for x in range(left, end):
+                depth = 1.0 / inverse[row, x]
+                u = (x - cx) * inv
+                t = float(x - left)
+                r, g, b = textured(
+                    surface, m, level, s0 + depth * (su * u + sc), t0 + depth * (tu * u + tc)
+                )
+                line[0, x] = r * (p[0] + t * d[0]) + p[3] + t * d[3]
+                line[1, x] = g * (p[1] + t * d[1]) + p[4] + t * d[4]
+                line[2, x] = b * (p[2] + t * d[2]) + p[5] + t * d[5]
+        left = end
+        n += np.uint64(1)
 
 
 @color_inline
@@ -238,45 +348,15 @@ def shade(surface, poses, lamps, home, lens, inverse, ids, openness, tone, room,
     """
     rows, columns = inverse.shape
     s = rows // rgb.shape[0]
-    inv = 1.0 / lens.focal
     room.stamp[-1] += 1
     for row in range(rows):
-        x = 0
-        while x < columns:
-            start = x
-            seen = inverse[row, x] > 0.0
-            tag = ids[row, x]
-            x += 1
-            while (
-                x < columns and (inverse[row, x] > 0.0) == seen and (ids[row, x] == tag or not seen)
-            ):
-                x += 1
-            if seen:
-                i = tag >> FACE_BITS
-                face = surface.mesh_start[poses.drawn[i]] + (tag & ((1 << FACE_BITS) - 1))
-                _shade_run(
-                    surface,
-                    poses,
-                    lamps,
-                    home,
-                    lens,
-                    openness,
-                    room,
-                    i,
-                    face,
-                    row,
-                    start,
-                    x,
-                    inverse,
-                    stride,
-                )
-                continue
-            for k in range(start, x):
-                sky(
-                    lens,
-                    (k + 0.5 - 0.5 * columns) * inv,
-                    (0.5 * rows - row - 0.5) * inv,
-                    room.line,
-                    k,
-                )
+        for begin in range(0, columns, MOST_NODES):
+            # A stretch of a row has at most one node per pixel.
+            end = min(begin + MOST_NODES, columns)
+            runs, nodes = _place_runs(
+                surface, poses, home, lens, openness, room, row, begin, end, inverse, ids, stride
+            )
+            light_nodes(lamps, home, room.nodes, nodes)
+            for run in range(runs):
+                _shade_run(surface, lens, room, run, row, inverse, ids, stride)
         _store(room.line, room.total, s, row % s, tone, rgb, row // s)

@@ -14,7 +14,7 @@ from mjhab.render.textures import copy_for, sample
 
 
 @color_inline
-def pattern_axes(surface, i, face, f, u, v, w):
+def _pattern_axes(surface, i, face, f, u, v, w):
     """Axes (0..2) of the instance that u and v of a pattern run along, for a face of instance ``i``.
 
     They span the coordinate plane most parallel to the face; u runs along the longer side of the instance.
@@ -48,18 +48,61 @@ def _linear(level):
 
 
 @color_inline
-def textured(surface, f, i, face, m, first, second, level, u, v, w):
-    """Colour, linear rgb, of a face with the textured material ``m``.
+def texture_map(surface, f, i, face, m, u, v, w):
+    """Map from the pixels of a run to the coordinates (s, t) of the texture of material ``m``.
 
-    ``first``, ``second``: the axes from `pattern_axes`; ``level``: the mip level.
+    ``u``, ``w``: of one pixel of the run. A pixel with the slope u at a depth d has ``s = s0 + d * (su * u + sc)``,
+    and t likewise.
+
+    Returns:
+        s0, su, sc, t0, tu, tc.
     """
-    x, y, z = place_point(f, i, u, v, 1.0 / w)
+    # The point of a pixel, in the frame of the instance, is o + d * (a * u + c) along each axis.
+    ox = f[i, 0]
+    oy = f[i, 1]
+    oz = f[i, 2]
+    ax = f[i, 3]
+    ay = f[i, 6]
+    az = f[i, 9]
+    cx = f[i, 4] * v - f[i, 5]
+    cy = f[i, 7] * v - f[i, 8]
+    cz = f[i, 10] * v - f[i, 11]
+    if surface.pattern[m]:
+        first, second = _pattern_axes(surface, i, face, f, u, v, w)
+        wide = 1.0 / surface.size[m, 0]
+        high = 1.0 / surface.size[m, 1]
+        # Every instance has another offset in the pattern.
+        return (
+            _pick(first, ox, oy, oz) * wide + 0.37 * i,
+            _pick(first, ax, ay, az) * wide,
+            _pick(first, cx, cy, cz) * wide,
+            _pick(second, ox, oy, oz) * high + 0.23 * i,
+            _pick(second, ax, ay, az) * high,
+            _pick(second, cx, cy, cz) * high,
+        )
+    e = surface.face_uv
+    sx = e[face, 0, 0] * f[i, 12]
+    sy = e[face, 0, 1] * f[i, 13]
+    sz = e[face, 0, 2] * f[i, 14]
+    tx = e[face, 1, 0] * f[i, 12]
+    ty = e[face, 1, 1] * f[i, 13]
+    tz = e[face, 1, 2] * f[i, 14]
+    return (
+        sx * ox + sy * oy + sz * oz + e[face, 0, 3],
+        sx * ax + sy * ay + sz * az,
+        sx * cx + sy * cy + sz * cz,
+        tx * ox + ty * oy + tz * oz + e[face, 1, 3],
+        tx * ax + ty * ay + tz * az,
+        tx * cx + ty * cy + tz * cz,
+    )
+
+
+@color_inline
+def textured(surface, m, level, s, t):
+    """Colour, linear rgb, of the textured material ``m`` at (s, t); ``level``: the mip level."""
     color = surface.color
     texture = surface.texture[m]
     if surface.pattern[m]:
-        # Every instance has another offset in the pattern.
-        s = _pick(first, x, y, z) / surface.size[m, 0] + 0.37 * i
-        t = _pick(second, x, y, z) / surface.size[m, 1] + 0.23 * i
         mix, shade, _ = sample(surface.texels, texture, level, s, t)
         mix = mix * (1.0 / 255.0)
         shade = shade * (SHADE_TOP / 255.0)
@@ -69,12 +112,6 @@ def textured(surface, f, i, face, m, first, second, level, u, v, w):
             shade * (color[m, 1] + mix * (other[m, 1] - color[m, 1])),
             shade * (color[m, 2] + mix * (other[m, 2] - color[m, 2])),
         )
-    x = x * f[i, 12]
-    y = y * f[i, 13]
-    z = z * f[i, 14]
-    a = surface.face_uv
-    s = a[face, 0, 0] * x + a[face, 0, 1] * y + a[face, 0, 2] * z + a[face, 0, 3]
-    t = a[face, 1, 0] * x + a[face, 1, 1] * y + a[face, 1, 2] * z + a[face, 1, 3]
     r, g, b = sample(surface.texels, texture, level, s, t)
     return color[m, 0] * _linear(r), color[m, 1] * _linear(g), color[m, 2] * _linear(b)
 

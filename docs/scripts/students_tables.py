@@ -1,4 +1,4 @@
-"""Table of docs/students.md from docs/results/students.json: ``python docs/scripts/students_tables.py``.
+"""Tables of docs/students.md from docs/results/students.json: ``python docs/scripts/students_tables.py``.
 
 `python -m mjhab.reports.students docs/results/students.json RUN EVALUATION` adds rows to the file.
 """
@@ -23,14 +23,15 @@ def minutes(training: dict[str, Any]) -> str:
     return f"{training['minutes']:.0f} (GPU)"
 
 
-def student_table() -> str:
-    """One line per student."""
+def student_table(assets: str) -> str:
+    """One line per student of seed 0, trained and judged in the homes of a pack."""
     head = (
         "task", "subtask", "target", "px", "once %", "95 %", "of", "at end %", "demonstrations",
         "control steps", "samples", "minutes", "paper BC %", "RL-Per %", "commit",
     )  # fmt: skip
     lines = []
-    for row in sorted(read("students")["rows"], key=place_of):
+    rows = [row for row in read("students")["rows"] if (row["assets"], row["seed"]) == (assets, 0)]
+    for row in sorted(rows, key=place_of):
         training = row["training"]
         judged = row["evaluation"]
         paper = row["paper_success_once"] or {}
@@ -52,6 +53,30 @@ def student_table() -> str:
     return table(head, lines)
 
 
+def seed_table() -> str:
+    """One line per student that was trained with several seeds."""
+    found: dict[tuple[str, ...], dict[int, dict[str, Any]]] = {}
+    for row in sorted(read("students")["rows"], key=place_of):
+        name = tuple(str(row[key]) for key in ("task", "subtask", "target", "image_size", "assets"))
+        found.setdefault(name, {})[row["seed"]] = row["evaluation"]
+    lines = []
+    for (task, subtask, target, size, assets), seeds in found.items():
+        if len(seeds) < 2:
+            continue
+        rates = [seeds[seed]["success_once"] for seed in sorted(seeds)]
+        line = [task, subtask, target or "all", size, assets, ", ".join(map(percent, rates))]
+        lines.append([*line, percent(sum(rates) / len(rates))])
+    head = ("task", "subtask", "target", "px", "homes", "once % with seeds 0, 1, 2", "mean")
+    return table(head, lines)
+
+
+TABLES = {
+    "students": lambda: student_table("builtin"),
+    "replica_cad": lambda: student_table("replica_cad"),
+    "seeds": seed_table,
+}
+
+
 if __name__ == "__main__":
-    text = page_with_tables(PAGE.read_text(encoding="utf-8"), {"students": student_table})
+    text = page_with_tables(PAGE.read_text(encoding="utf-8"), TABLES)
     PAGE.write_text(text, encoding="utf-8")

@@ -91,6 +91,22 @@ def test_a_row_of_another_image_size_stays(tmp_path: Path) -> None:
     assert [row["image_size"] for row in read_rows(file)] == [32, 64]
 
 
+def test_rows_of_other_seeds_and_packs_stay_and_name_no_folder(tmp_path: Path) -> None:
+    file = tmp_path / "students.json"
+    run = make_run(tmp_path / "run")
+    judged = [
+        make_evaluation(tmp_path / "built-in", b"weights"),
+        make_evaluation(tmp_path / "scanned", b"weights", assets="/data/replica_cad"),
+    ]
+    for evaluation in judged:
+        assert main([str(file), str(run), str(evaluation)]) == 0
+    config = json.loads((run / "config.json").read_text(encoding="utf-8"))
+    (run / "config.json").write_text(json.dumps({**config, "seed": 1}), encoding="utf-8")
+    assert main([str(file), str(run), str(judged[0])]) == 0
+    found = [(row["assets"], row["seed"]) for row in read_rows(file)]
+    assert found == [("builtin", 0), ("replica_cad", 0), ("builtin", 1)]
+
+
 def test_students_that_act_together_are_one_row(tmp_path: Path) -> None:
     runs = [make_run(tmp_path / name) for name in ("one", "two")]
     both = "".join(hashlib.sha256(weights).hexdigest() for weights in (b"small", b"weights"))
@@ -108,7 +124,7 @@ def test_what_does_not_belong_together_is_refused(
     judged = make_evaluation(tmp_path / "judged", b"of another student")
     with pytest.raises(UsageError, match="not an evaluation of a checkpoint"):
         student_row(run, judged)
-    with pytest.raises(UsageError, match="0 rows are of tidy_house/pick//64 px"):
+    with pytest.raises(UsageError, match="0 rows are of tidy_house/pick//64/builtin/0, not one"):
         judged_row([], judged)
     assert main([str(tmp_path / "f.json"), str(run), str(tmp_path / "nothing")]) == 1
     assert "does not exist" in capsys.readouterr().err

@@ -2,8 +2,8 @@
 
 RUN is a folder of `mjhab train`, or several joined by "+" whose students act together; EVALUATION is a folder of
 `mjhab eval` of their checkpoints, or of the compact ones next to them. With - for RUN the row of the file for the same
-task, subtask, target and image size keeps its training and gets the evaluation. Rows of the same student (`IDENTITY`)
-are replaced, others stay.
+task, subtask, target, image size and asset pack, of seed 0, keeps its training and gets the evaluation. Rows of the
+same student (`IDENTITY`) are replaced, others stay.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mjhab.reports.paper import paper_success
 from mjhab.rollout.store import read_records, write_text
 
 SECONDS_PER_MINUTE = 60.0
-IDENTITY = ("task", "subtask", "target", "preset", "image_size", "seed")
+IDENTITY = ("task", "subtask", "target", "assets", "preset", "image_size", "seed")
 """Keys that identify a row."""
 AND = "+"
 """Between the runs of students that act together."""
@@ -49,7 +49,8 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
     # The config of a reinforcement run is that of its student.
     student = config["config"].get("student", config["config"])
     return {
-        **{name: judged[name] or "" for name in ("task", "subtask", "target", "assets")},
+        **{name: judged[name] or "" for name in ("task", "subtask", "target")},
+        "assets": Path(judged["assets"]).name,
         "preset": student["preset"],
         "image_size": student["inputs"]["image_size"],
         "seed": config["seed"],
@@ -67,14 +68,13 @@ def judged_row(rows: Sequence[dict[str, Any]], evaluation: Path) -> dict[str, An
     """
     judged = read_json(evaluation / "config.json")
     size = judged["env"]["camera_size"] if judged["env"]["obs_mode"] != "state" else 0
-    wanted = (*(judged[name] or "" for name in ("task", "subtask", "target")), size)
-    found = [
-        row
-        for row in rows
-        if (row["task"], row["subtask"], row["target"], row["image_size"]) == wanted
-    ]
+    wanted = {name: judged[name] or "" for name in ("task", "subtask", "target")}
+    wanted |= {"image_size": size, "assets": Path(judged["assets"]).name, "seed": 0}
+    found = [row for row in rows if wanted.items() <= row.items()]
     if len(found) != 1:
-        raise UsageError(f"{len(found)} rows are of {'/'.join(map(str, wanted))} px, not one.")
+        raise UsageError(
+            f"{len(found)} rows are of {'/'.join(map(str, wanted.values()))}, not one."
+        )
     return {**found[0], **evaluated(judged, evaluation)}
 
 

@@ -164,7 +164,7 @@ def test_table_of_the_students_is_that_of_their_results(monkeypatch: pytest.Monk
     tables = runpy.run_path(str(scripts / "students_tables.py"))
     page = tables["PAGE"].read_text(encoding="utf-8")
     assert "| set_table | close |" in page
-    filled = tables["page_with_tables"](page, {"students": tables["student_table"]})
+    filled = tables["page_with_tables"](page, tables["TABLES"])
     assert filled == page
 
 

@@ -60,6 +60,9 @@ def assert_same(found: Any, wanted: Any, dtype: torch.dtype, name: str = "") -> 
         assert list(found) == list(wanted)
         for key, old in wanted.items():
             assert_same(found[key], old, dtype, f"{name}[{key}]")
+    elif isinstance(wanted, bool):
+        # Whether any world needs a part of the work: on the device that is not asked, and the answer is True.
+        assert found is True, name
     else:
         kinds = {
             "f": (dtype, torch.float32),

@@ -24,7 +24,6 @@ from mjhab.learning.checkpoint import (
     save_training,
 )
 from mjhab.learning.configs import (
-    FILMED_EPISODES,
     HEADS,
     PRESETS,
     DaggerConfig,
@@ -33,6 +32,7 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
+from mjhab.learning.defaults import FILMED_EPISODES
 from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.evaluation import EvaluationClock

@@ -24,8 +24,6 @@ GAUSSIAN = "gaussian"
 GAUSSIAN_ACTIONS = "gaussian_actions"
 HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN, GAUSSIAN_ACTIONS)
 """Algorithms that map an observation to a chunk of actions."""
-FILMED_EPISODES = 2
-"""Episodes that are filmed in the first and in the last evaluation of a run."""
 
 
 @dataclass(frozen=True)

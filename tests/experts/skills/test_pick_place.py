@@ -13,12 +13,12 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
+from mjhab.core.rotations import mat_from_rotation_vector
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, Options, grasp_candidates
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
-from mjhab.experts.arm.ik import rotate
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import Pilot
 from mjhab.experts.base.route import LOOKAHEADS_M, LOST_STEPS, RouteWish, follow, plan_route
@@ -145,13 +145,21 @@ def test_pilot_drives_straight_back():
     ("shape", "rot", "height"),
     [
         (ObjectShape("box", (0.02, 0.04, 0.1)), UPRIGHT, 0.1),
-        (ObjectShape("box", (0.02, 0.04, 0.1)), rotate(np.array([[np.pi / 2, 0.0, 0.0]]))[0], 0.04),
+        (
+            ObjectShape("box", (0.02, 0.04, 0.1)),
+            mat_from_rotation_vector(np.array([[np.pi / 2, 0.0, 0.0]]))[0],
+            0.04,
+        ),
         (
             ObjectShape("cylinder", (0.03, 0.03, 0.05)),
-            rotate(np.array([[0.0, np.pi / 4, 0.0]]))[0],
+            mat_from_rotation_vector(np.array([[0.0, np.pi / 4, 0.0]]))[0],
             0.08 / np.sqrt(2),
         ),
-        (ObjectShape("sphere", (0.04, 0.04, 0.04)), rotate(np.array([[0.3, 0.7, 0.1]]))[0], 0.04),
+        (
+            ObjectShape("sphere", (0.04, 0.04, 0.04)),
+            mat_from_rotation_vector(np.array([[0.3, 0.7, 0.1]]))[0],
+            0.04,
+        ),
     ],
 )
 def test_height_below_centre(shape: ObjectShape, rot: np.ndarray, height: float):

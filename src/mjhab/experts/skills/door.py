@@ -11,6 +11,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
+from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
@@ -25,7 +26,6 @@ from mjhab.experts.skills.door_stances import (
     SWEEP_SPEED_M_S,
 )
 from mjhab.experts.style import style_of, wait_for
-from mjhab.robots.kinematics import wrap
 from mjhab.robots.robot import Robot
 from mjhab.tasks.style import PUSH, SWEEP
 

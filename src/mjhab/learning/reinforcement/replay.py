@@ -124,8 +124,8 @@ class ReplayBuffer:
                 f"a replay buffer of {shape.steps} control steps per world is too small; it needs more than "
                 f"{reserve + 2}. Raise --capacity."
             )
-        is_new = folder is not None and not folder.exists()
-        shape.check(device, folder.parent if is_new else None)
+        # Files that are there already need no more room.
+        shape.check(device, folder.parent if folder and not folder.exists() else None)
         self.shape = shape
         self.device = device
         self._reserve = reserve

@@ -28,7 +28,8 @@ from mjhab.learning.checkpoint import (
     save_tensors,
     saved_state,
 )
-from mjhab.learning.configs import BC, FILMED_EPISODES, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
+from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
+from mjhab.learning.defaults import FILMED_EPISODES
 from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig

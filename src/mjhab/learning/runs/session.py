@@ -22,7 +22,8 @@ from mjhab.learning.checkpoint import (
     save_training,
     saved_state,
 )
-from mjhab.learning.configs import FILMED_EPISODES, TrainConfig
+from mjhab.learning.configs import TrainConfig
+from mjhab.learning.defaults import FILMED_EPISODES
 from mjhab.learning.demos import (
     BatchSampler,
     Demonstrations,

@@ -36,7 +36,7 @@ from mjhab.learning.defaults import FILMED_EPISODES
 from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.evaluation import EvaluationClock
-from mjhab.learning.runs.run import Logbook
+from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Request, Session, open_session
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import BrokenLossError, Trainer
@@ -461,6 +461,20 @@ def test_without_an_evaluation_no_split_is_told(source: Path, tmp_path: Path) ->
     told = {name: done.summary[name] for name in ("split", "success_once", "interval", "episodes")}
     assert told == {"split": None, "success_once": None, "interval": None, "episodes": 0}
     assert "not evaluated" in done.report.read_text(encoding="utf-8")
+
+
+def test_a_run_counts_no_processor_time_of_an_earlier_run_in_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [100.0, 20.0, 3.0, 0.0, 0.0]
+    monkeypatch.setattr("os.times", lambda: tuple(clock))
+    log = Logbook(TrainingFolder.open(tmp_path / "run", {}))
+    clock[0] += 5.0
+    log.report(1, 8, {"loss": 1.0})
+    assert log.cpu_seconds == 5.0
+    resumed = Logbook(TrainingFolder.open(tmp_path / "run", {}, resume=True), step=1)
+    clock[2] += 2.0
+    assert resumed.cpu_seconds == 7.0
 
 
 def test_ctrl_c_during_an_update_keeps_whole_updates(

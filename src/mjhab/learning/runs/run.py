@@ -171,7 +171,9 @@ class Logbook:
         self._file = (folder.path / METRICS).open("a", encoding="utf-8")
         self._board = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=step or None)
         self._began = time.perf_counter() - earlier_seconds
-        self._earlier_cpu_seconds = max((row["cpu_seconds"] for row in self.rows), default=0.0)
+        earlier_cpu_seconds = max((row["cpu_seconds"] for row in self.rows), default=0.0)
+        # One process may train several policies in turn (`mjhab reproduce`).
+        self._cpu_began = _cpu_seconds() - earlier_cpu_seconds
         self._shown: dict[str, str] = {}
         self._title = f"mjhab train, {folder.path}"
         self._live = Live(console=Console(stderr=True), auto_refresh=False, transient=False)
@@ -184,8 +186,8 @@ class Logbook:
 
     @property
     def cpu_seconds(self) -> float:
-        """CPU time of this process and of workers that have ended, earlier starts included [s]."""
-        return sum(os.times()[:4]) + self._earlier_cpu_seconds
+        """CPU time of the run in this process and in workers that have ended, earlier starts included [s]."""
+        return _cpu_seconds() - self._cpu_began
 
     def report(self, step: int, samples: int, numbers: Mapping[str, float]) -> None:
         """Log metrics after ``step`` updates and ``samples`` samples."""
@@ -230,3 +232,8 @@ class Logbook:
         self._live.__exit__(kind, error, trace)
         self._board.close()
         self._file.close()
+
+
+def _cpu_seconds() -> float:
+    """CPU time of this process and of its children that have ended [s]."""
+    return sum(os.times()[:4])

@@ -175,7 +175,7 @@ def test_choices_share_data_where_they_need_the_same(
 ) -> None:
     student = config(inputs=InputConfig(image_size=16), demos=1, updates=9, hold_steps=5)
     monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
-    kept = ("preset", "chunk_1", "whole_episodes", "px_64", "no_noise")
+    kept = ("chunk_1", "whole_episodes", "px_64")
     chosen = [variant for variant in VARIANTS["choices"] if variant.name in kept]
     monkeypatch.setitem(VARIANTS, "choices", tuple(chosen))
     words = ["reproduce", "choices", *COMMAND[2:], "--out", str(tmp_path), "--worlds", "1"]
@@ -188,7 +188,6 @@ def test_choices_share_data_where_they_need_the_same(
         "demonstrations",
         "demonstrations_64px",
         "demonstrations_whole",
-        "undisturbed",
     ]
     trained = {
         name: json.loads((folder / "train" / name / "config.json").read_text("utf-8"))

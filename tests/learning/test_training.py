@@ -32,9 +32,9 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
-from mjhab.learning.defaults import FILMED_EPISODES
 from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
+from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import EvaluationClock
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Request, Session, open_session

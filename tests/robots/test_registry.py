@@ -35,7 +35,7 @@ FETCH_WORDS = re.compile(
 DATA_STRINGS = re.compile(
     r"assets fetch\b|AssetsFetchOptions|Sub\(\"fetch\"\)"  # the command that downloads data sets
     r"|robots/fetch/fetch\.py"  # a source that is cited
-    r"|\"fetch_head/depth\"|show fetch`|; fetch if absent"  # examples and the default robot in the words of help
+    r"|\"fetch_head/depth\"|show fetch`"  # examples in the words of help
 )
 """Where the word is no name of ours for the robot."""
 JOINT_NUMBERS = re.compile(

@@ -84,7 +84,8 @@ def _serve(options: ViewOptions) -> int:
         if options.json:
             print_json({"url": url, "port": viewer.port})
         else:
-            other = f" (port {options.port} is in use)" * (options.port not in (0, viewer.port))
+            in_use = options.port not in (0, viewer.port)
+            other = f" (port {options.port} is in use)" if in_use else ""
             print(f"Open {url}{other}. Ctrl-C ends.", flush=True)
         ended.wait()
     except KeyboardInterrupt:

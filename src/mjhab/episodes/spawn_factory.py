@@ -127,9 +127,10 @@ def make_set(
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
     factory = SpawnFactory(recipe)
-    check_size(pack_rows([factory.row(0)]), recipe.count)
     header = factory.header()
     folder = partial_folder(out)
+    if not folder.exists():
+        check_size(pack_rows([factory.row(0)]), recipe.count)
     _resume(folder, header, overwrite)
     parts: list[dict[str, np.ndarray]] = []
     done = fallbacks = 0

@@ -137,6 +137,12 @@ def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskCon
     return inside
 
 
+def _nowhere(active: Active) -> Array:
+    """(W,) bool, False in all worlds."""
+    xp = namespace(active.kind)
+    return xp.zeros_like(active.kind, dtype=xp.bool)
+
+
 def _goals(
     state: WorldState, plan: PlanArrays, active: Active, config: TaskConfig
 ) -> tuple[Array, Array]:
@@ -145,7 +151,7 @@ def _goals(
     Where no subtask has a goal for an object, False and True.
     """
     if not active.has_goals:
-        no = active.kind < active.kind
+        no = _nowhere(active)
         return no, ~no
     there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)  # (W, S)
     placed_ok = namespace(there).all(there | active.unfinished, axis=-1)
@@ -193,7 +199,7 @@ def _arrival(
     Both are False where no world drives.
     """
     if not active.has_ways:
-        no = active.kind < active.kind
+        no = _nowhere(active)
         return no, no
     xp = namespace(state.base_pose)
     position = state.base_pose[:, BASE_XY]
@@ -215,7 +221,7 @@ def _joint(
     All are False where no subtask has a link.
     """
     if not active.has_joints:
-        no = active.kind < active.kind
+        no = _nowhere(active)
         return no, no, no, no
     span = state.joint_max - state.joint_min
     opening = state.joint_q - state.joint_min

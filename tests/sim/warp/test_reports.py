@@ -147,7 +147,6 @@ def test_sleep_saves_and_hardly_changes() -> None:
     for asleep, awake in (rows[:2], rows[2:]):
         assert asleep["awake_dofs"] < 0.2 * awake["awake_dofs"] <= 0.2 * awake["nv"]
         assert awake["difference"]["robot"] < 1e-5 and 0.0 < awake["difference"]["objects"] < 1e-3
-    assert all(row["ms"] > 0.0 for row in rows)
     assert [row["tainted"] for row in rows] == [0, 0, 0, 0]
 
 

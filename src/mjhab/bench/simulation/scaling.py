@@ -82,7 +82,14 @@ def measure_scaling(
         for worlds in spec.worlds:
             steps = int(np.clip(WORLD_STEPS // worlds, SHORTEST_BLOCK, LONGEST_BLOCK))
             one = EngineSpec(
-                worlds, threads, spec.task, steps, spec.rounds, spec.seed, spec.assets, spec.robot
+                worlds=worlds,
+                threads=threads,
+                task=spec.task,
+                steps=steps,
+                rounds=spec.rounds,
+                seed=spec.seed,
+                assets=spec.assets,
+                robot=spec.robot,
             )
             rows.append(measure_engine(one))
             tell(rows[-1])

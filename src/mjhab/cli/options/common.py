@@ -40,7 +40,7 @@ class ProfileOptions(ProfileChoice):
     profile: Annotated[str, tyro.conf.arg(metavar="mjhab|ms_hab")] = DEFAULT_PROFILE
     """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md)."""
     robot: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The robot (see: mjhab robots list); fetch if absent."""
+    """The robot (see: mjhab robots list); the default one if absent."""
     starts: Annotated[str | None, tyro.conf.arg(metavar="front_box|published")] = None
     """Start positions of Pick and Place at a drawer or fridge, and start posture of the arm in Place (spawn_rule of an
     environment); the profile's if absent."""

@@ -25,7 +25,7 @@ class BenchSimOptions(EngineSpec):
     seed: Number = EngineSpec.seed
     """Seed of the episodes."""
     robot: MaybeName = None
-    """The robot (see: mjhab robots list); fetch if absent."""
+    """The robot (see: mjhab robots list); the default one if absent."""
     assets: Assets = EngineSpec.assets
     """Asset pack: builtin, or the folder of another pack."""
     stage_mesh: StageMesh = None
@@ -76,7 +76,7 @@ class BenchGraspOptions:
     seconds: float = 10.0
     """Time of motion for each object [s]."""
     robot: MaybeName = None
-    """The robot (see: mjhab robots list); fetch if absent."""
+    """The robot (see: mjhab robots list); the default one if absent."""
     seed: Number = 0
     """Seed of the motion."""
     json: bool = False

@@ -50,7 +50,7 @@ class Window:
         history: number of observations.
         chunk: number of actions.
         labels: "executed" for the actions that moved the robot, "intended" for those without the expert's noise.
-        images: camera images, such as "fetch_head/depth".
+        images: camera images, "CAMERA/OUTPUT" each.
 
     Raises:
         UsageError: ``history`` or ``chunk`` is less than 1, or ``labels`` is unknown.

@@ -98,9 +98,10 @@ def given_poses(view: WorldView, work: Work, poses: Array) -> tuple[Array, Array
     back = work.drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     room = np.minimum(cells.clearance_at(poses[:, :2]), cells.clearance_at(poses[:, :2] - back))
     near = overreach(view.robot.reach, poses, work.goals).min(axis=1) < MAX_OVERREACH_M
-    poses = poses[near & (room >= min(cells.narrow, here))]
-    start = poses[:, :2] - back[: len(poses)]
-    way = np.linalg.norm(start - view.base[:2], axis=1)
+    free = near & (room >= min(cells.narrow, here))
+    poses = poses[free]
+    way = np.linalg.norm(poses[:, :2] - back[free] - view.base[:2], axis=1)
+    # As `drive_steps` without turns, and the drive in as in `base_poses`.
     return poses, 20.0 * way / 0.6 + 6.0 * work.drive_in / 0.3
 
 

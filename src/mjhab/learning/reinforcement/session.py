@@ -29,13 +29,13 @@ from mjhab.learning.checkpoint import (
     saved_state,
 )
 from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
-from mjhab.learning.defaults import FILMED_EPISODES
 from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
+from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime

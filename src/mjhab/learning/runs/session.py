@@ -23,7 +23,6 @@ from mjhab.learning.checkpoint import (
     saved_state,
 )
 from mjhab.learning.configs import TrainConfig
-from mjhab.learning.defaults import FILMED_EPISODES
 from mjhab.learning.demos import (
     BatchSampler,
     Demonstrations,
@@ -40,6 +39,7 @@ from mjhab.learning.layout import (
     layout_of,
 )
 from mjhab.learning.runs.collection import Collector, Means, Round, Scene, make_env
+from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
 from mjhab.learning.runs.interrupts import held_interrupts
 from mjhab.learning.runs.run import Logbook, TrainingFolder

@@ -32,7 +32,7 @@ class ScoreOptions(ServedOptions):
     split: Name = "test"
     """Which homes: train, val or test. Official scores use the test homes."""
     robot: MaybeName = None
-    """The robot (see: mjhab robots list); fetch if absent. Scores of different robots cannot be compared."""
+    """The robot (see: mjhab robots list); the default one if absent. Scores of different robots cannot be compared."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder of the runs and of result.json; scores/<policy>_<track>_<split> if absent."""
     worlds: Number = 8

@@ -21,7 +21,7 @@ from mjhab.cli.options.common import (
     Sub,
 )
 from mjhab.cli.options.datasets.data import Where
-from mjhab.learning.defaults import FILMED_EPISODES
+from mjhab.learning.runs.defaults import FILMED_EPISODES
 
 DataPlaces = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH ...")]
 Minutes = Annotated[float, tyro.conf.arg(metavar="MINUTES")]

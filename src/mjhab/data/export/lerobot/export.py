@@ -255,7 +255,10 @@ class _Export:
         if state.task:
             columns[ENVIRONMENT_STATE] = np.concatenate(list(state.task.values()), axis=1)[:count]
         for camera, output in episode.images:
-            if output in MAPS and (key := f"{IMAGES[output]}.{camera}") in self._features:
+            if output not in MAPS:
+                continue
+            key = f"{IMAGES[output]}.{camera}"
+            if key in self._features:
                 frames = [episode.frame(camera, output, t)[..., 0] for t in range(count)]
                 columns[key] = np.stack(frames).astype(MAPS[output])
         for key in self._features:

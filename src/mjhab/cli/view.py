@@ -73,11 +73,11 @@ def _export(options: ViewOptions) -> int:
 def _serve(options: ViewOptions) -> int:
     from mjhab.viewer.pages.app import Viewer
 
-    ended = threading.Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
     source = _source(options)
     source.prepare()
     viewer = Viewer(source, options.host, options.port)
+    ended = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
     try:
         viewer.start()
         url = f"http://{options.host}:{viewer.port}"

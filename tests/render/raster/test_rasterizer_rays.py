@@ -6,6 +6,7 @@ inside a shape see it from within, pictures do not.
 
 from __future__ import annotations
 
+import copy
 import functools
 
 import mujoco
@@ -44,7 +45,8 @@ def home() -> tuple[mujoco.MjModel, mujoco.MjData]:
     pack = builtin_pack()
     layout = Layout(pack, roster("set_table"))
     sim = CpuSimulator(layout, 1, 1)
-    model = sim.model(pack.homes[0].name)
+    # The simulator's model is that of all tests of this process, and groups are set below.
+    model = copy.copy(sim.model(pack.homes[0].name))
     data = mujoco.MjData(model)
     data.qpos[sim.addresses.robot_q] = parked_robot_qpos(ROBOT)
     rng = np.random.default_rng(4)

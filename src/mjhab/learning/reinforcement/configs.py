@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from mjhab.config.env import TrainConfig as TrainEnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import (
     BC,
@@ -152,6 +153,9 @@ class ReinforcementConfig:
     force_ends: a training episode terminates when its cumulative force exceeds the subtask's limit. force_cost: total
     reward subtracted over an episode whose cumulative force reaches the limit. The dense rewards of Open and Close
     have no force term: without these two options the reward does not tell the policy why it fails by force.
+    reward_mode: of the training environment, see `EnvConfig`. success_ends: a training episode terminates at its first
+    success. With reward_mode "sparse", which pays 1 per control step in success, the return is then gamma to the power
+    of the control steps until success.
     checkpoint_samples: samples between checkpoints. At a checkpoint all worlds start new episodes, so that a resumed
     run gives the same result as an uninterrupted one. eval_samples: samples between evaluations.
     """
@@ -170,12 +174,18 @@ class ReinforcementConfig:
     episode_pool: int = 0
     force_ends: bool = False
     force_cost: float = 0.0
+    reward_mode: str = TrainEnvConfig.reward_mode
+    success_ends: bool = False
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
             raise unknown_name("algorithm", self.algorithm, ALGORITHMS)
+        if self.success_ends and self.algorithm == RLPD:
+            raise UsageError(
+                "success_ends does not fit rlpd, whose demonstrations go on after success; take ppo or sac."
+            )
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
         if self.ppo is not None:

@@ -15,7 +15,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mjhab.config.env import TrainConfig
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.version import __version__
@@ -128,7 +127,7 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
 def training_env(
     scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int, **more: Any
 ) -> Any:
-    """Make the training environment: dense rewards of at most 1, no automatic resets.
+    """Make the training environment, without automatic resets.
 
     ``more`` are further options of `make_train`.
     """
@@ -141,22 +140,22 @@ def training_env(
 
 
 def demonstration_env(
-    scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int
+    scene: Scene, config: ReinforcementConfig, worlds: int, threads: int, seed: int
 ) -> Any:
-    """The environment of the demonstrating expert: rewards of training, horizon of an evaluation.
+    """The environment of the demonstrating expert: inputs and rewards of training, horizon of an evaluation.
 
     A profile may train for fewer control steps than it evaluates (ms_hab: 100 and 200); the expert would not finish.
     """
     from mjhab.envs import make
 
-    options = scene.env_options() | image_options(inputs)
+    options = scene.env_options() | image_options(config.inputs)
     return make(
         **options,
         num_envs=worlds,
         threads=threads,
         seed=seed,
         autoreset="disabled",
-        reward_mode=TrainConfig.reward_mode,
+        reward_mode=config.reward_mode,
     )
 
 
@@ -225,12 +224,17 @@ class ReinforcementSession:
             force_limit=limits.force_limit,
             force_ends=self.config.force_ends,
             force_cost=self.config.force_cost,
+            success_ends=self.config.success_ends,
             conditions=tuple(name for name in conditions if name in CHECKERS),
         )
 
-    def _episodes(self) -> dict[str, int]:
-        """Environment options for horizon and episode pool. Navigate keeps the longer horizon of its profile."""
-        options = {"horizon": self.config.horizon, "episode_pool": self.config.episode_pool}
+    def _episodes(self) -> dict[str, Any]:
+        """Environment options of the config. Navigate keeps the longer horizon of its profile."""
+        options: dict[str, Any] = {
+            "horizon": self.config.horizon,
+            "episode_pool": self.config.episode_pool,
+            "reward_mode": self.config.reward_mode,
+        }
         if SUBTASKS[self.request.scene.subtask].navigates:
             del options["horizon"]
         return {name: value for name, value in options.items() if value}

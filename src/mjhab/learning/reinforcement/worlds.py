@@ -41,6 +41,7 @@ class TrainingRules:
     value, so that the worlds do not reset in the same step; 0 disables this.
     force_limit: on the cumulative force [N x control steps]. force_ends: an episode terminates when it exceeds the
     limit. force_cost: total reward subtracted over an episode whose cumulative force reaches the limit.
+    success_ends: an episode terminates at its first success.
     conditions: boolean keys of ``info`` whose frequency ``Worlds.held`` reports.
     """
 
@@ -48,6 +49,7 @@ class TrainingRules:
     force_limit: float = math.inf
     force_ends: bool = False
     force_cost: float = 0.0
+    success_ends: bool = False
     conditions: tuple[str, ...] = ()
 
 
@@ -126,6 +128,10 @@ class Worlds:
             exceeded = torch.as_tensor(info["cumulative_force"]) > rules.force_limit
             terminated = terminated | exceeded
             ended = ended | exceeded
+        if rules.success_ends:
+            success = torch.as_tensor(info["success"])
+            terminated = terminated | success
+            ended = ended | success
         if rules.force_cost:
             share = torch.as_tensor(info["robot_force"]).float() / rules.force_limit
             reward = reward - rules.force_cost * share

@@ -68,7 +68,7 @@ class _Play:
         self._session = session
         self._env = demonstration_env(
             session.request.scene,
-            session.config.inputs,
+            session.config,
             worlds,
             session.request.threads,
             DEMONSTRATION_SEED + session.seed,

@@ -7,6 +7,7 @@ comparable with the paper's.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -117,3 +118,16 @@ def profile_named(name: str) -> Profile:
     if name not in PROFILES:
         raise unknown_name("profile", name, PROFILES)
     return PROFILES[name]
+
+
+def unbound(options: Mapping[str, Any], subtask: str, *, trains: bool) -> dict[str, Any]:
+    """Environment options with the values of their profile as single options, so that others may differ from it.
+
+    A binding profile allows no other value, so the profile of the result is the default one. The environment still
+    counts as one of the profile where it differs in the horizon only, see `learning.layout.profile_of`.
+
+    Args:
+        options: environment options. subtask: "" for a whole task. trains: for an environment of training.
+    """
+    values = profile_named(options.get("profile", DEFAULT_PROFILE)).options(subtask, trains=trains)
+    return {**values, **options, "profile": DEFAULT_PROFILE}

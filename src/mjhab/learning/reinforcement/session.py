@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from mjhab.config.profiles import unbound
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.version import __version__
@@ -129,14 +130,15 @@ def training_env(
 ) -> Any:
     """Make the training environment, without automatic resets.
 
-    ``more`` are further options of `make_train`.
+    ``more`` are further options of `make_train`; a horizon may differ from that of the profile.
     """
     from mjhab.envs import make_train
 
     options = scene.env_options() | image_options(inputs)
-    return make_train(
-        **options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled", **more
-    )
+    if more.get("horizon"):
+        options = unbound(options, scene.subtask, trains=True)
+    options |= more
+    return make_train(**options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled")
 
 
 def demonstration_env(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
+from mjhab.config.profiles import unbound
 from mjhab.learning.configs import BC, DIFFUSION
 
 TABLE1 = "table1"
@@ -94,10 +94,8 @@ class Variant:
         if self.goal_type:
             overrides["goal_type"] = self.goal_type
         if self.force_limit is not None:
-            # A binding profile allows no other limit, so its values are set one by one on the default profile.
-            profile = profile_named(changed.get("profile", DEFAULT_PROFILE))
-            values = profile.options(subtask, trains=False)
-            changed = {**values, **changed, "profile": DEFAULT_PROFILE}
+            # A binding profile allows no other limit.
+            changed = unbound(changed, subtask, trains=False)
             if math.isinf(self.force_limit):
                 changed["force_limits"] = False
             else:

@@ -46,6 +46,9 @@ SMALL: dict[str, str] = {
 """Option to the value that makes it quick; only options that a command has, and that are not off, are set."""
 ALWAYS = {"score": ("--episodes", "1"), "train": ("--budget-minutes", "0.3")}
 """What is added to a command whatever it says."""
+IMITATION = ("bc", "flow", "act", "diffusion", "dagger")
+FEW_DEMONSTRATIONS = ("--demos", "8")
+"""What is added to imitation from demonstrations of its own, which else takes all of the budget."""
 LASTING = ("serve", "view")
 """Commands that go on until they are ended."""
 READY_SECONDS = 120.0
@@ -65,6 +68,8 @@ def small(words: list[str]) -> list[str]:
         numbers = now if isinstance(now, tuple) else (now,)
         if any(number for number in numbers):
             added += [f"--{name.replace('_', '-')}", value]
+    if words[0] == "train" and words[1] in IMITATION and "--data" not in words:
+        added += FEW_DEMONSTRATIONS
     return [*words, *added, *ALWAYS.get(words[0], ())]
 
 
@@ -84,7 +89,8 @@ def run_page(page: Path, folder: Path) -> list[str]:
     """Run a page in a folder, which is made anew; returns the commands that failed."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    shutil.copytree(ROOT / "docs" / "results", folder / "docs" / "results")
+    # Scripts write into the pages and results beside them.
+    shutil.copytree(ROOT / "docs", folder / "docs", ignore=shutil.ignore_patterns("media"))
     for block in [*saved(README), *saved(page)]:
         (folder / block.file).write_text(block.code)
     failed = []

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -51,14 +50,17 @@ FEW_DEMONSTRATIONS = ("--demos", "8")
 """What is added to imitation from demonstrations of its own, which else takes all of the budget."""
 LASTING = ("serve", "view")
 """Commands that go on until they are ended."""
-READY_SECONDS = 120.0
 END_SECONDS = 30.0
 COMMAND_SECONDS = 600.0
+Lasting = subprocess.Popen[str]
 
 
 def small(words: list[str]) -> list[str]:
     """The words of a command with numbers that make it quick."""
     if words[0] == "score" and {"--check", "--table"} & set(words):
+        return words
+    # It has one world if the page does not say more, and refuses the option for recorded episodes.
+    if words[0] == "view":
         return words
     options: Any = parse(words)
     options = getattr(options, "command", options)
@@ -94,7 +96,8 @@ def run_page(page: Path, folder: Path) -> list[str]:
     for block in [*saved(README), *saved(page)]:
         (folder / block.file).write_text(block.code)
     failed = []
-    with ExitStack() as lasting:
+    lasting: list[Lasting] = []
+    try:
         for block in blocks(page):
             if block.language != "bash" or block.reason:
                 continue
@@ -105,11 +108,14 @@ def run_page(page: Path, folder: Path) -> list[str]:
                     told = f"{name_of(page)}: {' '.join(command.words)}"
                     print(f"{time.monotonic() - begun:6.1f} s  {told}", flush=True)
                     failed += [] if good else [told]
+    finally:
+        ended = [(process, ends_well(process)) for process in lasting]
+    failed += [f"the end of {' '.join(map(str, one.args))}" for one, good in ended if not good]
     return failed
 
 
-def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
-    """Run one command of mjhab; whether it did what it should."""
+def run(command: Command, folder: Path, lasting: list[Lasting]) -> bool:
+    """Run one command of mjhab; whether it did what it should. One that lasts is added to ``lasting``."""
     given = with_files(command.words[1:], folder)
     words = [sys.executable, *given]
     if command.program == "mjhab":
@@ -119,9 +125,11 @@ def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
         process = subprocess.Popen(
             words, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
         )
-        lasting.callback(end, process)
         assert process.stdout is not None
-        return bool(process.stdout.readline())
+        started = bool(process.stdout.readline())
+        if started:
+            lasting.append(process)
+        return started
     try:
         done = subprocess.run(
             words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, timeout=COMMAND_SECONDS
@@ -141,10 +149,14 @@ def with_files(words: Sequence[str], folder: Path) -> list[str]:
     return given
 
 
-def end(process: subprocess.Popen[str]) -> None:
-    """End a command that lasts, as a user does, and ask for a clean exit."""
+def ends_well(process: Lasting) -> bool:
+    """End a command that lasts, as a user does; whether it exits with 0 in time."""
     process.terminate()
-    assert process.wait(END_SECONDS) == 0, process.args
+    try:
+        return process.wait(END_SECONDS) == 0
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return False
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +45,22 @@ SMALL: dict[str, str] = {
 """Option to the value that makes it quick; only options that a command has, and that are not off, are set."""
 ALWAYS = {"score": ("--episodes", "1"), "train": ("--budget-minutes", "0.3")}
 """What is added to a command whatever it says."""
+IMITATION = ("bc", "flow", "act", "diffusion", "dagger")
+FEW_DEMONSTRATIONS = ("--demos", "8")
+"""What is added to imitation from demonstrations of its own, which else takes all of the budget."""
 LASTING = ("serve", "view")
 """Commands that go on until they are ended."""
-READY_SECONDS = 120.0
 END_SECONDS = 30.0
 COMMAND_SECONDS = 600.0
+Lasting = subprocess.Popen[str]
 
 
 def small(words: list[str]) -> list[str]:
     """The words of a command with numbers that make it quick."""
     if words[0] == "score" and {"--check", "--table"} & set(words):
+        return words
+    # It has one world if the page does not say more, and refuses the option for recorded episodes.
+    if words[0] == "view":
         return words
     options: Any = parse(words)
     options = getattr(options, "command", options)
@@ -65,6 +70,8 @@ def small(words: list[str]) -> list[str]:
         numbers = now if isinstance(now, tuple) else (now,)
         if any(number for number in numbers):
             added += [f"--{name.replace('_', '-')}", value]
+    if words[0] == "train" and words[1] in IMITATION and "--data" not in words:
+        added += FEW_DEMONSTRATIONS
     return [*words, *added, *ALWAYS.get(words[0], ())]
 
 
@@ -84,11 +91,13 @@ def run_page(page: Path, folder: Path) -> list[str]:
     """Run a page in a folder, which is made anew; returns the commands that failed."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    shutil.copytree(ROOT / "docs" / "results", folder / "docs" / "results")
+    # Scripts write into the pages and results beside them.
+    shutil.copytree(ROOT / "docs", folder / "docs", ignore=shutil.ignore_patterns("media"))
     for block in [*saved(README), *saved(page)]:
         (folder / block.file).write_text(block.code)
     failed = []
-    with ExitStack() as lasting:
+    lasting: list[Lasting] = []
+    try:
         for block in blocks(page):
             if block.language != "bash" or block.reason:
                 continue
@@ -99,11 +108,14 @@ def run_page(page: Path, folder: Path) -> list[str]:
                     told = f"{name_of(page)}: {' '.join(command.words)}"
                     print(f"{time.monotonic() - begun:6.1f} s  {told}", flush=True)
                     failed += [] if good else [told]
+    finally:
+        ended = [(process, ends_well(process)) for process in lasting]
+    failed += [f"the end of {' '.join(map(str, one.args))}" for one, good in ended if not good]
     return failed
 
 
-def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
-    """Run one command of mjhab; whether it did what it should."""
+def run(command: Command, folder: Path, lasting: list[Lasting]) -> bool:
+    """Run one command of mjhab; whether it did what it should. One that lasts is added to ``lasting``."""
     given = with_files(command.words[1:], folder)
     words = [sys.executable, *given]
     if command.program == "mjhab":
@@ -113,9 +125,11 @@ def run(command: Command, folder: Path, lasting: ExitStack) -> bool:
         process = subprocess.Popen(
             words, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
         )
-        lasting.callback(end, process)
         assert process.stdout is not None
-        return bool(process.stdout.readline())
+        started = bool(process.stdout.readline())
+        if started:
+            lasting.append(process)
+        return started
     try:
         done = subprocess.run(
             words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, timeout=COMMAND_SECONDS
@@ -135,10 +149,14 @@ def with_files(words: Sequence[str], folder: Path) -> list[str]:
     return given
 
 
-def end(process: subprocess.Popen[str]) -> None:
-    """End a command that lasts, as a user does, and ask for a clean exit."""
+def ends_well(process: Lasting) -> bool:
+    """End a command that lasts, as a user does; whether it exits with 0 in time."""
     process.terminate()
-    assert process.wait(END_SECONDS) == 0, process.args
+    try:
+        return process.wait(END_SECONDS) == 0
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return False
 
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ def test_policies_with_a_name() -> None:
     for policy in (seeded, again):
         policy.reset(np.ones(1, bool))
     np.testing.assert_array_equal(seeded.act(None, info), again.act(None, info))
-    assert inspect_policy("expert") == PolicyFacts("expert")
+    assert inspect_policy("expert") == PolicyFacts("expert", reads_instruction=False)
     with pytest.raises(UsageError, match="only the policy expert has a style"):
         resolve_policy("zero", FakeEnv(1), PolicyOptions(style=("speed=0.5",)))
 

@@ -203,6 +203,15 @@ def test_the_networks_have_the_names_and_shapes_of_the_original() -> None:
         assert {key: tuple(value.shape) for key, value in network.state_dict().items()} == acting
 
 
+def test_weights_that_are_not_finite_are_refused_by_name(tmp_path: Path) -> None:
+    weights = original.random_weights(CASES["bc"].shapes)
+    name = next(iter(weights))
+    weights[name].view(-1)[0] = torch.nan
+    path = original.save(tmp_path / "a.pt", weights)
+    with pytest.raises(UsageError, match=f"1 of the .* numbers of its tensor {name} are not fin"):
+        load_network(path)
+
+
 def test_frames_and_cameras_are_read_off_the_parameters(tmp_path: Path) -> None:
     weights = original.random_weights(original.bc_shapes(frames=3))
     _, network = load_network(original.save(tmp_path / "a.pt", weights))

@@ -9,13 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.core import libraries
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
-from mjhab.learning.checkpoint import save_student
+from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
 from mjhab.learning.demos import nearness
 from mjhab.learning.policy import StudentEnsemble, StudentPolicy, pooled
 from mjhab.learning.policy_kind import joined
+from mjhab.learning.require import require_learn
+from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
+from mjhab.sim.backends import cuda_devices
 from tests.learning.small import INPUTS, SIZE, TARGETS, config, fake_env, layout
 
 
@@ -146,6 +150,44 @@ def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
         match=r"learning needs torch, which is not installed.*pip install .*\[learn\]'",
     ):
         inspect_policy("any.safetensors")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError("libtorch_cpu.so: cannot open shared object file: No such file or directory"),
+        ImportError("/lib/libstdc++.so.6: version `GLIBCXX_3.4.32' not found"),
+        RuntimeError("module compiled against another ABI version"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_a_torch_that_cannot_be_imported_is_told_in_one_line(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(name: str) -> object:
+        raise error
+
+    monkeypatch.setattr(libraries.importlib, "import_module", broken)
+    with pytest.raises(UsageError, match=r"torch is installed but cannot be imported") as told:
+        require_learn()
+    assert str(error) in str(told.value) and "pip install" in str(told.value)
+    with pytest.raises(UsageError, match=r"warp is installed but cannot be imported.*\[gpu\]'"):
+        cuda_devices()
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf], ids=str)
+def test_weights_that_are_not_finite_are_refused_by_name(number: float, tmp_path: Path) -> None:
+    student = make_student(config(), layout())
+    name, weights = next(iter(student.named_parameters()))
+    weights.data.view(-1)[:2] = number
+    path = tmp_path / "bad.safetensors"
+    save_student(path, student, {})
+    told = f"bad.safetensors cannot act: 2 of the .* numbers of its tensor {name} are not finite"
+    with pytest.raises(UsageError, match=told):
+        inspect_policy(str(path))
+    save_training(path, Trainer(student, seed=0, updates=1), {})
+    with pytest.raises(UsageError, match=f"tensor .*{name} are not finite"):
+        load_checkpoint(path)
 
 
 def test_several_students_execute_the_mean_of_their_actions(tmp_path: Path) -> None:

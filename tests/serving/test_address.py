@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from mjhab.cli.options.policies.served import ServedOptions
 from mjhab.core.errors import UsageError
-from mjhab.serving.address import Address, with_options
+from mjhab.serving.address import Address, with_options, without_password
 
 
 def test_options_stand_behind_the_address() -> None:
@@ -41,6 +43,34 @@ def test_options_stand_behind_the_address() -> None:
 def test_bad_addresses_are_refused(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         Address.parse(spec)
+
+
+SECRET = "alpha/beta:gamma#delta?epsilon@zeta"
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        f"ws://me:{SECRET}@host:8000",
+        f"ws://me:{SECRET}@host",
+        "ws://me:alpha@host:port",
+        "ws://me:alpha@[host:8000",
+        "ws://me:alpha@host:8000?execute=two",
+    ],
+)
+def test_no_message_shows_a_password(spec: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        Address.parse(spec)
+    message = str(refused.value)
+    assert "host" in message
+    assert [part for part in re.split(r"\W", SECRET) if part in message] == []
+
+
+def test_the_address_is_told_without_its_password() -> None:
+    address = Address.parse("ws://me:secret@host:8000/path?dialect=roboarena")
+    assert address.uri == "ws://me:secret@host:8000/path"
+    assert address.told == "ws://host:8000/path"
+    assert without_password("FILE@home.py:Mine") == "FILE@home.py:Mine"
 
 
 def test_options_are_for_served_policies() -> None:

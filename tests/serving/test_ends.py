@@ -105,6 +105,11 @@ def test_no_server_and_no_policy_server_are_told() -> None:
         port = listening.getsockname()[1]
     with pytest.raises(UsageError, match=r"no policy server at .* mjhab serve expert"):
         Connection(address(port)).greet()
+    with pytest.raises(
+        UsageError, match=f"no policy server at ws://127.0.0.1:{port}/path "
+    ) as told:
+        Connection(Address(f"ws://me:secret@127.0.0.1:{port}/path")).greet()
+    assert "secret" not in str(told.value) and f"--port {port}." in str(told.value)
     for greeting, message in (
         ("hello, I speak JSON", "does not speak openpi: it says hello"),
         (b"\xc1\xc1", "no msgpack message"),

@@ -156,6 +156,15 @@ class LearnerSpec:
 
 
 @dataclass(frozen=True)
+class CurvesSpec:
+    """`curves.measure_curves`: runs of ``samples`` control steps with ``seeds`` seeds each, in folders of ``out``."""
+
+    out: Path = Path("runs/curves")
+    samples: int = 3_000_000
+    seeds: int = 3
+
+
+@dataclass(frozen=True)
 class ParitySpec:
     """`parity.run.measure_parity`: both simulators beside each other; "all" for all tasks or subtasks."""
 

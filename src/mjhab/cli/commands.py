@@ -36,6 +36,7 @@ class BenchCommand:
         | Annotated[srv.BenchServingOptions, Sub("serving")]
         | Annotated[look.BenchViewOptions, Sub("view")]
         | Annotated[learn.BenchLearnerOptions, Sub("learner")]
+        | Annotated[learn.BenchCurvesOptions, Sub("curves")]
     )
 
 
@@ -87,6 +88,7 @@ RUNNERS: dict[type, tuple[str, str]] = {
     srv.BenchServingOptions: ("cli.bench.serving", "bench_serving"),
     look.BenchViewOptions: ("cli.bench.view", "bench_view"),
     learn.BenchLearnerOptions: ("cli.bench.learner", "bench_learner"),
+    learn.BenchCurvesOptions: ("cli.bench.curves", "bench_curves"),
     sco.ScoreOptions: ("cli.policies.score", "run_score"),
     srv.ServeOptions: ("cli.policies.serve", "run_serve"),
     gen.GenerateOptions: ("cli.datasets.generate", "run_generate"),

@@ -11,7 +11,7 @@ from mjhab.tasks.style import Styles
 
 def inspect_policy(spec: str) -> PolicyFacts:
     """Describe the policy; its name and the version of mjhab identify it."""
-    return PolicyFacts(spec)
+    return PolicyFacts(spec, reads_instruction=False)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:

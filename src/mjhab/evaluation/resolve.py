@@ -28,13 +28,15 @@ class PolicyFacts:
     name: for reports and folders. identity: JSON data that changes with the policy, e.g. the hash of a file; it is part
     of a run's configuration, so that episodes of two policies are never mixed. env_options: fields of `EnvConfig` that
     the policy needs, e.g. ``{"obs_mode": "depth"}``; options of the user take precedence. robot: name of the only robot
-    that the policy can act with, "" if it can act with others.
+    that the policy can act with, "" if it can act with others. reads_instruction: False if the policy certainly makes
+    nothing of instructions.
     """
 
     name: str
     identity: Mapping[str, Any] = field(default_factory=dict)
     env_options: Mapping[str, Any] = field(default_factory=dict)
     robot: str = ""
+    reads_instruction: bool = True
 
 
 @dataclass(frozen=True)

@@ -131,6 +131,7 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
     needed = []
     profiles = set()
     robot = ""
+    reads = False
     for entry in entries:
         facts = inspect_any(entry.checkpoint)
         known = facts.identity.get("policy_sha256") or json.dumps(
@@ -141,12 +142,13 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
             profiles.add(facts.identity["policy_profile"])
         needed.append((entry.checkpoint, facts.env_options))
         robot = robot or facts.robot
+        reads = reads or facts.reads_instruction
     options = policy_kind.joined(name, needed)
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
     identity = {"policy_sha256": digest}
     if profiles:
         identity["policy_profile"] = ", ".join(sorted(profiles))
-    return PolicyFacts(name, identity, options, robot)
+    return PolicyFacts(name, identity, options, robot, reads)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:

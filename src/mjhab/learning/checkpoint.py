@@ -29,6 +29,7 @@ from mjhab.learning.runs.run import STUDENT
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
+from mjhab.learning.weights import check_finite
 
 FORMAT = "mjhab-student-1"
 SUFFIX = ".safetensors"
@@ -75,7 +76,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """Read a student file or a training file.
 
     Raises:
-        UsageError: the file does not exist or is not such a checkpoint.
+        UsageError: the file does not exist, is not such a checkpoint, or holds numbers that are not finite.
     """
     if not is_file(path):
         raise UsageError(f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`.")
@@ -96,11 +97,12 @@ def load_checkpoint(path: Path) -> Checkpoint:
         config = student_from_plain(described["student"])
         layout = Layout.from_plain(config.inputs, described["layout"])
         about = read_record(dict[str, Any], head.get("about", {}), "about")
-        return Checkpoint(config, layout, about, tensors)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     except ValueError as error:
         raise UsageError(f"{path} is damaged: its header is no student's ({error})") from error
+    check_finite(path, tensors)
+    return Checkpoint(config, layout, about, tensors)
 
 
 def load_student(path: Path) -> Student:
@@ -114,8 +116,6 @@ def load_student(path: Path) -> Student:
         raise UsageError(f"{path} does not hold the weights of a student alone. {_remedy(path)}")
     student = make_student(saved.config, saved.layout)
     student.load_state_dict(dict(saved.tensors))
-    if not all(bool(tensor.isfinite().all()) for tensor in student.state_dict().values()):
-        raise UsageError(f"{path} holds weights that are not finite; it cannot act.")
     return student.eval().requires_grad_(False)
 
 

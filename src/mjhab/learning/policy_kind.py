@@ -70,6 +70,7 @@ def inspect_policy(spec: str) -> PolicyFacts:
 
     paths = members(spec)
     layouts = [load_checkpoint(path).layout for path in paths]
+    reads = any(layout.inputs.sentence for layout in layouts)
     digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
     digest = digests[0]
     if len(digests) > 1:
@@ -77,7 +78,7 @@ def inspect_policy(spec: str) -> PolicyFacts:
     named = zip(map(str, paths), (layout.env_options() for layout in layouts), strict=True)
     identity = {"policy_sha256": digest, "policy_profile": layouts[0].profile}
     name = AND.join(path.stem for path in paths)
-    return PolicyFacts(name, identity, joined(spec, named), layouts[0].robot_name)
+    return PolicyFacts(name, identity, joined(spec, named), layouts[0].robot_name, reads)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool = False) -> Policy:

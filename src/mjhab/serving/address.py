@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
@@ -13,6 +14,7 @@ SCHEMES = ("ws://", "wss://")
 PROMPTS = ("subtask", "task")
 TOKEN_VARIABLE = "MJHAB_POLICY_TOKEN"
 """Environment variable with the token that a server asks for, at both ends."""
+_CREDENTIALS = re.compile(r"(?<=://).*@")
 
 
 @dataclass(frozen=True)
@@ -60,13 +62,17 @@ class Address:
         Raises:
             UsageError: it is no such address, or see the class.
         """
-        parts = urlsplit(spec)
+        told = without_password(spec)
         try:
+            parts = urlsplit(spec)
             port = parts.port
-        except ValueError as error:
-            raise UsageError(f"--policy {spec}: {error}; write ws://host:port.") from error
+        except ValueError:
+            # What Python says may hold a part of a password.
+            raise UsageError(
+                f"--policy {told}: host or port cannot be read; write ws://host:port, as in ws://localhost:8000."
+            ) from None
         if not spec.startswith(SCHEMES) or not parts.hostname or port is None:
-            raise UsageError(f"--policy {spec}: write ws://host:port, as in ws://localhost:8000.")
+            raise UsageError(f"--policy {told}: write ws://host:port, as in ws://localhost:8000.")
         values: dict[str, object] = {}
         for name, text in parse_qsl(parts.query, keep_blank_values=True):
             if name not in _READERS:
@@ -74,9 +80,24 @@ class Address:
             try:
                 values[name] = _READERS[name](text)
             except ValueError as error:
-                raise UsageError(f"--policy {spec}: {name} cannot be {text!r}.") from error
+                raise UsageError(f"--policy {told}: {name} cannot be {text!r}.") from error
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path, "", ""))
         return cls(uri, **values)  # type: ignore[arg-type]
+
+    @property
+    def told(self) -> str:
+        """``uri`` for messages, without user name and password."""
+        return without_password(self.uri)
+
+    @property
+    def port(self) -> int | None:
+        """The port of ``uri``."""
+        return urlsplit(self.uri).port
+
+
+def without_password(spec: str) -> str:
+    """A policy specification for messages and results: an address without user name and password."""
+    return _CREDENTIALS.sub("", spec) if spec.startswith(SCHEMES) else spec
 
 
 def with_options(spec: str, options: Mapping[str, object]) -> str:

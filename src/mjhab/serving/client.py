@@ -168,12 +168,11 @@ class Connection:
         self._patience = self.address.reconnect
 
     def _connect(self) -> None:
-        uri = self.address.uri
         token = os.environ.get(TOKEN_VARIABLE)
         headers = {"Authorization": f"Api-Key {token}"} if token else None
         try:
             socket = connect(
-                uri,
+                self.address.uri,
                 compression=None,
                 max_size=MAX_ANSWER_BYTES,
                 additional_headers=headers,
@@ -181,15 +180,15 @@ class Connection:
                 proxy=None,
             )
         except InvalidStatus as error:
-            raise UsageError(_refusal(uri, error.response.status_code)) from error
+            raise UsageError(_refusal(self.address.told, error.response.status_code)) from error
         except (InvalidHandshake, EOFError) as error:
             raise UsageError(
-                f"{uri} is no policy server, it speaks no websocket: {error}."
+                f"{self.address.told} is no policy server, it speaks no websocket: {error}."
             ) from error
         except (OSError, TimeoutError, WebSocketException) as error:
             raise UsageError(
-                f"no policy server at {uri} ({error}). Start one, as in: mjhab serve expert --port "
-                f"{uri.rpartition(':')[2]}."
+                f"no policy server at {self.address.told} ({error}). Start one, as in: mjhab serve expert --port "
+                f"{self.address.port}."
             ) from error
         try:
             self.metadata = self._greeting(socket)
@@ -205,22 +204,24 @@ class Connection:
             message = socket.recv(GREETING_TIMEOUT_S)
         except TimeoutError:
             raise UsageError(
-                f"{address.uri} sent nothing within {GREETING_TIMEOUT_S:g} s, and servers of openpi, roboarena and "
+                f"{address.told} sent nothing within {GREETING_TIMEOUT_S:g} s, and servers of openpi, roboarena and "
                 "behavior greet first; servers of vla-eval are asked by mjhab.integrations.vla_eval."
             ) from None
         except ConnectionClosed as error:
-            raise UsageError(f"{address.uri} closed the connection at once: {error}.") from error
+            raise UsageError(f"{address.told} closed the connection at once: {error}.") from error
         if isinstance(message, str):
             raise UsageError(
-                f"{address.uri} does not speak {address.dialect}: it says {_said(message)}"
+                f"{address.told} does not speak {address.dialect}: it says {_said(message)}"
             )
         try:
             metadata = unpack(message)
         except ProtocolError as error:
-            raise UsageError(f"{address.uri} does not speak {address.dialect}: {error}.") from error
+            raise UsageError(
+                f"{address.told} does not speak {address.dialect}: {error}."
+            ) from error
         if not isinstance(metadata, Mapping):
             raise UsageError(
-                f"{address.uri} greets with {metadata!r:.80}, not with a map of metadata."
+                f"{address.told} greets with {metadata!r:.80}, not with a map of metadata."
             )
         other = greeted_in(metadata)
         if other and other != address.dialect:
@@ -231,7 +232,7 @@ class Connection:
 def wrong_dialect(address: Address, spoken: str) -> UsageError:
     """The error for a server that speaks another dialect."""
     return UsageError(
-        f"{address.uri} speaks {spoken}, not {address.dialect}; give --dialect {spoken}."
+        f"{address.told} speaks {spoken}, not {address.dialect}; give --dialect {spoken}."
     )
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.libraries import check_imports, missing_libraries
 from mjhab.core.machine import install_extra
 
 if TYPE_CHECKING:
@@ -17,26 +17,30 @@ if TYPE_CHECKING:
 BACKENDS = ("auto", "cpu", "warp")
 GPU_MODULES = ("warp", "mujoco_warp", "torch")
 """Modules that the extra "gpu" installs."""
+COMPILED_MODULES = ("warp", "torch")
+"""Those that may be installed and broken."""
 
 
 def resolve(name: str) -> str:
     """Return the backend to use, "cpu" or "warp", for one of BACKENDS.
 
-    "auto" is "warp" if the extra "gpu" is installed and finds a CUDA device, else "cpu". Only "auto" imports Warp here,
-    and only if the extra is installed.
+    "auto" is "warp" if the extra "gpu" is installed and finds a CUDA device, else "cpu". Warp and torch are imported
+    here, if "warp" or "auto" is asked for and the extra is installed.
 
     Raises:
-        UsageError: unknown name; "warp" without the extra (says what to install).
+        UsageError: unknown name; "warp" without the extra, or an extra that cannot be imported (says what to install).
     """
     if name not in BACKENDS:
         raise unknown_name("backend", name, BACKENDS)
-    missing = [module for module in GPU_MODULES if not _installed(module)]
+    missing = missing_libraries(GPU_MODULES)
     if name == "auto":
-        return "warp" if not missing and cuda_devices() else "cpu"
-    if name == "warp" and missing:
-        raise UsageError(
-            f"backend 'warp' needs {', '.join(missing)}, not installed here: {install_extra('gpu')}"
-        )
+        name = "warp" if not missing and cuda_devices() else "cpu"
+    if name == "warp":
+        if missing:
+            raise UsageError(
+                f"backend 'warp' needs {', '.join(missing)}, not installed here: {install_extra('gpu')}"
+            )
+        check_imports(COMPILED_MODULES, "gpu")
     return name
 
 
@@ -53,7 +57,12 @@ def check_device(backend: str, device: str) -> None:
 
 
 def cuda_devices() -> list[str]:
-    """Return the names of the CUDA devices that Warp can use, e.g. ["cuda:0"]. Warp must be installed."""
+    """Return the names of the CUDA devices that Warp can use, e.g. ["cuda:0"]. Warp must be installed.
+
+    Raises:
+        UsageError: Warp cannot be imported.
+    """
+    check_imports(("warp",), "gpu")
     from mjhab.sim.warp import probe as warp_probe
 
     return warp_probe.cuda_devices()
@@ -91,10 +100,3 @@ def open_simulator(
     from mjhab.sim.mujoco.cpu import CpuSimulator
 
     return CpuSimulator(layout, num_worlds, threads, **extra)
-
-
-def _installed(module: str) -> bool:
-    try:
-        return importlib.util.find_spec(module) is not None
-    except ValueError:  # an imported module whose __spec__ is None
-        return True

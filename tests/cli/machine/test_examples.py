@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shlex
 from pathlib import Path
@@ -12,6 +13,7 @@ from mjhab.cli.machine.examples import EXAMPLES, SOURCE, Example, copy_examples
 from mjhab.cli.main import main, parse
 from mjhab.core.errors import UsageError
 
+FAILED = 1
 USAGE = 2
 
 
@@ -48,6 +50,20 @@ def test_they_are_copied_once_and_nothing_of_the_user_is_overwritten(
     assert "clear_table.py" in capsys.readouterr().err
     assert (out / "clear_table.py").read_text() == "mine"
     assert not (out / "control_mode.py").exists()
+
+
+def test_a_full_disk_is_told_with_the_file_that_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(path: Path, content: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert main(["examples", "--out", str(tmp_path / "mine")]) == FAILED
+    told = capsys.readouterr().err
+    assert f"{tmp_path / 'mine'}/" in told and "No space left on device" in told
+    assert str(SOURCE) not in told
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:

@@ -221,6 +221,18 @@ def test_a_student_is_told_the_sentence_of_the_client(tmp_path: Path) -> None:
     assert away == at_home and at_home[0] != at_home[1]
 
 
+def test_a_policy_that_reads_no_instruction_says_so() -> None:
+    env = world(num_envs=1)
+    with serving(TwinResponder("zero", PolicyOptions())) as server:
+        with pytest.raises(UsageError, match=r"zero that ws://\S+ serves reads no instruction"):
+            resolve_policy(spec(server.port), env, PolicyOptions(instruction="shut it"))
+        served: Any = resolve_policy(spec(server.port), env)
+        served.close()
+    with serving(Constant(np.zeros((1, 13)))) as server:
+        other: Any = resolve_policy(spec(server.port), env, PolicyOptions(instruction="shut it"))
+        other.close()
+
+
 def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:
     class Lender:
         def borrow(self, config: Mapping[str, Any]) -> Twin:

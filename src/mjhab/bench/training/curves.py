@@ -1,19 +1,16 @@
-"""Samples that PPO takes, with our settings and the paper's: ``python -m mjhab.bench.training.curves OUT [SAMPLES
-[SEEDS]]``.
+"""``mjhab bench curves``: samples that PPO takes, with our settings and the paper's.
 
-Trains close drawer from the same states with preset "fast" and with "paper_state", the hyper-parameters of the paper,
-in SEEDS (3) seeds of SAMPLES (3,000,000) samples each, and writes OUT/curves.json. The same command goes on after a
-break; runs that are through are not run again.
+Trains close drawer from the same states with preset "fast" and with "paper_state", the hyper-parameters of the paper.
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjhab.bench.specs import CurvesSpec
 from mjhab.core.machine import cores
 from mjhab.learning.reinforcement.configs import PPO, changed, reinforcement_preset
 from mjhab.learning.reinforcement.session import ReinforcementRequest
@@ -25,8 +22,6 @@ SCENE = Scene("set_table", "close", "kitchen_counter/drawer3")
 PRESETS = ("fast", "paper_state")
 LEVELS = (0.5, 0.8)
 """Success once whose first reaching is told."""
-SAMPLES = 3_000_000
-SEEDS = 3
 EVALUATED_SAMPLES = 100_000
 """Between evaluations, as in the paper."""
 EPISODES = 64
@@ -34,8 +29,12 @@ EPISODES = 64
 RESULT = "curves.json"
 
 
-def measure_curves(out: Path, samples: int = SAMPLES, seeds: int = SEEDS) -> dict[str, Any]:
-    """Train, or go on with, all runs, and write what they came to.
+def measure_curves(spec: CurvesSpec) -> dict[str, Any]:
+    """Train all runs, or what is missing of them, and write their results to ``curves.json`` in ``spec.out``.
+
+    Raises:
+        UsageError: the folder holds runs of other numbers of samples, or something else.
+        KeyboardInterrupt: what is done is kept.
 
     Returns:
         By preset and seed "curve", pairs of samples and success once, and "samples_to", by level the samples at the
@@ -43,11 +42,11 @@ def measure_curves(out: Path, samples: int = SAMPLES, seeds: int = SEEDS) -> dic
     """
     found: dict[str, Any] = {}
     for preset in PRESETS:
-        for seed in range(seeds):
-            run = out / f"{preset}_{seed}"
-            curve = train_curve(preset, seed, samples, run)
+        for seed in range(spec.seeds):
+            run = spec.out / f"{preset}_{seed}"
+            curve = train_curve(preset, seed, spec.samples, run)
             found[f"{preset}/{seed}"] = {"curve": curve, "samples_to": samples_to(curve)}
-            write_text(out / RESULT, json.dumps(found, indent=1) + "\n")
+            write_text(spec.out / RESULT, json.dumps(found, indent=1) + "\n")
     return found
 
 
@@ -91,22 +90,3 @@ def samples_to(curve: Sequence[tuple[int, float]]) -> dict[str, int | None]:
         str(level): next((samples for samples, success in curve if success >= level), None)
         for level in LEVELS
     }
-
-
-def main(words: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
-    numbers = [int(word) for word in words[1:]]
-    try:
-        found = measure_curves(Path(words[0]), *numbers)
-    except KeyboardInterrupt:
-        print("mjhab: interrupted. The same command goes on.", file=sys.stderr)
-        return 130
-    for name, run in found.items():
-        print(f"{name}: samples to {run['samples_to']}, at the end {run['curve'][-1][1]:.2f}")
-    return 0
-
-
-if __name__ == "__main__":
-    if not 2 <= len(sys.argv) <= 4:
-        sys.exit(__doc__)
-    sys.exit(main(sys.argv[1:]))

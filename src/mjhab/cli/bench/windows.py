@@ -6,6 +6,7 @@ from mjhab.bench.training.windows import measure_windows
 from mjhab.cli.options.datasets.data import BenchWindowsOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
+from mjhab.learning.require import require_learn
 
 
 def bench_windows(options: BenchWindowsOptions) -> int:
@@ -15,6 +16,7 @@ def bench_windows(options: BenchWindowsOptions) -> int:
     at_least("seed", options.seed, 0)
     if not 0 < options.seconds <= 3600:
         raise UsageError(f"--seconds must be above 0 and at most 3600, got {options.seconds}.")
+    require_learn()
     found = measure_windows(options)
     if options.json:
         print_json(found)

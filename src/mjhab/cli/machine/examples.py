@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import filecmp
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 from mjhab.cli.options.machine import ExamplesOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 
 SOURCE = Path(__file__).parents[2] / "examples"
 """The examples in the package; their files are data, nothing imports them."""
@@ -90,9 +90,21 @@ def copy_examples(folder: Path) -> int:
         )
     new = {file: place for file, place in places.items() if not place.exists()}
     for file, place in new.items():
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, place)
+        _copy(file, place)
     return len(new)
+
+
+def _copy(file: Path, place: Path) -> None:
+    """Copy a file whole or not at all.
+
+    Raises:
+        OSError: it cannot be written; the error names ``place``, where that of the system names the source or nothing.
+    """
+    try:
+        content = file.read_bytes()
+        write_atomic(place, lambda temporary: temporary.write_bytes(content))
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(place)) from error
 
 
 def _files() -> list[Path]:

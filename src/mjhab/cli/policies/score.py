@@ -20,7 +20,7 @@ from mjhab.evaluation.score.result import RESULT_FILE, Result, read_for_table, r
 from mjhab.evaluation.score.run import CHECKED_EPISODES, ScoreSpec, check, score
 from mjhab.evaluation.score.starts import write_starts
 from mjhab.robots.registry import DEFAULT_ROBOT
-from mjhab.serving.address import with_options
+from mjhab.serving.address import with_options, without_password
 
 _MOST_SHOWN = 10
 MODES = {
@@ -97,7 +97,7 @@ def _score(options: ScoreOptions) -> int:
 
 
 def _default_out(options: ScoreOptions) -> Path:
-    words = [options.policy, options.track, options.split]
+    words = [without_password(options.policy), options.track, options.split]
     if options.robot:
         words.append(options.robot)
     return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)

@@ -14,7 +14,7 @@ from mjhab.cli.output import at_least, print_json
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyOptions, full_spec
 from mjhab.serving import require_serving
-from mjhab.serving.address import SCHEMES, TOKEN_VARIABLE
+from mjhab.serving.address import SCHEMES, TOKEN_VARIABLE, without_password
 
 if TYPE_CHECKING:
     from mjhab.serving.server import PolicyServer
@@ -25,7 +25,7 @@ def run_serve(options: ServeOptions) -> int:
     at_least("seed", options.seed, 0)
     at_least("max-message-mb", options.max_message_mb, 1)
     if options.policy.startswith(SCHEMES):
-        raise UsageError(f"{options.policy} is served already.")
+        raise UsageError(f"{without_password(options.policy)} is served already.")
     require_serving()
     from mjhab.evaluation.served.twin import TwinResponder
     from mjhab.serving.dialects.names import dialect_named

@@ -13,7 +13,7 @@ from mjhab.evaluation.served.metadata import env_options_of, own_part, space_of
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.serving import require_serving
-from mjhab.serving.address import Address
+from mjhab.serving.address import Address, without_password
 
 
 def inspect_policy(spec: str) -> PolicyFacts:
@@ -59,7 +59,7 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """
     if options.style:
         raise UsageError(
-            f"only the policy expert has a style; give it to its server (mjhab serve), not to {spec}."
+            f"only the policy expert has a style; give it to its server (mjhab serve), not to {without_password(spec)}."
         )
     require_serving()
     from mjhab.evaluation.served.policy import ServedPolicy

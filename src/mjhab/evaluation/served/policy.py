@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat, rotation_vector
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
@@ -55,7 +56,8 @@ class ServedPolicy:
         instruction: the prompt in place of the episodes' sentences; "" for these.
 
     Raises:
-        UsageError: there is no such server, or the environment's actions do not match the policy's.
+        UsageError: there is no such server, the environment's actions do not match the policy's, or there is an
+            instruction and the server says that its policy reads none.
     """
 
     name = "served"
@@ -66,13 +68,20 @@ class ServedPolicy:
         self._env = env
         count = 1 if address.batch else env.num_envs
         self._connections = [Connection(address) for _ in range(count)]
+        self._pool = ThreadPoolExecutor(count)
         metadata = self._connections[0].greet()
+        own = own_part(metadata)
+        if instruction and own.get("reads_instruction") is False:
+            self.close()
+            raise UsageError(
+                f"the policy {own.get('policy', '')} that {address.told} serves reads no instruction. Leave "
+                "--instruction out, or serve a student that was trained with sentences."
+            )
         self._reader = ActionReader(space_of(address, metadata), self._env.action_table)
-        needs = own_part(metadata).get("needs", ())
+        needs = own.get("needs", ())
         self._needs = set(needs) if isinstance(needs, list) else set()
         self._config = describe_run(env, {}).config if self._needs else {}
         self._worlds = [_new_episode() for _ in range(env.num_envs)]
-        self._pool = ThreadPoolExecutor(count)
 
     @property
     def latency_ms(self) -> list[float]:

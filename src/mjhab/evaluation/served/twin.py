@@ -86,6 +86,7 @@ class TwinResponder:
             "identity": plain(self.facts.identity),
             "env": plain(self.facts.env_options),
             "needs": list(NEEDS),
+            "reads_instruction": self.facts.reads_instruction,
         }
 
     def session(self) -> TwinSession:

@@ -19,6 +19,7 @@ from mjhab.learning.ms_hab.dp import Dp
 from mjhab.learning.ms_hab.network import Network, Shapes
 from mjhab.learning.ms_hab.ppo import Ppo
 from mjhab.learning.ms_hab.sac import Sac
+from mjhab.learning.weights import check_finite
 
 AGENT = "agent"
 """Key of a checkpoint under which MS-HAB stores the parameters of the policy (mshab/train_*.py)."""
@@ -57,7 +58,8 @@ def load_network(path: Path) -> tuple[str, Network]:
     Only tensors and plain data are read from the file; no code in it is executed.
 
     Raises:
-        UsageError: the file does not exist, is not a checkpoint, contains more than tensors, or has another layout.
+        UsageError: the file does not exist, is not a checkpoint, contains more than tensors, has another layout, or
+            holds weights that are not finite.
     """
     parameters = _parameters(path, _read(path))
     shapes = {key: tuple(value.shape) for key, value in parameters.items()}
@@ -79,6 +81,7 @@ def load_network(path: Path) -> tuple[str, Network]:
             f"{path} has the keys of MS-HAB's {layout.name.upper()} network, but not its layout: {'; '.join(wrong)}. "
             "Give a checkpoint as MS-HAB's train scripts save it (policy.pt), with images of 128 x 128."
         )
+    check_finite(path, used)
     network.load_state_dict(used)
     return layout.name, network.eval().requires_grad_(False)
 

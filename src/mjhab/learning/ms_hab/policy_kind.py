@@ -29,7 +29,9 @@ def inspect_policy(spec: str) -> PolicyFacts:
     path = _path_of(spec)
     load_network(path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return PolicyFacts(f"ms_hab-{path.stem}", {"policy_sha256": digest}, ENV_OPTIONS)
+    return PolicyFacts(
+        f"ms_hab-{path.stem}", {"policy_sha256": digest}, ENV_OPTIONS, reads_instruction=False
+    )
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.bench.specs import LearnerSpec
+from mjhab.bench.specs import CurvesSpec, LearnerSpec
 from mjhab.cli.options.common import (
     Assets,
     Joints,
@@ -232,6 +232,23 @@ class BenchLearnerOptions(LearnerSpec):
     """Seed of weights and actions."""
     json: bool = False
     """Print one line of JSON instead of tables."""
+
+
+@dataclass(frozen=True)
+class BenchCurvesOptions(CurvesSpec):
+    """Train PPO with our settings and with those of the paper, and print the samples to 50 % and 80 % success.
+
+    It takes hours. After a break the same command goes on; finished runs are not run again.
+    """
+
+    out: Path = CurvesSpec.out
+    """Folder with a training run for every preset and seed, and curves.json."""
+    samples: Number = CurvesSpec.samples
+    """Control steps of every run."""
+    seeds: Number = CurvesSpec.seeds
+    """Runs of every preset, with seeds 0, 1, ..."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,45 @@
+"""Libraries of extras: whether they are there, and whether they can be imported."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Sequence
+
+from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import reason
+from mjhab.core.machine import install_extra
+
+
+def missing_libraries(names: Sequence[str]) -> list[str]:
+    """Those of the names that are not installed; nothing is imported."""
+    return [name for name in names if not _is_installed(name)]
+
+
+def check_imports(names: Sequence[str], extra: str) -> None:
+    """Import libraries that are installed.
+
+    Args:
+        names: of the modules.
+        extra: of mjhab that installs them.
+
+    Raises:
+        UsageError: an import fails, for instance since a shared library is absent or of another version; the message
+            says why and how to install the extra again.
+    """
+    for name in names:
+        try:
+            importlib.import_module(name)
+        # Compiled libraries fail in many ways: OSError, ImportError, RuntimeError, AttributeError.
+        except Exception as error:
+            raise UsageError(
+                f"{name} is installed but cannot be imported ({type(error).__name__}: {reason(error)}). Install it "
+                f"again: {install_extra(extra)}"
+            ) from error
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # an imported module whose __spec__ is None
+        return True

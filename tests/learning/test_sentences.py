@@ -27,7 +27,7 @@ from mjhab.learning.layout import Layout
 from mjhab.learning.policy import StudentPolicy
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.session import Request
+from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.sentences import SENTENCE_WIDTH, encode_sentence

@@ -16,6 +16,7 @@ from safetensors.torch import save_file
 from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import compact
+from mjhab.learning.batches import BatchSampler, take_chunks
 from mjhab.learning.checkpoint import (
     load_checkpoint,
     load_student,
@@ -32,7 +33,6 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
-from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import EvaluationClock

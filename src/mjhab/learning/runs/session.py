@@ -12,6 +12,7 @@ import torch
 
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
+from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import (
     load_checkpoint,
     restoring,
@@ -19,7 +20,7 @@ from mjhab.learning.checkpoint import (
     save_training,
     saved_state,
 )
-from mjhab.learning.demos import BatchSampler, Demonstrations, load_demonstrations
+from mjhab.learning.demos import Demonstrations, load_demonstrations
 from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.layout import Layout
 from mjhab.learning.runs.collection import Collector, Round, Scene

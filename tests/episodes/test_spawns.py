@@ -12,7 +12,8 @@ import pytest
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.core.seeding import stream
-from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, Episode, EpisodeMaker
+from mjhab.episodes.episode import Episode
+from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, EpisodeMaker
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.spawns import (
     ARM_NOISE,

@@ -14,7 +14,7 @@ import numpy as np
 
 from mjhab.config.env import EnvConfig
 from mjhab.data.store.reading import open_shard
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.hab.format import from_json, read_hab, to_json
 from mjhab.episodes.spawn_sets import SpawnRow, SpawnSet, content_digest, pack_rows, write
 from mjhab.learning.by_subtask import describe_entries, read_entries

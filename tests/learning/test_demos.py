@@ -17,16 +17,9 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import episodes
+from mjhab.learning.batches import BatchSampler, shift_images, take_chunks
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.demos import (
-    BatchSampler,
-    base_velocity,
-    layout_of_data,
-    load_demonstrations,
-    nearness,
-    shift_images,
-    take_chunks,
-)
+from mjhab.learning.demos import base_velocity, layout_of_data, load_demonstrations, nearness
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
 from tests.learning.small import INPUTS, demonstrations

@@ -19,7 +19,7 @@ from mjhab.learning.demos import layout_of_data, load_demonstrations
 from mjhab.learning.layout import Layout, profile_of
 from mjhab.learning.policy import StudentPolicy
 from mjhab.learning.runs.collection import Means, Scene, longer, make_env
-from mjhab.learning.runs.session import Request, layout_for
+from mjhab.learning.runs.request import Request, layout_for
 from mjhab.learning.students.heads import make_student
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record

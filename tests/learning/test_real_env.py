@@ -27,7 +27,7 @@ from mjhab.learning.reinforcement.configs import RLPD, ReinforcementConfig, SacC
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.session import Request
+from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.train import train
 from mjhab.reports import students as students_report
 from mjhab.robots.registry import ROBOTS, robot_named

@@ -15,19 +15,15 @@ from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.reading import episodes
 from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
+from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import load_checkpoint, save_student
 from mjhab.learning.configs import ACT, BC, FLOW, student_from_plain, to_plain
-from mjhab.learning.demos import (
-    BatchSampler,
-    Demonstrations,
-    layout_of_data,
-    load_demonstrations,
-)
+from mjhab.learning.demos import Demonstrations, layout_of_data, load_demonstrations
 from mjhab.learning.layout import Layout
 from mjhab.learning.policy import StudentPolicy
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.session import Request
+from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.sentences import SENTENCE_WIDTH, encode_sentence

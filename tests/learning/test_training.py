@@ -16,6 +16,7 @@ from safetensors.torch import save_file
 from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import compact
+from mjhab.learning.batches import BatchSampler, take_chunks
 from mjhab.learning.checkpoint import (
     load_checkpoint,
     load_student,
@@ -32,12 +33,12 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
-from mjhab.learning.demos import BatchSampler, take_chunks
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import EvaluationClock
+from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.run import Logbook, TrainingFolder
-from mjhab.learning.runs.session import Request, Session, open_session
+from mjhab.learning.runs.session import Session, open_session
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import BrokenLossError, Trainer
 from mjhab.learning.students.heads import make_student
@@ -402,7 +403,7 @@ def judge_without_simulation(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         ]
 
     monkeypatch.setattr(Session, "_evaluate_in", pretended)
-    monkeypatch.setattr("mjhab.learning.runs.session._check_judged", bool)
+    monkeypatch.setattr("mjhab.learning.runs.request._check_judged", bool)
     return asked
 
 

@@ -23,7 +23,7 @@ from mjhab.envs.parts.snapshots import Restorable, restore, snapshot
 from mjhab.envs.parts.teleport import Teleports
 from mjhab.envs.parts.tracking import StepNotes, Tracker
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start
 from mjhab.robots.controllers import check_actions

@@ -5,23 +5,20 @@ The `TaskSpec` of a task defines where objects start and where their goals are, 
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-import json
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
-from mjhab.core.files.cache import cache_dir, read_cached, write_cached
+from mjhab.core.files.cache import cache_dir, read_cached
 from mjhab.core.names import below
 from mjhab.core.registration.plugins import source_digest
 from mjhab.core.seeding import stream
+from mjhab.episodes.episode import Episode, read_episode, write_episode
+from mjhab.episodes.homes import homes_named, homes_of, require_furniture
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout, yaw_quat
 from mjhab.layout.receptacles import (
@@ -30,8 +27,8 @@ from mjhab.layout.receptacles import (
     placed_receptacles,
     with_role,
 )
-from mjhab.scenes.roles import FRIDGE_SHELF, OPEN_SURFACE, link_with_role, require_roles, roles_of
-from mjhab.scenes.spec import Home, Pack, Roles, Vec3
+from mjhab.scenes.roles import FRIDGE_SHELF, OPEN_SURFACE, link_with_role, roles_of
+from mjhab.scenes.spec import Home, Roles
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.household.registry import TASKS
@@ -53,31 +50,6 @@ MAX_SPEED = 0.05
 """A draw is rejected if an object is faster than this [m/s or rad/s] after settling."""
 _ATTEMPTS = 200
 _VERSION = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Episode:
-    """Settled objects of an episode and its targets; the robot's spawn is not part of it.
-
-    Attributes:
-        task: household task.
-        split: split of its home.
-        seed: seed of the episode.
-        index: index of the episode.
-        home: name of its home.
-        object_pose: (N, 7) pose of every object slot, world frame [m, wxyz].
-        link_q: (L,) joint positions of drawers and doors [m or rad].
-        targets: targets in the order of the plan.
-    """
-
-    task: str
-    split: str
-    seed: int
-    index: int
-    home: str
-    object_pose: np.ndarray
-    link_q: np.ndarray
-    targets: tuple[Target, ...]
 
 
 @dataclass
@@ -158,11 +130,13 @@ class EpisodeMaker:
             MjhabError: no draw of ``_ATTEMPTS`` came to rest.
         """
         path = self._path(seed, index)
-        found = read_cached(path, lambda file: self._load(file, seed, index))
+        found = read_cached(
+            path, lambda file: read_episode(file, self.task, self.split, seed, index)
+        )
         if found is not None:
             return found
         episode, _ = self.make(seed, index)
-        self._save(path, episode)
+        write_episode(path, episode)
         return episode
 
     def make(self, seed: int, index: int) -> tuple[Episode, int]:
@@ -387,64 +361,3 @@ class EpisodeMaker:
         scene = f"{self.task}-{self.target}" if self.target else self.task
         name = f"{scene}-{self.split}-{seed}-{index}.json"
         return below(cache_dir() / "episodes" / self.digest, name)
-
-    def _save(self, path: Path, episode: Episode) -> None:
-        # JSON keeps floats exactly, and reads ten times as fast as an npz of small arrays.
-        content = {
-            "home": episode.home,
-            "object_pose": episode.object_pose.tolist(),
-            "link_q": episode.link_q.tolist(),
-            "targets": [dataclasses.asdict(target) for target in episode.targets],
-        }
-        write_cached(path, lambda temporary: temporary.write_text(json.dumps(content)))
-
-    def _load(self, path: Path, seed: int, index: int) -> Episode:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        pose = np.array(content["object_pose"], dtype=np.float64).reshape(-1, 7)
-        link_q = np.array(content["link_q"], dtype=np.float64)
-        targets = tuple(_target(entry) for entry in content["targets"])
-        return Episode(self.task, self.split, seed, index, content["home"], pose, link_q, targets)
-
-
-def _target(entry: dict[str, Any]) -> Target:
-    """Make a target from an entry of a cached episode."""
-    points = {name: _point(entry[name]) for name in ("goal_pos", "start_pos", "handle_pos")}
-    return Target(**{**entry, **points})
-
-
-def homes_of(pack: Pack, split: str) -> list[Home]:
-    """Return the homes of a split.
-
-    Raises:
-        UsageError: there is none.
-    """
-    found = [home for home in pack.homes if home.split == split]
-    if not found:
-        raise UsageError(f"pack {pack.name!r} has no home in split {split!r}")
-    return found
-
-
-def homes_named(pack: Pack, pattern: str) -> list[Home]:
-    """Return the homes whose name matches ``pattern`` with the wildcards ``*``, ``?`` and ``[...]``.
-
-    Raises:
-        UsageError: there is none.
-    """
-    found = [home for home in pack.homes if fnmatchcase(home.name, pattern)]
-    if not found:
-        raise unknown_name("home", pattern, [home.name for home in pack.homes])
-    return found
-
-
-def require_furniture(pack: Pack, homes: Iterable[Home], task: str) -> None:
-    """Check that homes have the furniture that a task needs.
-
-    Raises:
-        UsageError: a home lacks some; names the role of the furniture and the homes.
-    """
-    require_roles(pack, homes, TASKS[task].roles, f"task {task!r}")
-
-
-def _point(row: Sequence[float]) -> Vec3:
-    x, y, z = row
-    return (x, y, z)

@@ -7,7 +7,7 @@ from functools import cache, partial
 
 from mjhab.core.names import kind_of
 from mjhab.core.seeding import stream
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.zones import receptacle_below
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles

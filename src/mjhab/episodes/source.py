@@ -9,7 +9,8 @@ from pathlib import Path
 from mjhab.config.env import EnvConfig
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.seeding import stream
-from mjhab.episodes.generator import Episode, EpisodeMaker
+from mjhab.episodes.episode import Episode
+from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabFile, read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
 from mjhab.episodes.rosters import object_roster

@@ -14,7 +14,8 @@ import numpy as np
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
-from mjhab.episodes.generator import Episode, EpisodeMaker
+from mjhab.episodes.episode import Episode
+from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.source import open_setting
 from mjhab.episodes.spawn_sets import (
     SUFFIX,

@@ -36,7 +36,7 @@ from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
 from mjhab.core.typed.records import read_record
 from mjhab.core.version import __version__
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
 from mjhab.robots.registry import DEFAULT_ROBOT

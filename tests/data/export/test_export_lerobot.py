@@ -17,7 +17,8 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import quat_rotate
 from mjhab.data.export.conventions import CONVENTIONS
-from mjhab.data.export.lerobot.export import FPS, Choice, Exported
+from mjhab.data.export.lerobot.export import Exported
+from mjhab.data.export.lerobot.features import FPS, Choice
 from mjhab.data.export.lerobot.pieces import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
 from mjhab.data.select.describing import state_names, subtask_words

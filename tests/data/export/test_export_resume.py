@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.data.export.lerobot.export import Choice
+from mjhab.data.export.lerobot.features import Choice
 from mjhab.data.export.lerobot.pieces import FilmTools
 from mjhab.data.select.query import Filter
 from mjhab.render.film import FilmWriter, join_films

@@ -11,7 +11,7 @@ from mjhab.core.rotations import frame_from_axes
 from mjhab.episodes.grasps import antipodal
 from mjhab.episodes.grasps.antipodal import Solid, surface_grasps
 from mjhab.episodes.grasps.candidates import LyingObject, grasp_candidates
-from mjhab.episodes.grasps.pinches import SurfaceGrasps
+from mjhab.episodes.grasps.pinch import SurfaceGrasps
 from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.episodes.grasps.stable import shape_of
 from mjhab.robots.fetch.robot import ROBOT

@@ -8,7 +8,7 @@ import pytest
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
-from mjhab.episodes.grasps.pinches import Options
+from mjhab.episodes.grasps.pinch import Options
 from mjhab.episodes.grasps.stable import StableGrasps, shape_of
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS

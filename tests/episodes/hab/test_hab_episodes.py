@@ -14,7 +14,8 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs import make
-from mjhab.episodes.generator import Episode, EpisodeMaker, require_furniture
+from mjhab.episodes.episode import Episode
+from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabEpisode, HabFile, read_hab, write_hab
 from mjhab.episodes.hab.reader import (
     FileEpisodes,
@@ -24,6 +25,7 @@ from mjhab.episodes.hab.reader import (
     object_poses,
 )
 from mjhab.episodes.hab.writer import to_hab
+from mjhab.episodes.homes import require_furniture
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.scenes.pack_source import PackRequest

@@ -64,7 +64,8 @@ def _lerobot(options: ExportLerobotOptions) -> int:
     if not 0 <= options.quality <= 51:
         raise UsageError(f"--quality must be 0 to 51, got {options.quality}.")
     try:
-        from mjhab.data.export.lerobot import export as lerobot
+        from mjhab.data.export.lerobot.export import export_lerobot
+        from mjhab.data.export.lerobot.features import Choice
         from mjhab.data.export.lerobot.pieces import FilmTools
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
@@ -72,16 +73,14 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         raise UsageError(
             f"LeRobot data sets need pyarrow; install it with: {install_extra('data')}"
         ) from error
-    choice = lerobot.Choice(
-        not options.no_rgb, not options.no_depth, not options.no_seg, options.until
-    )
+    choice = Choice(not options.no_rgb, not options.no_depth, not options.no_seg, options.until)
     films = FilmTools(
         functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES),
         join_films,
         {"quality": options.quality},
     )
     with late_bar("exporting") as begin:
-        done = lerobot.export_lerobot(
+        done = export_lerobot(
             _request(options), films, version=options.version, choice=choice, begin=begin
         )
     if options.json:

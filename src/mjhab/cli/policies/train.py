@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mjhab.learning.configs import TrainConfig
     from mjhab.learning.reinforcement.session import ReinforcementRequest
     from mjhab.learning.runs.collection import Scene
-    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.request import Request
     from mjhab.learning.runs.train import TrainingResult
 
 ALGORITHMS: dict[type[TrainOptions], str] = {
@@ -169,7 +169,7 @@ def make_request(options: TrainOptions) -> Request:
         UsageError: an unknown name, or a number out of range.
     """
     from mjhab.learning.runs.collection import Means
-    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.request import Request
 
     scene = make_scene(options)
     for name in ("worlds", "workers", "demos", "updates"):

@@ -19,7 +19,6 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json, read_bytes, reason
-from mjhab.core.rotations import quat_canonical
 from mjhab.data.imports.ms_hab_layout import (
     ACTIONS,
     CONTROL_MODE,
@@ -32,11 +31,10 @@ from mjhab.data.imports.ms_hab_layout import (
     check_file,
     from_verbose,
 )
+from mjhab.data.imports.ms_hab_trajectory import trajectory_arrays, trajectory_ending
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
-from mjhab.data.store.hdf5 import content, dataset, dataset_paths, group, read_attributes
-from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.object_axes import from_scan_axes, shown_objects
-from mjhab.data.store.older import OBJECT_POSE
+from mjhab.data.store.hdf5 import group, read_attributes
+from mjhab.data.store.object_axes import shown_objects
 from mjhab.data.store.reading import UNREADABLE
 from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.data.store.schema import FORMAT
@@ -62,9 +60,6 @@ GROUPS = ("obs/agent", "obs/extra")
 SPLITS = ("train", "val", "test")
 LINKS = {"fridge": "fridge/top_door", "kitchen_counter": "kitchen_counter/drawer3"}
 """The link of each piece of furniture that MS-HAB opens and closes (mshab/utils/gen/gen_task_plans.py)."""
-POSE = re.compile(r"pose_wrt_base$")
-_CAMERAS = "sensor_data"
-_PARAMETERS = "sensor_param"
 
 
 @dataclass(frozen=True)
@@ -270,7 +265,7 @@ class _Source:
             raise UsageError(
                 f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}."
             )
-        arrays, columns = _arrays(trajectory, self._scan_yaw(told, run))
+        arrays, columns = trajectory_arrays(trajectory, self._scan_yaw(told, run))
         steps = len(arrays["actions"])
         if steps != int(told["elapsed_steps"]) or steps < 1:
             raise UsageError(
@@ -284,7 +279,7 @@ class _Source:
             )
         # What the file says is checked as it is where a shard is read: names become parts of paths.
         record = EpisodeRecord.from_dict(self._record(told, index, arrays).to_dict())
-        ending = str(told.get("ending") or _ending(trajectory))
+        ending = str(told.get("ending") or trajectory_ending(trajectory))
         actors = tuple(str(actor) for actor in told.get("actors", ()))
         return EpisodeData(record, run, "", ending, arrays, columns, actors)
 
@@ -397,90 +392,3 @@ def _seed(told: Mapping[str, Any]) -> int:
     """The seed of an episode; vectorized environments write one per world, all equal."""
     seed = told.get("episode_seed", 0)
     return int(np.ravel(seed)[0]) if np.size(seed) else 0
-
-
-def _arrays(
-    trajectory: h5py.Group, scan_yaw: float
-) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
-    """Datasets of an episode by their paths in the shard schema, and the names of their columns.
-
-    scan_yaw: heading [rad] of the scan in whose axes the pose of the object is.
-    """
-    actions = _rows(trajectory, "actions").astype(np.float32)
-    steps = len(actions)
-    parts = _state_parts(trajectory)
-    if OBJECT_POSE in parts:
-        parts[OBJECT_POSE] = from_scan_axes(parts[OBJECT_POSE], scan_yaw)
-    arrays = {
-        "actions": actions,
-        "subtasks/active": np.zeros(steps + 1, np.int16),
-        "subtasks/step": np.zeros(1, np.int32),
-        "subtasks/index": np.zeros(1, np.int16),
-        "reward/total": _rows(trajectory, "rewards").astype(np.float64),
-        "reward/success": _rows(trajectory, "success").astype(np.uint8),
-        "reward/fail": _rows(trajectory, "fail").astype(np.uint8),
-        "obs/state": np.concatenate(list(parts.values()), axis=1),
-    }
-    # MS-HAB executes the policy's actions without noise, so the intended actions equal the executed ones.
-    told = {
-        name: _rows(trajectory, name)
-        for name in ("actions_intended", "actor")
-        if name in trajectory
-    }
-    by_policy = {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)} | told
-    arrays |= by_policy
-    arrays |= _camera_arrays(trajectory)
-    return arrays, {"obs/state": tuple(f"{key}:{part.shape[1]}" for key, part in parts.items())}
-
-
-def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
-    """Parts of the state (N+1, n) float32, in the order of the file, in which MS-HAB's scripts concatenate them.
-
-    Quaternions have w >= 0, as in mjhab's observations.
-    """
-    parts: dict[str, np.ndarray] = {}
-    for folder in ("agent", "extra"):
-        members = group(trajectory, f"obs/{folder}")
-        for name in members:
-            values = _rows(members, str(name)).astype(np.float32)
-            values = values.reshape(len(values), -1)
-            if POSE.search(str(name)) and values.shape[1] == 7:
-                values[:, 3:] = quat_canonical(values[:, 3:])
-            parts[f"{folder}/{name}"] = values
-    return parts
-
-
-def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
-    """Camera parameters unchanged, and images encoded as in shards."""
-    arrays: dict[str, np.ndarray] = {}
-    obs = group(trajectory, "obs")
-    for path in dataset_paths(obs):
-        folder, _, rest = path.partition("/")
-        if folder == _PARAMETERS:
-            arrays[f"obs/{path}"] = _rows(obs, path)
-        if folder != _CAMERAS:
-            continue
-        output = rest.rpartition("/")[2]
-        files = [encode(frame, output, ImageFormat()) for frame in _rows(obs, path)]
-        arrays[f"images/{rest}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
-        arrays[f"images/{rest}/ends"] = np.cumsum([len(file) for file in files], dtype=np.int64)
-    return arrays
-
-
-def _ending(trajectory: h5py.Group) -> str:
-    """How an episode ended. MS-HAB's "fail" means too much force or an object that left its goal."""
-    if not _rows(trajectory, "terminated")[-1]:
-        return "timeout"
-    return "success" if _rows(trajectory, "success")[-1] else "force_exceeded"
-
-
-def _rows(parent: h5py.Group, path: str) -> np.ndarray:
-    """A dataset of a trajectory (n, ...), n >= 1: one row per control step or per state.
-
-    Raises:
-        ValueError: it has no rows, or they are not numbers.
-    """
-    array = content(dataset(parent, path))
-    if not array.ndim or not len(array) or array.dtype.kind not in "biuf":
-        raise ValueError(f"{path} must be rows of numbers, not {array.dtype} {array.shape}")
-    return array

@@ -14,7 +14,7 @@ import torch
 from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.rotations import quat_mul
 from mjhab.core.seeding import stream
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.spawns import MAX_TRIES
 from mjhab.episodes.starts import Start, StartMaker
 from mjhab.layout.layout import Addresses

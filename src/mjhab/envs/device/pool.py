@@ -18,7 +18,7 @@ from mjhab.core.arrays import map_record
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.device.landings import find_landings
 from mjhab.envs.parts.plan_tables import PlanTables, Rows
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.source import EpisodeSource
 from mjhab.episodes.starts import Start
 from mjhab.sim.warp.simulator import WarpSimulator

@@ -11,7 +11,7 @@ import numpy as np
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import may_hold
 from mjhab.core.typed.frozen import FrozenMap
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.narration import Narrator
 from mjhab.layout.layout import Layout
 from mjhab.tasks.instructions import with_teleports

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from mjhab.core.arrays import row_of, with_row
 from mjhab.core.errors import UsageError
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.progress import Progress

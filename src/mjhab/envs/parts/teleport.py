@@ -16,7 +16,7 @@ from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.plan_tables import PlanTables
 from mjhab.envs.parts.sensing import Sensing
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.spawns import MAX_TRIES, Held
 from mjhab.episodes.starts import StartMaker
 from mjhab.sim.protocol import SimState

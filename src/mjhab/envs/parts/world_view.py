@@ -13,7 +13,7 @@ from mjhab.core.joints import BASE
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
 from mjhab.envs.parts.worlds import Worlds
-from mjhab.episodes.grasps.pinches import ObjectShape
+from mjhab.episodes.grasps.pinch import ObjectShape
 from mjhab.episodes.grasps.stable import shape_of
 from mjhab.layout.layout import Layout, compose
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles

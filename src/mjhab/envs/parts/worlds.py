@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from mjhab.config.env import EnvConfig
 from mjhab.envs.parts.plan_tables import PlanTables
 from mjhab.envs.parts.sensing import Sensing
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.layout.layout import Layout
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.progress import Progress

@@ -20,7 +20,7 @@ from trimesh.sample import sample_surface
 
 from mjhab.core.rotations import frame_from_axes
 from mjhab.core.seeding import stream
-from mjhab.episodes.grasps.pinches import SurfaceGrasps
+from mjhab.episodes.grasps.pinch import SurfaceGrasps
 from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.robots.model import PAD_FRICTION
 from mjhab.robots.parts import Gripper

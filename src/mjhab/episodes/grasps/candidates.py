@@ -12,7 +12,8 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
-from mjhab.episodes.grasps.pinches import ObjectShape, Options, Pinch, pinches_of
+from mjhab.episodes.grasps.pinch import ObjectShape, Options, Pinch
+from mjhab.episodes.grasps.pinches import pinches_of
 from mjhab.robots.parts import Gripper
 from mjhab.robots.registry import robot_named
 

@@ -16,7 +16,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
-from mjhab.episodes.generator import Episode, require_furniture
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.hab.format import (
     MAX_OBJECTS,
     HabEpisode,
@@ -24,6 +24,7 @@ from mjhab.episodes.hab.format import (
     pose_from_hab,
 )
 from mjhab.episodes.hab.format import Receptacle as NumberedLink
+from mjhab.episodes.homes import require_furniture
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, link_to_open, placed_receptacles
 from mjhab.scenes.roles import roles_of

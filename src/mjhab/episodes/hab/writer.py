@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.names import copy_name
-from mjhab.episodes.generator import FRIDGE_DOOR, Episode
+from mjhab.episodes.episode import Episode
+from mjhab.episodes.generator import FRIDGE_DOOR
 from mjhab.episodes.hab.format import OBJECT_SUFFIX, SCENE_SUFFIX, HabEpisode, Marker, pose_to_hab
 from mjhab.episodes.hab.format import Receptacle as NumberedLink
 from mjhab.episodes.hab.reader import FIXED_LINKS, PREFIX, link_names, receptacle_at

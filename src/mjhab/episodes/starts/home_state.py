@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import Array
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.grasps.carry_postures import CarryPostures
 from mjhab.episodes.grasps.stable import StableGrasps
 from mjhab.episodes.spawns import Held, SpawnSampler

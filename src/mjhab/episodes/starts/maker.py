@@ -14,7 +14,7 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.names import kind_of
 from mjhab.core.registration.plugins import resolved
 from mjhab.core.seeding import stream
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.grasps.carry_postures import CarryPostures
 from mjhab.episodes.grasps.stable import StableGrasps
 from mjhab.episodes.spawn_sets import SpawnSet

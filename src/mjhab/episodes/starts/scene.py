@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.episodes.generator import Episode
+from mjhab.episodes.episode import Episode
 from mjhab.episodes.spawns import Held, SpawnGoal
 from mjhab.episodes.starts.home_state import HomeState
 from mjhab.scenes.spec import Home

@@ -262,7 +262,7 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
 
 def _train_student(spec: TableSpec, scene: Scene, run: Path, resume: bool) -> TrainingResult:
     from mjhab.learning.runs.collection import Means
-    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.request import Request
     from mjhab.learning.runs.train import train
 
     request = Request(

@@ -39,7 +39,7 @@ def train_imitation(
         KeyboardInterrupt: Ctrl-C was pressed while demonstrations were collected; they are kept.
     """
     from mjhab.learning.runs.collection import Means, Scene
-    from mjhab.learning.runs.session import Request
+    from mjhab.learning.runs.request import Request
     from mjhab.learning.runs.train import train
 
     scene = Scene(row.task, row.subtask, row.target, assets=spec.assets, **profile_options(spec))
@@ -102,7 +102,7 @@ def _collected(
 ) -> Path:
     """The folder of a data set; collects what it lacks."""
     from mjhab.learning.runs.collection import Collector, Round
-    from mjhab.learning.runs.session import Request, layout_for
+    from mjhab.learning.runs.request import Request, layout_for
 
     preset = preset_of(BC, spec.preset_name).student
     inputs = dataclasses.replace(preset.inputs, image_size=config.student.inputs.image_size)

@@ -9,8 +9,9 @@ from typing import Any
 from mjhab.data.record.provenance import source_commit
 from mjhab.learning.runs.dagger import train_dagger
 from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.run import refused_leaves_nothing
-from mjhab.learning.runs.session import OutOfTime, Request, Session, open_session
+from mjhab.learning.runs.session import OutOfTime, Session, open_session
 from mjhab.learning.runs.supervised import train_supervised
 from mjhab.learning.runs.training import BrokenLossError
 

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from mjhab.learning.batches import Chunks
 from mjhab.learning.configs import StudentConfig
-from mjhab.learning.demos import Chunks, Demonstrations
+from mjhab.learning.demos import Demonstrations
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer
 

@@ -1,4 +1,4 @@
-"""Plans of the expert in recorded episodes, computed in the first state of each subtask."""
+"""Plans of the expert: in running worlds, and in the first state of each subtask of recorded episodes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,62 @@ from typing import Any
 import numpy as np
 
 from mjhab.data.store.reading import Episode
-from mjhab.experts.policy import ExpertPolicy
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.experts.policy import ExpertPolicy, Script
 from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
 from mjhab.viewer.sources.recorded_envs import RecordedEnvs
 from mjhab.viewer.sources.track import Track
 
 PLAN_STEPS = 20
 """Number of control steps after which an expert without a plan is taken to have none."""
+
+
+class LivePlan:
+    """The expert's plan in one of the worlds of a running environment.
+
+    Attributes:
+        marks: the plan; None until there is one.
+    """
+
+    def __init__(self, env: SequentialTaskEnv) -> None:
+        self.marks: PlanMarks | None = None
+        self._env = env
+        self._token: tuple[int, int, int] | None = None
+        self._tries = 0
+        self._adviser: ExpertPolicy | None = None
+
+    def forget(self) -> None:
+        """Drop the plan, so that `note` computes it anew."""
+        self.marks = None
+        self._token = None
+
+    def note(self, world: int, expert: ExpertPolicy | None) -> None:
+        """Update ``marks`` in the present state of a world.
+
+        Args:
+            world: index of the world.
+            expert: the expert if it acts in the world, whose present plan is taken; otherwise a second expert plans in
+                the first control steps of each subtask.
+        """
+        script = expert.script(world) if expert is not None else self._advised(world)
+        self.marks = plan_marks(script) if script is not None else None
+
+    def _advised(self, world: int) -> Script | None:
+        """The present script of the second expert."""
+        if self._adviser is None:
+            self._adviser = ExpertPolicy(self._env)
+        here = np.arange(self._env.num_envs) == world
+        token = self._env.view(world).token
+        if token != self._token:
+            self._adviser.reset(here)
+            self.marks = None
+            self._tries = 0
+        self._token = token
+        # Some scripts have a plan only after some control steps.
+        if self.marks is None and self._tries < PLAN_STEPS:
+            self._tries += 1
+            self._adviser.act_in({}, {}, here)
+        return self._adviser.script(world)
 
 
 class RecordedPlans:

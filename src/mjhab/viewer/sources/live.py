@@ -15,23 +15,23 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import MjhabError
-from mjhab.data.record.recorder import signal_rows
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, env_options, make_env
 from mjhab.experts.policy import ExpertPolicy
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RolloutEnv
-from mjhab.rollout.records import EpisodeRecord, PlanEntry
+from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
-from mjhab.viewer.sources.advice import PLAN_STEPS
+from mjhab.viewer.drawn.plan_marks import PlanMarks
+from mjhab.viewer.sources.advice import LivePlan
 from mjhab.viewer.sources.hand import HUMAN, HandControl
+from mjhab.viewer.sources.live_tracks import begin_tracks, extend_tracks
 from mjhab.viewer.sources.pace import Pace
 from mjhab.viewer.sources.switch import Switch
 from mjhab.viewer.sources.takes import Cuttable, TakeRecorder
-from mjhab.viewer.sources.track import Moment, Track, force_limits
+from mjhab.viewer.sources.track import Track
 
 CUT_SECONDS = 10.0
 """Longest wait for the last episode to be recorded when the session is closed [s]."""
@@ -85,7 +85,6 @@ class LiveSession:
         self.is_live = True
         self.choices = tuple(f"world {w}" for w in range(spec.worlds))
         self.policies = tuple(dict.fromkeys((spec.policy, "expert", HUMAN, *policies)))
-        self.expert_plan: PlanMarks | None = None
         self.hand = HandControl()
         self.spec = spec
         self.pace = pace
@@ -105,9 +104,7 @@ class LiveSession:
         self._options: dict[str, Any] = {}
         self._failed = False
         self._plan_wanted = False
-        self._plan_token: tuple[int, int, int] | None = None
-        self._plan_tries = 0
-        self._adviser: ExpertPolicy | None = None
+        self._plan: LivePlan | None = None
         self._cut_done = threading.Event()
         self._jobs: queue.SimpleQueue[Callable[[LiveSession], object]] = queue.SimpleQueue()
         self._closing = False
@@ -155,6 +152,11 @@ class LiveSession:
     def choice(self) -> str:
         """Name of the watched world."""
         return self.choices[self.watched]
+
+    @property
+    def expert_plan(self) -> PlanMarks | None:
+        """The expert's plan in the newest state of the watched world; None unless it is switched on."""
+        return self._plan.marks if self._plan is not None else None
 
     def plan_at(self, step: int) -> PlanMarks | None:
         """Return the expert's plan in the newest state, whatever ``step`` is."""
@@ -265,42 +267,18 @@ class LiveSession:
 
     def renew_plan(self) -> None:
         """Drop the expert's plan and, if switched on, compute that of the present state of the watched world."""
-        self.expert_plan = None
-        self._plan_token = None
-        if self._plan_wanted:
-            self._note_plan()
+        if self._plan is not None:
+            self._plan.forget()
+        self.follow_plan()
 
     def follow_plan(self) -> None:
         """Update the expert's plan after a control step."""
-        if self._plan_wanted:
-            self._note_plan()
-
-    def _note_plan(self) -> None:
-        """Set ``expert_plan`` in the watched world.
-
-        If the expert acts there, it is its present plan; else a second expert plans in the first control steps of each
-        subtask.
-        """
-        assert self.switch is not None and self.env is not None
-        world = self.watched
+        if self._plan is None or not self._plan_wanted:
+            return
+        assert self.switch is not None
         acting = self.switch.policy(self.switch.chosen)
-        if isinstance(acting, ExpertPolicy) and not self.hand_drives:
-            script = acting.script(world)
-        else:
-            if self._adviser is None:
-                self._adviser = ExpertPolicy(self.env)
-            token = self.env.view(world).token
-            if token != self._plan_token:
-                self._adviser.reset(np.arange(self.env.num_envs) == world)
-                self.expert_plan = None
-                self._plan_tries = 0
-            self._plan_token = token
-            # Some scripts have a plan only after some control steps.
-            if self.expert_plan is None and self._plan_tries < PLAN_STEPS:
-                self._plan_tries += 1
-                self._adviser.act_in({}, {}, np.arange(self.env.num_envs) == world)
-            script = self._adviser.script(world)
-        self.expert_plan = plan_marks(script) if script is not None else None
+        expert = acting if isinstance(acting, ExpertPolicy) and not self.hand_drives else None
+        self._plan.note(self.watched, expert)
 
     def _run(self) -> None:
         try:
@@ -355,7 +333,7 @@ class LiveSession:
             self.env = make_env(spec, options)
             self._cuttable = Cuttable(self.env)
             self._options = options
-            self._adviser = None
+            self._plan = LivePlan(self.env)
             self.switch = Switch(self.env, self.spec.seed)
         assert self.switch is not None
         self.switch.choose(full)
@@ -429,32 +407,12 @@ class _Follower(Sink[SequentialTaskEnv]):
         self._session = session
 
     def on_reset(self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
-        checks, _ = signal_rows(env.signals)
-        for w in np.flatnonzero(mask).tolist():
-            track = _new_track(env, info["episode_spec"][w])
-            track.moments.append(_moment(env, info, w, checks[w]))
-            self._session.tracks[w] = track
+        begin_tracks(self._session.tracks, env, info, mask)
         self._wait()
 
     def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
         session = self._session
-        checks, _ = signal_rows(env.judged)
-        for w in np.flatnonzero(step.active).tolist():
-            track = session.tracks[w]
-            assert track is not None
-            now = int(step.steps[w])
-            track.events += [(now, str(name)) for name in step.info["events"][w]]
-            ended = step.info["ended"][w]
-            if ended is not None:
-                track.ended[int(ended["index"])] = str(ended["label"] or "")
-            terms = step.info.get("reward_terms", {})
-            moment = dataclasses.replace(
-                _moment(env, step.info, w, checks[w]),
-                reward=float(step.reward[w]),
-                terms={name: float(values[w]) for name, values in terms.items()},
-                actor=step.notes.actors[int(step.notes.actor[w])],
-            )
-            track.moments.append(moment)
+        extend_tracks(session.tracks, env, step)
         session.steps += 1
         session.follow_plan()
         if not step.done[session.watched]:
@@ -473,36 +431,6 @@ class _Follower(Sink[SequentialTaskEnv]):
 
     def _wait(self) -> None:
         self._session.pace.wait(self._session._between)
-
-
-def _new_track(env: SequentialTaskEnv, episode: Mapping[str, Any]) -> Track:
-    plan = tuple(
-        PlanEntry(str(entry["kind"]), str(entry["target"]), entry["goal"])
-        for entry in episode["plan"]
-    )
-    what = episode["subtask"] or episode["task"]
-    title = f"{what}, episode {episode['index']} of seed {episode['seed']}"
-    return Track(
-        title,
-        str(episode["home"]),
-        int(episode["index"]),
-        plan,
-        force_limits(plan, env.task_config),
-        str(episode["instruction"]),
-        tuple(episode["instructions"]),
-    )
-
-
-def _moment(
-    env: SequentialTaskEnv, info: Mapping[str, Any], world: int, checks: np.ndarray
-) -> Moment:
-    return Moment(
-        env.sim.qpos[world].copy(),
-        int(info["pointer"][world]),
-        float(info["robot_force"][world]),
-        float(info["cumulative_force"][world]),
-        checks,
-    )
 
 
 def _told(error: Exception) -> str:

@@ -16,9 +16,26 @@ import numpy as np
 import pyarrow as pa
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.folders import Target, whole_folder
+from mjhab.data.export.lerobot.card import card, image_notes
+from mjhab.data.export.lerobot.features import (
+    ACTION,
+    CAMERA_POSE,
+    CAMERA_POSE_PATH,
+    ENVIRONMENT_STATE,
+    FPS,
+    IMAGES,
+    INTENDED,
+    MAPS,
+    STATE,
+    TELEPORTED,
+    Choice,
+    Features,
+    describe,
+    differing,
+    film_features,
+)
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
 from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
 from mjhab.data.export.lerobot.stats import Stats, image_stats, map_stats, sampled, vector_stats
@@ -26,7 +43,6 @@ from mjhab.data.export.request import ExportRequest
 from mjhab.data.select.describing import (
     instructions_of,
     navigates_by_teleport,
-    state_names,
     teleported_steps,
 )
 from mjhab.data.select.own_state import split_state
@@ -36,35 +52,12 @@ from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.reading import Episode, open_shard
 
-FPS = round(1 / STEP_SECONDS)
-STATE = "observation.state"
-"""Proprioception: joints, velocity of the base, tcp pose."""
-ENVIRONMENT_STATE = "observation.environment_state"
-"""Privileged state: object, goal, grasp. A policy for a real robot must not use it."""
-TELEPORTED = "is_teleported"
 CAMERAS = "meta/cameras.json"
 """Calibration of the cameras, see `ObservedRows.calibration`. LeRobot does not read it."""
 SEGMENTS = "meta/segments.json"
 """Names of the segmentation ids: the id is the place in the list. LeRobot does not read it."""
 ABOUT = "meta/conventions.json"
 """CONVENTIONS. LeRobot does not read it."""
-IMAGES = {
-    "rgb": "observation.images",
-    "depth": "observation.depth",
-    "seg": "observation.segmentation",
-}
-"""Image output of an episode to the features that hold it, one per camera."""
-MAPS = {"depth": "int16", "seg": "int32"}
-"""Image output to its type, of those that are stored in columns (N, H, W)."""
-CAMERA_POSE = "camera_pose"
-CAMERA_POSE_PATH = "obs/sensor_param/{}/cam2world_gl"
-"""Path in a shard of the recorded poses (N+1, 4, 4) of a camera."""
-"""Poses (N, 4, 4) of a camera, see CONVENTIONS. Not "observation.", because LeRobot takes such features for state."""
-ACTION = "action"
-INTENDED = "intended_action"
-"""Not "action.intended", because LeRobot treats every feature whose name starts with "action" as policy output."""
-Features = dict[str, dict[str, Any]]
-"""Description of every column and video in info.json: dtype, shape, names."""
 
 
 @dataclass(frozen=True)
@@ -74,19 +67,6 @@ class Exported:
     episodes: int
     frames: int
     images: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Which parts of an episode to export: rgb images as videos, depth images and segmentation as columns, if recorded.
-
-    until: end of the exported part, see `Until.parse`.
-    """
-
-    rgb: bool = True
-    depth: bool = True
-    seg: bool = True
-    until: str = ""
 
 
 def export_lerobot(
@@ -179,7 +159,7 @@ class _Export:
                 self._cameras = self._cameras or episode.run.layout.get("cameras", {})
                 self._name_segments(episode)
                 if features != self._features:
-                    raise _differs(episode, self._features, features)
+                    raise differing(episode, self._features, features)
                 made = made or self._make(number, episode)
         self._count(made)
         self._made.append(made)
@@ -220,7 +200,7 @@ class _Export:
         made.stats.update(
             {key: _column_stats(values, self._features[key]) for key, values in columns.items()}
         )
-        for key in _films(self._features):
+        for key in film_features(self._features):
             samples: list[np.ndarray] = []
             camera = key.rpartition(".")[2]
             self._pieces.add_film(number, key, _shown(episode, length, camera, samples))
@@ -274,7 +254,7 @@ class _Export:
         self._files.write_names("task", list(self._tasks))
         self._files.write_names("subtask", list(self._subtasks))
         self._files.write_names("actor", list(self._actors))
-        films = _films(self._features)
+        films = film_features(self._features)
         info = {
             "codebase_version": self._files.version,
             "robot_type": self._robot,
@@ -289,15 +269,15 @@ class _Export:
         if not films:
             info["video_path"] = None
         write_json(self._root / "meta/info.json", info)
-        about_images = self._about_images()
+        notes = self._image_notes()
         write_json(self._root / ABOUT, CONVENTIONS)
         (self._root / "README.md").write_text(
-            _card(self._robot, self._made, self._until, about_images), encoding="utf-8"
+            card(self._robot, self._made, self._until, notes), encoding="utf-8"
         )
         images = [key for key in self._features if key.startswith(tuple(IMAGES.values()))]
         return Exported(len(self._made), self._frames, tuple(images))
 
-    def _about_images(self) -> str:
+    def _image_notes(self) -> str:
         """Write the files about cameras as far as the episodes have them; returns what the card says of the images."""
         files = []
         if self._cameras:
@@ -306,83 +286,7 @@ class _Export:
         if self._segments:
             write_json(self._root / SEGMENTS, list(self._segments))
             files.append(f"Names of segmentation ids: `{SEGMENTS}`.")
-        return _card_images(self._features, files)
-
-
-def describe(episode: Episode, choice: Choice) -> Features:
-    """The features of an episode by their LeRobot names."""
-    state = split_state(episode)
-    actions = [str(name) for name in episode.run.layout.get("actions", [])]
-    action_size = episode.array("actions").shape[1]
-    action = _feature("float32", (action_size,), actions if len(actions) == action_size else None)
-    features: Features = {
-        STATE: _state_feature(state.own, episode),
-        ACTION: action,
-        INTENDED: dict(action),
-        "next.reward": _feature("float32"),
-        "next.success": _feature("bool"),
-        "next.done": _feature("bool"),
-        TELEPORTED: _feature("bool"),
-        "subtask_index": _feature("int64"),
-        "actor_index": _feature("int64"),
-        "timestamp": _feature("float32"),
-        **{
-            key: _feature("int64")
-            for key in ("frame_index", "episode_index", "index", "task_index")
-        },
-    }
-    if state.task:
-        features[ENVIRONMENT_STATE] = _state_feature(state.task, episode)
-    chosen = [
-        (camera, output)
-        for camera, output in episode.images
-        if output in IMAGES and getattr(choice, output)
-    ]
-    for camera, output in chosen:
-        height, width = episode.frame(camera, output, 0).shape[:2]
-        key = f"{IMAGES[output]}.{camera}"
-        if output in MAPS:
-            features[key] = _feature(MAPS[output], (height, width), ["height", "width"])
-        else:
-            features[key] = _film_feature(height, width)
-    paths = set(episode.paths)
-    for camera in dict.fromkeys(camera for camera, _ in chosen):
-        if CAMERA_POSE_PATH.format(camera) in paths:
-            features[f"{CAMERA_POSE}.{camera}"] = _feature("float32", (4, 4), ["row", "column"])
-    return features
-
-
-def _feature(
-    dtype: str, shape: tuple[int, ...] = (1,), names: list[str] | None = None
-) -> dict[str, Any]:
-    return {"dtype": dtype, "shape": list(shape), "names": names}
-
-
-def _state_feature(parts: Mapping[str, np.ndarray], episode: Episode) -> dict[str, Any]:
-    """The feature of concatenated state observations (N+1, n), with a name per column."""
-    widths = {key: values.shape[1] for key, values in parts.items()}
-    return _feature("float32", (sum(widths.values()),), state_names(widths, episode.run.layout))
-
-
-def _film_feature(height: int, width: int) -> dict[str, Any]:
-    # 4:2:0 video needs even sides; the film writer repeats a row or a column.
-    height = height + height % 2
-    width = width + width % 2
-    info = {
-        "video.height": height,
-        "video.width": width,
-        "video.codec": "h264",
-        "video.pix_fmt": "yuv420p",
-        "video.is_depth_map": False,
-        "video.fps": FPS,
-        "video.channels": 3,
-        "has_audio": False,
-    }
-    return {**_feature("video", (height, width, 3), ["height", "width", "channels"]), "info": info}
-
-
-def _films(features: Features) -> list[str]:
-    return [key for key, feature in features.items() if feature["dtype"] == "video"]
+        return image_notes(self._features, files)
 
 
 def _shown(
@@ -417,57 +321,3 @@ def _array(values: np.ndarray) -> pa.Array:
         pa.array(np.arange(count * height + 1, dtype=np.int32) * width), flat
     )
     return pa.ListArray.from_arrays(pa.array(np.arange(count + 1, dtype=np.int32) * height), rows)
-
-
-def _differs(episode: Episode, first: Features, other: Features) -> UsageError:
-    names = [key for key in {**first, **other} if first.get(key) != other.get(key)]
-    return UsageError(
-        f"episode {episode.name} of {episode.shard.path} differs from the ones before it in {', '.join(names)}; a data "
-        "set needs the same in all. Choose with --where, or leave images out with --no-rgb, --no-depth and --no-seg."
-    )
-
-
-def _card(robot: str, made: Sequence[Made], until: Until, about_images: str) -> str:
-    licences = dict.fromkeys(each.licence for each in made)
-    frames = sum(each.steps for each in made)
-    teleported = sum(each.row["navigation"] == "teleport" for each in made)
-    about = [
-        f"`{STATE}` is proprioception (joints, velocity of the base, tcp pose); `{ENVIRONMENT_STATE}` is privileged "
-        "state of the simulation (object, goal, grasp)."
-    ]
-    about.append(about_images)
-    if teleported:
-        about.append(
-            f"In {teleported} of {len(made)} episodes the environment teleported the robot to every goal. "
-            f"The frames are marked by `{TELEPORTED}`, their instructions end with (by teleport)."
-        )
-    if not until.is_whole:
-        about.append(
-            f"Episodes end {until.hold_steps} control steps after their first success ({until.text})."
-        )
-    lines = [
-        "---",
-        "tags: [LeRobot, mjhab]",
-        "task_categories: [robotics]",
-        "configs:",
-        "- config_name: default",
-        "  data_files: data/*/*.parquet",
-        "---",
-        "",
-        f"{len(made)} episodes, {frames} frames at {FPS} Hz of a simulated "
-        f"robot ({robot}) in furnished homes, recorded by mjhab.",
-        "",
-        *(line for text in about if text for line in (text, "")),
-        "Assets: " + "; ".join(licences),
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _card_images(features: Features, files: Sequence[str]) -> str:
-    """What a user of the images has to know, after sentences about ``files``; "" without images."""
-    if not any(key.startswith(tuple(IMAGES.values())) for key in features):
-        return ""
-    topics = ("camera", "camera_pose", "mount", "intrinsic", "depth", "segmentation", "quaternion")
-    lines = [f"- {topic}: {CONVENTIONS[topic]}" for topic in topics]
-    return "\n".join([" ".join([*files, "Conventions:"]), "", *lines])

@@ -1,0 +1,138 @@
+"""The features of a LeRobot data set: the names of its columns and videos, and what an episode has of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjhab.core.errors import UsageError
+from mjhab.core.timing import STEP_SECONDS
+from mjhab.data.select.describing import state_names
+from mjhab.data.select.own_state import split_state
+from mjhab.data.store.reading import Episode
+
+FPS = round(1 / STEP_SECONDS)
+STATE = "observation.state"
+"""Proprioception: joints, velocity of the base, tcp pose."""
+ENVIRONMENT_STATE = "observation.environment_state"
+"""Privileged state: object, goal, grasp. A policy for a real robot must not use it."""
+TELEPORTED = "is_teleported"
+IMAGES = {
+    "rgb": "observation.images",
+    "depth": "observation.depth",
+    "seg": "observation.segmentation",
+}
+"""Image output of an episode to the features that hold it, one per camera."""
+MAPS = {"depth": "int16", "seg": "int32"}
+"""Image output to its type, of those that are stored in columns (N, H, W)."""
+CAMERA_POSE = "camera_pose"
+"""Poses (N, 4, 4) of a camera, see CONVENTIONS. Not "observation.", because LeRobot takes such features for state."""
+CAMERA_POSE_PATH = "obs/sensor_param/{}/cam2world_gl"
+"""Path in a shard of the recorded poses (N+1, 4, 4) of a camera."""
+ACTION = "action"
+INTENDED = "intended_action"
+"""Not "action.intended", because LeRobot treats every feature whose name starts with "action" as policy output."""
+Features = dict[str, dict[str, Any]]
+"""Description of every column and video in info.json: dtype, shape, names."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which parts of an episode to export: rgb images as videos, depth images and segmentation as columns, if recorded.
+
+    until: end of the exported part, see `Until.parse`.
+    """
+
+    rgb: bool = True
+    depth: bool = True
+    seg: bool = True
+    until: str = ""
+
+
+def describe(episode: Episode, choice: Choice) -> Features:
+    """The features of an episode by their LeRobot names."""
+    state = split_state(episode)
+    actions = [str(name) for name in episode.run.layout.get("actions", [])]
+    action_size = episode.array("actions").shape[1]
+    action = _feature("float32", (action_size,), actions if len(actions) == action_size else None)
+    features: Features = {
+        STATE: _state_feature(state.own, episode),
+        ACTION: action,
+        INTENDED: dict(action),
+        "next.reward": _feature("float32"),
+        "next.success": _feature("bool"),
+        "next.done": _feature("bool"),
+        TELEPORTED: _feature("bool"),
+        "subtask_index": _feature("int64"),
+        "actor_index": _feature("int64"),
+        "timestamp": _feature("float32"),
+        **{
+            key: _feature("int64")
+            for key in ("frame_index", "episode_index", "index", "task_index")
+        },
+    }
+    if state.task:
+        features[ENVIRONMENT_STATE] = _state_feature(state.task, episode)
+    chosen = [
+        (camera, output)
+        for camera, output in episode.images
+        if output in IMAGES and getattr(choice, output)
+    ]
+    for camera, output in chosen:
+        height, width = episode.frame(camera, output, 0).shape[:2]
+        key = f"{IMAGES[output]}.{camera}"
+        if output in MAPS:
+            features[key] = _feature(MAPS[output], (height, width), ["height", "width"])
+        else:
+            features[key] = _film_feature(height, width)
+    paths = set(episode.paths)
+    for camera in dict.fromkeys(camera for camera, _ in chosen):
+        if CAMERA_POSE_PATH.format(camera) in paths:
+            features[f"{CAMERA_POSE}.{camera}"] = _feature("float32", (4, 4), ["row", "column"])
+    return features
+
+
+def _feature(
+    dtype: str, shape: tuple[int, ...] = (1,), names: list[str] | None = None
+) -> dict[str, Any]:
+    return {"dtype": dtype, "shape": list(shape), "names": names}
+
+
+def _state_feature(parts: Mapping[str, np.ndarray], episode: Episode) -> dict[str, Any]:
+    """The feature of concatenated state observations (N+1, n), with a name per column."""
+    widths = {key: values.shape[1] for key, values in parts.items()}
+    return _feature("float32", (sum(widths.values()),), state_names(widths, episode.run.layout))
+
+
+def _film_feature(height: int, width: int) -> dict[str, Any]:
+    # 4:2:0 video needs even sides; the film writer repeats a row or a column.
+    height = height + height % 2
+    width = width + width % 2
+    info = {
+        "video.height": height,
+        "video.width": width,
+        "video.codec": "h264",
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False,
+        "video.fps": FPS,
+        "video.channels": 3,
+        "has_audio": False,
+    }
+    return {**_feature("video", (height, width, 3), ["height", "width", "channels"]), "info": info}
+
+
+def film_features(features: Features) -> list[str]:
+    """Names of the features that are videos."""
+    return [key for key, feature in features.items() if feature["dtype"] == "video"]
+
+
+def differing(episode: Episode, first: Features, other: Features) -> UsageError:
+    """Make the error for an episode whose features differ from those of the first one."""
+    names = [key for key in {**first, **other} if first.get(key) != other.get(key)]
+    return UsageError(
+        f"episode {episode.name} of {episode.shard.path} differs from the ones before it in {', '.join(names)}; a data "
+        "set needs the same in all. Choose with --where, or leave images out with --no-rgb, --no-depth and --no-seg."
+    )

@@ -7,7 +7,7 @@ src/mjhab/learning/shipped/index.json names the rows that it acts for, alone or 
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,6 +34,10 @@ def ship(source: Path, rows: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 3:
-        sys.exit(__doc__)
-    ship(Path(sys.argv[1]), sys.argv[2:])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("source", type=Path, metavar="CHECKPOINT.safetensors")
+    parser.add_argument("rows", nargs="+", metavar="TASK/SUBTASK[/TARGET]")
+    options = parser.parse_args()
+    ship(options.source, options.rows)

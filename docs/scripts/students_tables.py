@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 from typing import Any
 
 from experts_tables import DOCS, page_with_tables, place_of, read, table
@@ -78,5 +79,6 @@ TABLES = {
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     text = page_with_tables(PAGE.read_text(encoding="utf-8"), TABLES)
     PAGE.write_text(text, encoding="utf-8")

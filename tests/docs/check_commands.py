@@ -110,7 +110,7 @@ def run_page(page: Path, folder: Path) -> list[str]:
                     failed += [] if good else [told]
     finally:
         ended = [(process, ends_well(process)) for process in lasting]
-    failed += [f"the end of {' '.join(map(str, one.args))}" for one, good in ended if not good]
+    failed += [f"the end of {one.args}" for one, good in ended if not good]
     return failed
 
 

@@ -27,6 +27,7 @@ from mjhab.evaluation.score.manifest import TRACKS
 from mjhab.evaluation.score.result import read_for_table
 from mjhab.scenes.objects import OBJECTS
 from mjhab.scenes.pack_source import PACK_SOURCES
+from tests.docs.check_commands import small as made_quick
 from tests.docs.pages import (
     LANGUAGES,
     PAGES,
@@ -148,6 +149,25 @@ def check_command(command: Command, reason: str) -> None:
             parse(words[1:])
     elif command.program not in ("python",):
         assert reason, f"{' '.join(words)}: nothing runs it, and no comment says why"
+
+
+@pytest.mark.parametrize(
+    ("words", "added"),
+    [
+        ("view runs/pick --export page.html", ""),
+        ("score --check scores/mine/result.json", ""),
+        ("eval --subtask pick --episodes 50", "--episodes 2"),
+        ("train bc --task set_table --subtask pick --out runs/a", "--demos 8"),
+        ("train bc --task set_table --subtask pick --data runs/b --out runs/a", "--films 0"),
+    ],
+)
+def test_commands_are_made_quick(words: str, added: str) -> None:
+    made = made_quick(words.split())
+    assert " ".join(made).startswith(words)
+    more = " ".join(made[len(words.split()) :])
+    assert more == "" if not added else added in more
+    assert ("--demos" in more) == (added == "--demos 8")
+    parse(made)
 
 
 def test_tables_of_the_experts_are_those_of_their_results() -> None:

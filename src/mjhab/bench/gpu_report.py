@@ -5,6 +5,7 @@ On a machine without a GPU it runs small versions on Warp's CPU device, and the 
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import gc
 import json
@@ -21,7 +22,7 @@ from mjhab.bench.parity.episodes import Leg
 from mjhab.bench.parity.run import measure_parity
 from mjhab.bench.simulation.sleep import sleep_cost
 from mjhab.bench.specs import EnvBenchSpec, InteractSpec, ParitySpec
-from mjhab.core.errors import MjhabError, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.machine import cores, gpu_name, installed
 from mjhab.envs.estimate import estimate_rows
@@ -157,7 +158,30 @@ def attempt(work: Callable[[], dict[str, Any]], name: str) -> dict[str, Any]:
         gc.collect()  # makes room on the device
 
 
-def main(out: Path, names: Sequence[str] = ()) -> None:
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command (words of ``sys.argv`` if None); returns the exit code.
+
+    Raises:
+        SystemExit: the words are no such command.
+    """
+    parser = argparse.ArgumentParser("python -m mjhab.bench.gpu_report", description=__doc__)
+    parser.add_argument(
+        "out", type=Path, metavar="FOLDER", help="for gpu-NAME.json, one per measure"
+    )
+    shown = ", ".join(MEASURES)
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"measures, of {shown}; all if absent"
+    )
+    options = parser.parse_args(words)
+    try:
+        report(options.out, options.names)
+    except UsageError as error:
+        print(f"mjhab: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def report(out: Path, names: Sequence[str] = ()) -> None:
     """Measure and write gpu-NAME.json for the names of MEASURES.
 
     Without names: all; the quick parity report in place of the full one, which takes an hour, where there is no GPU.
@@ -181,4 +205,4 @@ def main(out: Path, names: Sequence[str] = ()) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    sys.exit(main())

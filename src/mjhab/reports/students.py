@@ -1,4 +1,4 @@
-"""``python -m mjhab.reports.students FILE.json RUN EVALUATION ...``: table of training cost and success of students.
+"""Table of training cost and success of students: ``python -m mjhab.reports.students FILE.json RUN EVALUATION ...``.
 
 RUN is a folder of `mjhab train`, or several joined by "+" whose students act together; EVALUATION is a folder of
 `mjhab eval` of their checkpoints, or of the compact ones next to them. With - for RUN the row of the file for the same
@@ -8,6 +8,7 @@ same student (`IDENTITY`) are replaced, others stay.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import itertools
 import json
@@ -187,10 +188,19 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
 
 
-def main(words: Sequence[str]) -> int:
-    """Run the command; returns the exit code."""
-    path = Path(words[0])
-    places = [Path(word) for word in words[1:]]
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command (words of ``sys.argv`` if None); returns the exit code.
+
+    Raises:
+        SystemExit: the words are no such command.
+    """
+    parser = argparse.ArgumentParser("python -m mjhab.reports.students", description=__doc__)
+    parser.add_argument("file", type=Path, metavar="FILE.json", help="the table; made or added to")
+    parser.add_argument("places", type=Path, nargs="+", metavar="RUN EVALUATION", help="see above")
+    options = parser.parse_args(words)
+    path, places = options.file, options.places
+    if len(places) % 2:
+        parser.error(f"every RUN needs its EVALUATION; got {len(places)} folders.")
     try:
         rows = [
             student_row(run, judged) if run != KEEP else judged_row(read_rows(path), judged)
@@ -212,6 +222,4 @@ def main(words: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 4 or len(sys.argv) % 2:
-        sys.exit(__doc__)
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

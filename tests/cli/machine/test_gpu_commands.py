@@ -389,7 +389,7 @@ def read_all(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.usefixtures("quick_report")
 def test_report_says_that_there_was_no_gpu(tmp_path: Path) -> None:
-    gpu_report.main(tmp_path)
+    gpu_report.report(tmp_path)
     found = read_all(tmp_path)
     assert set(found) == {
         f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity-quick")
@@ -411,7 +411,7 @@ def test_report_on_a_gpu_measures_large_batches(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gpu_report, "cuda_devices", lambda: ["cuda:0"])
-    gpu_report.main(tmp_path)
+    gpu_report.report(tmp_path)
     found = read_all(tmp_path)
     assert set(found) == {
         f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")
@@ -439,7 +439,7 @@ def test_report_goes_on_where_the_device_fails(
         raise RuntimeError("Graph launch error: CUDA error 700")
 
     monkeypatch.setattr(gpu_report, "measure_interact", fails)
-    gpu_report.main(tmp_path, ["interact", "env"])
+    gpu_report.report(tmp_path, ["interact", "env"])
     found = read_all(tmp_path)
     assert {point["error"] for point in found["gpu-interact"]["points"]} == {
         "RuntimeError: Graph launch error: CUDA error 700"
@@ -449,7 +449,7 @@ def test_report_goes_on_where_the_device_fails(
 
 @pytest.mark.usefixtures("quick_report")
 def test_report_measures_what_is_named(tmp_path: Path) -> None:
-    gpu_report.main(tmp_path, ["parity"])
+    gpu_report.report(tmp_path, ["parity"])
     assert read_all(tmp_path)["gpu-parity"]["episodes"] == 200
     with pytest.raises(UsageError, match="unknown measure 'party'"):
-        gpu_report.main(tmp_path, ["party"])
+        gpu_report.report(tmp_path, ["party"])

@@ -9,7 +9,8 @@ arm is; what is recorded is then replayed without looking.
 
 from __future__ import annotations
 
-import sys
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -99,8 +100,20 @@ def record(scene: InteractScene) -> np.ndarray:
     return done
 
 
-def main(path: Path) -> None:
-    """Record the actions and write them as CSV, a row per control step."""
+def main(words: Sequence[str] | None = None) -> None:
+    """Record the actions and write them as CSV, a row per control step.
+
+    Args:
+        words: of the command; those of ``sys.argv`` if None.
+
+    Raises:
+        SystemExit: they are no such command.
+    """
+    parser = argparse.ArgumentParser("python -m mjhab.bench.interact.recipe", description=__doc__)
+    parser.add_argument(
+        "path", type=Path, metavar="FILE.csv", help="it is written anew if it exists"
+    )
+    path = parser.parse_args(words).path
     actions = record(interact_scene())
     head = "arm actions of pd_joint_delta_pos, 20 Hz; made by python -m mjhab.bench.interact.recipe"
     write_atomic(
@@ -112,4 +125,4 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

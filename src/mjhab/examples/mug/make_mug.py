@@ -7,6 +7,7 @@ What is seen is round; what collides are convex pieces, named ``collision_*``: a
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,7 @@ def seen() -> trimesh.Trimesh:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__).parse_args()
     scene = trimesh.Scene()
     # glTF has +y up.
     y_up = trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0))

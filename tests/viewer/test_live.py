@@ -14,6 +14,7 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.cli.options.view import ViewOptions
 from mjhab.cli.view import _source
+from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.reading import open_shard
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec
@@ -123,7 +124,7 @@ def test_a_person_takes_over_and_gives_back(tmp_path: Path) -> None:
         until(lambda: "1 episodes" in made.recording)
     with open_shard(shard) as found:
         (episode,) = found
-        assert episode.run.policy == HUMAN and not episode.problems()
+        assert episode.run.policy == HUMAN and not episode_problems(episode)
         who = [episode.actors[k] for k in episode.array("actor")]
         assert who == ["zero"] * 2 + [HUMAN] * 3 + ["zero"] * 3
         np.testing.assert_array_equal(episode.array("actions"), episode.array("actions_intended"))

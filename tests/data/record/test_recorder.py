@@ -13,6 +13,7 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import describe_run, model_hash
 from mjhab.data.record.recorder import Recorder
+from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData, from_bytes, to_bytes
 from mjhab.data.store.images import ImageFormat, decode, encode
 from mjhab.data.store.reading import episodes, open_shard
@@ -72,7 +73,7 @@ def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
             assert episode.record == expected and episode.steps == expected.steps == len(
                 seen["actions"]
             )
-            assert not episode.problems()
+            assert not episode_problems(episode)
             np.testing.assert_array_equal(episode.array("actions"), seen["actions"])
             np.testing.assert_array_equal(episode.array("states/qpos"), seen["qpos"])
             assert len(seen["qpos"]) == expected.steps + 1
@@ -165,7 +166,7 @@ def test_without_states_nothing_can_be_rendered_and_the_message_says_so(tmp_path
     record(tmp_path / "a.h5", range(1), states=False)
     with open_shard(tmp_path / "a.h5") as shard:
         episode = next(iter(shard))
-        assert not episode.problems() and episode.initial()["sim"]["qpos"].shape == (NQ,)
+        assert not episode_problems(episode) and episode.initial()["sim"]["qpos"].shape == (NQ,)
         with pytest.raises(UsageError, match="recorded without states"):
             episode.array("states/qpos")
         with pytest.raises(

@@ -18,6 +18,7 @@ from mjhab.data.record.recorder import Recorder
 from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
 from mjhab.data.select.query import Filter
 from mjhab.data.store.checking import check
+from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, group
 from mjhab.data.store.images import ImageFormat
@@ -247,10 +248,11 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
             (head, "seg"),
             (FOLLOW, "rgb"),
         }
-        assert (
-            episode.frame("fetch_head", "seg", STEPS).shape == (24, 32, 1)
-            and not episode.problems()
-        )
+        assert episode.frame("fetch_head", "seg", STEPS).shape == (
+            24,
+            32,
+            1,
+        ) and not episode_problems(episode)
         assert (
             episode.frame(FOLLOW, "rgb", 0).shape == (24, 32, 3)
             and episode.frame(FOLLOW, "rgb", 0).std() > 5

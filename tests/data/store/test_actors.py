@@ -20,6 +20,7 @@ from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.dataset import Normalization, Window, WindowDataset
 from mjhab.data.select.sets import merge
 from mjhab.data.store.checking import check, repair
+from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import VERSION
@@ -65,7 +66,9 @@ def test_intended_actions_and_actors_are_stored(source: Path) -> None:
     seen = set()
     with open_shard(source) as shard:
         for episode in shard:
-            assert not episode.problems() and episode.schema == VERSION and episode.lacks == ()
+            assert (
+                not episode_problems(episode) and episode.schema == VERSION and episode.lacks == ()
+            )
             assert episode.actors == ("student", "expert")
             np.testing.assert_array_equal(
                 episode.array("actions_intended"), 0.5 * episode.array("actions")

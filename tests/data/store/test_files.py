@@ -13,6 +13,7 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.data.store.checking import check, repair
+from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import episode_digest, from_bytes, run_id, to_bytes
 from mjhab.data.store.hdf5 import dataset, group, read_arrays
 from mjhab.data.store.images import ImageFormat
@@ -243,7 +244,9 @@ def test_episodes_may_be_kept_longer_than_their_shard_is_open(tmp_path: Path) ->
             "obs/state"
         )
         assert (
-            episode.nbytes == now.nbytes and episode.images == now.images and not episode.problems()
+            episode.nbytes == now.nbytes
+            and episode.images == now.images
+            and not episode_problems(episode)
         )
         for key in ("state", "agent/qpos", "sensor_data/fetch_head/depth"):
             np.testing.assert_array_equal(episode.observation(key), now.observation(key))

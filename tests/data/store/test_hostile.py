@@ -19,6 +19,7 @@ from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.sets import split, stats
 from mjhab.data.store.checking import check, repair
+from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import EpisodeData, episode_digest
 from mjhab.data.store.hdf5 import dataset, group, put_attributes, read_arrays
 from mjhab.data.store.images import ImageFormat, encode
@@ -191,7 +192,7 @@ def test_numbers_no_episode_has(tmp_path: Path, picks: bytes, change: str) -> No
     report = check(path)
     assert list(report.damaged) == [(path, name)] and report.ok == 2
     with open_shard(path) as shard, pytest.raises(DamagedError, match=message):
-        shard.episode(name).refuse_damage()
+        refuse_damage(shard.episode(name))
     before = everything(tmp_path)
     with pytest.raises(DamagedError, match=rf"episode {name} of .*is damaged: .*mjhab data repair"):
         to_maniskill(path, tmp_path / "set")

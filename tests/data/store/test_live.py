@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mjhab.data.store.checking import check
+from mjhab.data.store.damage import problems_in
 from mjhab.data.store.episode_data import EpisodeData
 from mjhab.data.store.locking import quiet
 from mjhab.data.store.reading import open_shard
@@ -20,6 +21,7 @@ from tests.data.make import numbered, one_episode
 READER = """
 import sys
 from pathlib import Path
+from mjhab.data.store.damage import problems_in
 from mjhab.data.store.reading import open_shard
 
 path, enough, opened, seen = Path(sys.argv[1]), int(sys.argv[2]), 0, 0
@@ -27,8 +29,8 @@ while seen < enough:
     with open_shard(path) as shard:
         assert len(shard) >= seen
         seen, opened = len(shard), opened + 1
-        assert not shard.problems(shard.names[0]) and not shard.problems(shard.names[-1])
-        assert not any(problem for name in shard.names[:: max(1, seen // 3)] for problem in shard.problems(name))
+        assert not problems_in(shard, shard.names[0]) and not problems_in(shard, shard.names[-1])
+        assert not any(problem for name in shard.names[:: max(1, seen // 3)] for problem in problems_in(shard, name))
 print(opened)
 """
 
@@ -69,7 +71,7 @@ def test_who_opened_it_before_reads_on(tmp_path: Path, template: EpisodeData) ->
             actions = first.array("actions")
             for index in range(3, 200):
                 writer.append(numbered(template, index))
-            assert len(shard) == 3 and not any(shard.problems(name) for name in shard.names)
+            assert len(shard) == 3 and not any(problems_in(shard, name) for name in shard.names)
             np.testing.assert_array_equal(first.array("actions"), actions)
             assert first.run.config == {"a": 1}
             with ShardWriter(tmp_path / "b.h5") as copy:

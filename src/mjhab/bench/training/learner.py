@@ -20,10 +20,10 @@ from mjhab.learning.reinforcement.configs import (
     changed,
     reinforcement_preset,
 )
+from mjhab.learning.reinforcement.environments import training_env
 from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac import Sac, SacLearner
-from mjhab.learning.reinforcement.session import training_env
 from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs.collection import Scene

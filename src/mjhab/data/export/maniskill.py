@@ -36,6 +36,7 @@ from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
+from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.hdf5 import change_file, make_file
 from mjhab.data.store.hdf5 import group as subgroup
@@ -96,7 +97,7 @@ def export_maniskill(
                 files[place] = _File(below(filling.root, place), filling.work, until)
             with open_shard(path) as shard:
                 episode = shard.episode(name)
-                episode.refuse_damage()
+                refuse_damage(episode)
                 frames += files[place].add(episode)
                 without += not any(output == "depth" for _, output in episode.images)
             if after is not None:

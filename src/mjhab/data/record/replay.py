@@ -16,6 +16,7 @@ from mjhab.core.version import __version__
 from mjhab.data.record.provenance import describe_views, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
+from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
 from mjhab.data.store.reading import UNREADABLE, Episode, open_shard, shard_paths
@@ -284,7 +285,7 @@ def _draw(
     env: RecordedEnv, episode: Episode, follow: bool, images: ImageFormat
 ) -> dict[str, np.ndarray]:
     """Datasets of an episode's images and of observations that the observer derives from them, by path."""
-    episode.refuse_damage()
+    refuse_damage(episode)
     qpos = episode.array("states/qpos")
     width = len(env.sim.get_world(0)["qpos"])
     if qpos.shape[1] != width:

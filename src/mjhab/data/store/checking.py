@@ -12,6 +12,7 @@ from pathlib import Path
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, is_written
+from mjhab.data.store.damage import problems_in
 from mjhab.data.store.journal import committed_length, journal_path, recover
 from mjhab.data.store.reading import open_shard, shard_paths
 from mjhab.data.store.schema import DamagedError
@@ -78,7 +79,7 @@ def check(
                 for name in shard.names:
                     report.episodes += 1
                     seen[name] += 1
-                    wrong = shard.problems(name)
+                    wrong = problems_in(shard, name)
                     if wrong:
                         report.damaged[path, name] = wrong
                     else:
@@ -127,7 +128,7 @@ def _count_if_whole(path: Path) -> int | None:
     """Number of episodes of an undamaged shard; None if it is damaged."""
     try:
         with open_shard(path) as shard:
-            return None if any(shard.problems(name) for name in shard.names) else len(shard)
+            return None if any(problems_in(shard, name) for name in shard.names) else len(shard)
     except DamagedError:
         return None
 
@@ -153,7 +154,7 @@ def _salvage(path: Path, cut: bool) -> Repair:
                 raise
             raise nothing from error
         with shard:
-            found = {name: shard.problems(name) for name in shard.names}
+            found = {name: problems_in(shard, name) for name in shard.names}
             names = [name for name, wrong in found.items() if not wrong]
             if not names:
                 raise nothing

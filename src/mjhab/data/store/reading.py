@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -20,14 +19,8 @@ from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.names import check_name
 from mjhab.data.store.episode_data import (
     RunInfo,
-    ending_problems,
-    episode_digest,
     from_bytes,
-    last_label,
     record_problems,
-    run_id,
-    style_text,
-    unnamed_actors,
 )
 from mjhab.data.store.hdf5 import (
     check_format,
@@ -38,7 +31,7 @@ from mjhab.data.store.hdf5 import (
     read_arrays,
     read_attributes,
 )
-from mjhab.data.store.images import MAX_FRAME_BYTES, check_frame, decode
+from mjhab.data.store.images import MAX_FRAME_BYTES, decode
 from mjhab.data.store.journal import Overlay, committed_length, read_journal
 from mjhab.data.store.locking import quiet
 from mjhab.data.store.older import POSES, STAND_INS, canonical_poses, stand_in
@@ -52,8 +45,6 @@ from mjhab.data.store.schema import (
     TERMINAL,
     DamagedError,
     checks_by_name,
-    column_widths,
-    problems,
 )
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.labelling.state import History
@@ -101,7 +92,7 @@ class Episode:
             self._group = shard.open_group(name)
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
+    def reading(self) -> Iterator[None]:
         """Keep the group open, and convert h5py's errors about damage to messages with a remedy."""
         with ExitStack() as stack:
             if not self._group:
@@ -123,7 +114,7 @@ class Episode:
     @functools.cached_property
     def record(self) -> EpisodeRecord:
         """Identity, plan, labels, events, forces."""
-        with self._reading():
+        with self.reading():
             record = EpisodeRecord.from_dict(from_bytes(content(dataset(self._group, "record"))))
             wrong = record_problems(record)
             if wrong:
@@ -133,19 +124,19 @@ class Episode:
     @property
     def run(self) -> RunInfo:
         """The run that made it: config, versions, layout."""
-        with self._reading():
+        with self.reading():
             return self.shard.run(self.attributes["run"])
 
     @property
     def run_data(self) -> dict[str, Any]:
         """JSON data of the run that made it, with what later versions added."""
-        with self._reading():
+        with self.reading():
             return self.shard.run_data(self.attributes["run"])
 
     @functools.cached_property
     def attributes(self) -> dict[str, Any]:
         """The attributes of its group, see `schema.ATTRIBUTES`; each has its type."""
-        with self._reading():
+        with self.reading():
             told = read_attributes(self._group)
             for name, kind in ATTRIBUTE_TYPES.items():
                 if name in told and not isinstance(told[name], kind):
@@ -177,7 +168,7 @@ class Episode:
 
         A missing ``actions_intended`` equals the executed actions; a missing ``actor`` is the policy of the run.
         """
-        with self._reading():
+        with self.reading():
             return tuple(
                 f.path for f in FIELDS if f.since > self.schema and f.path not in self._group
             )
@@ -188,7 +179,7 @@ class Episode:
         names = self.attributes.get("actors")
         if names is None:
             return (self.run.policy,)
-        with self._reading():
+        with self.reading():
             told = parse_json(names)
             if not isinstance(told, list) or not all(isinstance(name, str) for name in told):
                 raise ValueError(f"attribute 'actors' must be a list of texts, not {names[:60]!r}")
@@ -197,7 +188,7 @@ class Episode:
     @property
     def nbytes(self) -> int:
         """Size of its data in the file without HDF5's metadata [bytes]."""
-        with self._reading():
+        with self.reading():
             return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
 
     def initial(self) -> dict[str, Any]:
@@ -207,7 +198,7 @@ class Episode:
             DamagedError: it is not what a recorder writes.
         """
         data = self.array("states/initial")
-        with self._reading():
+        with self.reading():
             state = from_bytes(data)
             for name in ("qpos", "qvel"):
                 if not isinstance(state["sim"][name], np.ndarray):
@@ -216,13 +207,13 @@ class Episode:
 
     def copy_to(self, parent: h5py.Group) -> None:
         """Copy it unchanged into a group of another file."""
-        with self._reading():
+        with self.reading():
             parent.copy(self._group, parent, self.name)
 
     @property
     def paths(self) -> list[str]:
         """Paths of its datasets."""
-        with self._reading():
+        with self.reading():
             return dataset_paths(self._group)
 
     def array(self, path: str) -> np.ndarray:
@@ -231,7 +222,7 @@ class Episode:
         Raises:
             UsageError: it was not recorded.
         """
-        with self._reading():
+        with self.reading():
             if path in self._group:
                 return self._as_of_now(path, content(dataset(self._group, path)))
         if path in self.lacks:
@@ -260,11 +251,11 @@ class Episode:
     def columns(self, path: str) -> dict[str, int]:
         """Column names of a two-dimensional dataset, with the number of columns of each name (0 for a plain column)."""
         split = [name.rpartition(":") for name in self._column_names(path)]
-        with self._reading():
+        with self.reading():
             return {head or tail: int(tail) if head else 0 for head, _, tail in split}
 
     def _column_names(self, path: str) -> list[str]:
-        with self._reading():
+        with self.reading():
             told = read_attributes(dataset(self._group, path))
         return [name for name in str(told.get(COLUMNS, "")).split(",") if name]
 
@@ -274,7 +265,7 @@ class Episode:
         at = 0
         table = {}
         for name, width in self.columns(path).items():
-            with self._reading():
+            with self.reading():
                 table[name] = array[:, at : at + width] if width else array[:, at]
             at += width or 1
         return table
@@ -285,7 +276,7 @@ class Episode:
         Raises:
             UsageError: it was not recorded.
         """
-        with self._reading():
+        with self.reading():
             if f"obs/{key}" in self._group:
                 return self.array(f"obs/{key}")
             parts = self.table("obs/state")
@@ -303,7 +294,7 @@ class Episode:
         """(camera, output) of the images stored with it."""
         parts = [path.split("/") for path in self.paths]
         found = [(part[1], part[2]) for part in parts if part[0] == "images" and part[-1] == "ends"]
-        with self._reading():
+        with self.reading():
             for camera, output in found:
                 check_name("camera", camera)
                 check_name("output of a camera", output)
@@ -316,7 +307,7 @@ class Episode:
             UsageError: no such image was recorded.
         """
         place = f"images/{camera}/{output}"
-        with self._reading():
+        with self.reading():
             if place not in self._group:
                 raise self._no_images(camera, output)
             ends = dataset(self._group, f"{place}/ends")
@@ -348,7 +339,7 @@ class Episode:
         Raises:
             UsageError: no such image was recorded.
         """
-        with self._reading():
+        with self.reading():
             self.frame(camera, output, 0)
             place = f"images/{camera}/{output}"
             offset = dataset(self._group, f"{place}/bytes").id.get_offset()
@@ -365,71 +356,18 @@ class Episode:
         before = self.array("subtasks/checks")
         rows = self.array("signals/checks")
         numbers = self.array("subtasks/index")
-        with self._reading():
+        with self.reading():
             starts = [*steps.tolist(), self.steps]
             first = before[k : k + 1]
             checks = np.concatenate([first, rows[starts[k] + 1 : starts[k + 1] + 1]])
             fields = checks_by_name(checks)
             return int(numbers[k]), History(**{n: fields[n] for n in History.__dataclass_fields__})
 
-    def problems(self) -> list[str]:
-        """Describe missing or inconsistent parts and changed bytes; empty if the episode is undamaged."""
-        with self._reading():
+    def contents(self) -> tuple[dict[str, np.ndarray], dict[str, list[str]]]:
+        """All datasets by path as they are stored, whatever their schema, and the names of the columns of each."""
+        with self.reading():
             arrays = read_arrays(self._group)
-            widths = column_widths(
-                self.run.layout, {path: self._column_names(path) for path in arrays}
-            )
-            wrong = problems(
-                arrays,
-                self.steps,
-                others=True,
-                schema=self.schema,
-                widths=widths,
-                absent=self.run.absent,
-            )
-            wrong = wrong or unnamed_actors(arrays, self.actors)
-            if not wrong and episode_digest(arrays) != self.attributes["digest"]:
-                wrong.append("its bytes are not those that were written (digest)")
-            return wrong or self._record_problems() or _picture_problems(arrays)
-
-    def _record_problems(self) -> list[str]:
-        record = self.record
-        told = {
-            "seed": record.seed,
-            "index": record.index,
-            "home": record.home,
-            "label": last_label(record),
-            "success": record.success_once,
-            "steps": record.steps,
-            "style": style_text(record),
-        }
-        wrong = [
-            f"its record has {name} {value!r}, its group {self.attributes[name]!r}"
-            for name, value in told.items()
-            if name in self.attributes and self.attributes[name] != value
-        ]
-        wrong += ending_problems(self.attributes["ending"])
-        name = self.attributes["run"]
-        if run_id(self.run_data) != name:
-            wrong.append("what made it (its run) is not what was written")
-        if self.run.episode_name(self.record.seed, self.record.index) != self.name:
-            wrong.append(
-                f"its record is that of episode {self.record.index} of seed {self.record.seed}"
-            )
-        return wrong
-
-    def refuse_damage(self) -> None:
-        """Check the whole episode before other files are made from it.
-
-        Raises:
-            DamagedError: the episode is damaged; the message says how.
-        """
-        wrong = self.problems()
-        if wrong:
-            raise DamagedError(
-                f"episode {self.name} of {self.shard.path} is damaged: {'; '.join(wrong)}. Remove it with: "
-                f"mjhab data repair {self.shard.path}"
-            )
+            return arrays, {path: self._column_names(path) for path in arrays}
 
 
 class Shard:
@@ -533,14 +471,6 @@ class Shard:
         """The HDF5 group of an episode in ``names``, found without the file's index."""
         return group(self.file, self._places[name])
 
-    def problems(self, name: str) -> list[str]:
-        """Describe what is wrong with an episode, even if it cannot be opened; empty if nothing is."""
-        try:
-            return Episode(self, name).problems()
-        except DamagedError as error:
-            cause = error.__cause__ or error
-            return [f"cannot be read ({type(cause).__name__}: {reason(cause)})"]
-
     def __iter__(self) -> Iterator[Episode]:
         return (Episode(self, name) for name in self.names)
 
@@ -599,26 +529,6 @@ def episodes(places: Path | Sequence[Path], copies: bool = False) -> Iterator[Ep
                         "once with: mjhab data merge PLACES --out NEW.h5"
                     )
             yield from shard
-
-
-def _picture_problems(arrays: Mapping[str, np.ndarray]) -> list[str]:
-    """Describe the first frame of each camera that is no picture, or has another size than the frames before it."""
-    found = []
-    for path, ends in arrays.items():
-        folder, _, name = path.rpartition("/")
-        if name != "ends" or not path.startswith("images/"):
-            continue
-        data = arrays[f"{folder}/bytes"]
-        sizes = set()
-        for t, (start, end) in enumerate(itertools.pairwise([0, *ends.tolist()])):
-            try:
-                sizes.add(check_frame(data[start:end].tobytes(), folder.rpartition("/")[2]))
-            except ValueError as error:
-                found.append(f"frame {t} of {folder}: {error}")
-                break
-        if len(sizes) > 1:
-            found.append(f"the frames of {folder} have {len(sizes)} different sizes")
-    return found
 
 
 def _camera_output(key: str) -> tuple[str, str]:

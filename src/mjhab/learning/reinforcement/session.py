@@ -15,7 +15,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mjhab.config.profiles import unbound
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.version import __version__
@@ -28,10 +27,11 @@ from mjhab.learning.checkpoint import (
     save_tensors,
     saved_state,
 )
-from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS, InputConfig
+from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS
 from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
+from mjhab.learning.reinforcement.environments import training_env
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
@@ -116,49 +116,6 @@ class Standing:
     best_samples: int = 0
     student_samples: int = 0
     trained: bool = False
-
-
-def image_options(inputs: InputConfig) -> dict[str, Any]:
-    """Options of an environment that renders the images of ``inputs``; empty without images."""
-    if not (inputs.image_size and inputs.cameras):
-        return {}
-    return {"obs_mode": "depth", "cameras": inputs.cameras, "camera_size": inputs.image_size}
-
-
-def training_env(
-    scene: Scene, inputs: InputConfig, worlds: int, threads: int, seed: int, **more: Any
-) -> Any:
-    """Make the training environment, without automatic resets.
-
-    ``more`` are further options of `make_train`; a horizon may differ from that of the profile.
-    """
-    from mjhab.envs import make_train
-
-    options = scene.env_options() | image_options(inputs)
-    if more.get("horizon"):
-        options = unbound(options, scene.subtask, trains=True)
-    options |= more
-    return make_train(**options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled")
-
-
-def demonstration_env(
-    scene: Scene, config: ReinforcementConfig, worlds: int, threads: int, seed: int
-) -> Any:
-    """The environment of the demonstrating expert: inputs and rewards of training, horizon of an evaluation.
-
-    A profile may train for fewer control steps than it evaluates (ms_hab: 100 and 200); the expert would not finish.
-    """
-    from mjhab.envs import make
-
-    options = scene.env_options() | image_options(config.inputs)
-    return make(
-        **options,
-        num_envs=worlds,
-        threads=threads,
-        seed=seed,
-        autoreset="disabled",
-        reward_mode=config.reward_mode,
-    )
 
 
 class ReinforcementSession:

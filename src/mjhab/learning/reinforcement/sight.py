@@ -23,7 +23,7 @@ PRIVILEGED = (
     "the checks of the active subtask, 0 or 1",
 )
 """Inputs that a privileged critic receives in addition to the actor's, in this order."""
-CHECKS = ("is_grasped", "at_goal", "ee_rest", "is_static", "opened", "closed", "touch")
+PRIVILEGED_CHECKS = ("is_grasped", "at_goal", "ee_rest", "is_static", "opened", "closed", "touch")
 """Checks of the active subtask, keys of ``info``."""
 FORCE_SCALE_N = 1000.0
 """Unit of the force input [N]."""
@@ -172,7 +172,7 @@ class Sight:
             torch.as_tensor(info["steps_left"]).float() / self._horizon,
             torch.as_tensor(info["robot_force"]).float() / FORCE_SCALE_N,
             torch.as_tensor(info["cumulative_force"]).float() / CUMULATIVE_FORCE_SCALE,
-            *(torch.as_tensor(info[name]).float() for name in CHECKS),
+            *(torch.as_tensor(info[name]).float() for name in PRIVILEGED_CHECKS),
         ]
         return torch.cat([*columns, torch.stack(numbers, dim=1)], dim=1)
 
@@ -184,7 +184,7 @@ class Sight:
         state = self._env.state
         parts = (state.robot_q, state.robot_qd, state.link_q, state.link_qd)
         joints = sum(part.shape[1] for part in parts)
-        return joints + 3 + len(CHECKS)
+        return joints + 3 + len(PRIVILEGED_CHECKS)
 
 
 def _shifted(history: Tensor, now: Tensor, fresh: Tensor, again: bool) -> Tensor:

@@ -48,6 +48,7 @@ from mjhab.data.select.describing import (
 from mjhab.data.select.own_state import split_state
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
+from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.reading import Episode, open_shard
@@ -152,7 +153,7 @@ class _Export:
         if made is None or not self._features:
             with open_shard(path) as shard:
                 episode = shard.episode(name)
-                episode.refuse_damage()
+                refuse_damage(episode)
                 features = describe(episode, self._choice)
                 self._features = self._features or features
                 self._robot = episode.run.robot

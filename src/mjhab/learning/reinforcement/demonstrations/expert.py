@@ -10,8 +10,9 @@ import torch
 
 from mjhab.experts import make_expert
 from mjhab.learning.reinforcement import distributed
+from mjhab.learning.reinforcement.environments import demonstration_env
 from mjhab.learning.reinforcement.replay import ReplayBuffer
-from mjhab.learning.reinforcement.session import ReinforcementSession, demonstration_env
+from mjhab.learning.reinforcement.session import ReinforcementSession
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.tasks.style import Styles
 

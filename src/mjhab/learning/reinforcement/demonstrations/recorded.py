@@ -19,8 +19,9 @@ from mjhab.data.select.sets import select
 from mjhab.data.store.reading import Episode, open_shard
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.learning.demos import SUCCESSES, lacks_states, nothing_to_learn, recorded_profile
+from mjhab.learning.layout import image_options
 from mjhab.learning.reinforcement.replay import ReplayBuffer
-from mjhab.learning.reinforcement.session import ReinforcementSession, image_options
+from mjhab.learning.reinforcement.session import ReinforcementSession
 from mjhab.learning.reinforcement.sight import Seen, Sight
 
 WORLDS = 16

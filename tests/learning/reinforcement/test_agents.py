@@ -215,6 +215,21 @@ def test_too_much_force_ends_an_episode_and_every_force_costs() -> None:
     assert place.held() == {"force_ok": 0.0}
 
 
+def test_a_success_may_end_an_episode() -> None:
+    env = Toy(2)
+    place = Worlds(env, Sight(env, LAYOUT, False), 0, TrainingRules(success_ends=True))
+    env.place[:] = 0.0, 1.0
+    happened = place.step(torch.zeros(2, 1))
+    assert happened.succeeded.tolist() == [True, False]
+    assert happened.terminated.tolist() == [True, False]
+    assert torch.equal(happened.terminated, happened.ended)
+
+
+def test_demonstrations_do_not_end_with_success() -> None:
+    with pytest.raises(UsageError, match="success_ends does not fit rlpd"):
+        changed(reinforcement_preset("rlpd", "demos"), {"success_ends": True})
+
+
 def test_the_spread_depends_on_what_is_seen() -> None:
     config = changed(PPO_TOY, {"state_std": True, "initial_std": 0.3})
     agent = Ppo(config, LAYOUT, 0, seed=0)

@@ -211,6 +211,14 @@ def test_the_student_is_the_best_evaluated_actor(
     assert result.summary["samples"] == 48 and next(rates, None) is None
 
 
+def test_a_training_horizon_may_be_longer_than_that_of_the_profile(tmp_path: Path) -> None:
+    polishing = dataclasses.replace(TINY, horizon=200, reward_mode="sparse", success_ends=True)
+    with sessions.open_reinforcement(request(polishing), tmp_path) as session:
+        assert session.env.task_config.limits["close"].horizon == 200
+        assert session.env.config.reward_mode == "sparse"
+        assert session.layout.profile == "ms_hab"
+
+
 def test_the_split_told_is_that_of_the_episodes_behind_the_rate(tmp_path: Path) -> None:
     told = dataclasses.replace(
         request(dataclasses.replace(TINY, samples=16)), round_episodes=1, eval_split="val"

@@ -351,32 +351,3 @@ def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(
     view: Any = SimpleNamespace(steps_left=0)
     assert next(pick_module.pick_up(view, "024_bowl_:0000")).shape == (13,)
     assert plans == [0, 0, 1]
-
-
-@pytest.mark.parametrize(("kind", "stays"), [("box", True), ("cylinder", False)])
-def test_arm_stays_stretched_out_after_a_failed_grasp_of_a_box_on_a_shelf(
-    monkeypatch: pytest.MonkeyPatch, kind: str, stays: bool
-):
-    went: list[str] = []
-
-    def noted(name: str):
-        def motion_of(*args: object, **options: object) -> Iterator[np.ndarray]:
-            went.append(name)
-            yield np.zeros(13)
-
-        return motion_of
-
-    for name in ("_let_go", "drive_out", "go_home"):
-        monkeypatch.setattr(pick_module, name, noted(name))
-    view: Any = SimpleNamespace(
-        link_forces=np.zeros(2),
-        base=np.zeros(3),
-        object_shape=lambda obj: ObjectShape(kind, (0.02, 0.04, 0.1)),  # pyright: ignore[reportArgumentType]
-    )
-    stance: Any = SimpleNamespace(at=np.zeros(15))
-    back = pick_module._draw_back(view, "008_pudding_box_:0000", stance, 0.42)
-    with pytest.raises(StopIteration) as end:
-        while True:
-            next(back)
-    assert end.value.value is stays
-    assert went == ["_let_go", "drive_out", *([] if stays else ["go_home"])]

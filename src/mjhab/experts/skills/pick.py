@@ -57,7 +57,7 @@ LIFT_STEPS = 16
 HASTY_LIFT_STEPS = 7
 """The same on a shelf when few control steps are left."""
 LATE_IN_STEPS = 130
-"""With fewer control steps left, and to a box always, the base drives into a shelf at `HASTY_SPEED_M_S`."""
+"""With fewer control steps left, the base drives into a shelf at `HASTY_SPEED_M_S`."""
 LATE_OUT_STEPS = 60
 """With fewer control steps left, the base drives out of a shelf at `HASTY_SPEED_M_S`."""
 FINE_OPENING_M = 0.094
@@ -131,15 +131,11 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             yield from go_home(view, obj)
             yield from _keep(view, obj)
         failed = np.concatenate([failed, stance.at[None, BASE]])
-        inside = (yield from _draw_back(view, obj, stance, depth)) or inside
+        yield from _draw_back(view, obj, stance, depth)
 
 
 def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motion:
-    """Leave the place of a failed grasp, to which the base drove straight in over up to ``depth`` [m].
-
-    Returns whether the arm is still stretched out before a shelf. Few poses of the hand suit a box there, and the next
-    one is nearer from there than from rest: home and back again take 70 steps and more.
-    """
+    """Leave the place of a failed grasp, to which the base drove straight in over up to ``depth`` [m]."""
     # A hand that presses against furniture is not moved before the base has driven out.
     if not (depth and view.link_forces.sum() > BLOCKED_FORCE_N):
         yield from _let_go(view)
@@ -147,13 +143,10 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
         not depth
         or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY]))) < INSIDE_M
     ):
-        return False
+        return True
     # From inside the next way in can hardly be found.
     yield from drive_out(view, come_in, gripper=motion.OPEN)
-    if _is_box(view, obj):
-        return True
-    yield from go_home(view, obj, holding=False)
-    return False
+    return (yield from go_home(view, obj, holding=False))
 
 
 def _planned(
@@ -222,7 +215,7 @@ def _take(
         return False
     if depth:
         boxes = scene_of(view, obj).all
-        hasty = hasty or view.steps_left < LATE_IN_STEPS or _is_box(view, obj)
+        hasty = hasty or view.steps_left < LATE_IN_STEPS
         if not (
             yield from drive_in(
                 view,
@@ -240,7 +233,7 @@ def _take(
         return None
     # Boxes leave enough room between the fingers: where little time is left they are taken quickly.
     fine = _is_fine(goal)
-    quick = hasty and _is_box(view, obj)
+    quick = hasty and view.object_shape(obj).kind == "box"
     if not (yield from _reach(view, goal, joints, opening, fine and not quick)):
         return False
     fine = fine and not (quick and _is_along(view, obj, goal))
@@ -262,11 +255,6 @@ def _take(
         return False
     up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if depth or hasty else LIFT_M])
     return (yield from _lift(view, obj, up, rot, joints[1], quick))
-
-
-def _is_box(view: WorldView, obj: str) -> bool:
-    """Whether an object is a box."""
-    return view.object_shape(obj).kind == "box"
 
 
 def _is_fine(goal: HandGoals) -> bool:

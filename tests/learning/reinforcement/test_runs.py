@@ -179,6 +179,10 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
         tmp_path / "polished",
     )
     assert polished.summary["samples"] == 16
+    # It sees what its student sees, whatever its preset says, and the config tells so.
+    depth = dataclasses.replace(TINY, inputs=InputConfig())
+    told = sessions.resolved_config(dataclasses.replace(request(depth), start=start))
+    assert told["config"]["inputs"]["image_size"] == 0
     # An actor of SAC takes over its trunk and its actions.
     other = train_reinforcement(
         dataclasses.replace(

@@ -412,10 +412,18 @@ def _check_start(request: ReinforcementRequest) -> None:
 
 
 def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
-    """Everything that determines the result of a run, as JSON data."""
+    """Everything that determines the result of a run, as JSON data.
+
+    Raises:
+        UsageError: the student that the actor starts from cannot be read.
+    """
+    config = request.config
+    if request.start:
+        given = load_student(Path(request.start)).config
+        config = dataclasses.replace(config, inputs=given.inputs, network=given.network)
     return {
-        "algorithm": request.config.algorithm,
-        "config": asdict(request.config),
+        "algorithm": config.algorithm,
+        "config": asdict(config),
         "scene": asdict(request.scene),
         "seed": request.seed,
         "start": request.start,

@@ -29,7 +29,6 @@ from mjhab.learning.runs.run import STUDENT
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
-from mjhab.learning.weights import check_finite
 
 FORMAT = "mjhab-student-1"
 SUFFIX = ".safetensors"
@@ -200,3 +199,22 @@ def save_tensors(
     # Not save_file: it makes files that nobody else can read, whatever the umask.
     content = save(kept, {_HEAD: json.dumps(head)})
     write_atomic(path, lambda temporary: temporary.write_bytes(content))
+
+
+def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Refuse weights of which a number is NaN or infinite: they make no action.
+
+    Args:
+        path: the file, for the message.
+        tensors: its content by name.
+
+    Raises:
+        UsageError: a tensor is not finite; the message names the first one and counts its numbers.
+    """
+    for name, tensor in tensors.items():
+        wrong = int((~tensor.isfinite()).sum())
+        if wrong:
+            raise UsageError(
+                f"{path} cannot act: {wrong:,} of the {tensor.numel():,} numbers of its tensor {name} are not finite "
+                "(NaN or infinite). Give another checkpoint, such as one from before the training diverged."
+            )

@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from mjhab.core.errors import UsageError
+from mjhab.learning.checkpoint import check_finite
 from mjhab.learning.ms_hab import ppo, sac
 from mjhab.learning.ms_hab.bc import Bc
 from mjhab.learning.ms_hab.dp import Dp
 from mjhab.learning.ms_hab.network import Network, Shapes
 from mjhab.learning.ms_hab.ppo import Ppo
 from mjhab.learning.ms_hab.sac import Sac
-from mjhab.learning.weights import check_finite
 
 AGENT = "agent"
 """Key of a checkpoint under which MS-HAB stores the parameters of the policy (mshab/train_*.py)."""

@@ -15,7 +15,7 @@ from mjhab.data.store.episode_data import last_label
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.starts import valid_targets
 from mjhab.layout.layout import Layout
-from mjhab.reports.dataset_forces import SAFE_PEAK_FORCE_N
+from mjhab.reports.dataset_forces import SAFE_FORCE_N
 from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import paper_row
 from mjhab.rollout.records import EpisodeRecord
@@ -118,7 +118,7 @@ class Episode:
     @property
     def gentle(self) -> bool:
         """Whether it would have succeeded if the sum of forces were limited to 1,400 N."""
-        return self.force_to_success is not None and self.force_to_success < SAFE_PEAK_FORCE_N
+        return self.force_to_success is not None and self.force_to_success < SAFE_FORCE_N
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ def result_of(row: Row, split: str, episodes: Sequence[Episode], error: str = ""
         success_at_end=_share(episode.success_at_end for episode in episodes),
         gentle=None if chain else _share(episode.gentle for episode in episodes),
         gentle_peak=_share(
-            episode.success_once and episode.peak_force < SAFE_PEAK_FORCE_N for episode in episodes
+            episode.success_once and episode.peak_force < SAFE_FORCE_N for episode in episodes
         ),
         tainted=sum(bool(episode.taint) for episode in episodes),
         labels=_counts(episode.label for episode in episodes),

@@ -419,8 +419,8 @@ def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
     """
     config = request.config
     if request.start:
-        given = load_student(Path(request.start)).config
-        config = dataclasses.replace(config, inputs=given.inputs, network=given.network)
+        # The network of the preset stays: it is that of the critic.
+        config = dataclasses.replace(config, inputs=load_student(Path(request.start)).config.inputs)
     return {
         "algorithm": config.algorithm,
         "config": asdict(config),

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-rllib test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -169,6 +169,19 @@ $(RSL_RL)/.ready: $(SETUP_FILES) | $(BIN)/python
 test-rsl-rl: $(RSL_RL)/.ready  ## rsl_rl trains in our environments
 	$(RSL_RL)/bin/python -m pytest tests/adapters/check_rsl_rl.py $(PYTEST_ARGS)
 
+# RLlib names one version of Gymnasium, an older one than constraints.txt has.
+RLLIB := .venv-rllib
+$(RLLIB)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing Ray RLlib into $(RLLIB), once"
+	@"$(PYTHON)" -m venv $(RLLIB)
+	@grep -v '^gymnasium' constraints.txt > $(RLLIB)/constraints.txt
+	@$(RLLIB)/bin/python -m pip install -q --disable-pip-version-check -c $(RLLIB)/constraints.txt -e '.[learn]' pytest \
+	  'ray[rllib]==2.60.0'
+	@touch $@
+
+test-rllib: $(RLLIB)/.ready  ## Ray RLlib trains in our environments, with samplers in other processes
+	PYTHONPATH=src $(RLLIB)/bin/python -m pytest tests/adapters/check_rllib.py $(PYTEST_ARGS)
+
 TORCHRL := .venv-torchrl
 $(TORCHRL)/.ready: $(SETUP_FILES) | $(BIN)/python
 	@echo "mjhab: installing torchrl into $(TORCHRL), once"
@@ -220,4 +233,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(RSL_RL) $(TORCHRL) $(ROBOSUITE) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(RSL_RL) $(RLLIB) $(TORCHRL) $(ROBOSUITE) src/*.egg-info

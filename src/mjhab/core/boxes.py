@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
     """Oriented boxes: ``center`` (K, 3), ``half`` (K, 3) half-extents, ``rot`` (K, 3, 3) with the axes as columns."""
 
-    center: Array
-    half: Array
-    rot: Array
+    center: np.ndarray
+    half: np.ndarray
+    rot: np.ndarray
 
     def __len__(self) -> int:
         return len(self.center)
@@ -42,7 +40,7 @@ class Boxes:
             *(np.concatenate([getattr(s, k) for s in sets]) for k in ("center", "half", "rot"))
         )
 
-    def contiguous(self) -> tuple[Array, Array, Array]:
+    def contiguous(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``center``, ``half`` and ``rot`` as compiled kernels take them."""
         return (
             np.ascontiguousarray(self.center, dtype=np.float64),
@@ -50,11 +48,11 @@ class Boxes:
             np.ascontiguousarray(self.rot, dtype=np.float64),
         )
 
-    def take(self, keep: Array) -> Boxes:
+    def take(self, keep: np.ndarray) -> Boxes:
         """The boxes picked by an index or mask."""
         return Boxes(self.center[keep], self.half[keep], self.rot[keep])
 
-    def near(self, point: Array, reach: float) -> Boxes:
+    def near(self, point: np.ndarray, reach: float) -> Boxes:
         """The boxes that come within ``reach`` of ``point`` (3,) or, for (2,), of the vertical line through it."""
         point = np.asarray(point, dtype=np.float64)
         if point.shape == (3,):
@@ -66,7 +64,7 @@ class Boxes:
         return self.take(gap <= reach)
 
 
-def sphere_box_distance(points: Array, boxes: Boxes) -> Array:
+def sphere_box_distance(points: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Signed distances (P, K) of points (P, 3) to boxes: negative inside, exact outside."""
     count = len(boxes)
     # One matrix product takes every point into every box's frame.
@@ -78,7 +76,7 @@ def sphere_box_distance(points: Array, boxes: Boxes) -> Array:
     return np.sqrt(np.einsum("pkc,pkc->pk", outside, outside)) + inside
 
 
-def nearest_box_distance(points: Array, boxes: Boxes) -> Array:
+def nearest_box_distance(points: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Signed distance (P,) of each of ``points`` (P, 3) to the box nearest to it; infinite without boxes."""
     from mjhab.core.kernels.box_gaps import least_box_gaps  # loads numba
 

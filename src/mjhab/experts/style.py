@@ -14,7 +14,6 @@ from mjhab.experts.arm import motion
 from mjhab.robots.parts import ActionColumns
 from mjhab.tasks.style import ANY, BURSTS, PLAIN, SMOOTH, VISIBLE, Style
 
-Array = np.ndarray
 NOISE_MEMORY = 0.86
 """Factor of the smooth noise from one control step to the next: its time constant is a third of a second."""
 BURST_STEPS = (5, 30)
@@ -36,7 +35,7 @@ class StyledView(WorldView):
         self.style = PLAIN
 
     @property
-    def qd(self) -> Array:
+    def qd(self) -> np.ndarray:
         """(J,) joint velocities [m/s, rad/s] divided by the speed of the style."""
         return super().qd / self.style.speed
 
@@ -88,7 +87,7 @@ class Manner:
         self._phase -= 1.0
         return True
 
-    def wait(self, still: Array) -> Array:
+    def wait(self, still: np.ndarray) -> np.ndarray:
         """The executed action (A,) of a control step before the beginning, where ``still`` (A,) is intended."""
         self.holds -= 1
         if not self.style.dither:
@@ -97,13 +96,13 @@ class Manner:
         scale[self._columns.arm] = self.style.dither
         return self._disturbed(still, scale)
 
-    def slow(self, action: Array) -> Array:
+    def slow(self, action: np.ndarray) -> np.ndarray:
         """Intended action (A,) float32: the script's ``action`` (A,) times the speed, except for the gripper."""
         out = action * np.float32(self.style.speed)
         out[self._columns.gripper] = action[self._columns.gripper]
         return out
 
-    def disturb(self, intended: Array) -> Array:
+    def disturb(self, intended: np.ndarray) -> np.ndarray:
         """Executed action (A,) float32: ``intended`` (A,) plus noise, except for the gripper."""
         style = self.style
         if not (style.noise or style.base_noise):
@@ -119,7 +118,7 @@ class Manner:
         )
         return self._disturbed(intended, scale)
 
-    def _burst(self, intended: Array) -> Array:
+    def _burst(self, intended: np.ndarray) -> np.ndarray:
         """Executed action (A,) with noise in bursts, also while the robot is at rest.
 
         Data with noise only during motions do not show how to return to rest. Success requires a robot that stands
@@ -136,7 +135,7 @@ class Manner:
             scale[self._base] = self.style.base_noise
         return self._disturbed(intended, scale)
 
-    def _disturbed(self, action: Array, scale: Array) -> Array:
+    def _disturbed(self, action: np.ndarray, scale: np.ndarray) -> np.ndarray:
         fresh = self._random.standard_normal(self._columns.dim)
         if self.style.noise_kind == SMOOTH:
             self._noise = NOISE_MEMORY * self._noise + np.sqrt(1.0 - NOISE_MEMORY**2) * fresh

@@ -33,7 +33,6 @@ MOST_KEPT = 0.7
 """A level with more than this fraction of the faces of the one before is left out."""
 MOST_COLLAPSED = 5_000
 """Meshes with more faces are first reduced to about this number by `simplify`, which is faster but less exact."""
-Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +49,13 @@ class Level:
         error: (1,) f64, upper bound of the distance of the original mesh's vertices to this level [m].
     """
 
-    vertices: Array
-    faces: Array
-    source: Array
-    normal: Array
-    uv: Array
-    density: Array
-    error: Array
+    vertices: np.ndarray
+    faces: np.ndarray
+    source: np.ndarray
+    normal: np.ndarray
+    uv: np.ndarray
+    density: np.ndarray
+    error: np.ndarray
 
 
 def mesh_levels(mesh: Mesh) -> list[Level]:
@@ -114,7 +113,7 @@ def _make(mesh: Mesh) -> list[Level]:
     return levels
 
 
-def _coarser(vertices: Array, faces: Array) -> Iterator[tuple[Simplified, float]]:
+def _coarser(vertices: np.ndarray, faces: np.ndarray) -> Iterator[tuple[Simplified, float]]:
     """Simplified meshes, from fine to coarse, each with its ``error`` [m] as in `Level`."""
     if len(faces) < MIN_FACES:
         return
@@ -136,7 +135,7 @@ def _coarser(vertices: Array, faces: Array) -> Iterator[tuple[Simplified, float]
         yield Simplified(few.vertices, few.faces, start.source[few.source]), error
 
 
-def _error(vertices: Array, few: Simplified, merged: Array) -> float:
+def _error(vertices: np.ndarray, few: Simplified, merged: np.ndarray) -> float:
     """Largest distance [m] of vertices (V, 3) to the faces adjacent to the vertex that each was merged into.
 
     ``merged`` (V,): index of that vertex in ``few``, or -1 for vertices of a removed component, whose distance to the
@@ -158,7 +157,7 @@ def _error(vertices: Array, few: Simplified, merged: Array) -> float:
     return float(nearest.max())
 
 
-def _slip(old: Array, new: Array, uv: Array) -> Array:
+def _slip(old: np.ndarray, new: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Change (f, 3, 2) of the texture coordinates ``uv`` (f, 3, 2) that keeps the texture in place on the surface.
 
     ``old``, ``new``: corners (f, 3, 3) of faces before and after simplification.
@@ -170,7 +169,7 @@ def _slip(old: Array, new: Array, uv: Array) -> Array:
     return np.einsum("fuc,fkc->fku", slope, new - old)
 
 
-def _slopes(corners: Array, values: Array) -> Array:
+def _slopes(corners: np.ndarray, values: np.ndarray) -> np.ndarray:
     """In-plane gradients (F, n, 3) of values (F, 3, n) given at the corners (F, 3, 3) of faces; 0 on slivers."""
     a = corners[:, 1] - corners[:, 0]
     b = corners[:, 2] - corners[:, 0]
@@ -187,7 +186,7 @@ def _slopes(corners: Array, values: Array) -> Array:
     return da[:, :, None] * to_a[:, None, :] + db[:, :, None] * to_b[:, None, :]
 
 
-def _affine(corners: Array, values: Array) -> Array:
+def _affine(corners: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Affine maps (F, n, 4) f32 of points that interpolate the values (F, 3, n) at the corners (F, 3, 3) of faces."""
     slope = _slopes(corners, values)
     middle = corners.mean(axis=1)
@@ -197,7 +196,12 @@ def _affine(corners: Array, values: Array) -> Array:
 
 
 def _level(
-    vertices: Array, faces: Array, source: Array, normals: Array, uv: Array, error: float
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    source: np.ndarray,
+    normals: np.ndarray,
+    uv: np.ndarray,
+    error: float,
 ) -> Level:
     corners = np.asarray(vertices, np.float64)[faces]
     normal = _affine(corners, normals)

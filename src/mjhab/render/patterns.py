@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-Array = np.ndarray
 PERIODS: dict[str, tuple[float, float]] = {
     "wood": (16.0, 8.0),
     "planks": (32.0, 16.0),
@@ -23,7 +22,7 @@ _BOARD = 8.0
 """Length of a board in units of its width."""
 
 
-def pattern_tile(kind: str) -> Array:
+def pattern_tile(kind: str) -> np.ndarray:
     """Compute the image of a pattern.
 
     Args:
@@ -49,12 +48,12 @@ def pattern_tile(kind: str) -> Array:
     return np.round(255.0 * levels).astype(np.uint8)
 
 
-def _grid(width: int, height: int) -> tuple[Array, Array]:
+def _grid(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates u, v (h, w) of pixel centres in 0..1."""
     return np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
 
 
-def _noise(seed: int, u: Array, v: Array, cells_u: int, cells_v: int) -> Array:
+def _noise(seed: int, u: np.ndarray, v: np.ndarray, cells_u: int, cells_v: int) -> np.ndarray:
     """Smooth value noise in 0..1 with period 1 in u and v, and the given number of cells in each direction."""
     values = np.random.default_rng(seed).random((cells_v, cells_u))
     x = u * cells_u
@@ -74,7 +73,7 @@ def _noise(seed: int, u: Array, v: Array, cells_u: int, cells_v: int) -> Array:
     return low * (1.0 - b) + high * b
 
 
-def _grain(seed: int, u: Array, v: Array, length: float, width: float) -> Array:
+def _grain(seed: int, u: np.ndarray, v: np.ndarray, length: float, width: float) -> np.ndarray:
     """Wood grain along u on ``length`` x ``width`` units: stretched noise of two octaves, bent by slow noise."""
     bend = 0.6 * _noise(seed, u, v, max(1, round(0.25 * length)), max(1, round(0.5 * width)))
     ring = v + bend / width
@@ -83,13 +82,13 @@ def _grain(seed: int, u: Array, v: Array, length: float, width: float) -> Array:
     return 0.45 + 0.75 * (coarse - 0.5) + 0.35 * (fine - 0.5)
 
 
-def _wood() -> tuple[Array, Array]:
+def _wood() -> tuple[np.ndarray, np.ndarray]:
     u, v = _grid(256, 512)
     length, width = PERIODS["wood"]
     return _grain(1, u, v, length, width), np.ones(1)
 
 
-def _planks() -> tuple[Array, Array]:
+def _planks() -> tuple[np.ndarray, np.ndarray]:
     """Boards of 1 x `_BOARD` units with one random tint each, separated by dark joints 0.04 units wide."""
     length, width = PERIODS["planks"]
     u, v = _grid(512, 1024)
@@ -108,7 +107,7 @@ def _planks() -> tuple[Array, Array]:
     return 0.55 * tint + 0.45 * grain, 1.0 - 0.45 * line
 
 
-def _seam(distance: Array, width: float, pixel: float) -> Array:
+def _seam(distance: np.ndarray, width: float, pixel: float) -> np.ndarray:
     """Coverage 0..1 of pixels by a line of ``width`` whose centre line is at ``distance`` from the pixels' centres.
 
     ``pixel`` is the size of a pixel; all lengths are in the same units.
@@ -116,7 +115,7 @@ def _seam(distance: Array, width: float, pixel: float) -> Array:
     return np.clip((0.5 * width - distance) / pixel + 0.5, 0.0, 1.0) * min(1.0, width / pixel)
 
 
-def _tiles() -> tuple[Array, Array]:
+def _tiles() -> tuple[np.ndarray, np.ndarray]:
     """Square tiles of 1 unit separated by grout (mix 1); each tile has a random shade."""
     count = int(PERIODS["tiles"][0])
     u, v = _grid(512, 512)
@@ -129,14 +128,14 @@ def _tiles() -> tuple[Array, Array]:
     return _seam(edge, 0.026, count / 512), shade
 
 
-def _fabric() -> tuple[Array, Array]:
+def _fabric() -> tuple[np.ndarray, np.ndarray]:
     """Random threads 1/8 unit wide, with blotches of low-frequency noise."""
     u, v = _grid(256, 256)
     thread = np.random.default_rng(3).random((64, 64))[(v * 64).astype(int), (u * 64).astype(int)]
     return 0.4 + 0.5 * (thread - 0.5) + 0.6 * (_noise(4, u, v, 12, 12) - 0.5), np.ones(1)
 
 
-def _stripes() -> tuple[Array, Array]:
+def _stripes() -> tuple[np.ndarray, np.ndarray]:
     """Two stripes of equal width, along v."""
     u, _ = _grid(64, 2)
     return (np.abs(u - 0.5) < 0.25).astype(float), np.ones(1)

@@ -16,7 +16,7 @@ from mjhab.data.select.sets import Place, nothing_passes, select
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.reading import open_shard, shard_paths
 from mjhab.reports import parts
-from mjhab.reports.dataset_forces import force_plots
+from mjhab.reports.dataset_forces import SAFE_FORCE_N, force_plots
 from mjhab.reports.dataset_labels import grouped, label_order, label_table
 from mjhab.reports.metrics import wilson
 from mjhab.reports.mosaics import Mosaic, OpenFilm, mosaic
@@ -127,7 +127,7 @@ def _cards(records: Sequence[EpisodeRecord], size: float) -> str:
     count = len(records)
     steps = sum(record.steps for record in records)
     once = sum(record.success_once for record in records)
-    gentle = sum(record.success_once and record.peak_force < 1400.0 for record in records)
+    gentle = sum(record.success_once and record.peak_force < SAFE_FORCE_N for record in records)
     low, high = wilson(once, count)
     values = [
         ("episodes", f"{count:,}", f"{steps * STEP_SECONDS / 60:,.1f} minutes of robot time"),

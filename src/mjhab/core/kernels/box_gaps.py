@@ -6,11 +6,11 @@ import numpy as np
 
 from mjhab.core.kernels.jit import compiler
 
-Array = np.ndarray
-
 
 @compiler("core.kernels.box_gaps", forceinline=True)
-def box_gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array) -> float:
+def box_gap(
+    x: float, y: float, z: float, center: np.ndarray, half: np.ndarray, rot: np.ndarray
+) -> float:
     """Signed distance of a point to one box: negative inside, exact outside."""
     dx = x - center[0]
     dy = y - center[1]
@@ -26,7 +26,9 @@ def box_gap(x: float, y: float, z: float, center: Array, half: Array, rot: Array
 
 
 @compiler("core.kernels.box_gaps")
-def least_box_gaps(points: Array, center: Array, half: Array, rot: Array) -> Array:
+def least_box_gaps(
+    points: np.ndarray, center: np.ndarray, half: np.ndarray, rot: np.ndarray
+) -> np.ndarray:
     """Distance (P,) of each of ``points`` (P, 3) to the nearest box; infinite when there is none.
 
     ``center``, ``half``, ``rot``: (K, 3), (K, 3), (K, 3, 3) the boxes.

@@ -28,7 +28,6 @@ from mjhab.robots.registry import robot_named
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import ObjectType
 
-Array = np.ndarray
 SAMPLES = 600
 """Points sampled on the surface as first contacts."""
 RAYS_PER_SAMPLE = 3
@@ -68,7 +67,7 @@ _POSITION_SCALE_M = 0.03
 class Solid:
     """A union of convex pieces: ``planes`` (F, 4) of each piece with outward normals, and the surface mesh."""
 
-    planes: tuple[Array, ...]
+    planes: tuple[np.ndarray, ...]
     surface: trimesh.Trimesh
 
     @staticmethod
@@ -80,14 +79,16 @@ class Solid:
         assert isinstance(surface, trimesh.Trimesh)
         return Solid(tuple(np.unique(h.equations.round(9), axis=0) for h in hulls), surface)
 
-    def inside(self, points: Array) -> Array:
+    def inside(self, points: np.ndarray) -> np.ndarray:
         """Return (N,) bool: points (N, 3) that are inside of a piece."""
         found = np.zeros(len(points), bool)
         for planes in self.planes:
             found |= np.all(points @ planes[:, :3].T + planes[:, 3] < 0.0, axis=1)
         return found
 
-    def cross(self, origins: Array, ways: Array) -> tuple[Array, Array, Array]:
+    def cross(
+        self, origins: np.ndarray, ways: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Intersect rays from ``origins`` (R, 3) along unit directions ``ways`` (R, 3) with the K pieces.
 
         Returns:
@@ -176,7 +177,7 @@ def _contact_pairs(
     return found.take(np.flatnonzero(good)[np.argsort(slant[good], kind="stable")])
 
 
-def _within_cone(axes: Array, angle: float, rng: np.random.Generator) -> Array:
+def _within_cone(axes: np.ndarray, angle: float, rng: np.random.Generator) -> np.ndarray:
     """Sample unit vectors (R, 3), uniform in cones of half-angle ``angle`` [rad] around unit axes (R, 3)."""
     cosine = rng.uniform(np.cos(angle), 1.0, len(axes))
     turn = rng.uniform(-np.pi, np.pi, len(axes))
@@ -189,7 +190,9 @@ def _within_cone(axes: Array, angle: float, rng: np.random.Generator) -> Array:
     return cosine[:, None] * axes + sine[:, None] * across
 
 
-def _through(solid: Solid, origins: Array, ways: Array) -> tuple[Array, Array, Array]:
+def _through(
+    solid: Solid, origins: np.ndarray, ways: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cast rays from the surface through the body that they enter.
 
     Returns:
@@ -213,7 +216,7 @@ def _through(solid: Solid, origins: Array, ways: Array) -> tuple[Array, Array, A
 
 
 def _approachable(
-    pairs: SurfaceGrasps, points: Array, point_area: float, gripper: Gripper
+    pairs: SurfaceGrasps, points: np.ndarray, point_area: float, gripper: Gripper
 ) -> SurfaceGrasps:
     """Return the grasps of pairs of contacts for all approaches on which the hand does not touch ``points`` (P, 3)."""
     parts = [
@@ -225,7 +228,7 @@ def _approachable(
 
 
 def _approaches(
-    pair: SurfaceGrasps, points: Array, point_area: float, gripper: Gripper
+    pair: SurfaceGrasps, points: np.ndarray, point_area: float, gripper: Gripper
 ) -> SurfaceGrasps:
     """Return the grasps of one pair of contacts: for each approach the deepest one without collision."""
     closing = pair.closing[0]
@@ -257,7 +260,7 @@ def _approaches(
     )
 
 
-def _touches(local: Array, opening: float, gripper: Gripper) -> Array:
+def _touches(local: np.ndarray, opening: float, gripper: Gripper) -> np.ndarray:
     """Return (A,) bool: points (A, P, 3), gripper frame, touch the open hand or its straight approach."""
     x = local[..., 0]
     y = np.abs(local[..., 1])
@@ -270,7 +273,7 @@ def _touches(local: Array, opening: float, gripper: Gripper) -> Array:
     return np.asarray((fingers | palm).any(axis=1))
 
 
-def _pressed(local: Array, width: float, gripper: Gripper) -> Array:
+def _pressed(local: np.ndarray, width: float, gripper: Gripper) -> np.ndarray:
     """Return (A,): number of points (A, P, 3), gripper frame, in contact with a pad, of the pad with fewer."""
     on_pad = (np.abs(local[..., 0]) < gripper.finger[0]) & (
         np.abs(local[..., 2]) < gripper.finger[1]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.episodes.grasps.pinch import Array, ObjectShape, Options, Pinch, fan_of
+from mjhab.episodes.grasps.pinch import ObjectShape, Options, Pinch, fan_of
 from mjhab.robots.parts import Gripper
 
 MIN_UPRIGHT_COSINE = 0.97
@@ -29,7 +29,7 @@ SLANT_BOX_COST_PER_RAD = 2.0
 
 
 def box_pinches(
-    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
     """Yield the pinches of a box, see `pinches.pinches_of`."""
     for i in range(3):
@@ -48,7 +48,7 @@ def box_pinches(
 
 
 def _slanted_pinches(
-    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
     """Yield pinches of one end of an upright box by a hand that is turned to its sides by one of ``options.slants``.
 
@@ -78,14 +78,14 @@ class _BoxEnd:
     along: (2,) unit vector from it to the other end. length, width, height: halves of those of the box.
     """
 
-    along: Array
+    along: np.ndarray
     length: float
     width: float
     height: float
 
 
 def _slanted_pinch(
-    end: _BoxEnd, pos: Array, slant: float, side: float, gripper: Gripper, options: Options
+    end: _BoxEnd, pos: np.ndarray, slant: float, side: float, gripper: Gripper, options: Options
 ) -> Pinch | None:
     """Pinch of the end of a box at ``pos`` (3,) by a hand turned by ``slant`` to the left (``side`` 1) or right (-1);
     None if it does not fit into the hand.

@@ -17,7 +17,6 @@ from mjhab.episodes.grasps.pinches import pinches_of
 from mjhab.robots.parts import Gripper
 from mjhab.robots.registry import robot_named
 
-Array = np.ndarray
 KINDS = ("top", "tilted", "side")
 """Kinds of approach: "top" within 20 degrees of straight down, "side" within 20 degrees of level, else "tilted"."""
 
@@ -41,24 +40,24 @@ class Grasps:
         score: (G,) higher is better.
     """
 
-    pos: Array
-    rot: Array
-    pre: Array
-    width: Array
-    opening: Array
-    clear: Array
-    kind: Array
-    score: Array
+    pos: np.ndarray
+    rot: np.ndarray
+    pre: np.ndarray
+    width: np.ndarray
+    opening: np.ndarray
+    clear: np.ndarray
+    kind: np.ndarray
+    score: np.ndarray
 
     def __len__(self) -> int:
         return len(self.pos)
 
     @property
-    def quat(self) -> Array:
+    def quat(self) -> np.ndarray:
         """Rotations as quaternions (G, 4) wxyz."""
         return quat_from_mat(self.rot)
 
-    def take(self, rows: Array) -> Grasps:
+    def take(self, rows: np.ndarray) -> Grasps:
         """Return the candidates of row indices, a slice or a mask."""
         return Grasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
@@ -68,12 +67,12 @@ class LyingObject:
     """An object at world pose ``pos`` (3,), ``rot`` (3, 3), on a support at height ``support_z``."""
 
     shape: ObjectShape
-    pos: Array
-    rot: Array
+    pos: np.ndarray
+    rot: np.ndarray
     support_z: float
 
     @classmethod
-    def of(cls, shape: ObjectShape, pose: Array, support_z: float) -> LyingObject:
+    def of(cls, shape: ObjectShape, pose: np.ndarray, support_z: float) -> LyingObject:
         """Make a lying object from a world pose (7,) [m, wxyz]."""
         pose = np.asarray(pose, dtype=np.float64)
         return cls(shape, pose[:3], mat_from_quat(pose[3:]), support_z)
@@ -83,7 +82,7 @@ def grasp_candidates(
     obj: LyingObject,
     *,
     neighbours: Boxes | None = None,
-    robot_xy: Array | None = None,
+    robot_xy: np.ndarray | None = None,
     gripper: Gripper | None = None,
     options: Options | None = None,
 ) -> Grasps:
@@ -123,7 +122,9 @@ def grasp_candidates(
     return found.take(order[clear[order] >= options.least_clear_m])
 
 
-def gripper_spheres(opening: Array, gripper: Gripper | None = None) -> tuple[Array, Array]:
+def gripper_spheres(
+    opening: np.ndarray, gripper: Gripper | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return spheres that cover fingers, hand and wrist.
 
     Args:
@@ -147,13 +148,13 @@ def gripper_spheres(opening: Array, gripper: Gripper | None = None) -> tuple[Arr
 
 
 def approach_clearance(
-    pos: Array,
-    rot: Array,
-    opening: Array,
-    pre: Array,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    opening: np.ndarray,
+    pre: np.ndarray,
     neighbours: Boxes | None,
     gripper: Gripper | None = None,
-) -> Array:
+) -> np.ndarray:
     """Return the least clearance (G,) [m] of the gripper from boxes on straight approaches; 1 without boxes.
 
     Args:
@@ -176,7 +177,7 @@ def approach_clearance(
     return least
 
 
-def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
+def _extent(shape: ObjectShape, rot: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return the half-extent (...,) of an object at rotation ``rot`` along unit directions (..., 3)."""
     part = np.abs(direction @ rot)
     if shape.kind == "box":
@@ -188,7 +189,7 @@ def _extent(shape: ObjectShape, rot: Array, direction: Array) -> Array:
 
 def _place(
     pinch: Pinch, obj: LyingObject, gripper: Gripper, options: Options
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the feasible grasps of one pinch: tcp positions (n, 3), rotations (n, 3, 3), widths (n,), openings (n,) on
     the approach, qualities (n,)."""
     approach = pinch.approach
@@ -236,8 +237,8 @@ def _place(
 
 
 def _overlap(
-    pinch: Pinch, center: Array, at: Array, turn: Array, gripper: Gripper
-) -> tuple[Array, Array]:
+    pinch: Pinch, center: np.ndarray, at: np.ndarray, turn: np.ndarray, gripper: Gripper
+) -> tuple[np.ndarray, np.ndarray]:
     """Return, for tcp positions ``at`` (A, 3), how much of the contact locus the pads cover (A,) (length or square root
     of area), and the distance (A,) of its middle from the object's centre."""
     local = np.einsum("apj,ajk->apk", pinch.locus - at[:, None], turn)
@@ -259,7 +260,7 @@ def _overlap(
     return held, np.linalg.norm(middle - center, axis=1)
 
 
-def _lowest(turn: Array, opening: float, gripper: Gripper) -> Array:
+def _lowest(turn: np.ndarray, opening: float, gripper: Gripper) -> np.ndarray:
     """Return the height (A,) of the lowest corner of fingers and hand relative to the tcp (negative: below)."""
     y = opening / 2 + gripper.thickness
     corners = []
@@ -275,8 +276,13 @@ def _lowest(turn: Array, opening: float, gripper: Gripper) -> Array:
 
 
 def _score(
-    pos: Array, turn: Array, quality: Array, clear: Array, robot_xy: Array | None, options: Options
-) -> tuple[Array, Array]:
+    pos: np.ndarray,
+    turn: np.ndarray,
+    quality: np.ndarray,
+    clear: np.ndarray,
+    robot_xy: np.ndarray | None,
+    options: Options,
+) -> tuple[np.ndarray, np.ndarray]:
     approach = turn[:, :, 0]
     fall = np.degrees(np.arccos(np.clip(-approach[:, 2], -1.0, 1.0)))
     kind = np.where(fall <= 20.0, 0, np.where(fall < 70.0, 1, 2))

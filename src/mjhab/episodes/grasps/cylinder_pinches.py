@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.episodes.grasps.pinch import Array, ObjectShape, Options, Pinch, fan_of
+from mjhab.episodes.grasps.pinch import ObjectShape, Options, Pinch, fan_of
 from mjhab.robots.parts import Gripper
 
 CHORD_PLAY_M = 0.0015
@@ -20,13 +20,13 @@ class _Can:
 
     radius: float
     half: float
-    pos: Array
-    axis: Array
-    line: Array
+    pos: np.ndarray
+    axis: np.ndarray
+    line: np.ndarray
 
 
 def cylinder_pinches(
-    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
     """Yield the pinches of a cylinder, see `pinches.pinches_of`."""
     radius = shape.half[0]
@@ -59,7 +59,7 @@ def cylinder_pinches(
         )
 
 
-def _chord_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinch]:
+def _chord_pinches(can: _Can, closing: np.ndarray, gripper: Gripper) -> Iterator[Pinch]:
     """Yield pinches of a can wider than the opening, with approaches along its axis: the pads grasp a chord.
 
     The surface normals deviate from the closing line by asin(offset / radius), 21 degrees for the widest can of the
@@ -85,7 +85,7 @@ def _chord_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinc
             )
 
 
-def _tip_pinches(can: _Can, closing: Array, gripper: Gripper) -> Iterator[Pinch]:
+def _tip_pinches(can: _Can, closing: np.ndarray, gripper: Gripper) -> Iterator[Pinch]:
     """Yield pinches of a can slightly wider than the opening, with approaches from the side.
 
     The round edges of the fingertips grasp a chord in front of the axis. Grasps are the less stable the farther the

@@ -13,7 +13,6 @@ import numpy as np
 
 from mjhab.scenes.builtin.objects import BOWL_FACETS
 
-Array = np.ndarray
 MAX_APPROACH_RISE = 0.05
 """Largest z component of a unit direction of approach, which excludes approaches from below."""
 
@@ -33,19 +32,19 @@ class SurfaceGrasps:
         patch: (M,) square root of the contact area of the pad that has less.
     """
 
-    pos: Array
-    approach: Array
-    closing: Array
-    contact: Array
-    width: Array
-    most_open: Array
-    slant: Array
-    patch: Array
+    pos: np.ndarray
+    approach: np.ndarray
+    closing: np.ndarray
+    contact: np.ndarray
+    width: np.ndarray
+    most_open: np.ndarray
+    slant: np.ndarray
+    patch: np.ndarray
 
     def __len__(self) -> int:
         return len(self.pos)
 
-    def take(self, rows: Array) -> SurfaceGrasps:
+    def take(self, rows: np.ndarray) -> SurfaceGrasps:
         """Return the grasps of row indices or a mask."""
         return SurfaceGrasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
@@ -110,15 +109,15 @@ class Options:
 class Pinch:
     """A line on which the pads close on an object, with A directions of approach."""
 
-    closing: Array
+    closing: np.ndarray
     """(3,) unit direction in which the pads close."""
-    approach: Array
+    approach: np.ndarray
     """(A, 3) unit directions along the fingers."""
-    locus: Array
+    locus: np.ndarray
     """(P, 3) midpoints of the pairs of points at which the two pads can touch the object."""
     width: float
     """Distance [m] between the pads in contact."""
-    at: Array | None = None
+    at: np.ndarray | None = None
     """(A, 3) position of the tcp for each approach; None: as deep as palm and support allow."""
     bonus: float = 0.0
     """Added to the score."""
@@ -137,7 +136,7 @@ class Pinch:
         return len(self.locus) == 1
 
 
-def fan_of(closing: Array, start: Array, count: int) -> Array:
+def fan_of(closing: np.ndarray, start: np.ndarray, count: int) -> np.ndarray:
     """Return ``count`` unit directions of approach (A, 3) around a closing line, without those from below."""
     u = start - closing * (start @ closing)
     u = u / np.linalg.norm(u)

@@ -14,7 +14,6 @@ from mjhab.episodes.grasps.box_pinches import box_pinches
 from mjhab.episodes.grasps.cylinder_pinches import cylinder_pinches
 from mjhab.episodes.grasps.pinch import (
     MAX_APPROACH_RISE,
-    Array,
     ObjectShape,
     Options,
     Pinch,
@@ -32,7 +31,7 @@ SLANT_COST_PER_RAD = 4.0
 
 
 def pinches_of(
-    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
     """Yield the pinches of a shape at world position ``pos`` (3,) and rotation ``rot`` (3, 3).
 
@@ -52,7 +51,7 @@ def pinches_of(
 
 
 def _sphere_pinches(
-    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
     width = 2 * max(shape.half)
     if width > gripper.usable:
@@ -65,7 +64,7 @@ def _sphere_pinches(
 
 
 def _bowl_pinches(
-    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
     """Yield pinches of a bowl's wall, one finger inside and one outside, with several angles at each place."""
     axis = rot[:, 2]
@@ -87,7 +86,7 @@ def _bowl_pinches(
 
 
 def _mesh_pinches(
-    shape: ObjectShape, pos: Array, rot: Array, gripper: Gripper, options: Options
+    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
 ) -> Iterator[Pinch]:
     """Yield the surface grasps of a mesh, without those that approach from below."""
     grasps = shape.grasps

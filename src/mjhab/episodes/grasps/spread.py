@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-Array = np.ndarray
 
-
-def farthest_points(features: Array, count: int) -> Array:
+def farthest_points(features: np.ndarray, count: int) -> np.ndarray:
     """Select points that are far apart, by greedy farthest-point sampling.
 
     Args:

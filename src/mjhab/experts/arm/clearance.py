@@ -19,7 +19,6 @@ from mjhab.experts.arm.frame_kernels import link_frames, tree_of
 from mjhab.experts.arm.sphere_gaps import least_gaps, own_gaps
 from mjhab.robots.kinematics import Chain, Frames
 
-Array = np.ndarray
 NOTHING_NEAR_M = 1e3
 """Distance that is reported when there are no boxes."""
 _THICK_RADIUS_M = 0.05
@@ -43,12 +42,12 @@ class RobotSpheres:
     """
 
     chain: Chain
-    link: Array
-    pos: Array
-    radius: Array
+    link: np.ndarray
+    pos: np.ndarray
+    radius: np.ndarray
     trunk: Boxes
-    trunk_link: Array
-    distal: Array
+    trunk_link: np.ndarray
+    distal: np.ndarray
 
     @classmethod
     def from_geoms(
@@ -97,7 +96,7 @@ class RobotSpheres:
             np.isin(rows, chosen),
         )
 
-    def with_held(self, pos: Array, radius: Array) -> RobotSpheres:
+    def with_held(self, pos: np.ndarray, radius: np.ndarray) -> RobotSpheres:
         """The robot with a held object: additional spheres ``pos`` (H, 3) in the tip's frame, ``radius`` (H,) [m]."""
         return dataclasses.replace(
             self,
@@ -122,13 +121,13 @@ class RobotSpheres:
             distal=self.distal[keep],
         )
 
-    def centers(self, frames: Frames) -> Array:
+    def centers(self, frames: Frames) -> np.ndarray:
         """World positions (N, M, 3) [m] of the spheres' centres at link frames from `Chain.forward`."""
         return frames.pos[:, self.link] + np.einsum(
             "nmij,mj->nmi", frames.rot[:, self.link], self.pos
         )
 
-    def clearance(self, q: Array, boxes: Boxes) -> Array:
+    def clearance(self, q: np.ndarray, boxes: Boxes) -> np.ndarray:
         """Least distance (N,) [m] of any sphere to any box at configurations ``q`` (N, Q) or (Q,).
 
         Negative where they overlap; `NOTHING_NEAR_M` without boxes or spheres.
@@ -139,19 +138,19 @@ class RobotSpheres:
         pos, rot = self._frames(q)
         return least_gaps(pos, rot, *self._bounds, *self._by_link, *boxes.contiguous())
 
-    def _frames(self, q: Array) -> tuple[Array, Array]:
+    def _frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World positions (N, L, 3) and rotations (N, L, 3, 3) of the chain's links."""
         return link_frames(tree_of(self.chain), np.ascontiguousarray(q, dtype=np.float64))
 
     @cached_property
-    def _by_link(self) -> tuple[Array, Array, Array]:
+    def _by_link(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Spheres sorted by link: first index of each link of `_bounds` (L + 1,), centres (M, 3), radii (M,)."""
         order = np.argsort(self.link, kind="stable")
         first = np.searchsorted(self.link[order], np.unique(self.link))
         return np.append(first, len(order)), self.pos[order], self.radius[order]
 
     @cached_property
-    def _bounds(self) -> tuple[Array, Array, Array]:
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bounding sphere of each covered link: link index (L,), centre (L, 3) in the link's frame, radius (L,)."""
         links = np.unique(self.link)
         middle = np.zeros((len(links), 3))
@@ -166,7 +165,7 @@ class RobotSpheres:
             ).max()
         return links, middle, around
 
-    def self_clearance(self, q: Array) -> Array:
+    def self_clearance(self, q: np.ndarray) -> np.ndarray:
         """Least distance (N,) [m] of the distal spheres to the trunk's boxes at configurations ``q`` (N, Q) or (Q,).
 
         Negative where they overlap; `NOTHING_NEAR_M` without distal spheres or trunk boxes.
@@ -179,15 +178,17 @@ class RobotSpheres:
         return own_gaps(pos, rot, link, points, radius, self.trunk_link, *self._trunk_sides)
 
     @cached_property
-    def _distal(self) -> tuple[Array, Array, Array]:
+    def _distal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Link, centre and radius of the spheres that `self_clearance` checks."""
         return self.link[self.distal], self.pos[self.distal], self.radius[self.distal]
 
     @cached_property
-    def _trunk_sides(self) -> tuple[Array, Array, Array]:
+    def _trunk_sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.trunk.contiguous()
 
-    def path_clearance(self, start: Array, ends: Array, boxes: Boxes, pieces: int = 8) -> Array:
+    def path_clearance(
+        self, start: np.ndarray, ends: np.ndarray, boxes: Boxes, pieces: int = 8
+    ) -> np.ndarray:
         """Least clearance (N,) [m] to boxes and to the trunk along straight paths in joint space.
 
         Args:
@@ -203,7 +204,7 @@ class RobotSpheres:
         return gap.reshape(pieces, len(ends)).min(axis=0)
 
 
-def _cover(geom: Any) -> list[tuple[Array, float]]:
+def _cover(geom: Any) -> list[tuple[np.ndarray, float]]:
     """Cover one shape: groups of sphere centres (P, 3) in the link's frame, each group with its radius.
 
     Thick boxes get a second group of small spheres along their long edges, which large spheres leave uncovered.
@@ -223,7 +224,7 @@ def _cover(geom: Any) -> list[tuple[Array, float]]:
     ]
 
 
-def _fill(geom: Any) -> tuple[Array, float]:
+def _fill(geom: Any) -> tuple[np.ndarray, float]:
     """Centres (P, 3) in the link's frame and common radius [m] of spheres for a box, cylinder, capsule or sphere."""
     if geom.shape == "sphere":
         return np.asarray(geom.pos, dtype=np.float64)[None], float(geom.size[0])
@@ -249,7 +250,7 @@ def _fill(geom: Any) -> tuple[Array, float]:
     return local @ rot.T + np.asarray(geom.pos, dtype=np.float64), small
 
 
-def _grid(room: Array, radius: float) -> Array:
+def _grid(room: np.ndarray, radius: float) -> np.ndarray:
     """Grid of points (P, 3) within ± ``room`` (3,) [m], at most 1.2 ``radius`` apart along each axis."""
     count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in room]
     axes = [

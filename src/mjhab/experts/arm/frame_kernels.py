@@ -10,7 +10,6 @@ import numpy as np
 from mjhab.experts.jit import inline, kernel
 from mjhab.robots.kinematics import Chain
 
-Array = np.ndarray
 FIXED = 0
 SLIDE = 1
 HINGE = 2
@@ -32,16 +31,16 @@ class Tree(NamedTuple):
         upper: (Q,) upper joint limits [m or rad].
     """
 
-    parent: Array
-    kind: Array
-    axis: Array
-    column: Array
-    sign: Array
-    offset: Array
-    path: Array
+    parent: np.ndarray
+    kind: np.ndarray
+    axis: np.ndarray
+    column: np.ndarray
+    sign: np.ndarray
+    offset: np.ndarray
+    path: np.ndarray
     height: float
-    lower: Array
-    upper: Array
+    lower: np.ndarray
+    upper: np.ndarray
 
 
 @lru_cache(maxsize=16)
@@ -68,7 +67,7 @@ def tree_of(chain: Chain) -> Tree:
 
 
 @inline
-def place_link(tree: Tree, j: int, q: Array, pos: Array, rot: Array) -> None:
+def place_link(tree: Tree, j: int, q: np.ndarray, pos: np.ndarray, rot: np.ndarray) -> None:
     """Write the world frame of link ``j + 1`` at configuration ``q`` (Q,) into ``pos`` (L, 3) and ``rot`` (L, 3, 3).
 
     The parent's frame must have been written before.
@@ -101,7 +100,7 @@ def place_link(tree: Tree, j: int, q: Array, pos: Array, rot: Array) -> None:
 
 
 @inline
-def place_root(tree: Tree, pos: Array, rot: Array) -> None:
+def place_root(tree: Tree, pos: np.ndarray, rot: np.ndarray) -> None:
     """Write the world frame of the root into the first row of ``pos`` (L, 3) and ``rot`` (L, 3, 3)."""
     for i in range(3):
         pos[0, i] = 0.0
@@ -111,7 +110,7 @@ def place_root(tree: Tree, pos: Array, rot: Array) -> None:
 
 
 @kernel
-def link_frames(tree: Tree, q: Array) -> tuple[Array, Array]:
+def link_frames(tree: Tree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """World positions (N, L, 3) and rotations (N, L, 3, 3) of all links at configurations ``q`` (N, Q)."""
     links = len(tree.parent) + 1
     pos = np.empty((len(q), links, 3))

@@ -18,7 +18,6 @@ from mjhab.experts.arm import ik_kernels
 from mjhab.experts.arm.frame_kernels import tree_of
 from mjhab.robots.kinematics import Chain
 
-Array = np.ndarray
 Mode = Literal["pose", "approach", "closing", "position"]
 """Which part of the goal orientation counts: all of it ("pose"), only the direction of the gripper's x axis
 ("approach"), only that of its y axis, along which the fingers close ("closing"), or none ("position")."""
@@ -60,12 +59,12 @@ class Solutions:
         ok: (M, S) bool, whether both errors are within three times the tolerances.
     """
 
-    q: Array
-    pos_err: Array
-    rot_err: Array
-    ok: Array
+    q: np.ndarray
+    pos_err: np.ndarray
+    rot_err: np.ndarray
+    ok: np.ndarray
 
-    def best(self, cost: Array) -> tuple[Array, Array]:
+    def best(self, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Select the valid solution with the least cost for every goal.
 
         Args:
@@ -80,15 +79,20 @@ class Solutions:
         return self.q[rows, pick], masked[rows, pick]
 
 
-def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> Array:
+def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> np.ndarray:
     """Configuration columns (D,) of the arm and, as asked for, of the torso and the base."""
     groups = ("arm", *(("torso",) if torso else ()), *(("base",) if base else ()))
     return chain.columns_of([name for group in groups for name in chain.groups.get(group, ())])
 
 
 def random_seeds(
-    chain: Chain, q: Array, dofs: Array, count: int, rng: np.random.Generator, spread: float = 0.8
-) -> Array:
+    chain: Chain,
+    q: np.ndarray,
+    dofs: np.ndarray,
+    count: int,
+    rng: np.random.Generator,
+    spread: float = 0.8,
+) -> np.ndarray:
     """Draw start configurations for `solve`.
 
     Args:
@@ -115,12 +119,12 @@ def random_seeds(
 
 def solve(
     chain: Chain,
-    pos: Array,
-    rot: Array,
-    seeds: Array,
-    dofs: Array,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    seeds: np.ndarray,
+    dofs: np.ndarray,
     *,
-    rest: Array,
+    rest: np.ndarray,
     mode: Mode = "pose",
     options: Options | None = None,
 ) -> Solutions:
@@ -183,15 +187,15 @@ USUAL_SERVO = ServoOptions()
 
 def servo(
     chain: Chain,
-    q: Array,
-    pos: Array,
-    rot: Array,
-    dofs: Array,
+    q: np.ndarray,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    dofs: np.ndarray,
     *,
-    rest: Array,
-    base_next: Array | None = None,
+    rest: np.ndarray,
+    base_next: np.ndarray | None = None,
     options: ServoOptions = USUAL_SERVO,
-) -> Array:
+) -> np.ndarray:
     """Compute the joint motion of one control step that moves the tip towards a pose.
 
     The pose error is computed for the base pose expected after the step (feed-forward). The arm thus compensates the
@@ -232,27 +236,32 @@ def servo(
     )
 
 
-def step_limits(chain: Chain) -> Array:
+def step_limits(chain: Chain) -> np.ndarray:
     """Largest change (Q,) of every column in one control step: `ARM_STEP_RAD`, for the torso `TORSO_STEP_M`."""
     limits = np.full(chain.size, ARM_STEP_RAD)
     limits[chain.columns_of(chain.groups.get("torso", ()))] = TORSO_STEP_M
     return limits
 
 
-def travel_steps(chain: Chain, start: Array, end: Array, dofs: Array) -> Array:
+def travel_steps(chain: Chain, start: np.ndarray, end: np.ndarray, dofs: np.ndarray) -> np.ndarray:
     """Control steps (...,) that the slowest joint needs from ``start`` (Q,) to ``end`` (..., Q)."""
     return np.max(np.abs(end - start)[..., dofs] / step_limits(chain)[dofs], axis=-1)
 
 
-def unwind(chain: Chain, q: Array, reference: Array) -> Array:
+def unwind(chain: Chain, q: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """``q`` (..., Q) with continuous joints shifted by whole turns to within half a turn of ``reference`` (Q,)."""
     endless = ~np.isfinite(chain.lower)
     return np.where(endless, reference + wrap(q - reference), q)
 
 
 def straight_line(
-    pos: Array, goal: Array, rot: Array, goal_rot: Array, reach: float, turn: float
-) -> tuple[Array, Array]:
+    pos: np.ndarray,
+    goal: np.ndarray,
+    rot: np.ndarray,
+    goal_rot: np.ndarray,
+    reach: float,
+    turn: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Compute the next pose on the straight path from a pose to a goal pose.
 
     Args:
@@ -275,6 +284,6 @@ def straight_line(
     return pos + share[:, None] * way, mat_from_rotation_vector(share[:, None] * spin) @ rot
 
 
-def _floats(values: Array) -> Array:
+def _floats(values: np.ndarray) -> np.ndarray:
     """An array in the layout that the kernels are compiled for: contiguous float64."""
     return np.ascontiguousarray(values, dtype=np.float64)

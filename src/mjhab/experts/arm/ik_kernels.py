@@ -14,7 +14,6 @@ from mjhab.experts.arm.frame_kernels import SLIDE, Tree, place_link, place_root
 from mjhab.experts.arm.step_kernels import Space, make_space, set_limited_step
 from mjhab.experts.jit import inline, kernel
 
-Array = np.ndarray
 POSE = 0
 APPROACH = 1
 CLOSING = 2
@@ -24,7 +23,7 @@ MODES = {"pose": POSE, "approach": APPROACH, "closing": CLOSING, "position": POS
 
 
 @inline
-def _rotation_error(wish: Array, now: Array, m: Array, out: Array) -> None:
+def _rotation_error(wish: np.ndarray, now: np.ndarray, m: np.ndarray, out: np.ndarray) -> None:
     """Write into ``out[3:]`` the rotation vector [rad] from rotation ``now`` (3, 3) to ``wish`` (3, 3).
 
     ``m`` (3, 3) is scratch memory.
@@ -66,7 +65,9 @@ def _rotation_error(wish: Array, now: Array, m: Array, out: Array) -> None:
 
 
 @inline
-def _axis_error(rot: Array, wish: Array, column: int, axis: Array, out: Array) -> None:
+def _axis_error(
+    rot: np.ndarray, wish: np.ndarray, column: int, axis: np.ndarray, out: np.ndarray
+) -> None:
     """Write into ``out[3:]`` the rotation vector [rad] from a column of ``rot`` (3, 3) to that of ``wish`` (3, 3).
 
     ``axis`` (3,) is overwritten with the column of ``rot``.
@@ -99,7 +100,13 @@ def _axis_error(rot: Array, wish: Array, column: int, axis: Array, out: Array) -
 
 @kernel
 def _task(
-    tree: Tree, q: Array, goal_pos: Array, goal_rot: Array, mode: int, slot: Array, s: Space
+    tree: Tree,
+    q: np.ndarray,
+    goal_pos: np.ndarray,
+    goal_rot: np.ndarray,
+    mode: int,
+    slot: np.ndarray,
+    s: Space,
 ) -> None:
     """Write task error and Jacobian of configuration ``q`` (Q,) for a goal into ``s``.
 
@@ -156,7 +163,9 @@ def _task(
 
 
 @kernel
-def _one_step(tree: Tree, q: Array, rest: Array, rest_gain: float, dofs: Array, s: Space) -> None:
+def _one_step(
+    tree: Tree, q: np.ndarray, rest: np.ndarray, rest_gain: float, dofs: np.ndarray, s: Space
+) -> None:
     """Write into ``s.step`` (D,) the damped step that reduces the task error of ``q`` (Q,) within its joint limits."""
     for d in range(len(dofs)):
         column = dofs[d]
@@ -167,7 +176,7 @@ def _one_step(tree: Tree, q: Array, rest: Array, rest_gain: float, dofs: Array, 
 
 
 @inline
-def _slots(tree: Tree, dofs: Array) -> Array:
+def _slots(tree: Tree, dofs: np.ndarray) -> np.ndarray:
     """Index (L - 1,) of each joint's column in ``dofs`` (D,), -1 where it is not in it."""
     slot = np.full(len(tree.parent), -1)
     for j in range(len(tree.parent)):
@@ -180,18 +189,18 @@ def _slots(tree: Tree, dofs: Array) -> Array:
 @kernel
 def reach(
     tree: Tree,
-    q: Array,
-    goal_pos: Array,
-    goal_rot: Array,
+    q: np.ndarray,
+    goal_pos: np.ndarray,
+    goal_rot: np.ndarray,
     mode: int,
-    dofs: Array,
-    rest: Array,
+    dofs: np.ndarray,
+    rest: np.ndarray,
     iterations: int,
     rest_gain: float,
     max_step: float,
     pos_tolerance: float,
     rot_tolerance: float,
-) -> tuple[Array, Array]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Move configurations in place towards goals, see `ik.solve`.
 
     Args:
@@ -239,16 +248,16 @@ def reach(
 @kernel
 def servo_steps(
     tree: Tree,
-    ahead: Array,
-    q: Array,
-    goal_pos: Array,
-    goal_rot: Array,
+    ahead: np.ndarray,
+    q: np.ndarray,
+    goal_pos: np.ndarray,
+    goal_rot: np.ndarray,
     mode: int,
-    dofs: Array,
-    rest: Array,
+    dofs: np.ndarray,
+    rest: np.ndarray,
     rest_gain: float,
-    largest: Array,
-) -> Array:
+    largest: np.ndarray,
+) -> np.ndarray:
     """Changes (N, Q) of configurations ``q`` (N, Q) in one control step, see `ik.servo`.
 
     Args:

@@ -24,8 +24,7 @@ from mjhab.experts.base.navigation import FloorClearance, Planner
 from mjhab.experts.base.pilot import Pilot
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
-Motion = Generator[Array, None, bool]
+Motion = Generator[np.ndarray, None, bool]
 Until = Callable[[WorldView], bool]
 """Condition that ends a wait."""
 OPEN = 1.0
@@ -82,7 +81,7 @@ def _planner(home: HomeShapes) -> Planner:
     )
 
 
-def tcp(view: WorldView) -> tuple[Array, Array]:
+def tcp(view: WorldView) -> tuple[np.ndarray, np.ndarray]:
     """Tool centre position (3,) and rotation (3, 3) in the world."""
     pose = view.tcp_pose
     return pose[:3], mat_from_quat(pose[3:])
@@ -90,12 +89,12 @@ def tcp(view: WorldView) -> tuple[Array, Array]:
 
 def action(
     view: WorldView,
-    goal: Array | None = None,
+    goal: np.ndarray | None = None,
     *,
     gripper: float,
     drive: tuple[float, float] = (0.0, 0.0),
     speed: float = 1.0,
-) -> Array:
+) -> np.ndarray:
     """Compute the action (A,) float32 that moves arm, head and torso towards a configuration while the base drives.
 
     Args:
@@ -152,7 +151,7 @@ def hold(
     steps: int,
     *,
     gripper: float,
-    goal: Array | None = None,
+    goal: np.ndarray | None = None,
     until: Until = never,
 ) -> Motion:
     """Stand still in a configuration.
@@ -174,7 +173,7 @@ def hold(
 
 def move_joints(
     view: WorldView,
-    goal: Array,
+    goal: np.ndarray,
     *,
     gripper: float,
     tolerance: float = 0.03,
@@ -202,7 +201,7 @@ def move_joints(
     return False
 
 
-def drive_to(view: WorldView, goal: Array, *, gripper: float, max_steps: int = 120) -> Motion:
+def drive_to(view: WorldView, goal: np.ndarray, *, gripper: float, max_steps: int = 120) -> Motion:
     """Drive the base around furniture to ``goal`` (3,) x, y [m], yaw [rad], with the arm in its present configuration.
 
     Returns whether the base arrived; False when there is no path.
@@ -241,15 +240,15 @@ class HandMove:
         stop_on_force: the motion gives up when the contact forces on the robot's links sum up to more [N].
     """
 
-    pos: Array
-    rot: Array
+    pos: np.ndarray
+    rot: np.ndarray
     gripper: float
     speed: float = 0.25
     turn: float = 1.0
     tolerance: float = 0.008
     angle_tolerance: float = 0.1
     max_steps: int = 80
-    rest: Array | None = None
+    rest: np.ndarray | None = None
     drive: tuple[float, float] = (0.0, 0.0)
     torso: bool = True
     stop_on_force: float = np.inf
@@ -291,7 +290,13 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
 
 
 def still_tcp(
-    view: WorldView, pos: Array, rot: Array, *, gripper: float, steps: int, until: Until = never
+    view: WorldView,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    *,
+    gripper: float,
+    steps: int,
+    until: Until = never,
 ) -> Motion:
     """Hold the tcp at a pose near the present one.
 
@@ -314,7 +319,7 @@ def still_tcp(
 
 
 def raise_tcp(
-    view: WorldView, pos: Array, rot: Array, *, rest: Array, max_steps: int = 16
+    view: WorldView, pos: np.ndarray, rot: np.ndarray, *, rest: np.ndarray, max_steps: int = 16
 ) -> Motion:
     """Move the tcp with a held object to a pose nearby, slowly at first: a jerk would shift the object in the fingers.
 
@@ -353,13 +358,13 @@ def base_speeds(view: WorldView) -> tuple[float, float]:
     return float(np.cos(yaw) * v_x + np.sin(yaw) * v_y), float(turn)
 
 
-def base_motion(yaw: float, drive: tuple[float, float]) -> Array:
+def base_motion(yaw: float, drive: tuple[float, float]) -> np.ndarray:
     """Motion (1, 3) x, y [m], yaw [rad] of a base at heading ``yaw`` in one control step at speeds ``drive``."""
     step = drive[0] * STEP_SECONDS
     return np.array([[step * np.cos(yaw), step * np.sin(yaw), drive[1] * STEP_SECONDS]])
 
 
-def angle_between(now: Array, goal: Array) -> float:
+def angle_between(now: np.ndarray, goal: np.ndarray) -> float:
     """Angle [rad] between two rotations (3, 3)."""
     return float(np.arccos(np.clip((np.trace(now.T @ goal) - 1) / 2, -1.0, 1.0)))
 
@@ -401,7 +406,7 @@ def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
     )
 
 
-def rest_goal(view: WorldView) -> Array:
+def rest_goal(view: WorldView) -> np.ndarray:
     """Rest configuration (J,) at the present base pose; continuous joints within half a turn of the present."""
     q = view.q
     goal = view.robot.rest.copy()
@@ -409,7 +414,7 @@ def rest_goal(view: WorldView) -> Array:
     return ik.unwind(view.robot.chain, goal, q)
 
 
-def steps_home(robot: Robot, q: Array) -> Array:
+def steps_home(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Control steps (...,) that arm and torso need from configurations ``q`` (..., J) to rest."""
     rest = ik.unwind(robot.chain, robot.rest, q)
     return ik.travel_steps(robot.chain, q, rest, ik.columns(robot.chain))
@@ -422,7 +427,7 @@ def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
         yield action(view, goal, gripper=gripper)
 
 
-def joint_gap(view: WorldView, goal: Array) -> float:
+def joint_gap(view: WorldView, goal: np.ndarray) -> float:
     """Largest distance of an arm joint from ``goal`` (J,) [rad], or three times that of the torso [m] if larger."""
     off = np.abs(goal - view.q)
     arm = float(off[list(view.robot.arm_columns)].max())
@@ -433,7 +438,7 @@ def _arm_and_torso(robot: Robot) -> list[int]:
     return [*robot.arm_columns, *robot.torso_columns]
 
 
-def drives(view: WorldView, xy: Array, yaw: float) -> bool:
+def drives(view: WorldView, xy: np.ndarray, yaw: float) -> bool:
     """Whether the base has to move to be at ``xy`` (2,) [m] with heading ``yaw`` [rad], within 15 mm and 0.03 rad."""
     turn = (yaw - view.base[2] + np.pi) % (2 * np.pi) - np.pi
     return bool(np.linalg.norm(xy - view.base[:2]) > 0.015 or abs(turn) > 0.03)

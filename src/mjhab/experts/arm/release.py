@@ -14,7 +14,6 @@ from mjhab.episodes.grasps.stable import ObjectShape
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning.workplace import surroundings
 
-Array = np.ndarray
 TIGHT_PLAY_M = 0.008
 """Fingers that can each open by less than this may touch the object while the hand retreats."""
 JAMMED_PLAY_M = 0.002
@@ -34,7 +33,7 @@ FREE_CLEARANCE_M = 0.025
 """Clearance between the hand and the released object from which on the arm may move in any direction."""
 
 
-def tipped(shape: ObjectShape, rot: Array) -> Array:
+def tipped(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
     """Displacement (3,) [m] of an object's centre when it is released on a level surface and tips over.
 
     The object touches the surface with its lowest point and tips about it onto the face through which the line of
@@ -63,7 +62,7 @@ def tipped(shape: ObjectShape, rot: Array) -> Array:
     return -(across + _cross(axis, across) / (1.0 - normal[2]))
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross product of two vectors (3,), ten times as fast as numpy's for a single pair."""
     ax, ay, az = a.tolist()
     bx, by, bz = b.tolist()
@@ -81,7 +80,7 @@ def away_speed(view: WorldView) -> float:
     return TIGHT_AWAY_SPEED_M_S if JAMMED_PLAY_M < play(view) < TIGHT_PLAY_M else AWAY_SPEED_M_S
 
 
-def let_go_width(view: WorldView, obj: str, pos: Array, rot: Array) -> float:
+def let_go_width(view: WorldView, obj: str, pos: np.ndarray, rot: np.ndarray) -> float:
     """Choose the distance [m] between the opened fingers for a release, from `EXTRA_OPENINGS_M` and the clearance.
 
     Args:
@@ -101,7 +100,9 @@ def let_go_width(view: WorldView, obj: str, pos: Array, rot: Array) -> float:
     )
 
 
-def drawn_back(view: WorldView, obj: str, pos: Array, rot: Array, rest: Array) -> Array:
+def drawn_back(
+    view: WorldView, obj: str, pos: np.ndarray, rot: np.ndarray, rest: np.ndarray
+) -> np.ndarray:
     """Choose the tcp position (3,) to which the hand retreats after a release, before the arm moves to rest.
 
     The retreat goes along the hand's axis, else straight up, else towards the robot, without a component along the

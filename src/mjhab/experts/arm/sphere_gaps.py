@@ -7,11 +7,9 @@ import numpy as np
 from mjhab.core.kernels.box_gaps import box_gap
 from mjhab.experts.jit import inline, kernel
 
-Array = np.ndarray
-
 
 @inline
-def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
+def _place(pos: np.ndarray, rot: np.ndarray, local: np.ndarray) -> tuple[float, float, float]:
     """World position of point ``local`` (3,) of a link with frame ``pos`` (3,), ``rot`` (3, 3)."""
     x = pos[0] + rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
     y = pos[1] + rot[1, 0] * local[0] + rot[1, 1] * local[1] + rot[1, 2] * local[2]
@@ -20,7 +18,7 @@ def _place(pos: Array, rot: Array, local: Array) -> tuple[float, float, float]:
 
 
 @inline
-def _turned(rot: Array, local: Array) -> tuple[float, float, float]:
+def _turned(rot: np.ndarray, local: np.ndarray) -> tuple[float, float, float]:
     """World direction of vector ``local`` (3,) of a link with rotation ``rot`` (3, 3)."""
     x = rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
     y = rot[1, 0] * local[0] + rot[1, 1] * local[1] + rot[1, 2] * local[2]
@@ -30,18 +28,18 @@ def _turned(rot: Array, local: Array) -> tuple[float, float, float]:
 
 @kernel
 def least_gaps(
-    pos: Array,
-    rot: Array,
-    links: Array,
-    middle: Array,
-    around: Array,
-    first: Array,
-    points: Array,
-    radius: Array,
-    center: Array,
-    half: Array,
-    turn: Array,
-) -> Array:
+    pos: np.ndarray,
+    rot: np.ndarray,
+    links: np.ndarray,
+    middle: np.ndarray,
+    around: np.ndarray,
+    first: np.ndarray,
+    points: np.ndarray,
+    radius: np.ndarray,
+    center: np.ndarray,
+    half: np.ndarray,
+    turn: np.ndarray,
+) -> np.ndarray:
     """Least distance (N,) [m] of any sphere to any box; negative: they overlap.
 
     The bounding spheres of the links select the pairs of link and box that can be nearest; only the spheres of these
@@ -84,16 +82,16 @@ def least_gaps(
 
 @kernel
 def own_gaps(
-    pos: Array,
-    rot: Array,
-    link: Array,
-    points: Array,
-    radius: Array,
-    trunk: Array,
-    center: Array,
-    half: Array,
-    turn: Array,
-) -> Array:
+    pos: np.ndarray,
+    rot: np.ndarray,
+    link: np.ndarray,
+    points: np.ndarray,
+    radius: np.ndarray,
+    trunk: np.ndarray,
+    center: np.ndarray,
+    half: np.ndarray,
+    turn: np.ndarray,
+) -> np.ndarray:
     """Least distance (N,) [m] of spheres on links to boxes on other links of the same robot; negative: they overlap.
 
     Args:

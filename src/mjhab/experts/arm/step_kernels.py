@@ -14,8 +14,6 @@ from mjhab.experts.arm.frame_kernels import Tree
 from mjhab.experts.jit import inline
 from mjhab.robots.damped_steps import DAMPING, DAMPING_PER_ERROR
 
-Array = np.ndarray
-
 
 class Space(NamedTuple):
     """Workspace for one configuration, allocated once per kernel call so that the loops allocate nothing.
@@ -39,22 +37,22 @@ class Space(NamedTuple):
         square: (6, 6) matrix of the damped normal equations; overwritten by its Cholesky factor.
     """
 
-    pos: Array
-    rot: Array
-    turn: Array
-    axis: Array
-    error: Array
-    jac: Array
-    pull: Array
-    low: Array
-    high: Array
-    largest: Array
-    step: Array
-    stopped: Array
-    free: Array
-    remaining: Array
-    wanted: Array
-    square: Array
+    pos: np.ndarray
+    rot: np.ndarray
+    turn: np.ndarray
+    axis: np.ndarray
+    error: np.ndarray
+    jac: np.ndarray
+    pull: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    largest: np.ndarray
+    step: np.ndarray
+    stopped: np.ndarray
+    free: np.ndarray
+    remaining: np.ndarray
+    wanted: np.ndarray
+    square: np.ndarray
 
 
 @inline
@@ -83,7 +81,7 @@ def make_space(tree: Tree, columns: int) -> Space:
 
 
 @inline
-def _solve(square: Array, x: Array) -> None:
+def _solve(square: np.ndarray, x: np.ndarray) -> None:
     """Solve ``square @ y = x`` by Cholesky factorisation and write ``y`` into ``x`` (6,).
 
     ``square`` (6, 6) is positive definite; its lower triangle is overwritten.

@@ -17,7 +17,6 @@ from mjhab.experts.base.floorplan import Floorplan, turn_between
 from mjhab.experts.base.lattice import Leg, length
 from mjhab.experts.base.pilot import SPEED_LAG_S, Pilot
 
-Array = np.ndarray
 WANTED_CLEARANCE_M = 0.02
 """Clearance that a drive should keep beyond the least one."""
 CLOSENESS_PRICE_S_M2 = 5000.0
@@ -70,7 +69,7 @@ class Trip:
     legs: Sequence[Leg]
     lookahead: float
     pace: Pace
-    poses: Array
+    poses: np.ndarray
 
 
 class Driver:
@@ -103,7 +102,7 @@ class Driver:
             )
             self._left = 60 + int(length(leg) / (0.2 * STEP_SECONDS))
 
-    def step(self, pose: Array) -> tuple[float, float]:
+    def step(self, pose: np.ndarray) -> tuple[float, float]:
         """Forward speed [m/s] and yaw rate [rad/s] for the base at ``pose`` (3,). Call once per control step."""
         v = w = 0.0
         while self.leg is not None:
@@ -130,7 +129,7 @@ def towards(wish: float, now: float, gain: float) -> float:
     return float(np.clip(wish, now - down, now + up))
 
 
-def plan_drive(plan: Floorplan, pose: Array, legs: Sequence[Leg], pace: Pace) -> Trip:
+def plan_drive(plan: Floorplan, pose: np.ndarray, legs: Sequence[Leg], pace: Pace) -> Trip:
     """Plan the quickest drive along legs that keeps about the clearance that the legs have.
 
     The drive uses curves, and turns on the spot where a curve comes too close to an obstacle.
@@ -163,7 +162,7 @@ def plan_drive(plan: Floorplan, pose: Array, legs: Sequence[Leg], pace: Pace) ->
     return best[1]
 
 
-def _split(legs: Sequence[Leg], near: Array) -> list[Leg] | None:
+def _split(legs: Sequence[Leg], near: np.ndarray) -> list[Leg] | None:
     """Legs with the way point nearest to ``near`` (2,) driven as a turn on the spot; None when none is left."""
     best: tuple[float, int, int] | None = None
     for i, leg in enumerate(legs):
@@ -219,7 +218,7 @@ def _pulled(plan: Floorplan, legs: Sequence[Leg]) -> list[Leg]:
     return out
 
 
-def _farthest(plan: Floorplan, points: Array, i: int, back: float) -> int:
+def _farthest(plan: Floorplan, points: np.ndarray, i: int, back: float) -> int:
     """Index of the last of ``points`` (P, 2) that a straight line from point ``i`` may lead to.
 
     ``back``: 0 forwards, pi backwards.
@@ -232,7 +231,7 @@ def _farthest(plan: Floorplan, points: Array, i: int, back: float) -> int:
     return i + 1
 
 
-def _line_room(plan: Floorplan, points: Array, back: float) -> float:
+def _line_room(plan: Floorplan, points: np.ndarray, back: float) -> float:
     """Least clearance on straight lines between ``points`` (P, 2), facing along them (``back`` pi: against them)."""
     poses = []
     for a, b in pairwise(points):
@@ -243,7 +242,7 @@ def _line_room(plan: Floorplan, points: Array, back: float) -> float:
     return float(plan.room(np.concatenate(poses)).min())
 
 
-def simulate(pose: Array, legs: Sequence[Leg], lookahead: float, pace: Pace) -> Array:
+def simulate(pose: np.ndarray, legs: Sequence[Leg], lookahead: float, pace: Pace) -> np.ndarray:
     """Simulate the base poses (T, 3) of a drive from ``pose`` (3,) along legs, one per control step."""
     pose = pose.copy()
     speed = 0.0

@@ -20,7 +20,6 @@ from mjhab.experts.arm import motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.planning.carry import held_spheres
 
-Array = np.ndarray
 BASE_CLEARANCE_M = 0.29
 """Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m."""
 ARM_CLEARANCE_M = 0.02
@@ -49,12 +48,12 @@ class Arm:
         level: (M, 2) first and last slice of height that each sphere intersects.
     """
 
-    offset: Array
-    radius: Array
-    level: Array
+    offset: np.ndarray
+    radius: np.ndarray
+    level: np.ndarray
 
     @classmethod
-    def of(cls, view: WorldView, posture: Array, held: str = "") -> Arm:
+    def of(cls, view: WorldView, posture: np.ndarray, held: str = "") -> Arm:
         """Spheres of the arm in configuration ``posture`` (J,) and, where it differs, in the present one.
 
         Args:
@@ -93,16 +92,16 @@ class Floorplan:
         arm: spheres of the arm.
     """
 
-    origin: Array
+    origin: np.ndarray
     cell: float
-    base: Array
-    free: Array
-    sight: Array
+    base: np.ndarray
+    free: np.ndarray
+    sight: np.ndarray
     arm: Arm
 
     @classmethod
     def of(
-        cls, view: WorldView, arm: Arm, held: str = "", blocks: Array | None = None
+        cls, view: WorldView, arm: Arm, held: str = "", blocks: np.ndarray | None = None
     ) -> Floorplan:
         """Build the floor plan of a world.
 
@@ -146,7 +145,7 @@ class Floorplan:
         less = dataclasses.replace(self.arm, radius=np.maximum(self.arm.radius - arm, 0.0))
         return dataclasses.replace(self, base=self.base + base, arm=less)
 
-    def room(self, poses: Array) -> Array:
+    def room(self, poses: np.ndarray) -> np.ndarray:
         """Clearance (N,) of base and arm beyond what they need at base poses (N, 3); negative: too close."""
         poses = np.atleast_2d(poses)
         found = self._at(self.base, poses[:, :2], -BASE_CLEARANCE_M)
@@ -160,7 +159,7 @@ class Floorplan:
             found = np.minimum(found, gap.min(axis=1, initial=np.inf))
         return found
 
-    def turning(self, xy: Array, start: float, turn: float) -> float:
+    def turning(self, xy: np.ndarray, start: float, turn: float) -> float:
         """Least `room` while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
         yaw = start + np.linspace(0.0, turn, 2 + int(abs(turn) / 0.1))
         return float(
@@ -169,7 +168,7 @@ class Floorplan:
             ).min()
         )
 
-    def rooms(self, yaws: Array) -> Array:
+    def rooms(self, yaws: np.ndarray) -> np.ndarray:
         """`room` (H, X, Y) at the centres of all cells for headings (H,); arm spheres are rounded to whole cells."""
         pad = 1 + int(
             np.ceil(float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0)) / self.cell)
@@ -197,7 +196,7 @@ class Floorplan:
                     )
         return out
 
-    def hidden(self, points: Array, goal: Array, near: float) -> Array:
+    def hidden(self, points: np.ndarray, goal: np.ndarray, near: float) -> np.ndarray:
         """Share (N,) of the lines of sight from ``points`` (N, 2) to ``goal`` (3,) inside walls or furniture.
 
         The lines run in the slice 0.15 m above the goal; their last ``near`` [m] do not count.
@@ -213,13 +212,13 @@ class Floorplan:
         i, j = self.cells(points + share[..., None] * way)
         return level[i, j].mean(axis=0)
 
-    def cells(self, points: Array) -> tuple[Array, Array]:
+    def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices (...,), (...,) of the cells that contain points (..., 2), clipped to the map."""
         index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
         index = np.clip(index, 0, np.array(self.base.shape) - 1)
         return index[..., 0], index[..., 1]
 
-    def _at(self, values: Array, points: Array, outside: float) -> Array:
+    def _at(self, values: np.ndarray, points: np.ndarray, outside: float) -> np.ndarray:
         """Bilinear interpolation (...,) of ``values`` (X, Y) at points (..., 2); ``outside`` beyond the map."""
         at = (points - self.origin) / self.cell - 0.5
         last = np.array(values.shape) - 1
@@ -233,7 +232,7 @@ class Floorplan:
         return np.where(inside, (1 - u) * near + u * far, outside)
 
     @cached_property
-    def _groups(self) -> list[tuple[Array, Array]]:
+    def _groups(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Groups of spheres that intersect the same slices: indices, and least distances (X, Y) over these slices."""
         kinds, which = np.unique(self.arm.level, axis=0, return_inverse=True)
         return [
@@ -242,26 +241,26 @@ class Floorplan:
         ]
 
 
-def _solid(home: HomeShapes) -> Array:
+def _solid(home: HomeShapes) -> np.ndarray:
     """Cells (L, X, Y) bool of walls and furniture, without doors and drawers. Read-only."""
     return home.derived.get("solid", lambda: _find_solid(home))
 
 
-def _find_solid(home: HomeShapes) -> Array:
+def _find_solid(home: HomeShapes) -> np.ndarray:
     solid = np.zeros((len(SLICES_M), *home.map_clearance.shape), bool)
     _draw(solid, home.boxes, home.map_origin, home.map_cell)
     solid.flags.writeable = False
     return solid
 
 
-def _distance(taken: Array, cell: float) -> Array:
+def _distance(taken: np.ndarray, cell: float) -> np.ndarray:
     """Distance (X, Y) from the cells' centres to the nearest of the cells ``taken`` (X, Y) bool."""
     if not taken.any():
         return np.full(taken.shape, EMPTY_DISTANCE_M)
     return np.maximum(np.asarray(distance_transform_edt(~taken)) * cell - cell / 2, 0.0)
 
 
-def _draw(solid: Array, boxes: Boxes, origin: Array, cell: float) -> None:
+def _draw(solid: np.ndarray, boxes: Boxes, origin: np.ndarray, cell: float) -> None:
     """Mark in ``solid`` (L, X, Y) bool the cells whose centres are inside a box or less than half a cell beside it."""
     reach = np.einsum("kij,kj->ki", np.abs(boxes.rot), boxes.half)
     low = np.floor((boxes.center - reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]).astype(

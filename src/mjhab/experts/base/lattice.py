@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import dijkstra
 from mjhab.core.rotations import wrap
 from mjhab.experts.base.floorplan import Floorplan, turn_between
 
-Array = np.ndarray
 MOVES = np.array(
     [(1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1),
      (-1, 0), (-2, -1), (-1, -1), (-1, -2), (0, -1), (1, -2), (1, -1), (2, -1)]
@@ -56,7 +55,7 @@ class Leg:
         yaw: heading at the end, to which the base turns on the spot.
     """
 
-    points: Array
+    points: np.ndarray
     direction: int
     yaw: float
 
@@ -82,7 +81,7 @@ class Lattice:
         self.points = plan.origin + (CELLS_PER_STEP * index + 0.5) * plan.cell
         self._edges = self._make_edges()
 
-    def search(self, pose: Array, price: Array) -> tuple[float, list[Leg]] | None:
+    def search(self, pose: np.ndarray, price: np.ndarray) -> tuple[float, list[Leg]] | None:
         """Search the path with the least cost from a base pose to any node, including the node's end cost.
 
         Args:
@@ -120,13 +119,13 @@ class Lattice:
         way.reverse()
         return float(total[best]), self._legs(pose, entries[way[0]][1:], way)
 
-    def _make_edges(self) -> tuple[Array, Array, Array]:
+    def _make_edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Start nodes, end nodes and costs [s] of all moves between nodes with enough clearance."""
         number = np.arange(int(np.prod(self.shape))).reshape(self.shape)
         fits = self.room >= 0.0
         lack = np.clip((COMFORT_CLEARANCE_M - self.room) / COMFORT_CLEARANCE_M, 0.0, 1.0)
         dear = 1.0 + CAUTION_FACTOR * lack**2
-        parts: list[tuple[Array, Array, Array]] = []
+        parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         for h, (dx, dy) in enumerate(MOVES.tolist()):
             a, b = _windows(self.shape[1:], dx, dy)
             good = fits[h][a] & fits[h][b] & self._midway(h, a, dx, dy)
@@ -152,13 +151,13 @@ class Lattice:
         joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
         return joined[0], joined[1], joined[2]
 
-    def _midway(self, h: int, a: tuple[slice, slice], dx: int, dy: int) -> Array:
+    def _midway(self, h: int, a: tuple[slice, slice], dx: int, dy: int) -> np.ndarray:
         """Whether the midpoint has enough clearance, for moves with heading ``h`` that start in the window ``a``."""
         rows = np.arange(self.shape[1])[a[0]] * CELLS_PER_STEP + dx * CELLS_PER_STEP // 2
         columns = np.arange(self.shape[2])[a[1]] * CELLS_PER_STEP + dy * CELLS_PER_STEP // 2
         return self._fine[h][np.ix_(rows, columns)] >= 0.0
 
-    def _entries(self, pose: Array) -> dict[int, tuple[float, float, float]]:
+    def _entries(self, pose: np.ndarray) -> dict[int, tuple[float, float, float]]:
         """Nodes at which a path may begin: cost [s], length of the straight piece to the node, turn there (signed).
 
         A robot that is too close to an obstacle may move wherever it does not get closer.
@@ -189,7 +188,7 @@ class Lattice:
                         found[node] = (cost, far, turn)
         return found
 
-    def _near(self, xy: Array, h: int) -> int:
+    def _near(self, xy: np.ndarray, h: int) -> int:
         """Node with heading ``h`` and enough clearance nearest to ``xy`` (2,); -1 if none is within `MAX_ENTRY_M`."""
         at = (xy - self.plan.origin) / self.plan.cell - 0.5
         low = np.floor(at / CELLS_PER_STEP).astype(int)
@@ -205,7 +204,7 @@ class Lattice:
             else -1
         )
 
-    def _legs(self, pose: Array, entry: tuple[float, float], way: Sequence[int]) -> list[Leg]:
+    def _legs(self, pose: np.ndarray, entry: tuple[float, float], way: Sequence[int]) -> list[Leg]:
         """Legs along the nodes ``way``, with a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(way), self.shape)
         far, turn = entry
@@ -235,7 +234,7 @@ class Lattice:
         return legs + turns(here, yaw, turn)
 
 
-def turns(xy: Array, start: float, turn: float) -> list[Leg]:
+def turns(xy: np.ndarray, start: float, turn: float) -> list[Leg]:
     """Legs that turn on the spot at ``xy`` (2,) by a signed angle.
 
     Each leg turns by less than pi, because a leg gives only its final heading and the base takes the shorter turn.

@@ -16,7 +16,6 @@ from mjhab.core.errors import UsageError
 from mjhab.core.grids import grid_graph
 from mjhab.core.memory_cache import MemoryCache
 
-Array = np.ndarray
 KEPT_SOURCES = 4
 """Number of starts whose shortest-path trees a `Planner` keeps."""
 NARROW_FACTOR = 20.0
@@ -33,9 +32,9 @@ class FloorClearance:
         clearance: (nx, ny) distance of each cell's centre to the nearest obstacle [m].
     """
 
-    origin: Sequence[float] | Array
+    origin: Sequence[float] | np.ndarray
     cell: float
-    clearance: Array
+    clearance: np.ndarray
 
 
 class Planner:
@@ -79,14 +78,14 @@ class Planner:
         self._graph = grid_graph(passable, self.cell, price=price)
         self._ways = MemoryCache("distance fields", KEPT_SOURCES)
 
-    def clearance_at(self, points: Array) -> Array:
+    def clearance_at(self, points: np.ndarray) -> np.ndarray:
         """Clearance (...,) [m] of the cells that contain world points (..., 2); 0 outside the map."""
         index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
         inside = ((index >= 0) & (index < self.clearance.shape)).all(axis=-1)
         index = np.clip(index, 0, np.array(self.clearance.shape) - 1)
         return np.where(inside, self.clearance[index[..., 0], index[..., 1]], 0.0)
 
-    def nearest_free(self, point: Array) -> Array:
+    def nearest_free(self, point: np.ndarray) -> np.ndarray:
         """``point`` (2,) itself when the base fits there, else the centre (2,) of the nearest cell where it does."""
         point = np.asarray(point, dtype=np.float64)[:2]
         if self.clearance_at(point) >= self.radius:
@@ -95,7 +94,7 @@ class Planner:
         centres = self.origin + (cells + 0.5) * self.cell
         return centres[np.argmin(np.sum((centres - point) ** 2, axis=1))]
 
-    def plan(self, start: Array, goal: Array) -> Array | None:
+    def plan(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
         """Plan way points (P, 2) from ``start`` (2,) to ``goal`` (2,); None when they are not connected.
 
         From a start without enough clearance the path first leads to the nearest free cell. A goal without enough
@@ -118,37 +117,37 @@ class Planner:
         path = self._pull(points)
         return path if np.allclose(entry, start) else np.concatenate([start[None], path])
 
-    def distance(self, start: Array, goal: Array) -> float:
+    def distance(self, start: np.ndarray, goal: np.ndarray) -> float:
         """Length [m] of the planned path, infinite when there is none."""
         path = self.plan(start, goal)
         return (
             np.inf if path is None else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         )
 
-    def costs(self, start: Array) -> Array:
+    def costs(self, start: np.ndarray) -> np.ndarray:
         """Cost (nx, ny) of the paths from ``start`` (2,) to all cells: metres, weighted by clearance; inf if none."""
         cost, _ = self._ways_from(self._node(self.nearest_free(start)))
         return cost.reshape(self.clearance.shape)
 
-    def costs_to(self, cells: Array) -> Array:
+    def costs_to(self, cells: np.ndarray) -> np.ndarray:
         """Cost (nx, ny) of the paths from all cells to the nearest of ``cells`` (nx, ny) bool; inf if none."""
         found = dijkstra(self._graph, directed=False, indices=np.flatnonzero(cells), min_only=True)
         return np.asarray(found).reshape(self.clearance.shape)
 
-    def cells(self, points: Array) -> tuple[Array, Array]:
+    def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Indices (...,), (...,) of the cells that contain world points (..., 2), clipped to the map."""
         index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
         index = np.clip(index, 0, np.array(self.clearance.shape) - 1)
         return index[..., 0], index[..., 1]
 
-    def line_clearance(self, start: Array, ends: Array) -> Array:
+    def line_clearance(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Least clearance (E,) [m] on the straight lines from ``start`` (2,) to ``ends`` (E, 2)."""
         ends = np.atleast_2d(ends)
         longest = np.max(np.linalg.norm(ends - start, axis=1), initial=0.0)
         share = np.linspace(0.0, 1.0, 2 + int(longest / (0.5 * self.cell)))[:, None, None]
         return self.clearance_at(start + share * (ends - start)).min(axis=0)
 
-    def _pull(self, points: Array) -> Array:
+    def _pull(self, points: np.ndarray) -> np.ndarray:
         """Drop way points that a straight line can skip with the same clearance, or with the comfortable one."""
         own = self.clearance_at(points)
         kept = [0]
@@ -161,17 +160,17 @@ class Planner:
             kept.append(i)
         return points[kept]
 
-    def _ways_from(self, source: int) -> tuple[Array, Array]:
+    def _ways_from(self, source: int) -> tuple[np.ndarray, np.ndarray]:
         """Costs of the paths from a node to all nodes, and the predecessor of each node.
 
         The latest results are kept, because many goals are compared from the same start.
         """
         return self._ways.get(source, lambda: self._find_ways(source))
 
-    def _find_ways(self, source: int) -> tuple[Array, Array]:
+    def _find_ways(self, source: int) -> tuple[np.ndarray, np.ndarray]:
         found = dijkstra(self._graph, directed=False, indices=source, return_predecessors=True)
         return np.asarray(found[0]), np.asarray(found[1])
 
-    def _node(self, point: Array) -> int:
+    def _node(self, point: np.ndarray) -> int:
         x, y = np.floor((point - self.origin) / self.cell).astype(np.int64)
         return int(x * self.clearance.shape[1] + y)

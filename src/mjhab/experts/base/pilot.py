@@ -13,7 +13,6 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.arm.gentle import Care, eased
 from mjhab.experts.jit import inline, kernel
 
-Array = np.ndarray
 MAX_SPEED_M_S = 1.0
 """Greatest forward speed."""
 SPEED_LAG_S = 0.15
@@ -45,9 +44,9 @@ class Way(NamedTuple):
         speed: largest forward speed [m/s].
     """
 
-    path: Array
-    along: Array
-    ending: Array
+    path: np.ndarray
+    along: np.ndarray
+    ending: np.ndarray
     yaw: float
     direction: float
     lookahead: float
@@ -69,7 +68,7 @@ class Pilot:
 
     def __init__(
         self,
-        path: Array,
+        path: np.ndarray,
         yaw: float,
         direction: int,
         lookahead: float,
@@ -78,7 +77,7 @@ class Pilot:
         self._way = _way_along(path, yaw, direction, lookahead, speed)
         self._state = _fresh_state(self._way)
 
-    def step(self, pose: Array) -> tuple[float, float, bool]:
+    def step(self, pose: np.ndarray) -> tuple[float, float, bool]:
         """Forward speed [m/s], yaw rate [rad/s] and whether the base has arrived, for the base at ``pose`` (3,).
 
         Call once per control step.
@@ -87,8 +86,13 @@ class Pilot:
 
 
 def simulate(
-    pose: Array, path: Array, yaw: float, direction: int, lookahead: float, care: Care | None = None
-) -> Array:
+    pose: np.ndarray,
+    path: np.ndarray,
+    yaw: float,
+    direction: int,
+    lookahead: float,
+    care: Care | None = None,
+) -> np.ndarray:
     """Simulate the base poses (T, 3) of a `Pilot` from ``pose`` (3,) on, one per control step.
 
     Args:
@@ -107,7 +111,7 @@ def simulate(
 _NO_CARE = Care(np.inf, np.inf, np.inf, np.inf)
 
 
-def _way_along(path: Array, yaw: float, direction: int, lookahead: float, speed: float) -> Way:
+def _way_along(path: np.ndarray, yaw: float, direction: int, lookahead: float, speed: float) -> Way:
     path = np.ascontiguousarray(path, dtype=np.float64)
     legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(legs)])
@@ -116,7 +120,7 @@ def _way_along(path: Array, yaw: float, direction: int, lookahead: float, speed:
     return Way(path, along, ending, float(yaw), float(direction), float(lookahead), float(speed))
 
 
-def _fresh_state(way: Way) -> Array:
+def _fresh_state(way: Way) -> np.ndarray:
     """State (6,) of `_steer` before its first step: arc length, arrived (0, 1), last pose (3,), is there one (0, 1)."""
     state = np.zeros(6)
     state[1] = way.along[-1] < _NEAR
@@ -167,7 +171,9 @@ def _progress(way: Way, at: float, x: float, y: float) -> float:
 
 
 @kernel
-def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[float, float, bool]:
+def _steer(
+    way: Way, state: np.ndarray, x: float, y: float, yaw: float
+) -> tuple[float, float, bool]:
     """Forward speed [m/s], yaw rate [rad/s] and arrival of one control step; updates ``state`` (6,)."""
     dx = 0.0
     dy = 0.0
@@ -208,7 +214,7 @@ def _steer(way: Way, state: Array, x: float, y: float, yaw: float) -> tuple[floa
 
 
 @kernel
-def _drive(way: Way, state: Array, pose: Array, care: Care, careful: bool) -> Array:
+def _drive(way: Way, state: np.ndarray, pose: np.ndarray, care: Care, careful: bool) -> np.ndarray:
     """Base poses (T, 3) of `simulate`; the first is ``pose`` (3,)."""
     poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
     poses[0] = pose

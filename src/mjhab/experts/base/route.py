@@ -20,7 +20,6 @@ from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import MAX_SPEED_M_S, Pilot, simulate
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 MARGIN_M = 0.015
 """Wanted clearance between the robot and obstacles along a route."""
 SELF_CLEARANCE_M = 0.015
@@ -74,16 +73,16 @@ class Route:
         care: limits on changes of the base commands; None for none.
     """
 
-    path: Array
+    path: np.ndarray
     yaw: float
     direction: int
     lookahead: float
-    arm: Array
+    arm: np.ndarray
     delay: int
     steps: int
     room: float
     speed: float = MAX_SPEED_M_S
-    via: Array | None = None
+    via: np.ndarray | None = None
     carried: int = 0
     lead: int = 0
     care: Care | None = None
@@ -112,8 +111,8 @@ USUAL_ROUTE = RouteWish()
 
 def plan_route(
     view: WorldView,
-    goal: Array,
-    arm: Array,
+    goal: np.ndarray,
+    arm: np.ndarray,
     robot: RobotSpheres,
     boxes: Boxes,
     wish: RouteWish = USUAL_ROUTE,
@@ -172,11 +171,11 @@ def plan_route(
 
 def drive_of(
     view: WorldView,
-    goal: Array,
+    goal: np.ndarray,
     direction: int = 0,
     straight: bool = False,
     care: Care | None = None,
-) -> tuple[Array, int, float, Array] | None:
+) -> tuple[np.ndarray, int, float, np.ndarray] | None:
     """Plan the drive of a route, see `plan_route`.
 
     Args:
@@ -198,7 +197,7 @@ def drive_of(
     return path, direction, *_smoothest(view, path, float(goal[2]), direction, care, few)
 
 
-def drive_steps(now: Array, poses: Array, length: Array) -> Array:
+def drive_steps(now: np.ndarray, poses: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Estimate the control steps (B,) from pose ``now`` (3,) to ``poses`` (B, 3) on paths of ``length`` (B,) [m]."""
     way = poses[:, :2] - now[:2]
     far = np.linalg.norm(way, axis=1)
@@ -211,7 +210,7 @@ def drive_steps(now: Array, poses: Array, length: Array) -> Array:
     return 20.0 * (length / 0.6 + turn / 2.0) + np.where(far < 0.03, 0.0, 8.0)
 
 
-def _way(view: WorldView, goal: Array) -> Array | None:
+def _way(view: WorldView, goal: np.ndarray) -> np.ndarray | None:
     """Way points (P, 2) to ``goal`` (2,) around furniture and open doors and drawers; None if there is no path."""
     path = planner(view).plan(view.base[:2], goal)
     if path is not None and np.linalg.norm(path[-1] - goal) > 1e-6:
@@ -280,12 +279,12 @@ def follow(
 class _ArmWay:
     """Sequence of goals of the arm while a route is executed, from configuration ``start`` (J,)."""
 
-    def __init__(self, start: Array, route: Route) -> None:
+    def __init__(self, start: np.ndarray, route: Route) -> None:
         self._start = start
         self._route = route
         self._at = 0
 
-    def goal(self, view: WorldView, step: int, arrived: bool) -> Array:
+    def goal(self, view: WorldView, step: int, arrived: bool) -> np.ndarray:
         """Goal configuration (J,) in control step ``step``; ``arrived``: the base has arrived."""
         via = self._route.via
         on_time = step >= self._route.delay or arrived
@@ -303,7 +302,7 @@ def holds(view: WorldView, obj: str) -> bool:
     return bool((view.finger_forces(obj) > 0.1).any())
 
 
-def _direction(pose: Array, path: Array, yaw: float) -> int:
+def _direction(pose: np.ndarray, path: np.ndarray, yaw: float) -> int:
     """Direction of a drive from ``pose`` (3,): -1 (backwards) only on short paths and when that takes less turning."""
     way = path[1] - path[0]
     last = path[-1] - path[-2]
@@ -317,15 +316,15 @@ def _direction(pose: Array, path: Array, yaw: float) -> int:
 
 def _smoothest(
     view: WorldView,
-    path: Array,
+    path: np.ndarray,
     yaw: float,
     direction: int,
     care: Care | None,
     lookaheads: tuple[float, ...],
-) -> tuple[float, Array]:
+) -> tuple[float, np.ndarray]:
     """First look-ahead distance with enough clearance of the base, else that with the most; and base poses (T, 3)."""
     cells = planner(view)
-    best: tuple[float, float, Array] | None = None
+    best: tuple[float, float, np.ndarray] | None = None
     for lookahead in lookaheads:
         poses = simulate(view.base, path, yaw, direction, lookahead, care)
         room = float(cells.clearance_at(poses[:, :2]).min())
@@ -337,7 +336,9 @@ def _smoothest(
     return best[1], best[2]
 
 
-def _swept(robot: Robot, start: Array, poses: Array, arm: Array, delay: int) -> Array:
+def _swept(
+    robot: Robot, start: np.ndarray, poses: np.ndarray, arm: np.ndarray, delay: int
+) -> np.ndarray:
     """Predicted configurations (T, Q) of a route, one per control step, until base and arm have arrived."""
     way = arm - start
     way[BASE] = 0.0
@@ -355,7 +356,7 @@ def _swept(robot: Robot, start: Array, poses: Array, arm: Array, delay: int) -> 
     return out
 
 
-def arm_gone(far: float, delta: float) -> Array:
+def arm_gone(far: float, delta: float) -> np.ndarray:
     """Predict the share (T,) of a straight motion in joint space that the arm has covered after each control step.
 
     The prediction includes the slow start of `follow` and the deceleration before the end: while the base drives, an
@@ -373,7 +374,7 @@ def arm_gone(far: float, delta: float) -> Array:
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 
 
-def torso_gone(far: float, delta: float) -> Array:
+def torso_gone(far: float, delta: float) -> np.ndarray:
     """Predict as `arm_gone` for the torso (``far``, ``delta`` [m]), which accelerates slowly under the arm's weight."""
     gone = [0.0]
     speed = 0.0
@@ -383,7 +384,7 @@ def torso_gone(far: float, delta: float) -> Array:
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 
 
-def within_reach(boxes: Boxes, way: Array) -> Boxes:
+def within_reach(boxes: Boxes, way: np.ndarray) -> Boxes:
     """Boxes that the robot can touch near the straight line between two base positions ``way`` (2, 2)."""
     middle = way.mean(axis=0)
     far = float(np.linalg.norm(way[1] - way[0])) / 2
@@ -391,7 +392,7 @@ def within_reach(boxes: Boxes, way: Array) -> Boxes:
     return near.take(near.center[:, 2] + near.half.max(axis=1) > LOW_HEIGHT_M)
 
 
-def _own_room(start: Array, arm: Array, robot: RobotSpheres) -> float:
+def _own_room(start: np.ndarray, arm: np.ndarray, robot: RobotSpheres) -> float:
     """Least clearance of the arm to the trunk between ``start`` and ``arm`` (J,), beyond `SELF_CLEARANCE_M`."""
     gap = robot.self_clearance(start + np.linspace(0.0, 1.0, 10)[:, None] * (arm - start))
     return float(gap.min() - min(SELF_CLEARANCE_M, gap[0] - 0.004))

@@ -19,7 +19,6 @@ from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
 from mjhab.experts.style import wait_for
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 Motion = motion.Motion
 FUNNEL_STEP_M = 0.02
 """Motion of the hand per control step while the open fingers move over a handle."""
@@ -47,7 +46,7 @@ BLOCKED_PRICE_STEPS = 1000.0
 """Cost of a route with a collision [control steps]."""
 
 
-def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) -> Boxes:
+def obstacles(view: WorldView, goals: np.ndarray, shut: JointedLink | None = None) -> Boxes:
     """Boxes within the arm's reach of the present base pose or of ``goals`` (M, 3+): walls, furniture, and links at
     their present joint positions. The link ``shut`` counts as closed."""
     links = [view.link_boxes()] if shut is None else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
@@ -59,7 +58,10 @@ def obstacles(view: WorldView, goals: Array, shut: JointedLink | None = None) ->
 
 
 def best_route(
-    view: WorldView, goals: Array, others: Array | None = None, link: JointedLink | None = None
+    view: WorldView,
+    goals: np.ndarray,
+    others: np.ndarray | None = None,
+    link: JointedLink | None = None,
 ) -> tuple[int, Route] | None:
     """The quickest collision-free route to one of several configurations.
 
@@ -130,7 +132,7 @@ def _turn_at_end(route: Route) -> float:
     return float(np.abs(wrap(route.yaw - heading)))
 
 
-def _passed(view: WorldView, route: Route) -> Array:
+def _passed(view: WorldView, route: Route) -> np.ndarray:
     """Expected configurations (T, J) on a route, two per control step."""
     poses = simulate(view.base, route.path, route.yaw, route.direction, route.lookahead, route.care)
     robot = view.robot.chain
@@ -149,7 +151,9 @@ def go(view: WorldView, route: Route, gripper: float) -> Motion:
     return (yield from follow(view, route, gripper=gripper))
 
 
-def creep(view: WorldView, posture: Array, heading: float, speed: float, gripper: float) -> Array:
+def creep(
+    view: WorldView, posture: np.ndarray, heading: float, speed: float, gripper: float
+) -> np.ndarray:
     """Action (A,) that drives at ``speed`` [m/s] along ``heading`` [rad] with the arm at ``posture`` (J,)."""
     turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
@@ -245,8 +249,8 @@ def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
 def take(
     view: WorldView,
     link: JointedLink,
-    rot: Array,
-    posture: Array,
+    rot: np.ndarray,
+    posture: np.ndarray,
     *,
     height: float | None = None,
     gripper: float = motion.OPEN,
@@ -275,7 +279,12 @@ def take(
 
 
 def _funnel(
-    view: WorldView, goal: Array, rot: Array, posture: Array, gripper: float, max_steps: int = 40
+    view: WorldView,
+    goal: np.ndarray,
+    rot: np.ndarray,
+    posture: np.ndarray,
+    gripper: float,
+    max_steps: int = 40,
 ) -> Motion:
     """Bring the hand to ``goal`` (3,) so that the open fingers pass on both sides of the bar without touching it.
 
@@ -307,7 +316,7 @@ def _funnel(
 
 
 def base_towards(
-    view: WorldView, wish: Array, speed: float = 0.0, most: float = 0.5
+    view: WorldView, wish: np.ndarray, speed: float = 0.0, most: float = 0.5
 ) -> tuple[float, float]:
     """Forward speed [m/s] and yaw rate [rad/s] that bring the base towards a nearby pose ``wish`` (3+,).
 
@@ -325,7 +334,7 @@ def base_towards(
     return v, float(np.clip(3.0 * wrap(wish[2] - q[BASE_YAW]), -0.6, 0.6))
 
 
-def next_base(view: WorldView, v: float, w: float) -> Array:
+def next_base(view: WorldView, v: float, w: float) -> np.ndarray:
     """Base pose (1, 3) after one control step with forward speed ``v`` [m/s] and yaw rate ``w`` [rad/s]."""
     q = view.q
     return (

@@ -17,7 +17,6 @@ from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.base.route import DRIVE_ERROR_M, MARGIN_M, SELF_CLEARANCE_M
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 EDGE_STEPS = 1.5
 """Distance between the checked configurations of an edge, in control steps of the slowest joint."""
 MAX_EDGE_STEPS = 12.0
@@ -50,7 +49,7 @@ class Free:
     drive: float
 
     @classmethod
-    def near(cls, body: Robot, q: Array, robot: RobotSpheres, boxes: Boxes) -> Free:
+    def near(cls, body: Robot, q: np.ndarray, robot: RobotSpheres, boxes: Boxes) -> Free:
         """The definition with the clearances of `plan_route`, or nearly those of configuration ``q`` (J,) if less."""
         room = float(robot.clearance(q, boxes)[0]) - 0.004
         own = float(robot.self_clearance(q[None])[0]) - 0.004
@@ -63,26 +62,28 @@ class Free:
             min(MARGIN_M + DRIVE_ERROR_M, room),
         )
 
-    def spare(self, q: Array) -> Array:
+    def spare(self, q: np.ndarray) -> np.ndarray:
         """Clearance (N,) [m] of configurations ``q`` (N, J) beyond the least one, while the base stands."""
         return np.minimum(
             self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own
         )
 
-    def likely(self, start: Array, ends: Array) -> Array:
+    def likely(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Whether straight motions from ``start`` (J,) to ``ends`` (V, J) are free at `_PIECES` points: (V,) bool."""
         share = np.linspace(0.0, 1.0, _PIECES + 1)[1:, None, None]
         gap = self.spare((start + share * (ends - start)).reshape(-1, len(start)))
         return gap.reshape(_PIECES, -1).min(axis=0) >= 0.0
 
-    def edge(self, start: Array, end: Array) -> bool:
+    def edge(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Whether the straight motion between two configurations (J,) is collision-free, checked every `EDGE_STEPS`."""
         pieces = 1 + int(way_length(self.body, np.stack([start, end])) / EDGE_STEPS)
         share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
 
 
-def arm_way(start: Array, end: Array, free: Free, rounds: int = MAX_ROUNDS) -> Array | None:
+def arm_way(
+    start: np.ndarray, end: np.ndarray, free: Free, rounds: int = MAX_ROUNDS
+) -> np.ndarray | None:
     """Plan a path of arm and torso between two configurations.
 
     Args:
@@ -118,7 +119,7 @@ def arm_way(start: Array, end: Array, free: Free, rounds: int = MAX_ROUNDS) -> A
     return _shortened(np.array([start, *between, end]), free)
 
 
-def _space(start: Array, end: Array, free: Free) -> Any:
+def _space(start: np.ndarray, end: np.ndarray, free: Free) -> Any:
     """OMPL's ``SpaceInformation`` of arm and torso, in control steps, within half a turn of both ends (J,)."""
     from ompl import base
 
@@ -148,7 +149,7 @@ def _space(start: Array, end: Array, free: Free) -> Any:
     return info
 
 
-def _joints(robot: Robot, state: Any, like: Array) -> Array:
+def _joints(robot: Robot, state: Any, like: np.ndarray) -> np.ndarray:
     """Configuration (J,) of an OMPL state; all joints but arm and torso as in ``like`` (J,)."""
     q = like.copy()
     dofs = ik.columns(robot.chain)
@@ -156,7 +157,7 @@ def _joints(robot: Robot, state: Any, like: Array) -> Array:
     return q
 
 
-def _state(robot: Robot, info: Any, q: Array) -> Any:
+def _state(robot: Robot, info: Any, q: np.ndarray) -> Any:
     """OMPL state of configuration ``q`` (J,), clipped to the bounds of the space."""
     state = info.allocState()
     for i, value in enumerate(q[ik.columns(robot.chain)] / joint_scale(robot)):
@@ -165,7 +166,7 @@ def _state(robot: Robot, info: Any, q: Array) -> Any:
     return state
 
 
-def _shortened(way: Array, free: Free) -> Array:
+def _shortened(way: np.ndarray, free: Free) -> np.ndarray:
     """Path (P, J) without the configurations that a collision-free straight motion can skip."""
     kept = [way[0]]
     at = 0
@@ -177,7 +178,7 @@ def _shortened(way: Array, free: Free) -> Array:
     return np.array(kept)
 
 
-def way_length(robot: Robot, way: Array) -> float:
+def way_length(robot: Robot, way: np.ndarray) -> float:
     """Control steps that arm and torso need along the configurations ``way`` (P, J)."""
     return float(
         np.max(
@@ -187,6 +188,6 @@ def way_length(robot: Robot, way: Array) -> float:
 
 
 @lru_cache(maxsize=8)
-def joint_scale(robot: Robot) -> Array:
+def joint_scale(robot: Robot) -> np.ndarray:
     """Largest motion (D,) [m or rad] of the joints of arm and torso in one control step."""
     return ik.step_limits(robot.chain)[ik.columns(robot.chain)]

@@ -15,7 +15,6 @@ from mjhab.experts.base.route import drive_steps
 from mjhab.experts.planning.workplace import HandGoals, Scene, Work
 from mjhab.robots.robot import ArmReach, Footprint
 
-Array = np.ndarray
 OUT_CLEARANCE_M = 0.03
 """Least clearance of an object on its straight way out of a shelf."""
 FAR_BASE_M = 0.96
@@ -25,7 +24,7 @@ MAX_OVERREACH_M = 0.05
 _BASES = 24
 
 
-def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
+def way_out(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:
     """Clearance (B,) [m] of the object, lifted by 2.5 cm, while the base drives straight backwards with it.
 
     Args:
@@ -49,7 +48,7 @@ def way_out(bases: Array, scene: Scene, drive_in: float) -> Array:
     return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
-def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
+def base_poses(view: WorldView, work: Work) -> tuple[np.ndarray, np.ndarray]:
     """Base poses (B, 3) from which a hand pose may be reached, and the estimated control steps (B,) to drive there."""
     point = work.point
     drive_in = work.drive_in
@@ -90,7 +89,7 @@ def base_poses(view: WorldView, work: Work) -> tuple[Array, Array]:
     return _spread(poses[reachable], steps[reachable])
 
 
-def given_poses(view: WorldView, work: Work, poses: Array) -> tuple[Array, Array]:
+def given_poses(view: WorldView, work: Work, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The base ``poses`` (B, 3) with free floor that reach a hand pose, and the control steps (B,) of a straight drive
     to them."""
     cells = planner(view)
@@ -105,7 +104,7 @@ def given_poses(view: WorldView, work: Work, poses: Array) -> tuple[Array, Array
     return poses, 20.0 * way / 0.6 + 6.0 * work.drive_in / 0.3
 
 
-def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
+def in_sight(poses: np.ndarray, point: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Whether (B,) no wall or tall piece of furniture is between base poses (B, 2+) and ``point`` (3,)."""
     top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)
     tall = boxes.take((top > point[2] + 0.5) & (boxes.half.max(axis=1) > 0.4))
@@ -118,7 +117,7 @@ def in_sight(poses: Array, point: Array, boxes: Boxes) -> Array:
     return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
 
 
-def floor_room(footprint: Footprint, poses: Array, boxes: Boxes) -> Array:
+def floor_room(footprint: Footprint, poses: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Clearance (B,) [m] between the base at poses (B, 3) and small boxes on the floor, which no map contains: objects
     that fell."""
     low = boxes.take(
@@ -133,7 +132,7 @@ def floor_room(footprint: Footprint, poses: Array, boxes: Boxes) -> Array:
     return gap.min(axis=1) - footprint.radius
 
 
-def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
+def _spread(poses: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """At most `_BASES` of the quickest poses that differ from each other by more than 9 cm or 0.3 rad."""
     kept: list[int] = []
     for i in np.argsort(steps, kind="stable"):
@@ -145,7 +144,7 @@ def _spread(poses: Array, steps: Array) -> tuple[Array, Array]:
     return poses[kept], steps[kept]
 
 
-def overreach(reach: ArmReach, bases: Array, goals: HandGoals) -> Array:
+def overreach(reach: ArmReach, bases: np.ndarray, goals: HandGoals) -> np.ndarray:
     """Distance (B, G) [m] of the wrist beyond the comfortable reach of the arm, for base poses (B, 3) and hand poses.
 
     At 0.05 the arm is fully stretched; negative values are within reach.

@@ -31,7 +31,6 @@ from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
 from mjhab.experts.planning.workplace import surroundings
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 BACK_WAYS_M = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Distances that the base may drive backwards while the arm moves to its rest pose."""
 OUT_WAYS_M = (0.42, 0.55, 0.7)
@@ -72,7 +71,7 @@ def grip(robot: Robot, opening: float) -> float:
     return float(np.clip(2.0 * (opening / 2 - low) / (high - low) - 1.0, -1.0, 1.0))
 
 
-def inside_depth(view: WorldView, point: Array) -> float:
+def inside_depth(view: WorldView, point: np.ndarray) -> float:
     """`SHELF_DEPTH_M` for a point (3,) on a shelf with something above it, 0 in the open."""
     for place in view.home.receptacles:
         if place.kind == "shelf" and -0.05 < point[2] - place.pos[2] < place.height:
@@ -86,9 +85,9 @@ def inside_depth(view: WorldView, point: Array) -> float:
 class ReachIn:
     """An arm stretched out into furniture: configuration ``q`` (J,), pose ``pos`` (3,), ``rot`` (3, 3) of the hand."""
 
-    q: Array
-    pos: Array
-    rot: Array
+    q: np.ndarray
+    pos: np.ndarray
+    rot: np.ndarray
 
 
 def drive_in(
@@ -164,7 +163,7 @@ def drive_out(
     return False
 
 
-def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> Array:
+def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
     """The configuration (J,) at the end of a straight drive from the present base pose.
 
     If the arm would come nearer than `IN_CLEARANCE_M` to an obstacle, and a small change of its joints that keeps the
@@ -194,7 +193,7 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> Array:
     return ik.unwind(robot, found.q[0, 0], q) if better else end
 
 
-def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
+def _room_in(robot: Robot, goal: np.ndarray, way: float, boxes: Boxes) -> float:
     """Least clearance [m] of the robot while its base drives the last ``way`` [m] straight to ``goal`` (J,)."""
     q = np.repeat(goal[None], 6, axis=0)
     q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
@@ -203,7 +202,7 @@ def _room_in(robot: Robot, goal: Array, way: float, boxes: Boxes) -> float:
     return float(motion.spheres(robot).clearance(q, boxes).min())
 
 
-def held_spheres(view: WorldView, obj: str) -> tuple[Array, Array]:
+def held_spheres(view: WorldView, obj: str) -> tuple[np.ndarray, np.ndarray]:
     """Spheres that cover the bounding box of an object in the hand: centres (H, 3) in the tool frame, radii (H,)."""
     pos, rot = motion.tcp(view)
     pose = view.object_pose(obj)

@@ -15,7 +15,6 @@ from mjhab.experts.planning import approach
 from mjhab.experts.planning.approach import Route
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 LEAD_M = 0.08
 """Largest position error of the tcp that one control step is asked to correct."""
 
@@ -32,11 +31,11 @@ class LinkPath:
     """
 
     robot: Robot
-    q: Array
-    values: Array
+    q: np.ndarray
+    values: np.ndarray
     route: Route
 
-    def at(self, value: float) -> Array:
+    def at(self, value: float) -> np.ndarray:
         """Configuration (J,) at a joint value of the link [m or rad], clipped to the ends of the path."""
         values, q = self._rising
         if value <= values[0]:
@@ -47,12 +46,12 @@ class LinkPath:
         return (q[k + 1] - q[k]) / (values[k + 1] - values[k]) * (value - values[k]) + q[k]
 
     @cached_property
-    def _rising(self) -> tuple[Array, Array]:
+    def _rising(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint values (K,) and configurations (K, J) in rising order of the values."""
         order = np.argsort(self.values)
         return self.values[order], self.q[order]
 
-    def hand_at(self, value: float) -> tuple[Array, Array]:
+    def hand_at(self, value: float) -> tuple[np.ndarray, np.ndarray]:
         """Tcp position (3,) [m] and rotation (3, 3) in the world at a joint value of the link [m or rad]."""
         pos, rot = self.robot.chain.tip_pose(self.at(value))
         return pos[0], rot[0]
@@ -63,7 +62,7 @@ class LinkPath:
         return float(self.hand_at(self.values[-1])[0][2])
 
 
-def action(view: WorldView, path: LinkPath, aim: float, step: float, gripper: float) -> Array:
+def action(view: WorldView, path: LinkPath, aim: float, step: float, gripper: float) -> np.ndarray:
     """Compute the action (A,) that moves tcp and base towards their poses on the path at a joint value.
 
     Args:

@@ -28,7 +28,6 @@ from mjhab.experts.planning.workplace import Blocked, HandGoals, Scene, Stance, 
 from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 MAX_DEFICIT_M = -0.055
 """Routes whose room is less than this (negative: a deficit) touch something. `plan_route` counts room from a margin of
 0.045 m on."""
@@ -77,7 +76,7 @@ def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -
     return found
 
 
-def clear_ones(q: Array, scene: Scene, room: float) -> Array:
+def clear_ones(q: np.ndarray, scene: Scene, room: float) -> np.ndarray:
     """Indices of at most `_KEPT` of the configurations ``q`` (N, J), in order, that keep a clearance of ``room`` [m].
 
     Arm and held object are checked. The hand is not, see `hand_room`.
@@ -86,7 +85,7 @@ def clear_ones(q: Array, scene: Scene, room: float) -> Array:
     hand_links = scene.body.hand_links
     arm = whole.only([n for n in whole.chain.links if n not in hand_links])
     load = None if scene.held is None else whole.only([]).with_held(*scene.held)
-    found: list[Array] = []
+    found: list[np.ndarray] = []
     for start in range(0, len(q), _KEPT):
         rows = np.arange(start, min(start + _KEPT, len(q)))
         rows = rows[arm.clearance(q[rows], scene.near) > room]
@@ -99,7 +98,7 @@ def clear_ones(q: Array, scene: Scene, room: float) -> Array:
     return np.concatenate(found)[:_KEPT] if found else np.zeros(0, np.int64)
 
 
-def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> Array:
+def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> np.ndarray:
     """Clearance (G,) [m] of hand and wrist from boxes on the straight approach to the goals."""
     hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes, gripper)
     back = 0.05 * goals.rot[:, :, 0]
@@ -110,8 +109,8 @@ def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> Arra
 
 
 def _pairs(
-    robot: Robot, bases: Array, point: Array, goals: HandGoals
-) -> tuple[Array, Array, Array]:
+    robot: Robot, bases: np.ndarray, point: np.ndarray, goals: HandGoals
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of base poses (B, 3) and the `_PER_BASE` hand poses that suit each best.
 
     Returns:
@@ -132,7 +131,7 @@ def _pairs(
 
 
 @lru_cache(maxsize=8)
-def _seeds(robot: Robot) -> Array:
+def _seeds(robot: Robot) -> np.ndarray:
     """Arm and torso configurations (S, J) to start inverse kinematics from."""
     dofs = ik.columns(robot.chain)
     random = np.random.default_rng(3)
@@ -140,8 +139,8 @@ def _seeds(robot: Robot) -> Array:
 
 
 def _configurations(
-    view: WorldView, work: Work, bases: Array, goal: Array, price: Array
-) -> tuple[Array, Array]:
+    view: WorldView, work: Work, bases: np.ndarray, goal: np.ndarray, price: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Configurations that reach hand poses from base poses, cheapest first.
 
     Args:
@@ -183,7 +182,7 @@ def _configurations(
     return q, goal
 
 
-def _before(q: Array, goal: Array, work: Work) -> tuple[Array, Array]:
+def _before(q: np.ndarray, goal: np.ndarray, work: Work) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (N, J) at the start of the straight approach, and whether (N,) they and the drive in are clear.
 
     The torso is already at its final height, because it follows small changes too slowly.
@@ -223,7 +222,9 @@ def _before(q: Array, goal: Array, work: Work) -> tuple[Array, Array]:
     return pre, fine
 
 
-def _routed(view: WorldView, work: Work, q: Array, pre: Array, goal: Array) -> list[Stance]:
+def _routed(
+    view: WorldView, work: Work, q: np.ndarray, pre: np.ndarray, goal: np.ndarray
+) -> list[Stance]:
     """Stances with collision-free routes to ``pre`` (N, J); if there are none, the one with the most clearance.
 
     ``q`` (N, J), ``goal`` (N,): configurations at the hand poses, cheapest first, and indices of the hand poses.
@@ -233,7 +234,7 @@ def _routed(view: WorldView, work: Work, q: Array, pre: Array, goal: Array) -> l
     boxes = scene.all
     clear: list[Stance] = []
     tight: list[Stance] = []
-    seen: list[Array] = []
+    seen: list[np.ndarray] = []
     for i in range(len(q)):
         if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
@@ -256,7 +257,9 @@ def _routed(view: WorldView, work: Work, q: Array, pre: Array, goal: Array) -> l
     return sorted(clear, key=steps) or tight[:1]
 
 
-def settle_reach(view: WorldView, stance: Stance, pos: Array, rot: Array) -> Array | None:
+def settle_reach(
+    view: WorldView, stance: Stance, pos: np.ndarray, rot: np.ndarray
+) -> np.ndarray | None:
     """Configurations for hand positions from the actual base pose, which differs from the planned one.
 
     All have the same torso height, the planned one if possible.

@@ -35,7 +35,6 @@ from mjhab.experts.planning.arm_ways import PLANNING_SEED, Free, arm_way
 from mjhab.experts.planning.workplace import Blocked, HandGoals, Stance
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 MAX_POSTURES = 1000
 """Greatest number of postures of the arm that are sampled."""
 MAX_CLEAR_POSTURES = 80
@@ -103,8 +102,8 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
 
 def plan_around(
     view: WorldView,
-    goal: Array,
-    arm: Array,
+    goal: np.ndarray,
+    arm: np.ndarray,
     robot: RobotSpheres,
     boxes: Boxes,
     *,
@@ -135,7 +134,7 @@ def plan_around(
     there = Free.near(view.robot, end, robot, boxes)
     postures = _postures(view.robot, start, end)
     postures = postures[_clear_drives(postures, poses, here)]
-    best: tuple[int, int, int, Array, int] | None = None
+    best: tuple[int, int, int, np.ndarray, int] | None = None
     for first, last in _legs(start, end, postures, here, there):
         found = _timed(first, last, poses, here, there)
         if best is None or found[0] < best[0]:
@@ -160,7 +159,7 @@ def plan_around(
 
 
 def _timed(
-    first: Array, last: Array, poses: Array, here: Free, there: Free
+    first: np.ndarray, last: np.ndarray, poses: np.ndarray, here: Free, there: Free
 ) -> tuple[int, int, int]:
     """Choose how far the motions of base and arm may overlap in time.
 
@@ -206,7 +205,7 @@ def _timed(
     return late
 
 
-def _along(robot: Robot, way: Array) -> Array:
+def _along(robot: Robot, way: np.ndarray) -> np.ndarray:
     """Predicted configurations (N, J), one per control step, of an arm that follows the path ``way`` (P, J)."""
     torso = list(robot.torso_columns)
     arm = list(robot.arm_columns)
@@ -227,8 +226,8 @@ def _along(robot: Robot, way: Array) -> Array:
 
 
 def _legs(
-    start: Array, end: Array, postures: Array, here: Free, there: Free
-) -> list[tuple[Array, Array]]:
+    start: np.ndarray, end: np.ndarray, postures: np.ndarray, here: Free, there: Free
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pairs of arm paths (P, J): from ``start`` (J,) into one of ``postures`` (V, J), and out of it to ``end`` (J,).
 
     The order of ``postures`` is kept.
@@ -262,12 +261,12 @@ def _legs(
     return found
 
 
-def _leg(start: Array, end: Array, free: Free) -> Array | None:
+def _leg(start: np.ndarray, end: np.ndarray, free: Free) -> np.ndarray | None:
     """Straight path (2, J) between two configurations (J,); None if it collides."""
     return np.stack([start, end]) if free.edge(start, end) else None
 
 
-def _postures(robot: Robot, start: Array, end: Array) -> Array:
+def _postures(robot: Robot, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Candidate postures (V, J), ordered by the control steps from ``start`` (J,) by way of them to ``end`` (J,)."""
     dofs = ik.columns(robot.chain)
     others = np.setdiff1d(np.arange(BASE.stop, len(start)), dofs)
@@ -281,7 +280,7 @@ def _postures(robot: Robot, start: Array, end: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _library(robot: Robot) -> Array:
+def _library(robot: Robot) -> np.ndarray:
     """Sampled postures (V, J) around the rest configuration without self-collisions."""
     drawn = ik.random_seeds(
         robot.chain,
@@ -294,7 +293,7 @@ def _library(robot: Robot) -> Array:
     return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * SELF_CLEARANCE_M][:MAX_POSTURES]
 
 
-def _clear_drives(postures: Array, poses: Array, free: Free) -> Array:
+def _clear_drives(postures: np.ndarray, poses: np.ndarray, free: Free) -> np.ndarray:
     """Indices of the first `MAX_CLEAR_POSTURES` of postures (V, J) that are free at base poses (T, 3) of a drive."""
     found: list[Any] = []
     for start in range(0, len(postures), 2 * MAX_CLEAR_POSTURES):

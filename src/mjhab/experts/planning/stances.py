@@ -25,7 +25,6 @@ from mjhab.experts.arm import ik, motion
 from mjhab.robots.kinematics import Chain
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 SELF_CLEARANCE_M = 0.02
 """Least distance of forearm and hand to the trunk."""
 BOX_CLEARANCE_M = 0.02
@@ -50,9 +49,9 @@ class Stances:
         back: (N,) control steps that it needs from the last way point to rest.
     """
 
-    q: Array
-    steps: Array
-    back: Array
+    q: np.ndarray
+    steps: np.ndarray
+    back: np.ndarray
 
     def __len__(self) -> int:
         return len(self.q)
@@ -75,7 +74,7 @@ class Stances:
 class Frame:
     """The plan frame of a link in the world: ``origin`` (2,) [m], ``yaw`` [rad]."""
 
-    origin: Array
+    origin: np.ndarray
     yaw: float
 
     @classmethod
@@ -83,7 +82,7 @@ class Frame:
         """The plan frame of a link of a home."""
         return cls(link.origin[:2].copy(), float(np.arctan2(link.rot[1, 0], link.rot[0, 0])))
 
-    def point(self, xy: Array) -> Array:
+    def point(self, xy: np.ndarray) -> np.ndarray:
         """Plan frame points (..., 2) in the world."""
         c = np.cos(self.yaw)
         s = np.sin(self.yaw)
@@ -91,7 +90,7 @@ class Frame:
             [c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]], axis=-1
         )
 
-    def base(self, q: Array) -> Array:
+    def base(self, q: np.ndarray) -> np.ndarray:
         """Configurations (..., Q) or base poses (..., 3) with the base columns moved to the world."""
         return np.concatenate(
             [self.point(q[..., BASE_XY]), wrap(q[..., [BASE_YAW]] + self.yaw), q[..., BASE.stop :]],
@@ -142,7 +141,7 @@ def _write(path: Path, found: Stances) -> None:
     write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
 
 
-def hand(forward: Array, closing: Array) -> Array:
+def hand(forward: np.ndarray, closing: np.ndarray) -> np.ndarray:
     """Gripper rotations (..., 3, 3) that point ``forward`` (..., 3) with the fingers' line along ``closing``."""
     x = forward / np.linalg.norm(forward, axis=-1, keepdims=True)
     y = closing - x * np.sum(x * closing, axis=-1, keepdims=True)
@@ -150,7 +149,7 @@ def hand(forward: Array, closing: Array) -> Array:
     return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
-def seeds(robot: Robot, count: int, number: int = 0) -> Array:
+def seeds(robot: Robot, count: int, number: int = 0) -> np.ndarray:
     """Start configurations (count, Q) around the rest pose, the same on every call."""
     rest = robot.rest.copy()
     rest[BASE] = 0.0
@@ -160,9 +159,9 @@ def seeds(robot: Robot, count: int, number: int = 0) -> Array:
 
 def track(
     body: Robot,
-    base: Array,
-    pos: Array,
-    rot: Array,
+    base: np.ndarray,
+    pos: np.ndarray,
+    rot: np.ndarray,
     boxes: Sequence[Boxes] | None = None,
     *,
     tries: int = 12,
@@ -200,13 +199,15 @@ class _HandPaths:
     """N paths of the hand with the base below it: ``base`` (N, K, 3), ``pos`` (N, K, 3) and ``rot`` (N, K, 3, 3) in
     the plan frame; ``mode``: what part of the orientation counts."""
 
-    base: Array
-    pos: Array
-    rot: Array
+    base: np.ndarray
+    pos: np.ndarray
+    rot: np.ndarray
     mode: ik.Mode
 
 
-def _first_configurations(body: Robot, paths: _HandPaths, tries: int) -> tuple[Array, Array]:
+def _first_configurations(
+    body: Robot, paths: _HandPaths, tries: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (R, Q) at the first way point, the `SEEDS_FOLLOWED` soonest reached ones of every path, and the
     path (R,) that each belongs to."""
     robot = body.chain
@@ -228,8 +229,8 @@ def _first_configurations(body: Robot, paths: _HandPaths, tries: int) -> tuple[A
 
 
 def _next_configurations(
-    body: Robot, paths: _HandPaths, k: int, before: Array, row: Array
-) -> tuple[Array, Array]:
+    body: Robot, paths: _HandPaths, k: int, before: np.ndarray, row: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (R, Q) at way point ``k``, from those at the way point before it, and whether (R,) each reaches
     it without a jump."""
     now = before.copy()
@@ -249,7 +250,7 @@ def _next_configurations(
     return q, step.ok[:, 0] & (jump < MAX_JUMP_RAD)
 
 
-def _soonest(body: Robot, path: list[Array], row: Array) -> Stances:
+def _soonest(body: Robot, path: list[np.ndarray], row: np.ndarray) -> Stances:
     """Of every path the stance (K times (R, Q)) with the least steps from and to rest."""
     robot = body.chain
     dofs = ik.columns(robot)
@@ -261,7 +262,7 @@ def _soonest(body: Robot, path: list[Array], row: Array) -> Stances:
     return Stances(np.stack(path, axis=1)[chosen], travel[chosen], back[chosen])
 
 
-def _quickest(row: Array, travel: Array, count: int) -> Array:
+def _quickest(row: np.ndarray, travel: np.ndarray, count: int) -> np.ndarray:
     """Which of the seeds (R,) are among the ``count`` quickest, by ``travel`` (R,), of their base path ``row`` (R,)."""
     order = np.lexsort((travel, row))
     place = np.arange(len(row)) - np.searchsorted(row[order], row[order])
@@ -270,11 +271,13 @@ def _quickest(row: Array, travel: Array, count: int) -> Array:
     return keep
 
 
-def _drop(path: list[Array], row: Array, keep: Array) -> tuple[list[Array], Array]:
+def _drop(
+    path: list[np.ndarray], row: np.ndarray, keep: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray]:
     return [p[keep] for p in path], row[keep]
 
 
-def _clear(robot: Robot, q: Array, boxes: Boxes | None) -> Array:
+def _clear(robot: Robot, q: np.ndarray, boxes: Boxes | None) -> np.ndarray:
     """Which configurations (N, Q) keep the arm clear of the trunk, and arm and trunk of the boxes."""
     if not len(q):
         return np.zeros(0, dtype=bool)
@@ -285,7 +288,7 @@ def _clear(robot: Robot, q: Array, boxes: Boxes | None) -> Array:
     return keep
 
 
-def motion_steps(robot: Chain, q: Array) -> Array:
+def motion_steps(robot: Chain, q: np.ndarray) -> np.ndarray:
     """Control steps (N,) the arm needs along the way points of configurations (N, K, Q)."""
     dofs = ik.columns(robot)
     share = np.abs(np.diff(q, axis=1))[..., dofs] / ik.step_limits(robot)[dofs]
@@ -293,8 +296,8 @@ def motion_steps(robot: Chain, q: Array) -> Array:
 
 
 def rank(
-    view: WorldView, frame: Frame, stances: Stances, also: Array | None = None
-) -> tuple[Array, Array]:
+    view: WorldView, frame: Frame, stances: Stances, also: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """The stances with free floor, the ones soonest reached first.
 
     Args:
@@ -322,7 +325,7 @@ def rank(
     return frame.base(stances.q[order]), cost[order]
 
 
-def drive_steps(start: Array, goals: Array) -> Array:
+def drive_steps(start: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """Rough number of control steps (N,) to drive from ``start`` (3,) to ``goals`` (N, 3): turn, go, turn."""
     way = goals[:, :2] - start[:2]
     far = np.linalg.norm(way, axis=1)

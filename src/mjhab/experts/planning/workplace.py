@@ -17,7 +17,6 @@ from mjhab.experts.arm.gentle import Care
 from mjhab.experts.base.route import Route
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 NEARBY_M = 2.6
 """Furniture within this distance of the work is checked for collisions."""
 CLEARANCES_M = (0.012, 0.006, 0.0)
@@ -36,16 +35,16 @@ class HandGoals:
         score: (G,) preference, higher is better; 1 is worth about half a second (10 control steps).
     """
 
-    pos: Array
-    rot: Array
-    pre: Array
-    opening: Array
-    score: Array
+    pos: np.ndarray
+    rot: np.ndarray
+    pre: np.ndarray
+    opening: np.ndarray
+    score: np.ndarray
 
     def __len__(self) -> int:
         return len(self.pos)
 
-    def take(self, rows: Array) -> HandGoals:
+    def take(self, rows: np.ndarray) -> HandGoals:
         """The hand poses with the indices ``rows``."""
         return HandGoals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
@@ -63,7 +62,7 @@ class Scene:
     target: Boxes
     support_z: float
     body: Robot
-    held: tuple[Array, Array] | None = None
+    held: tuple[np.ndarray, np.ndarray] | None = None
     care: Care | None = None
 
     @property
@@ -96,8 +95,8 @@ class Stance:
     """
 
     goal: int
-    pre: Array
-    at: Array
+    pre: np.ndarray
+    at: np.ndarray
     route: Route
 
 
@@ -110,9 +109,9 @@ class Blocked:
     """
 
     goals: HandGoals
-    goal: Array
-    pre: Array
-    at: Array
+    goal: np.ndarray
+    pre: np.ndarray
+    at: np.ndarray
     scene: Scene
     drive_in: float
 
@@ -135,19 +134,19 @@ class Work:
         bases: (B, 3) the base poses to choose from; None: they are searched.
     """
 
-    point: Array
+    point: np.ndarray
     goals: HandGoals
     scene: Scene
     drive_in: float = 0.0
-    avoid: Array | None = None
+    avoid: np.ndarray | None = None
     room: float = CLEARANCES_M[0]
     nearer: float = 0.0
     home: float = 0.0
     far: bool = False
-    bases: Array | None = None
+    bases: np.ndarray | None = None
 
 
-def surroundings(view: WorldView, obj: str, point: Array) -> tuple[Boxes, Boxes]:
+def surroundings(view: WorldView, obj: str, point: np.ndarray) -> tuple[Boxes, Boxes]:
     """Everything solid near ``point`` (3,) but the object, and the object's bounding box."""
     parts = (view.home.boxes, view.link_boxes(), view.object_boxes((obj,)))
     others = Boxes.join(parts)

@@ -24,7 +24,6 @@ from mjhab.experts.base.pilot import Pilot
 from mjhab.experts.planning.reach import clear_ones
 from mjhab.experts.planning.workplace import Scene
 
-Array = np.ndarray
 Drive = tuple[float, float]
 """Forward speed [m/s] and yaw rate [rad/s] of the base."""
 DISTANCES_M = (0.78, 0.74, 0.82, 0.70, 0.86, 0.66)
@@ -78,10 +77,10 @@ class Stance:
         ready: (J,) configuration with the hand at the pose before it.
     """
 
-    base: Array
-    path: Array
+    base: np.ndarray
+    path: np.ndarray
     row: int
-    ready: Array
+    ready: np.ndarray
 
     def pilot(self) -> Pilot:
         """Make the controller that drives the base there."""
@@ -104,14 +103,14 @@ class Hands:
         price: (G,) cost that is added to the angles [rad] between the poses and the preferred orientation.
     """
 
-    pos: Array
-    rot: Array
-    before: Array
-    after: Array
-    price: Array
+    pos: np.ndarray
+    rot: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    price: np.ndarray
 
 
-def find_stance(view: WorldView, scene: Scene, point: Array, hands: Hands) -> Stance | None:
+def find_stance(view: WorldView, scene: Scene, point: np.ndarray, hands: Hands) -> Stance | None:
     """Find the nearest stance from which one of the hand poses is reached.
 
     Args:
@@ -136,7 +135,7 @@ def find_stance(view: WorldView, scene: Scene, point: Array, hands: Hands) -> St
     return None
 
 
-def _bases(view: WorldView, point: Array) -> Iterator[Array]:
+def _bases(view: WorldView, point: np.ndarray) -> Iterator[np.ndarray]:
     """Generate base poses (3,) that face ``point`` (3,), in order of increasing cost of the drive to them."""
     angles = np.linspace(-np.pi, np.pi, BEARINGS, endpoint=False)
     yaw, distance = (grid.ravel() for grid in np.meshgrid(angles, DISTANCES_M, indexing="ij"))
@@ -151,8 +150,8 @@ def _bases(view: WorldView, point: Array) -> Iterator[Array]:
 
 
 def _nearest_to_rest(
-    view: WorldView, scene: Scene, base: Array, hands: Hands
-) -> tuple[int, Array] | None:
+    view: WorldView, scene: Scene, base: np.ndarray, hands: Hands
+) -> tuple[int, np.ndarray] | None:
     """Find the collision-free hand pose at base pose ``base`` (3,) that is nearest to the preferred orientation.
 
     Returns:
@@ -169,7 +168,7 @@ def _nearest_to_rest(
     q[BASE] = base
     chain = view.robot.chain
     seeds = np.repeat(q[None], len(rows), axis=0)[:, None]
-    ready: dict[int, Array] = {}
+    ready: dict[int, np.ndarray] = {}
     for pos in (hands.before, hands.pos, hands.after):
         found = ik.solve(chain, pos[rows], rot[rows], seeds, ik.columns(chain), rest=q)
         good = np.flatnonzero(found.ok[:, 0])
@@ -183,7 +182,7 @@ def _nearest_to_rest(
     return row, ready[row]
 
 
-def _angles(axes: Array, wanted: Array) -> Array:
+def _angles(axes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Angles (G,) [rad] between unit vectors ``axes`` (G, 3) and ``wanted`` (3,)."""
     return np.arccos(np.clip(axes @ wanted, -1.0, 1.0))
 
@@ -199,10 +198,10 @@ class Funnel:
         ready: (J,) posture preferred in the null space.
     """
 
-    pos: Array
-    rot: Array
-    approach: Array
-    ready: Array
+    pos: np.ndarray
+    rot: np.ndarray
+    approach: np.ndarray
+    ready: np.ndarray
 
     def distance(self, view: WorldView) -> float:
         """Distance [m] of the tcp from the goal position."""
@@ -212,7 +211,7 @@ class Funnel:
         """Angle [rad] between the hand and the goal rotation."""
         return motion.angle_between(motion.tcp(view)[1], self.rot)
 
-    def step(self, view: WorldView, gripper: float, drive: Drive) -> Array:
+    def step(self, view: WorldView, gripper: float, drive: Drive) -> np.ndarray:
         """Action (A,) that moves the hand towards the goal while the base drives."""
         here, here_rot = motion.tcp(view)
         off = here - self.pos
@@ -232,8 +231,13 @@ class Funnel:
 
 
 def move_hand(
-    view: WorldView, pos: Array, rot: Array, gripper: float, drive: Drive, posture: Array
-) -> Array:
+    view: WorldView,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: float,
+    drive: Drive,
+    posture: np.ndarray,
+) -> np.ndarray:
     """Compute the action (A,) that moves the tcp to a pose nearby while the base drives.
 
     Args:

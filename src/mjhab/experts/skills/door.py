@@ -29,7 +29,6 @@ from mjhab.experts.style import style_of, wait_for
 from mjhab.robots.robot import Robot
 from mjhab.tasks.style import PUSH, SWEEP
 
-Array = np.ndarray
 Motion = motion.Motion
 AROUND_BAR_M = 0.045
 """Distance between the open fingers beyond the thickness of the bar that they close around; with the fingers wide open,
@@ -333,7 +332,7 @@ def _pace(path: LinkPath, angle: float, way: float) -> float:
 
 
 def _reachable(
-    view: WorldView, link: JointedLink, found: Stances, angles: Array, back: float = 0.0
+    view: WorldView, link: JointedLink, found: Stances, angles: np.ndarray, back: float = 0.0
 ) -> LinkPath | None:
     """Select the stance that is reached first among those whose whole motion is collision-free in this home.
 
@@ -360,13 +359,13 @@ def _reachable(
     return None if best is None else LinkPath(view.robot, free[best[0]], angles, best[1])
 
 
-def _distinct(base: Array) -> Array:
+def _distinct(base: np.ndarray) -> np.ndarray:
     """Indices of the first base pose (N, 3) in every grid cell of 0.1 m, 0.1 m, 0.2 rad, in ascending order."""
     _, first = np.unique(np.round(base / [0.1, 0.1, 0.2]), axis=0, return_index=True)
     return np.sort(first)
 
 
-def _withdrawn(body: Robot, q: Array, back: float) -> Array:
+def _withdrawn(body: Robot, q: np.ndarray, back: float) -> np.ndarray:
     """Configurations ``q`` (M, J) with the hand moved back by ``back`` along its axis; unchanged where that fails."""
     robot = body.chain
     pos, rot = robot.tip_pose(q)
@@ -388,7 +387,9 @@ def _withdrawn(body: Robot, q: Array, back: float) -> Array:
     return np.where(good[:, None], found.q[:, 0], q)
 
 
-def _from_angle(body: Robot, found: Stances, angles: Array, start: float) -> tuple[Stances, Array]:
+def _from_angle(
+    body: Robot, found: Stances, angles: np.ndarray, start: float
+) -> tuple[Stances, np.ndarray]:
     """Cut closing motions so that they start at the door angle ``start``; returns them and their angles."""
     k = int(np.searchsorted(-angles, -start))
     if k == 0:

@@ -20,7 +20,6 @@ from mjhab.experts.planning import stances
 from mjhab.experts.planning.stances import Stances
 from mjhab.robots.robot import Robot
 
-Array = np.ndarray
 PRE_GRASP_M = 0.11
 """Distance from which the open hand moves straight onto the bar."""
 ABOVE_MIDDLE_M = 0.13
@@ -64,7 +63,7 @@ SWEEP_WAY_POINTS = 6
 """Way points of a sweep."""
 
 
-def pull_angles(link: JointedLink, further: float = 0.0) -> Array:
+def pull_angles(link: JointedLink, further: float = 0.0) -> np.ndarray:
     """Door angles (10,) [rad] of the way points of `pull_stances`; at the first the hand is in front of the bar.
 
     ``further``: share of the range beyond `OPEN_TO_SHARE` to which the door is pulled.
@@ -72,7 +71,7 @@ def pull_angles(link: JointedLink, further: float = 0.0) -> Array:
     return np.append(-0.01, np.linspace(0.0, (OPEN_TO_SHARE + further + 0.03) * link.range[1], 9))
 
 
-def push_angles(link: JointedLink, half: bool) -> Array:
+def push_angles(link: JointedLink, half: bool) -> np.ndarray:
     """Door angles (11,) [rad] of the way points of `push_half_open` or `push_open`, from open to closed."""
     first = (HALF_OPEN_SHARE * link.range[1]) if half else link.range[1] + PRESS_AHEAD_RAD
     return np.append(np.linspace(first, 0.0, 10), -PRESS_PAST_RAD)
@@ -93,8 +92,12 @@ def _inward(link: JointedLink) -> float:
 
 
 def _line(
-    near: Array, side: Array, headings: Iterable[float], ways: tuple[float, ...], share: Array
-) -> Array:
+    near: np.ndarray,
+    side: np.ndarray,
+    headings: Iterable[float],
+    ways: tuple[float, ...],
+    share: np.ndarray,
+) -> np.ndarray:
     """Generate straight base paths (N, K, 3) for all combinations of start point, heading and length.
 
     Args:
@@ -113,7 +116,7 @@ def _line(
     return np.array(out)
 
 
-def _in_reach(robot: Robot, base: Array, hands: Array) -> Array:
+def _in_reach(robot: Robot, base: np.ndarray, hands: np.ndarray) -> np.ndarray:
     """(N,) bool: base paths (N, K, 3) along which the shoulder stays within arm's reach of the hand (K, 3)."""
     yaw = base[..., 2]
     shoulder_ahead = robot.reach.ahead + robot.reach.out
@@ -123,7 +126,7 @@ def _in_reach(robot: Robot, base: Array, hands: Array) -> Array:
     return (far.max(axis=1) < farthest) & (far.min(axis=1) > nearest)
 
 
-def _panel(link: JointedLink) -> tuple[Array, Array]:
+def _panel(link: JointedLink) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest corner (3,) of the closed door's largest box, its panel."""
     boxes = link.boxes(0.0)
     k = int(np.argmax(boxes.half.prod(axis=1)))
@@ -144,7 +147,7 @@ def _with_door(link: JointedLink, angle: float) -> Boxes:
     return Boxes.join(parts)
 
 
-def _level(yaw: Array) -> Array:
+def _level(yaw: np.ndarray) -> np.ndarray:
     """Hand rotations (K, 3, 3): horizontal, opposite to the directions ``yaw`` (K,), with the fingers side by side."""
     forward = -np.stack([np.cos(yaw), np.sin(yaw), 0.0 * yaw], axis=-1)
     return stances.hand(forward, np.stack([-forward[:, 1], forward[:, 0], 0.0 * yaw], axis=-1))
@@ -154,15 +157,15 @@ def _level(yaw: Array) -> Array:
 class _HandPath:
     """Hand positions ``pos`` (K, 3) and rotations ``rot`` (K, 3, 3) in the plan frame at door ``angles`` (K,)."""
 
-    pos: Array
-    rot: Array
-    angles: Array
+    pos: np.ndarray
+    rot: np.ndarray
+    angles: np.ndarray
 
 
 def _search(
     robot: Robot,
     link: JointedLink,
-    base: Array,
+    base: np.ndarray,
     hands: _HandPath,
     tries: int,
     mode: ik.Mode = "pose",
@@ -305,7 +308,7 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> Stances:
     return Stances(q, np.zeros(len(q)), length / SWEEP_SPEED_M_S / STEP_SECONDS)
 
 
-def _drives(m: float) -> Array:
+def _drives(m: float) -> np.ndarray:
     """Poses (N, K, 3) of the base on straight drives towards the outside of an open door; ``m``: `_hand_side`."""
     headings = np.pi + m * np.arange(0.5, 1.71, 0.1)
     asides = np.arange(-0.8, 0.81, 0.05)
@@ -316,12 +319,12 @@ def _drives(m: float) -> Array:
     return np.stack([0.4 + x, y, np.broadcast_to(yaw, x.shape)], axis=2)
 
 
-def _last_clear(clear: Array) -> Array:
+def _last_clear(clear: np.ndarray) -> np.ndarray:
     """Index (N,) of the last position before the first one of (N, K) that is not clear; -1 for none."""
     return np.where(clear.all(axis=1), -1, (~clear).argmax(axis=1) - 1)
 
 
-def _resting_circles(robot: Robot, low: float, high: float) -> tuple[Array, Array]:
+def _resting_circles(robot: Robot, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
     """Centres (C, 2) in the frame of the base and radii (C,) of the resting robot's spheres between two heights [m]."""
     whole = motion.spheres(robot)
     rest = robot.rest.copy()

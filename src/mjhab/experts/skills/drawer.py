@@ -18,7 +18,6 @@ from mjhab.experts.style import style_of
 from mjhab.robots.robot import Robot
 from mjhab.tasks.style import ARM, GRASP
 
-Array = np.ndarray
 Motion = motion.Motion
 PRE_GRASP_M = 0.11
 """Distance from which the open hand moves straight onto the handle."""
@@ -192,7 +191,7 @@ def _drive_link(
     return False
 
 
-def _square(handle: Array, near: Array, side: Array) -> Array:
+def _square(handle: np.ndarray, near: np.ndarray, side: np.ndarray) -> np.ndarray:
     """Base poses (N, 3) that face the furniture squarely: all combinations of ``near`` (X,) and ``side`` (Y,) offsets
     from the position (3,) of a handle."""
     x, y = np.meshgrid(handle[0] + near, handle[1] + side, indexing="ij")
@@ -209,7 +208,7 @@ def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
     return Stances.join([_still(robot, base, pos, rot, boxes) for rot in sides])
 
 
-def _arm_values(link: JointedLink) -> Array:
+def _arm_values(link: JointedLink) -> np.ndarray:
     """Joint values (1 + PULL_POINTS,) [m] of the way points of `_arm_stances`; at first the hand is before the bar."""
     return np.append(
         -PRE_GRASP_M, np.linspace(0.0, (OPEN_TO_SHARE + 0.05) * link.range[1], PULL_POINTS)
@@ -247,7 +246,7 @@ def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
     return Stances(every.q[keep], every.steps[keep], every.back[keep])
 
 
-def _folds(robot: Robot, end: Array, boxes: Boxes) -> Array:
+def _folds(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
     """(N,) bool: the arm can fold to rest without a collision after the base has backed up by `BACK_OFF_M`.
 
     Args:
@@ -281,7 +280,12 @@ def _push_stances(robot: Robot, link: JointedLink) -> Stances:
 
 
 def _still(
-    robot: Robot, base: Array, pos: Array, rot: Array, boxes: list, mode: motion.ik.Mode = "pose"
+    robot: Robot,
+    base: np.ndarray,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    boxes: list,
+    mode: motion.ik.Mode = "pose",
 ) -> Stances:
     """Find stances with unmoved base poses (N, 3) for K hand positions ``pos`` (K, 3) at one rotation (3, 3).
 

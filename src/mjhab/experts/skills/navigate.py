@@ -24,7 +24,6 @@ from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS
 from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
 
-Array = np.ndarray
 WANTED_DISTANCE_M = 0.95
 """Preferred distance between base and goal, from which the next subtask needs little driving."""
 MIN_DISTANCE_M = 0.65
@@ -64,10 +63,10 @@ class Aim(NamedTuple):
         area: (4,) x_min, x_max, y_min, y_max that the base must be in; None for no such area.
     """
 
-    point: Array
+    point: np.ndarray
     distance: float
     reach: float
-    area: Array | None
+    area: np.ndarray | None
 
     @classmethod
     def of(cls, view: WorldView) -> Aim:
@@ -81,11 +80,11 @@ class Aim(NamedTuple):
             point, distance, view.config.nav_distance, None if area is None else np.array(area)
         )
 
-    def bearing(self, xy: Array) -> Array:
+    def bearing(self, xy: np.ndarray) -> np.ndarray:
         """Heading (...,) [rad] that faces the goal from ``xy`` (..., 2)."""
         return np.arctan2(self.point[1] - xy[..., 1], self.point[0] - xy[..., 0])
 
-    def allows(self, xy: Array, within: float) -> Array:
+    def allows(self, xy: np.ndarray, within: float) -> np.ndarray:
         """(...,) bool: ``xy`` (..., 2) is near enough and in the area, with a margin of ``within`` [m]."""
         good = np.linalg.norm(xy - self.point[:2], axis=-1) <= self.reach - within
         if self.area is not None:
@@ -94,7 +93,7 @@ class Aim(NamedTuple):
             good = good & ((xy >= low) & (xy <= high)).all(axis=-1)
         return good
 
-    def price(self, lattice: Lattice, detour: Array) -> Array:
+    def price(self, lattice: Lattice, detour: np.ndarray) -> np.ndarray:
         """End cost (H, X, Y) [s] of each lattice node, infinite where the subtask would not succeed.
 
         ``detour`` (X, Y): see `detours`.
@@ -144,7 +143,7 @@ def navigate(view: WorldView) -> Motion:
             yield from _stand(view, aim, posture, gripper)
 
 
-def detours(view: WorldView, aim: Aim, points: Array) -> Array:
+def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:
     """Cost (X, Y) of the paths from ``points`` (X, Y, 2) to where the next subtask takes place, if they are long.
 
     A position can be near to the goal and yet need a long way around furniture to reach it by hand. The cost is in
@@ -170,7 +169,9 @@ def detours(view: WorldView, aim: Aim, points: Array) -> Array:
     return np.where(way > LONG_DETOUR_M, np.minimum(way, MAX_DETOUR_M), 0.0)
 
 
-def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array) -> Trip | None:
+def plan_trip(
+    view: WorldView, aim: Aim, posture: np.ndarray, held: str, felt: np.ndarray
+) -> Trip | None:
     """Plan the drive with the least cost to a pose that faces the goal.
 
     Args:
@@ -195,7 +196,7 @@ def plan_trip(view: WorldView, aim: Aim, posture: Array, held: str, felt: Array)
     return None
 
 
-def _facing(plan: Floorplan, aim: Aim, pose: Array, legs: list[Leg]) -> list[Leg]:
+def _facing(plan: Floorplan, aim: Aim, pose: np.ndarray, legs: list[Leg]) -> list[Leg]:
     """Legs from ``pose`` (3,) with a final turn that faces the goal, where there is room for it."""
     end, yaw = (legs[-1].points[-1], legs[-1].yaw) if legs else (pose[:2], float(pose[2]))
     last = turn_between(yaw, float(aim.bearing(end)))
@@ -205,8 +206,8 @@ def _facing(plan: Floorplan, aim: Aim, pose: Array, legs: list[Leg]) -> list[Leg
 
 
 def _drive(
-    view: WorldView, trip: Trip, posture: Array, gripper: float
-) -> Generator[Array, None, Array | None]:
+    view: WorldView, trip: Trip, posture: np.ndarray, gripper: float
+) -> Generator[np.ndarray, None, np.ndarray | None]:
     """Drive the legs of a trip; end early when a door or drawer moves.
 
     Returns:
@@ -231,13 +232,13 @@ def _drive(
     return None
 
 
-def _still(track: Sequence[Array]) -> bool:
+def _still(track: Sequence[np.ndarray]) -> bool:
     """Whether the first and the last of some base poses (3,) differ by less than `STUCK_M` [m, rad]."""
     moved = track[-1] - track[0]
     return bool(np.abs([*moved[:2], wrap(moved[2])]).max() < STUCK_M)
 
 
-def _ahead(view: WorldView, leg: Leg) -> Array:
+def _ahead(view: WorldView, leg: Leg) -> np.ndarray:
     """Assumed obstacle (1, 3) x, y, radius that stops the robot on a leg: in front of the base or of the hand."""
     q = view.q
     ahead = leg.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
@@ -251,7 +252,7 @@ def _ahead(view: WorldView, leg: Leg) -> Array:
     return np.array([[*at, FELT_RADIUS_M]])
 
 
-def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Motion:
+def _back_off(view: WorldView, posture: np.ndarray, gripper: float, trip: Trip) -> Motion:
     """Drive back for 14 control steps towards an earlier position of the trip."""
     q = view.q
     gap = np.linalg.norm(trip.poses[:, :2] - q[BASE_XY], axis=1)
@@ -270,7 +271,7 @@ def _back_off(view: WorldView, posture: Array, gripper: float, trip: Trip) -> Mo
     return True
 
 
-def _joints(view: WorldView) -> Array:
+def _joints(view: WorldView) -> np.ndarray:
     """Joint positions of all doors and drawers."""
     return np.array([view.link_q(name) for name in view.home.links])
 
@@ -284,7 +285,7 @@ def _arrived(view: WorldView, aim: Aim) -> bool:
     return bool(facing and aim.allows(q[BASE_XY], 0.0))
 
 
-def _stand(view: WorldView, aim: Aim, posture: Array, gripper: float) -> Motion:
+def _stand(view: WorldView, aim: Aim, posture: np.ndarray, gripper: float) -> Motion:
     """Stand still with the arm at rest while the base is at its goal. Returns when it no longer is."""
     while _arrived(view, aim):
         yield motion.action(view, posture, gripper=gripper)

@@ -34,8 +34,7 @@ from mjhab.experts.planning.reach import settle_reach, stances
 from mjhab.experts.planning.workplace import CLEARANCES_M, HandGoals, Scene, Stance, Work
 from mjhab.robots.parts import Gripper
 
-Array = np.ndarray
-Graspable = Callable[[Array, float], int]
+Graspable = Callable[[np.ndarray, float], int]
 """Function from a pose (7,) of the object and an additional clearance [m] to the number of collision-free grasps."""
 TURNS_RAD = tuple(np.radians((20.0, 35.0, 50.0, 65.0)))
 """Angles by which the box may be turned, tried in this order."""
@@ -92,8 +91,8 @@ class Nudge:
     goals: HandGoals
     depth: float
     turn: float
-    inward: Array
-    outer: Array
+    inward: np.ndarray
+    outer: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +104,9 @@ class _Push:
     the direction of the later grasp [rad]. grasps: number of grasps of the turned box.
     """
 
-    end: Array
-    inward: Array
-    outer: Array
+    end: np.ndarray
+    inward: np.ndarray
+    outer: np.ndarray
     spin: float
     turn: float = 0.0
     after: float = 0.0
@@ -119,7 +118,7 @@ class _Push:
         lever = max(float(self.end @ self.outer), 0.02)
         return lever + self.spin**2 / lever
 
-    def pose_after(self, pose: Array, turn: float) -> Array:
+    def pose_after(self, pose: np.ndarray, turn: float) -> np.ndarray:
         """Pose (7,) of the box after a rotation by ``turn`` [rad]."""
         beyond = self.radius - max(float(self.end @ self.outer), 0.02)
         out = pose.copy()
@@ -132,7 +131,7 @@ class _Push:
 
 
 def plan_nudge(
-    view: WorldView, obj: str, scene: Scene, inward: Array, graspable: Graspable
+    view: WorldView, obj: str, scene: Scene, inward: np.ndarray, graspable: Graspable
 ) -> Nudge | None:
     """The fastest push after which a box on a shelf can be grasped; None if no push is found.
 
@@ -171,7 +170,7 @@ def in_steps(depth: float) -> float:
     return 7.0 + 35.0 * depth if depth else 0.0
 
 
-def outline(shape: ObjectShape, rot: Array) -> Array:
+def outline(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
     """Outline (164, 2) of a box as it stands, seen from above, relative to its centre."""
     i, j = _level(rot)
     a = rot[:2, i] * shape.half[i]
@@ -180,14 +179,14 @@ def outline(shape: ObjectShape, rot: Array) -> Array:
     return np.concatenate([a + share * b, -a + share * b, b + share * a, -b + share * a])
 
 
-def _level(rot: Array) -> list[int]:
+def _level(rot: np.ndarray) -> list[int]:
     """The two axes of a box that lie level."""
     up = int(np.argmax(np.abs(rot[2])))
     return [k for k in range(3) if k != up]
 
 
 def _pushes(
-    pose: Array, shape: ObjectShape, scene: Scene, inward: Array, graspable: Graspable
+    pose: np.ndarray, shape: ObjectShape, scene: Scene, inward: np.ndarray, graspable: Graspable
 ) -> list[_Push]:
     """For either end the smallest turn after which it can be grasped, the smaller one first."""
     line = outline(shape, mat_from_quat(pose[3:]))
@@ -218,7 +217,7 @@ def _pushes(
     return sorted(found, key=lambda push: (push.turn, -push.grasps))
 
 
-def _touches(shape: ObjectShape, pose: Array, scene: Scene) -> bool:
+def _touches(shape: ObjectShape, pose: np.ndarray, scene: Scene) -> bool:
     """Whether a box at a pose would be where something else is."""
     boxes = scene.beside.near(pose[:3], 0.5)
     half = pose[2] - scene.support_z
@@ -229,7 +228,7 @@ def _touches(shape: ObjectShape, pose: Array, scene: Scene) -> bool:
     return bool(len(boxes) and sphere_box_distance(np.concatenate(points), boxes).min() < 0.004)
 
 
-def _angle(hand: Gripper, shape: ObjectShape, pose: Array, inward: Array) -> float:
+def _angle(hand: Gripper, shape: ObjectShape, pose: np.ndarray, inward: np.ndarray) -> float:
     """Angle between the way in and the level axis along which the hand gets around a box at a pose."""
     rot = mat_from_quat(pose[3:])
     i, j = _level(rot)
@@ -237,13 +236,15 @@ def _angle(hand: Gripper, shape: ObjectShape, pose: Array, inward: Array) -> flo
     return float(np.arccos(np.clip(np.abs(along).max(initial=0.0), 0.0, 1.0)))
 
 
-def _corner(hand: Gripper, rot: Array, inward: Array) -> Array:
+def _corner(hand: Gripper, rot: np.ndarray, inward: np.ndarray) -> np.ndarray:
     """The fingertip corner (3,) of the open hand that is furthest in, relative to the tool centre."""
     side = np.sign(rot[:2, 1] @ inward)
     return hand.finger[0] * rot[:, 0] + (hand.opening / 2 + hand.thickness) * side * rot[:, 1]
 
 
-def _goals(hand: Gripper, push: _Push, centre: Array, floor: float, height: float) -> HandGoals:
+def _goals(
+    hand: Gripper, push: _Push, centre: np.ndarray, floor: float, height: float
+) -> HandGoals:
     """Hand poses at the end of a push, on a shelf at ``floor``, of a box of some ``height``."""
     most = min(push.turn + 0.25, 1.2)
     way = (push.radius * np.sin(most) + 0.02) * push.inward
@@ -305,9 +306,9 @@ class _PushingHand:
     """How the hand pushes: rotation ``rot`` (3, 3) and ``height`` [m] of the tool centre; preferred posture ``rest``
     (J,)."""
 
-    rot: Array
+    rot: np.ndarray
     height: float
-    rest: Array
+    rest: np.ndarray
 
 
 def _push(
@@ -350,6 +351,6 @@ def _push(
     return bool(turn > TURNED_SHARE * plan.turn)
 
 
-def _turn(before: Array, after: Array) -> float:
+def _turn(before: np.ndarray, after: np.ndarray) -> float:
     """Angle between two directions (3,) seen from above."""
     return float(np.abs(wrap(np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0]))))

@@ -45,7 +45,6 @@ from mjhab.experts.skills.pick_plans import (
 from mjhab.experts.style import style_of, wait_for
 from mjhab.tasks.style import ANY
 
-Array = np.ndarray
 INSIDE_M = 0.06
 """Distance driven into a shelf above which the base drives out again before another attempt."""
 LIFT_M = 0.10
@@ -150,7 +149,7 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
 
 
 def _planned(
-    view: WorldView, obj: str, failed: Array, attempt: int, inside: bool
+    view: WorldView, obj: str, failed: np.ndarray, attempt: int, inside: bool
 ) -> tuple[Stance, HandGoals, float] | None:
     """`plan_pick` with the kind of grasp of the style, else with any.
 
@@ -186,7 +185,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     shape = view.object_shape(obj)
     around = scene.beside.near(pose[:3], 0.5)
 
-    def graspable(after: Array, more: float) -> int:
+    def graspable(after: np.ndarray, more: float) -> int:
         straight = float(inward[0]), float(inward[1])
         every = shelf_grasps(shape, after, scene, straight, around, GRASP_ROOM_M[0][0] + more)
         return int(
@@ -203,7 +202,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
 
 def _take(
     view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float, hasty: bool = False
-) -> Generator[Array, None, bool | None]:
+) -> Generator[np.ndarray, None, bool | None]:
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach or,
     on a shelf, was shifted on the way."""
     start = view.object_pose(obj)[:3]
@@ -268,7 +267,9 @@ def _is_along(view: WorldView, obj: str, goal: HandGoals) -> bool:
     return bool(np.abs(goal.rot[0, :, 1] @ axes).max() > MIN_ALONG_COSINE)
 
 
-def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float, fine: bool) -> Motion:
+def _reach(
+    view: WorldView, goal: HandGoals, joints: np.ndarray, opening: float, fine: bool
+) -> Motion:
     """Bring the open hand to a grasp (one row) by way of its ``pre``. Returns whether it got there.
 
     Args:
@@ -301,7 +302,9 @@ def _reach(view: WorldView, goal: HandGoals, joints: Array, opening: float, fine
     return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= MAX_SHORT_M)
 
 
-def _lift(view: WorldView, obj: str, up: Array, rot: Array, rest: Array, hasty: bool) -> Motion:
+def _lift(
+    view: WorldView, obj: str, up: np.ndarray, rot: np.ndarray, rest: np.ndarray, hasty: bool
+) -> Motion:
     """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (J,): preferred posture.
 
     ``hasty``: on a shelf, a lift that the arm cannot do in a few steps is left out.

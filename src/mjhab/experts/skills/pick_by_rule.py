@@ -27,7 +27,6 @@ from mjhab.experts.skills.by_rule import (
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import RULE
 
-Array = np.ndarray
 LEAST_CLEAR_M = 0.004
 """Least clearance between hand and neighbouring objects on the approach."""
 SCORE_PRICE = 0.03
@@ -79,7 +78,7 @@ def pick_by_rule(view: WorldView) -> Motion:
             yield _grasp(view, funnel, drive)
 
 
-def _carry(view: WorldView, low: bool, drive: Drive) -> Array:
+def _carry(view: WorldView, low: bool, drive: Drive) -> np.ndarray:
     """Action (A,) with a held object: lift it while it is ``low``, then move the arm to rest."""
     if not low:
         return motion.action(view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive)
@@ -89,7 +88,7 @@ def _carry(view: WorldView, low: bool, drive: Drive) -> Array:
     )
 
 
-def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> Array:
+def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> np.ndarray:
     """Action (A,) that moves the hand towards a grasp and closes the fingers there."""
     fingers = float(view.q[view.robot.columns.fingers].mean())
     begun = fingers < view.robot.limits.gripper[1] - BEGUN_M
@@ -97,7 +96,7 @@ def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> Array:
     return funnel.step(view, motion.CLOSED if there else motion.OPEN, drive)
 
 
-def plan(view: WorldView, obj: str) -> tuple[Stance, Array, Array] | None:
+def plan(view: WorldView, obj: str) -> tuple[Stance, np.ndarray, np.ndarray] | None:
     """Choose a stance, and a grasp in the frame of the object: tcp position (3,) and rotation (3, 3); None if none."""
     pose = view.object_pose(obj)
     if inside_depth(view, pose[:3]):

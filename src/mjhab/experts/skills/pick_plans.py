@@ -39,7 +39,6 @@ from mjhab.experts.skills.nudge import in_steps
 from mjhab.experts.style import of_kind
 from mjhab.tasks.style import ANY
 
-Array = np.ndarray
 MAX_GOALS = 60
 FREE_OFFSET_M = 0.015
 """Lateral distance of the object's centre from the pads without a cost. With a larger one its weight turns the object
@@ -76,7 +75,7 @@ _HOME_WEIGHT = 0.8
 
 
 def plan_pick(
-    view: WorldView, obj: str, failed: Array, attempt: int = 0, wish: str = ANY
+    view: WorldView, obj: str, failed: np.ndarray, attempt: int = 0, wish: str = ANY
 ) -> tuple[Stance, HandGoals, float] | None:
     """Plan a grasp of an object.
 
@@ -139,7 +138,7 @@ def plan_pick(
 
 def shelf_grasps(
     shape: ObjectShape,
-    pose: Array,
+    pose: np.ndarray,
     scene: Scene,
     inward: tuple[float, float],
     around: Boxes,
@@ -169,7 +168,9 @@ def shelf_grasps(
     return found
 
 
-def plan_inside(view: WorldView, obj: str, failed: Array) -> tuple[Stance, HandGoals, float] | None:
+def plan_inside(
+    view: WorldView, obj: str, failed: np.ndarray
+) -> tuple[Stance, HandGoals, float] | None:
     """Like `plan_pick` for an object on a shelf after a push: the grasp with the fewest control steps until the arm is
     at rest again."""
     pose = view.object_pose(obj)
@@ -219,7 +220,7 @@ def _cost(view: WorldView, found: tuple[Stance, HandGoals, float]) -> float:
     return steps + home + 1e4 * max(-stance.route.room, 0.0)
 
 
-def balanced(grasps: Grasps, centre: Array) -> Grasps:
+def balanced(grasps: Grasps, centre: np.ndarray) -> Grasps:
     """Grasps with scores reduced by the lateral distance of the object's ``centre`` (3,) from the pads, best first."""
     aside = np.abs(np.einsum("gj,gj->g", centre - grasps.pos, grasps.rot[:, :, 2]))
     score = grasps.score - OFFSET_PRICE_PER_M * np.maximum(aside - FREE_OFFSET_M, 0.0)
@@ -235,7 +236,7 @@ def scene_of(view: WorldView, obj: str) -> Scene:
     return Scene(near, target, support, view.robot)
 
 
-def direction_to(view: WorldView, pose: Array) -> tuple[float, float]:
+def direction_to(view: WorldView, pose: np.ndarray) -> tuple[float, float]:
     """Level unit vector from the robot to an object at ``pose`` (7,)."""
     way = pose[:2] - view.base[:2]
     x, y = way / max(float(np.linalg.norm(way)), 1e-6)
@@ -249,7 +250,7 @@ def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
     return (0.0, depth) if attempt else (depth, 0.0)
 
 
-def height_below(shape: ObjectShape, rot: Array) -> float:
+def height_below(shape: ObjectShape, rot: np.ndarray) -> float:
     """Distance [m] from the centre of an object with rotation ``rot`` (3, 3) down to its lowest point."""
     up = np.abs(rot[2])
     half = np.array(shape.half)

@@ -51,7 +51,6 @@ from mjhab.experts.skills.pick_plans import height_below
 from mjhab.experts.style import style_of, wait_for
 from mjhab.tasks.style import DROP as DROP_IT
 
-Array = np.ndarray
 DROP_HEIGHT_M = 0.006
 """Height above the surface at which an object is released."""
 ABOVE_M = 0.10
@@ -125,7 +124,7 @@ def place(view: WorldView) -> Motion:
         yield from _rest(view)
 
 
-def _bring(view: WorldView, obj: str, goal: Array) -> Motion:
+def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
     """Place the held object at ``goal`` (3,) [m]. Returns whether the hand has released it."""
     style = style_of(view)
     failed = np.zeros((0, 3))
@@ -196,7 +195,7 @@ class Attempt:
     """
 
     number: int
-    failed: Array
+    failed: np.ndarray
     drop: float = 0.0
     hurry: bool = False
 
@@ -216,7 +215,7 @@ class Release:
     drop: float = 0.0
 
 
-def plan_place(view: WorldView, obj: str, goal: Array, attempt: Attempt) -> Found | None:
+def plan_place(view: WorldView, obj: str, goal: np.ndarray, attempt: Attempt) -> Found | None:
     """Plan how to place an object near ``goal`` (3,) [m].
 
     Returns:
@@ -257,7 +256,7 @@ def plan_place(view: WorldView, obj: str, goal: Array, attempt: Attempt) -> Foun
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
-def roomy(view: WorldView, obj: str, goal: Array, near: Boxes, release: Release) -> HandGoals:
+def roomy(view: WorldView, obj: str, goal: np.ndarray, near: Boxes, release: Release) -> HandGoals:
     """Those of the `hand_goals` at which the hand is clear of the boxes ``near``."""
     goals = hand_goals(view, obj, goal, release)
     return goals.take(
@@ -267,7 +266,7 @@ def roomy(view: WorldView, obj: str, goal: Array, near: Boxes, release: Release)
     )
 
 
-def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> HandGoals:
+def hand_goals(view: WorldView, obj: str, goal: np.ndarray, release: Release) -> HandGoals:
     """Compute hand poses that release the held object near its goal, from its present pose relative to the hand.
 
     Args:
@@ -328,7 +327,7 @@ def hand_goals(view: WorldView, obj: str, goal: Array, release: Release) -> Hand
     return HandGoals(at, np.array(rot), pre, width, np.array(score))
 
 
-def _sides(every: bool) -> list[tuple[Array, float]]:
+def _sides(every: bool) -> list[tuple[np.ndarray, float]]:
     """Rotations (3, 3) of an object onto its sides, with the score they lose: upright, with ``every`` all."""
     sides = [(np.eye(3), 0.0)]
     if every:
@@ -338,7 +337,7 @@ def _sides(every: bool) -> list[tuple[Array, float]]:
     return sides
 
 
-def _on_surface(view: WorldView, goal: Array, xy: Array) -> bool:
+def _on_surface(view: WorldView, goal: np.ndarray, xy: np.ndarray) -> bool:
     """Whether ``xy`` (2,) lies on the receptacle that ``goal`` (3,) is on."""
     for place in view.home.receptacles:
         level = -0.05 < goal[2] - place.pos[2] < 0.25
@@ -406,7 +405,9 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
     return bool(view.signal("at_goal"))
 
 
-def _beside(view: WorldView, stance: Stance, goals: HandGoals) -> tuple[Array, Array, Array]:
+def _beside(
+    view: WorldView, stance: Stance, goals: HandGoals
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Planned arm postures at the present base pose, for a base that stands beside its stance.
 
     Returns:

@@ -23,7 +23,6 @@ from mjhab.experts.skills.by_rule import (
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import RULE
 
-Array = np.ndarray
 DOWN = np.array([0.0, 0.0, -1.0])
 AT_GOAL_M = 0.012
 AT_GOAL_RAD = 0.12
@@ -75,14 +74,14 @@ def place_by_rule(view: WorldView) -> Motion:
     return False
 
 
-def _away(view: WorldView, funnel: Funnel, held: bool) -> Array:
+def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
     """Action (A,) that opens the fingers while the object is ``held``, then moves the hand back along its axis."""
     here, rot = motion.tcp(view)
     aim = funnel.pos if held else here - AWAY_STEP_M * rot[:, 0]
     return move_hand(view, aim, rot, motion.OPEN, (0.0, 0.0), funnel.ready)
 
 
-def plan(view: WorldView, obj: str, goal: Array) -> tuple[Stance, Funnel] | None:
+def plan(view: WorldView, obj: str, goal: np.ndarray) -> tuple[Stance, Funnel] | None:
     """Choose a stance and a release pose for an object at ``goal`` (3,) [m]; None on shelves and if none is found."""
     if inside_depth(view, goal):
         return None

@@ -24,7 +24,6 @@ _MIN_FACE_AREA_M2 = 0.01
 """Smaller faces are left out."""
 MATERIAL = "wall_white"
 
-Array = np.ndarray
 Extent = tuple[float, float, float, float]
 
 
@@ -36,14 +35,14 @@ class Face:
     direction of the normal rotated by +90 deg about z [m]. z: vertical extent [m].
     """
 
-    normal: Array
+    normal: np.ndarray
     offset: float
     u: tuple[float, float]
     z: tuple[float, float]
 
 
 def stage_shape(
-    path: Path, rotation: Array | None = None, shift: Array | None = None
+    path: Path, rotation: np.ndarray | None = None, shift: np.ndarray | None = None
 ) -> tuple[tuple[Geom, ...], Extent]:
     """Compute walls and floor extent of a stage mesh, in our world axes.
 
@@ -70,7 +69,7 @@ def stage_shape(
     return walls, (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def wall_faces(triangles: Array) -> list[Face]:
+def wall_faces(triangles: np.ndarray) -> list[Face]:
     """Compute vertical rectangles that cover the vertical ones of the triangles (T, 3, 3) [m]."""
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(normal, axis=1)
@@ -93,7 +92,7 @@ def wall_faces(triangles: Array) -> list[Face]:
     return faces
 
 
-def _rectangles(triangles: Array, normal: Array, offset: float) -> list[Face]:
+def _rectangles(triangles: np.ndarray, normal: np.ndarray, offset: float) -> list[Face]:
     """Rectangles that cover the union of triangles of one plane: cells of the grid of all corners, merged."""
     along = np.array([-normal[1], normal[0]])
     flat = np.stack([triangles[:, :, :2] @ along, triangles[:, :, 2]], axis=-1)
@@ -118,7 +117,7 @@ def _rectangles(triangles: Array, normal: Array, offset: float) -> list[Face]:
     return out
 
 
-def _lines(values: Array) -> Array:
+def _lines(values: np.ndarray) -> np.ndarray:
     """Sorted distinct values (n,); of values closer than `_GRID_STEP_M` the smallest is kept."""
     ordered = np.unique(values.round(4))
     keep = [float(ordered[0])]
@@ -128,7 +127,7 @@ def _lines(values: Array) -> Array:
     return np.array(keep)
 
 
-def _inside(points: Array, corners: Array) -> Array:
+def _inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Which points (..., 2) lie in a triangle (3, 2)."""
     a = corners
     b = np.roll(corners, -1, axis=0)
@@ -138,7 +137,7 @@ def _inside(points: Array, corners: Array) -> Array:
     return np.all(side >= -1e-9, axis=-1) | np.all(side <= 1e-9, axis=-1)
 
 
-def merge_cells(filled: Array) -> list[tuple[int, int, int, int]]:
+def merge_cells(filled: np.ndarray) -> list[tuple[int, int, int, int]]:
     """Partition the True cells of a mask (R, C) into rectangles (i0, i1, j0, j1), ends excluded."""
     out: list[tuple[int, int, int, int]] = []
     going: dict[tuple[int, int], int] = {}

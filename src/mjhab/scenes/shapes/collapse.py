@@ -12,7 +12,6 @@ import numpy as np
 
 from mjhab.scenes.shapes.simplify import Simplified
 
-Array = np.ndarray
 MAX_ROUNDS = 400
 ROUND_SHARE = 0.25
 """Only the cheapest edges collapse in a round; their fraction of all edges."""
@@ -29,8 +28,8 @@ SLIVER_SHARE = 1e-3
 
 
 def collapse(
-    vertices: Array, faces: Array, targets: Sequence[int]
-) -> list[tuple[Simplified, Array]]:
+    vertices: np.ndarray, faces: np.ndarray, targets: Sequence[int]
+) -> list[tuple[Simplified, np.ndarray]]:
     """Collapse edges of a triangle mesh down to a series of face counts.
 
     Args:
@@ -61,7 +60,7 @@ class _Mesh:
     remaining faces. source (f,): their index in the original mesh. quadric (V, 4, 4): error quadrics.
     """
 
-    def __init__(self, vertices: Array, faces: Array) -> None:
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self.place = vertices.copy()
         self.merged = np.arange(len(vertices))
         whole = (faces != np.roll(faces, 1, 1)).all(axis=1)
@@ -95,7 +94,7 @@ class _Mesh:
         self._apply(ends[kept], place[kept])
         return True
 
-    def _merge(self, ends: Array) -> tuple[Array, Array]:
+    def _merge(self, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Best position (e, 3) of the vertex that each edge (e, 2) would collapse to, and its cost (e,)."""
         quadric = self.quadric[ends].sum(axis=1)
         middle = self.place[ends].mean(axis=1)
@@ -113,7 +112,7 @@ class _Mesh:
         cost = np.einsum("ei,eij,ej->e", point, quadric, point)
         return place, np.maximum(cost, 0.0) + 1e-6 * weight * length**2
 
-    def _cheapest_near(self, ends: Array, rank: Array) -> Array:
+    def _cheapest_near(self, ends: np.ndarray, rank: np.ndarray) -> np.ndarray:
         """Lowest rank (e,) of the edges at the vertices of all faces that touch each edge."""
         count = len(self.place)
         at_vertex = np.full(count, len(rank), np.int64)
@@ -123,7 +122,7 @@ class _Mesh:
         np.minimum.at(near, self.faces.ravel(), np.repeat(at_face, 3))
         return near[ends].min(axis=1)
 
-    def _turns(self, ends: Array, place: Array) -> Array:
+    def _turns(self, ends: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Whether each collapse (c,) of edges (c, 2) to ``place`` (c, 3) turns a face beyond `MIN_TURN_COS`."""
         owner = np.full(len(self.place), -1)
         owner[ends] = np.arange(len(ends))[:, None]
@@ -144,7 +143,7 @@ class _Mesh:
         bad[whose[(along < MIN_TURN_COS * size) & ~gone & ~thin]] = True
         return bad
 
-    def _apply(self, ends: Array, place: Array) -> None:
+    def _apply(self, ends: np.ndarray, place: np.ndarray) -> None:
         keep = ends[:, 0]
         drop = ends[:, 1]
         self.place[keep] = place
@@ -157,7 +156,7 @@ class _Mesh:
         self.faces = faces[left]
         self.source = self.source[left]
 
-    def compact(self) -> tuple[Simplified, Array]:
+    def compact(self) -> tuple[Simplified, np.ndarray]:
         used, index = np.unique(self.faces, return_inverse=True)
         number = np.full(len(self.place), -1)
         number[used] = np.arange(len(used))
@@ -165,17 +164,17 @@ class _Mesh:
         return Simplified(self.place[used], faces, self.source.copy()), number[self.merged]
 
 
-def _edges(faces: Array) -> Array:
+def _edges(faces: np.ndarray) -> np.ndarray:
     """Vertices (3 F, 2) of the edges of faces (F, 3), the lower index first."""
     return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
 
 
-def _normals(corners: Array) -> Array:
+def _normals(corners: np.ndarray) -> np.ndarray:
     """Normals (f, 3) of triangles (f, 3, 3); their length is twice the area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def _quadrics(vertices: Array, faces: Array) -> Array:
+def _quadrics(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Error quadrics (V, 4, 4): area-weighted squared distances to the planes of the faces at each vertex."""
     corners = vertices[faces]
     normal = _normals(corners)
@@ -193,14 +192,16 @@ def _quadrics(vertices: Array, faces: Array) -> Array:
     return result
 
 
-def _add_planes(quadric: Array, at: Array, unit: Array, point: Array, weight: Array) -> None:
+def _add_planes(
+    quadric: np.ndarray, at: np.ndarray, unit: np.ndarray, point: np.ndarray, weight: np.ndarray
+) -> None:
     plane = np.concatenate([unit, -np.einsum("fi,fi->f", unit, point)[:, None]], axis=1)
     outer = weight[:, None, None] * plane[:, :, None] * plane[:, None, :]
     for k in range(at.shape[1]):
         np.add.at(quadric, at[:, k], outer)
 
 
-def distance_to_faces(points: Array, corners: Array) -> Array:
+def distance_to_faces(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Compute the distance (n,) of each point (n, 3) to the corresponding triangle (n, 3, 3)."""
     a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)

@@ -12,7 +12,6 @@ from mjhab.scenes.formats.gltf import Primitive
 from mjhab.scenes.shapes.colors import linear_to_srgb
 from mjhab.scenes.shapes.meshes import Mesh
 
-Array = np.ndarray
 TEXELS_PER_M = 1500.0
 """Largest density of texels on a surface [1/m], 0.7 mm each, as fine as the print on a carton."""
 
@@ -26,9 +25,9 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
     Returns:
         The mesh; faces of open surfaces, whose back is visible, are duplicated with opposite orientation.
     """
-    columns: list[tuple[Array, ...]] = []
+    columns: list[tuple[np.ndarray, ...]] = []
     images: dict[int, int] = {}
-    textures: list[Array] = []
+    textures: list[np.ndarray] = []
     start = 0
     for part in parts:
         faces = part.faces.astype(np.int64)
@@ -60,7 +59,7 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
     )
 
 
-def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
+def fit_texture(image: np.ndarray, corners: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Halve an image until its density on the triangles that show it is at most `TEXELS_PER_M`.
 
     Args:
@@ -83,12 +82,12 @@ def fit_texture(image: Array, corners: Array, uv: Array) -> Array:
     return image
 
 
-def _near_zero(uv: Array) -> Array:
+def _near_zero(uv: np.ndarray) -> np.ndarray:
     """Texture coordinates (F, 3, 2) shifted per face by whole periods towards 0, for the precision of float32."""
     return uv - np.floor(uv.min(axis=1, keepdims=True))
 
 
-def _open_faces(points: Array, faces: Array) -> Array:
+def _open_faces(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces (n,) of connected components with a border, whose back is visible."""
     # Vertices at the same position count as one, because texture seams split them.
     weld = np.unique(np.round(points, 5), axis=0, return_inverse=True)[1].reshape(-1)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Array = np.ndarray
 _CELL_SHARES = (0.25, 0.005)
 """Edges of the coarsest and the finest cell, as fractions of the largest extent of the mesh."""
 _BISECTIONS = 9
@@ -19,12 +18,12 @@ class Simplified:
     """A mesh with fewer faces: ``vertices`` (v, 3), ``faces`` (f, 3); ``source`` (f,): face of the original mesh that
     each face comes from, with its corners in the same order."""
 
-    vertices: Array
-    faces: Array
-    source: Array
+    vertices: np.ndarray
+    faces: np.ndarray
+    source: np.ndarray
 
 
-def simplify(vertices: Array, faces: Array, max_faces: int) -> Simplified:
+def simplify(vertices: np.ndarray, faces: np.ndarray, max_faces: int) -> Simplified:
     """Merge the vertices of a triangle mesh in the cells of a grid, with the finest grid that meets a face budget.
 
     Vertices whose normals are nearest to different axis directions are never merged, so that both sides of a thin wall
@@ -57,7 +56,7 @@ def simplify(vertices: Array, faces: Array, max_faces: int) -> Simplified:
     return Simplified(_merged(vertices, faces, label), label[faces[source]], source)
 
 
-def _sides(vertices: Array, faces: Array) -> Array:
+def _sides(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(V,) index 0..5 of the axis direction nearest to the normal of each vertex."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.zeros_like(vertices)
@@ -67,7 +66,9 @@ def _sides(vertices: Array, faces: Array) -> Array:
     return 2 * axis + (np.take_along_axis(normal, axis[:, None], 1)[:, 0] > 0)
 
 
-def _cluster(vertices: Array, faces: Array, side: Array, cell: float) -> tuple[Array, Array]:
+def _cluster(
+    vertices: np.ndarray, faces: np.ndarray, side: np.ndarray, cell: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Cluster (V,) of every vertex; faces (f,) whose corners are in three clusters, without duplicates."""
     grid = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     width = grid.max(axis=0) + 1
@@ -87,7 +88,7 @@ def _cluster(vertices: Array, faces: Array, side: Array, cell: float) -> tuple[A
     return label, kept[first]
 
 
-def _merged(vertices: Array, faces: Array, label: Array) -> Array:
+def _merged(vertices: np.ndarray, faces: np.ndarray, label: np.ndarray) -> np.ndarray:
     """Position (v, 3) of every cluster: the point of least quadric error to the planes of its faces."""
     count = int(label.max()) + 1
     share = np.bincount(label, minlength=count)

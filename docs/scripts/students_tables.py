@@ -58,10 +58,11 @@ def seed_table() -> str:
     """One line per student that was trained with several seeds."""
     found: dict[tuple[str, ...], dict[int, dict[str, Any]]] = {}
     for row in sorted(read("students")["rows"], key=place_of):
-        name = tuple(str(row[key]) for key in ("task", "subtask", "target", "image_size", "assets"))
+        keys = ("task", "subtask", "target", "image_size", "assets", "preset")
+        name = tuple(str(row[key]) for key in keys)
         found.setdefault(name, {})[row["seed"]] = row["evaluation"]
     lines = []
-    for (task, subtask, target, size, assets), seeds in found.items():
+    for (task, subtask, target, size, assets, _), seeds in found.items():
         if len(seeds) < 2:
             continue
         rates = [seeds[seed]["success_once"] for seed in sorted(seeds)]

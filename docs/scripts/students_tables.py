@@ -57,8 +57,8 @@ def student_table(assets: str) -> str:
 def seed_table() -> str:
     """One line per student that was trained with several seeds."""
     found: dict[tuple[str, ...], dict[int, dict[str, Any]]] = {}
+    keys = ("task", "subtask", "target", "image_size", "assets", "preset")
     for row in sorted(read("students")["rows"], key=place_of):
-        keys = ("task", "subtask", "target", "image_size", "assets", "preset")
         name = tuple(str(row[key]) for key in keys)
         found.setdefault(name, {})[row["seed"]] = row["evaluation"]
     lines = []

@@ -230,6 +230,11 @@ def test_demonstrations_do_not_end_with_success() -> None:
         changed(reinforcement_preset("rlpd", "demos"), {"success_ends": True})
 
 
+def test_a_wrong_stillness_lists_the_names() -> None:
+    with pytest.raises(UsageError, match="stillness"):
+        changed(reinforcement_preset("ppo", "polish"), {"stillness": "still"})
+
+
 def test_the_spread_depends_on_what_is_seen() -> None:
     config = changed(PPO_TOY, {"state_std": True, "initial_std": 0.3})
     agent = Ppo(config, LAYOUT, 0, seed=0)

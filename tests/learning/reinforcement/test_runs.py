@@ -215,9 +215,12 @@ def test_the_student_is_the_best_evaluated_actor(
     assert result.summary["samples"] == 48 and next(rates, None) is None
 
 
-def test_a_training_horizon_may_be_longer_than_that_of_the_profile(tmp_path: Path) -> None:
-    polishing = dataclasses.replace(TINY, horizon=200, reward_mode="sparse", success_ends=True)
+def test_horizon_and_stillness_of_training_may_differ_from_the_profile(tmp_path: Path) -> None:
+    polishing = dataclasses.replace(
+        TINY, horizon=200, reward_mode="sparse", success_ends=True, stillness="absolute"
+    )
     with sessions.open_reinforcement(request(polishing), tmp_path) as session:
+        assert session.env.task_config.stillness == "absolute"
         assert session.env.task_config.limits["close"].horizon == 200
         assert session.env.config.reward_mode == "sparse"
         assert session.layout.profile == "ms_hab"

@@ -24,6 +24,7 @@ from mjhab.learning.configs import (
     StudentConfig,
     find_preset,
 )
+from mjhab.tasks.thresholds import STILLNESS
 
 PPO = "ppo"
 SAC = "sac"
@@ -156,6 +157,9 @@ class ReinforcementConfig:
     reward_mode: of the training environment, see `EnvConfig`. success_ends: a training episode terminates at its first
     success. With reward_mode "sparse", which pays 1 per control step in success, the return is then gamma to the power
     of the control steps until success.
+    stillness: of training episodes, see `TaskConfig.stillness`; "" takes that of the profile. Where a joint that moves
+    backwards counts as still ("published"), PPO learns to succeed while it moves so, and the policy does not come to
+    rest.
     checkpoint_samples: samples between checkpoints. At a checkpoint all worlds start new episodes, so that a resumed
     run gives the same result as an uninterrupted one. eval_samples: samples between evaluations.
     """
@@ -176,6 +180,7 @@ class ReinforcementConfig:
     force_cost: float = 0.0
     reward_mode: str = TrainEnvConfig.reward_mode
     success_ends: bool = False
+    stillness: str = ""
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
 
@@ -186,6 +191,8 @@ class ReinforcementConfig:
             raise UsageError(
                 "success_ends does not fit rlpd, whose demonstrations go on after success; take ppo or sac."
             )
+        if self.stillness and self.stillness not in STILLNESS:
+            raise unknown_name("stillness", self.stillness, STILLNESS)
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
         if self.ppo is not None:
@@ -419,6 +426,7 @@ PRESETS: dict[str, dict[str, ReinforcementConfig]] = {
             force_cost=0.0,
             reward_mode="sparse",
             success_ends=True,
+            stillness="absolute",
             checkpoint_samples=50_000,
             eval_samples=100_000,
         ),

@@ -16,12 +16,12 @@ def training_env(
 ) -> Any:
     """Make the training environment, without automatic resets.
 
-    ``more`` are further options of `make_train`; a horizon may differ from that of the profile.
+    ``more`` are further options of `make_train`; horizon and stillness may differ from those of the profile.
     """
     from mjhab.envs import make_train
 
     options = scene.env_options() | image_options(inputs)
-    if more.get("horizon"):
+    if more.get("horizon") or more.get("stillness"):
         options = unbound(options, scene.subtask, trains=True)
     options |= more
     return make_train(**options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled")

@@ -193,6 +193,7 @@ class ReinforcementSession:
             "horizon": self.config.horizon,
             "episode_pool": self.config.episode_pool,
             "reward_mode": self.config.reward_mode,
+            "stillness": self.config.stillness,
         }
         if SUBTASKS[self.request.scene.subtask].navigates:
             del options["horizon"]
@@ -208,7 +209,9 @@ class ReinforcementSession:
 
         target = self.request.scene.target
         targets = (target,) if target else tuple(valid_targets(self.env.config, self.env.layout))
-        return layout_of(self.env, self.config.inputs, targets)
+        layout = layout_of(self.env, self.config.inputs, targets)
+        # Training episodes may be of another stillness, by which the environment's profile is not recognised.
+        return dataclasses.replace(layout, profile=self.request.scene.profile or layout.profile)
 
     # -- progress -----------------------------------------------------------------------------------------------------
 

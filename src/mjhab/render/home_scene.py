@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -19,7 +19,6 @@ from mjhab.render.primitives import box_mesh
 from mjhab.render.raster.arrays import DIVERGED_BEYOND_M
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.render_scene import RenderScene
-from mjhab.robots.parts import CameraMount
 from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Home, Placement
@@ -54,6 +53,16 @@ class BodyPoses(Protocol):
     def body_mat(self) -> Any:
         """(W, B, 3, 3) rotation matrices from body to world."""
         ...
+
+
+class _Mounts(NamedTuple):
+    """Places of C robot cameras: body ids (C,), positions (C, 3) [m] and rotations (C, 3, 3) on these bodies, and
+    vertical fields of view (C,) [rad]."""
+
+    bodies: np.ndarray
+    pos: np.ndarray
+    mat: np.ndarray
+    fovy: np.ndarray
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
@@ -153,6 +162,7 @@ class HomeRenderer:
         self.rasterizer = Rasterizer(self.scene, num_threads)
         self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
         self._follow = FollowCamera(sim.model)
+        self._mounts: dict[tuple[str, ...], _Mounts] = {}
 
     def robot_views(
         self,
@@ -181,7 +191,7 @@ class HomeRenderer:
         """
         height, width = (size, size) if isinstance(size, int) else size
         index = np.array([self._home_index[h] for h in homes])
-        fovy = [mount.fovy for mount in self._cameras(cameras)]
+        fovy = self._mounts_of(cameras).fovy
         pos, mat = self.camera_poses(state, cameras)
         # NaN fails the comparison. It must not reach the kernels, which have no bounds checks.
         sane = (np.abs(state.body_pos) < DIVERGED_BEYOND_M).all((1, 2)) & (
@@ -221,17 +231,24 @@ class HomeRenderer:
         Raises:
             UsageError: unknown camera.
         """
-        mounts = self._cameras(cameras)
-        bodies = np.array([self._model.body(mount.body).id for mount in mounts])
-        mat = state.body_mat[:, bodies]
-        place = np.array([mount.pos for mount in mounts])
-        turn = mat_from_quat(np.array([mount.quat for mount in mounts]))
-        pos = state.body_pos[:, bodies] + np.einsum("wcij,cj->wci", mat, place)
-        return pos, mat @ turn
+        mounts = self._mounts_of(cameras)
+        mat = state.body_mat[:, mounts.bodies]
+        pos = state.body_pos[:, mounts.bodies] + np.einsum("wcij,cj->wci", mat, mounts.pos)
+        return pos, mat @ mounts.mat
 
-    def _cameras(self, names: Sequence[str] | None) -> list[CameraMount]:
+    def _mounts_of(self, names: Sequence[str] | None) -> _Mounts:
+        """Places of the named robot cameras, of all for None; looked up once, because that costs more than a pose."""
         robot = self.layout.robot
-        return [robot.camera(name) for name in (robot.camera_names if names is None else names)]
+        key = tuple(robot.camera_names if names is None else names)
+        if key not in self._mounts:
+            cameras = [robot.camera(name) for name in key]
+            self._mounts[key] = _Mounts(
+                np.array([self._model.body(camera.body).id for camera in cameras]),
+                np.array([camera.pos for camera in cameras]),
+                mat_from_quat(np.array([camera.quat for camera in cameras])),
+                np.array([camera.fovy for camera in cameras]),
+            )
+        return self._mounts[key]
 
     def follow_view(
         self, state: SimState, home: str, world: int, width: int, height: int

@@ -136,16 +136,29 @@ def _cloud_rows(robot: Robot, points: int) -> list[ObsEntry]:
 
 
 def _image(views: Views, index: int, output: str) -> Array:
-    image = views.images[output][:, index]
+    images = views.images[output]
     if output == "rgb":
-        return image
+        return images[:, index]
     if output == "seg":
-        return image[..., None]
-    xp = namespace(image)
-    mm = image * DEPTH_SCALE
+        return images[:, index, ..., None]
+    return _millimetres(images, index)[..., None]
+
+
+def _millimetres(images: Array, index: int) -> Array:
+    """Depth of one camera as int16 [mm], from the images (W, C, h, w) [m] of all."""
+    if isinstance(images, np.ndarray):
+        from mjhab.core.kernels.integers import scaled_int16  # loads numba, as drawing has
+
+        worlds, _, height, width = images.shape
+        found = np.empty((worlds, height, width), np.int16)
+        whole = np.ascontiguousarray(images)
+        scaled_int16(whole, index, np.float32(DEPTH_SCALE), np.float32(DEPTH_MAX), found)
+        return found
+    xp = namespace(images)
+    mm = images[:, index] * DEPTH_SCALE
     xp.round(mm, out=mm)
     xp.minimum(mm, constant((float(DEPTH_MAX),), mm), out=mm)
-    return xp.astype(mm, xp.int16)[..., None]
+    return xp.astype(mm, xp.int16)
 
 
 def _intrinsic_cv(views: Views, index: int) -> Array:

@@ -226,6 +226,13 @@ def test_horizon_and_stillness_of_training_may_differ_from_the_profile(tmp_path:
         assert session.layout.profile == "ms_hab"
 
 
+def test_a_stillness_of_the_command_goes_before_that_of_the_preset(tmp_path: Path) -> None:
+    told = request(dataclasses.replace(TINY, stillness="absolute"))
+    told = dataclasses.replace(told, scene=dataclasses.replace(told.scene, stillness="published"))
+    with sessions.open_reinforcement(told, tmp_path) as session:
+        assert session.env.task_config.stillness == "published"
+
+
 def test_the_split_told_is_that_of_the_episodes_behind_the_rate(tmp_path: Path) -> None:
     told = dataclasses.replace(
         request(dataclasses.replace(TINY, samples=16)), round_episodes=1, eval_split="val"

@@ -18,6 +18,7 @@ def scaled_int16(
     worlds, height, width = out.shape
     for world in range(worlds):
         for row in range(height):
+            # Unsigned: without a test for negative indices the loop is vectorised.
             for column in range(np.uint64(width)):
                 scaled = min(images[world, camera, row, column] * scale, most)
                 out[world, row, column] = np.int16(np.int32(np.rint(scaled)))

@@ -157,9 +157,9 @@ class ReinforcementConfig:
     reward_mode: of the training environment, see `EnvConfig`. success_ends: a training episode terminates at its first
     success. With reward_mode "sparse", which pays 1 per control step in success, the return is then gamma to the power
     of the control steps until success.
-    stillness: of training episodes, see `TaskConfig.stillness`; "" takes that of the profile. Where a joint that moves
-    backwards counts as still ("published"), PPO learns to succeed while it moves so, and the policy does not come to
-    rest.
+    stillness: of training episodes, see `TaskConfig.stillness`; "" takes that of the profile. That of the scene, if it
+    names one, goes before. Where a joint that moves backwards counts as still ("published"), PPO learns to succeed
+    while it moves so, and the policy does not come to rest. Evaluations during the run keep that of the profile.
     checkpoint_samples: samples between checkpoints. At a checkpoint all worlds start new episodes, so that a resumed
     run gives the same result as an uninterrupted one. eval_samples: samples between evaluations.
     """

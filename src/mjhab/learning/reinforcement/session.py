@@ -193,7 +193,7 @@ class ReinforcementSession:
             "horizon": self.config.horizon,
             "episode_pool": self.config.episode_pool,
             "reward_mode": self.config.reward_mode,
-            "stillness": self.config.stillness,
+            "stillness": self.request.scene.stillness or self.config.stillness,
         }
         if SUBTASKS[self.request.scene.subtask].navigates:
             del options["horizon"]

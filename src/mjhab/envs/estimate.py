@@ -11,7 +11,7 @@ from mjhab.envs.parts.memory import Need, WorldPictures, available_mb, device_ne
 
 
 @dataclass(frozen=True)
-class Room:
+class WorldMemory:
     """Memory of worlds on one backend.
 
     Attributes:
@@ -50,7 +50,7 @@ class Room:
         }
 
 
-def rooms(obs_mode: str = "state", camera_size: int = 128) -> list[Room]:
+def world_memory(obs_mode: str = "state", camera_size: int = 128) -> list[WorldMemory]:
     """Estimate the memory of worlds on the cpu backend and on the first GPU.
 
     Args:
@@ -62,8 +62,8 @@ def rooms(obs_mode: str = "state", camera_size: int = 128) -> list[Room]:
     """
     pictures = WorldPictures(obs_mode, camera_size)
     return [
-        Room("cpu", "this machine", host_need(pictures), available_mb()),
-        Room("warp", "the first GPU", device_need(pictures), gpu_free_mb()),
+        WorldMemory("cpu", "this machine", host_need(pictures), available_mb()),
+        WorldMemory("warp", "the first GPU", device_need(pictures), gpu_free_mb()),
     ]
 
 
@@ -83,5 +83,5 @@ def gpu_free_mb() -> float | None:
 def estimate_rows(
     num_envs: int, obs_mode: str = "state", camera_size: int = 128
 ) -> list[dict[str, Any]]:
-    """`Room.row` of every backend; see `rooms`."""
-    return [room.row(num_envs) for room in rooms(obs_mode, camera_size)]
+    """`WorldMemory.row` of every backend; see `world_memory`."""
+    return [memory.row(num_envs) for memory in world_memory(obs_mode, camera_size)]

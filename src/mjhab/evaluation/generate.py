@@ -26,7 +26,7 @@ from mjhab.data.record.generation import Job, Standing
 from mjhab.data.select.query import Filter, read_filter
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.data.store.reading import episodes as recorded_episodes
 from mjhab.envs.observations.modes import camera_names, image_size, mode_outputs
 from mjhab.episodes.starts import valid_targets
@@ -237,7 +237,7 @@ class GeneratedData:
             "seconds": round(self.seconds, 1),
         }
 
-    def episodes(self) -> Iterator[Episode]:
+    def episodes(self) -> Iterator[RecordedEpisode]:
         """Read the episodes of the data set, see `mjhab.data.store.reading.episodes`."""
         return recorded_episodes(self.path)
 

@@ -22,7 +22,7 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import first_of_targets, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import decode
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import Entry, Layout, compare_layouts, profile_of
 from mjhab.learning.runs.take_over import expert_steps
@@ -191,7 +191,9 @@ def _goals(records: Iterable[EpisodeRecord]) -> set[tuple[str, str]]:
     return {(entry.kind, kind_of(entry.target)) for record in records for entry in record.plan}
 
 
-def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:
+def entries_of(
+    episode: RecordedEpisode,
+) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:
     """State, actions and control of a recorded episode, as in `Layout`.
 
     Raises:
@@ -211,7 +213,7 @@ def entries_of(episode: Episode) -> tuple[tuple[Entry, ...], tuple[str, ...], tu
     return tuple(episode.columns("obs/state").items()), actions, control
 
 
-def recorded_profile(episode: Episode) -> str:
+def recorded_profile(episode: RecordedEpisode) -> str:
     """The profile of a recorded episode, see `profile_of`."""
     return profile_of({**episode.run.options, **episode.run.config["env"]})
 
@@ -224,7 +226,7 @@ def nothing_to_learn() -> UsageError:
     )
 
 
-def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstrations:
+def read_episode(episode: RecordedEpisode, layout: Layout, hold_steps: int) -> Demonstrations:
     """Read one episode as Demonstrations.
 
     Raises:
@@ -247,7 +249,7 @@ def read_episode(episode: Episode, layout: Layout, hold_steps: int) -> Demonstra
     )
 
 
-def _check_layout(episode: Episode, layout: Layout) -> None:
+def _check_layout(episode: RecordedEpisode, layout: Layout) -> None:
     state, actions, control = entries_of(episode)
     wrong = compare_layouts(layout, state, actions, control)
     profile = recorded_profile(episode)
@@ -259,7 +261,7 @@ def _check_layout(episode: Episode, layout: Layout) -> None:
         )
 
 
-def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarray:
+def _vectors(episode: RecordedEpisode, layout: Layout, executed: np.ndarray) -> np.ndarray:
     """The student's inputs except images in every step, (N, D) float32."""
     steps = len(executed)
     parts = [episode.array("obs/state")[:steps]]
@@ -284,7 +286,7 @@ def _vectors(episode: Episode, layout: Layout, executed: np.ndarray) -> np.ndarr
     return np.concatenate(parts, axis=1, dtype=np.float32)
 
 
-def _sentences(episode: Episode, layout: Layout) -> Sequence[str]:
+def _sentences(episode: RecordedEpisode, layout: Layout) -> Sequence[str]:
     """The instruction of every subtask of the plan; "" if the student takes none.
 
     Raises:
@@ -302,7 +304,7 @@ def _sentences(episode: Episode, layout: Layout) -> Sequence[str]:
     return told
 
 
-def base_velocity_of(episode: Episode) -> np.ndarray:
+def base_velocity_of(episode: RecordedEpisode) -> np.ndarray:
     """Forward speed [m/s] and turning rate [rad/s] of the base (N+1, 2) float32, from the recorded states.
 
     Raises:
@@ -320,7 +322,7 @@ def base_velocity_of(episode: Episode) -> np.ndarray:
     return base_velocity(q, qd)
 
 
-def lacks_states(episode: Episode) -> bool:
+def lacks_states(episode: RecordedEpisode) -> bool:
     """Whether the episode was imported from data without states, from which nothing can be computed anew."""
     return "states/initial" in episode.run.absent
 
@@ -337,7 +339,7 @@ def base_velocity(q: Array, qd: Array) -> Array:
     return xp.astype(xp.stack([forward, qd[:, BASE_YAW]], axis=1), xp.float32)
 
 
-def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:
+def _images(episode: RecordedEpisode, layout: Layout, steps: int) -> np.ndarray:
     """Images (N, C, H, W) uint8 of the first ``steps`` states."""
     size = layout.inputs.image_size
     if not layout.image_keys:
@@ -360,7 +362,7 @@ def _images(episode: Episode, layout: Layout, steps: int) -> np.ndarray:
 
 
 def _no_images(
-    episode: Episode, layout: Layout, found: str, have: tuple[int, int] | None
+    episode: RecordedEpisode, layout: Layout, found: str, have: tuple[int, int] | None
 ) -> UsageError:
     """Make the error for images that are missing (``have`` None) or of another size (height, width) [px]."""
     size = layout.inputs.image_size

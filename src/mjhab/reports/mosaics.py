@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.rollout.films import FILM_FPS, Film
 
 OpenFilm = Callable[[Path, int], Film]
@@ -43,7 +43,7 @@ class Mosaic:
 def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic | None:
     """A film of the first MOST episodes (shard, name) that have images; None if none has images."""
     with ExitStack() as stack:
-        shown: list[tuple[Episode, str, str]] = []
+        shown: list[tuple[RecordedEpisode, str, str]] = []
         for path, name in members:
             episode = stack.enter_context(open_shard(path)).episode(name)
             image = _best(episode)
@@ -70,7 +70,7 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
         )
 
 
-def _best(episode: Episode) -> tuple[str, str] | None:
+def _best(episode: RecordedEpisode) -> tuple[str, str] | None:
     """Camera and output to show: colour before depth; follow camera before head camera before hand camera."""
     shown = [image for image in episode.images if image[1] in ("rgb", "depth")]
     return min(shown, key=lambda image: (image[1] != "rgb", _place(image[0]), image), default=None)
@@ -81,7 +81,7 @@ def _place(camera: str) -> int:
     return 0 if camera == "follow" else 1 if camera.endswith(HEAD_CAMERA) else 2
 
 
-def _tile(episode: Episode, camera: str, output: str, t: int) -> np.ndarray:
+def _tile(episode: RecordedEpisode, camera: str, output: str, t: int) -> np.ndarray:
     """One image (TILE, TILE, 3); after its end an episode shows its last image."""
     image = episode.frame(camera, output, min(t, episode.steps))
     if output == "depth":

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from mjhab.bench.experts import run as bench_experts
-from mjhab.bench.experts.rows import ALL, Episode, Row, make_rows, result_of, together
+from mjhab.bench.experts.rows import ALL, MeasuredEpisode, Row, make_rows, result_of, together
 from mjhab.cli.main import main
 from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.core.errors import MjhabError
@@ -39,7 +39,7 @@ COMMAND = (
     "1",
 )
 ROW = Row("builtin", "builtin", "tidy_house", "pick", "003_cracker_box", "", 4)
-EPISODE = Episode(
+EPISODE = MeasuredEpisode(
     0, "h", "pick", "straightforward_success", True, True, 100.0, 200.0, 50.0, 200, 1, 1, ()
 )
 FAILED = replace(
@@ -268,8 +268,8 @@ def test_force_counts_up_to_the_first_success() -> None:
         False,
         "",
     )
-    assert Episode.of(record).force_to_success == 60.0 and Episode.of(record).gentle
-    lost = Episode.of(replace(record, success_once=False, events=()))
+    assert MeasuredEpisode.of(record).force_to_success == 60.0 and MeasuredEpisode.of(record).gentle
+    lost = MeasuredEpisode.of(replace(record, success_once=False, events=()))
     assert lost.force_to_success is None and not lost.gentle and lost.label == ""
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from mjhab.cli.main import INTERRUPTED, OK, USAGE, main
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
@@ -65,20 +65,20 @@ def test_a_stopped_export_goes_on(
     number: signal.Signals,
     request: pytest.FixtureRequest,
 ) -> None:
-    real = Episode.array
+    real = RecordedEpisode.array
     left = [10]
     # A shell's background job, as tests may be, ignores Ctrl-C from its start.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
 
-    def array(self: Episode, path: str) -> Any:
+    def array(self: RecordedEpisode, path: str) -> Any:
         left[0] -= 1
         if left[0] == 0:
             signal.raise_signal(number)
         return real(self, path)
 
     command = ["export", format, str(shard), "--out", str(tmp_path / "set")]
-    monkeypatch.setattr(Episode, "array", array)
+    monkeypatch.setattr(RecordedEpisode, "array", array)
     assert (
         main(command) == INTERRUPTED
         and "The same command with --resume continues" in capsys.readouterr().err

@@ -89,9 +89,9 @@ def test_estimate_grows_with_worlds_and_pictures(monkeypatch: pytest.MonkeyPatch
         )
         assert a["most"] > b["most"] > c["most"] and a["fits"]
     # The number named fits, one more does not.
-    room = estimate.rooms("rgbd")[1]
-    assert room.most is not None
-    assert room.need.total_mb(room.most) <= 8_000.0 < room.need.total_mb(room.most + 1)
+    memory = estimate.world_memory("rgbd")[1]
+    assert memory.most is not None
+    assert memory.need.total_mb(memory.most) <= 8_000.0 < memory.need.total_mb(memory.most + 1)
 
 
 def test_estimate_command(

@@ -25,7 +25,7 @@ from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.own_state import split_state
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import Episode, episodes
+from mjhab.data.store.reading import RecordedEpisode, episodes
 from mjhab.render.film import FilmWriter, join_films
 from tests.data.export.exporting import to_lerobot
 from tests.data.fake_world import SIZE, FakeEnv
@@ -60,7 +60,7 @@ def frames_of(path: Path) -> np.ndarray:
     return np.stack([np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader])
 
 
-def check_rows(table: Any, episode: Episode, number: int, first: int) -> None:
+def check_rows(table: Any, episode: RecordedEpisode, number: int, first: int) -> None:
     count = episode.steps
     state = split_state(episode)
     for key, parts in (("state", state.own), ("environment_state", state.task)):

@@ -13,7 +13,7 @@ import pytest
 
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import Episode, episodes
+from mjhab.data.store.reading import RecordedEpisode, episodes
 from mjhab.tasks.subtasks.pick import PICK
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import SIZE, FakeEnv
@@ -57,7 +57,7 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
             check(file[f"traj_{number}"], episode, number, said["episodes"][number])
 
 
-def check(group: Any, episode: Episode, number: int, info: dict[str, Any]) -> None:
+def check(group: Any, episode: RecordedEpisode, number: int, info: dict[str, Any]) -> None:
     count = episode.steps
     record_ = episode.record
     np.testing.assert_array_equal(group["actions"], episode.array("actions"))

@@ -12,7 +12,7 @@ from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.relabel import relabel
 from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs import make
 from mjhab.rollout.loop import rollout
@@ -82,7 +82,7 @@ def test_stored_states_are_those_of_the_simulator(recorded: Any) -> None:
 def test_images_rewards_and_labels(recorded: Any) -> None:
     env, path, _, _ = recorded
     with open_shard(path) as shard:
-        episode: Episode = next(iter(shard))
+        episode: RecordedEpisode = next(iter(shard))
         assert sorted(episode.images) == [
             (c, o) for c in ("fetch_hand", "fetch_head") for o in ("depth", "rgb")
         ]

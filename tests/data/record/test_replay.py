@@ -22,7 +22,7 @@ from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, group
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs import make, make_train
 from mjhab.rollout.loop import rollout
@@ -68,7 +68,9 @@ def changed(source: Path, out: Path, change: Callable[[dict[str, np.ndarray]], N
     return out
 
 
-def altered(episode: Episode, change: Callable[[dict[str, np.ndarray]], None]) -> EpisodeData:
+def altered(
+    episode: RecordedEpisode, change: Callable[[dict[str, np.ndarray]], None]
+) -> EpisodeData:
     arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
     change(arrays)
     attributes = episode.attributes
@@ -169,7 +171,7 @@ def test_another_start_is_replaced_by_the_recorded_one(
     assert (found.exact, found.max_error, len(found.moved)) == (3, 0.0, 3)
 
 
-def resimulated(env: Any, episode: Episode) -> EpisodeData:
+def resimulated(env: Any, episode: RecordedEpisode) -> EpisodeData:
     from mjhab.data.store.episode_data import to_bytes
 
     initial = env.get_state(0)

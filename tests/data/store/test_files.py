@@ -17,7 +17,7 @@ from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import episode_digest, from_bytes, run_id, to_bytes
 from mjhab.data.store.hdf5 import dataset, group, read_arrays
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import Episode, episodes, open_shard, shard_paths
+from mjhab.data.store.reading import RecordedEpisode, episodes, open_shard, shard_paths
 from mjhab.data.store.schema import (
     ATTRIBUTES,
     CHECKS,
@@ -278,7 +278,7 @@ def test_the_schema_names_what_labels_need() -> None:
 def test_files_hold_what_the_schema_says(tmp_path: Path) -> None:
     record(tmp_path / "a.h5", range(1), FakeEnv(1, images=True), images=ImageFormat())
     with open_shard(tmp_path / "a.h5") as shard:
-        episode: Episode = next(iter(shard))
+        episode: RecordedEpisode = next(iter(shard))
         assert {field.path for path in episode.paths if (field := field_of(path))} == {
             f.path for f in FIELDS
         }

@@ -12,7 +12,7 @@ import pytest
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.store.checking import check
 from mjhab.data.store.hdf5 import dataset, group
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import make_older, record
@@ -53,7 +53,7 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return new, old
 
 
-def states(episode: Episode) -> dict[str, np.ndarray]:
+def states(episode: RecordedEpisode) -> dict[str, np.ndarray]:
     return {
         key: episode.observation(key)
         for key in ("state", "extra/tcp_pose_wrt_base", "extra/obj_pose_wrt_base")

@@ -72,7 +72,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Episode:
+class MeasuredEpisode:
     """What the table takes from an episode: one line of episodes.jsonl.
 
     ``last`` and ``label``: kind and label of the last subtask that ended. Forces [N], sums [N x control steps];
@@ -94,7 +94,7 @@ class Episode:
     taint: tuple[str, ...]
 
     @classmethod
-    def of(cls, record: EpisodeRecord) -> Episode:
+    def of(cls, record: EpisodeRecord) -> MeasuredEpisode:
         """Take it from a record."""
         first = min(
             (step for step, name in record.events if name == "success"), default=record.steps
@@ -247,7 +247,7 @@ def row_folder(out: Path, row: Row) -> Path:
     return out / "rows" / row.name
 
 
-def result_of(row: Row, split: str, episodes: Sequence[Episode], error: str = "") -> Result:
+def result_of(row: Row, split: str, episodes: Sequence[MeasuredEpisode], error: str = "") -> Result:
     """The table's row for the episodes measured so far; ``error``: why there are no more."""
     once = sum(episode.success_once for episode in episodes)
     chain = row.subtask == CHAIN
@@ -289,9 +289,9 @@ def result_of(row: Row, split: str, episodes: Sequence[Episode], error: str = ""
     )
 
 
-def together(measured: Sequence[tuple[Row, Sequence[Episode]]], split: str) -> list[Result]:
+def together(measured: Sequence[tuple[Row, Sequence[MeasuredEpisode]]], split: str) -> list[Result]:
     """One row for all targets of every (pack, task, subtask), as in the paper's Tables 6 to 9."""
-    groups: dict[tuple[str, str, str, str], list[tuple[Row, Sequence[Episode]]]] = {}
+    groups: dict[tuple[str, str, str, str], list[tuple[Row, Sequence[MeasuredEpisode]]]] = {}
     for row, episodes in measured:
         if row.subtask != CHAIN:
             groups.setdefault((row.pack, row.assets, row.task, row.subtask), []).append(

@@ -14,7 +14,7 @@ from typing import Any
 from mjhab.bench.experts.report import render_experts
 from mjhab.bench.experts.rows import (
     CHAIN,
-    Episode,
+    MeasuredEpisode,
     Result,
     Row,
     make_rows,
@@ -40,7 +40,7 @@ RESULTS = "results.json"
 TABLE = "table.csv"
 REPORT = "report.html"
 EPISODES = "episodes.jsonl"
-Measured = dict[Row, list[Episode]]
+Measured = dict[Row, list[MeasuredEpisode]]
 
 
 @contextmanager
@@ -126,12 +126,12 @@ def measure_row(
     return run_generation(wanted, tell, stopped).standing
 
 
-def read_row(spec: ExpertsSpec, row: Row) -> list[Episode]:
+def read_row(spec: ExpertsSpec, row: Row) -> list[MeasuredEpisode]:
     """Episodes of a row that are recorded, of those that are wanted, in order of their indices."""
     folder = row_folder(spec.out, row)
     if not any(folder.glob("*.h5")):
         return []
-    found = {e.record.index: Episode.of(e.record) for e in recorded_episodes(folder)}
+    found = {e.record.index: MeasuredEpisode.of(e.record) for e in recorded_episodes(folder)}
     return [found[index] for index in sorted(found) if index < row.episodes]
 
 

@@ -43,7 +43,7 @@ from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.journal import recover
 from mjhab.data.store.object_axes import scan_yaws, to_scan_axes
 from mjhab.data.store.older import OBJECT_POSE
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.rollout.records import EpisodeRecord
 
 CHAIN = "sequential_task"
@@ -134,7 +134,7 @@ class _File:
         self._episodes: list[dict[str, Any]] = []
         self._runs: dict[str, Any] = {}
 
-    def add(self, episode: Episode) -> int:
+    def add(self, episode: RecordedEpisode) -> int:
         """Add an episode as the next trajectory, unless the file has it; returns its number of control steps."""
         number = len(self._episodes)
         steps = self._until.steps(episode.array("reward/success"))
@@ -171,7 +171,7 @@ class _File:
         self._path.with_suffix(".json").write_text(json.dumps(value, indent=2), encoding="utf-8")
 
 
-def _put(group: h5py.Group, episode: Episode, steps: int) -> None:
+def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     """Fill the group of a trajectory with the first ``steps`` control steps of an episode."""
     obs = group.create_group("obs", track_order=True)
     for key, values in _observations(episode, steps + 1):
@@ -201,7 +201,7 @@ def _put(group: h5py.Group, episode: Episode, steps: int) -> None:
     group["is_teleported"] = teleported_steps(episode)[:steps]
 
 
-def _observations(episode: Episode, rows: int) -> Iterator[tuple[str, np.ndarray]]:
+def _observations(episode: RecordedEpisode, rows: int) -> Iterator[tuple[str, np.ndarray]]:
     """Pairs of observation key and array (rows, ...): the parts of the state in order, then camera images."""
     yaws = scan_yaws(episode)
     for key, whole in episode.table("obs/state").items():
@@ -219,7 +219,7 @@ def _observations(episode: Episode, rows: int) -> Iterator[tuple[str, np.ndarray
         yield f"sensor_data/{camera}/{output}", np.stack(frames)
 
 
-def _episode_info(number: int, episode: Episode, steps: int) -> dict[str, Any]:
+def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str, Any]:
     record = episode.record
     link = target_of(record).rpartition("/")[0]
     return {

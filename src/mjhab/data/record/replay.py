@@ -19,7 +19,7 @@ from mjhab.data.select.query import Filter
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.reading import UNREADABLE, Episode, open_shard, shard_paths
+from mjhab.data.store.reading import UNREADABLE, RecordedEpisode, open_shard, shard_paths
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter
 
@@ -93,13 +93,13 @@ def verify(
 
 def _batches(
     places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None
-) -> Iterator[tuple[RecordedEnv, list[Episode]]]:
+) -> Iterator[tuple[RecordedEnv, list[RecordedEpisode]]]:
     """Batches of an environment and episodes of one shard and config, at most as many as it has worlds."""
     envs: dict[str, RecordedEnv] = {}
     for path in shard_paths(places):
         # Episodes are read faster while their shard is open.
         with open_shard(path) as shard:
-            groups: dict[str, list[Episode]] = defaultdict(list)
+            groups: dict[str, list[RecordedEpisode]] = defaultdict(list)
             for episode in shard:
                 if where is None or where(episode.record, episode.run):
                     groups[episode.run.config_id].append(episode)
@@ -112,7 +112,7 @@ def _batches(
                     yield envs[name], members[start : start + worlds]
 
 
-def require_states(members: Sequence[Episode]) -> None:
+def require_states(members: Sequence[RecordedEpisode]) -> None:
     """Refuse imported episodes, which mjhab did not simulate.
 
     Raises:
@@ -130,7 +130,7 @@ def require_states(members: Sequence[Episode]) -> None:
 class _Comparison:
     """Comparison of one episode's states during a replay."""
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: RecordedEpisode) -> None:
         self.actions = episode.array("actions")
         self.final = episode.record.final_state
         self.first = episode.initial()["sim"]
@@ -144,7 +144,7 @@ class _Comparison:
     def steps(self) -> int:
         return len(self.actions)
 
-    def refuse_other_shapes(self, episode: Episode, width: int) -> None:
+    def refuse_other_shapes(self, episode: RecordedEpisode, width: int) -> None:
         """Refuse actions that are not (N, ``width``), and states that are not N+1 rows.
 
         Raises:
@@ -186,7 +186,9 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-def _verify_batch(env: RecordedEnv, batch: list[Episode]) -> list[tuple[Episode, str, float, bool]]:
+def _verify_batch(
+    env: RecordedEnv, batch: list[RecordedEpisode]
+) -> list[tuple[RecordedEpisode, str, float, bool]]:
     """Replay at most W episodes of one config.
 
     Returns:
@@ -212,7 +214,9 @@ def _verify_batch(env: RecordedEnv, batch: list[Episode]) -> list[tuple[Episode,
     ]
 
 
-def _begin(env: RecordedEnv, batch: list[Episode], compared: list[_Comparison]) -> list[bool]:
+def _begin(
+    env: RecordedEnv, batch: list[RecordedEpisode], compared: list[_Comparison]
+) -> list[bool]:
     """Reset worlds to episodes; where the start state differs, set the recorded one. Returns which ones differed."""
     mask = np.arange(env.num_envs) < len(batch)
     seeds = [episode.record.seed for episode in batch] + [None] * (env.num_envs - len(batch))
@@ -282,7 +286,7 @@ def render(
 
 
 def _draw(
-    env: RecordedEnv, episode: Episode, follow: bool, images: ImageFormat
+    env: RecordedEnv, episode: RecordedEpisode, follow: bool, images: ImageFormat
 ) -> dict[str, np.ndarray]:
     """Datasets of an episode's images and of observations that the observer derives from them, by path."""
     refuse_damage(episode)
@@ -325,7 +329,7 @@ def _draw(
 
 
 def _with_images(
-    episode: Episode, drawn: dict[str, np.ndarray], env: RecordedEnv, cameras: Sequence[str]
+    episode: RecordedEpisode, drawn: dict[str, np.ndarray], env: RecordedEnv, cameras: Sequence[str]
 ) -> EpisodeData:
     """The episode with new images; its run describes them and the version that rendered them."""
     arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
@@ -363,7 +367,7 @@ def _with_images(
         raise DamagedError(f"{episode.shard.path}: {error}") from error
 
 
-def _columns(episode: Episode, path: str) -> tuple[str, ...]:
+def _columns(episode: RecordedEpisode, path: str) -> tuple[str, ...]:
     return tuple(
         f"{name}:{width}" if width else name for name, width in episode.columns(path).items()
     )

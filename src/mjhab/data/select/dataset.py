@@ -24,7 +24,7 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.statistics import Statistics, fingerprint
 from mjhab.data.select.until import Until
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import VERSION, DamagedError
 
 STATE = "state"
@@ -172,7 +172,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
                     digests.append((name, str(episode.attributes["digest"])))
         return fingerprint(digests)
 
-    def _add(self, episode: Episode) -> None:
+    def _add(self, episode: RecordedEpisode) -> None:
         steps = self._until.steps(episode.array("reward/success"))
         self._states.append(episode.array("obs/state")[: steps + 1])
         self._actions.append(episode.array(LABELS[self.labels])[:steps])

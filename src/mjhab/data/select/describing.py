@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.data.store.older import OBJECT_POSE, OLDER_JOINTS
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.instructions import (
     Instructions,
@@ -48,14 +48,14 @@ def task_words(record: EpisodeRecord) -> str:
     return task_instruction(record.task, requests)
 
 
-def navigates_by_teleport(episode: Episode) -> bool:
+def navigates_by_teleport(episode: RecordedEpisode) -> bool:
     """Whether the environment teleported the robot to every goal of an episode instead of letting it drive."""
     if episode.record.subtask or episode.run.config.get("env", {}).get("navigate") != "teleport":
         return False
     return any(_is_way(entry.kind) for entry in episode.record.plan)
 
 
-def teleported_steps(episode: Episode) -> np.ndarray:
+def teleported_steps(episode: RecordedEpisode) -> np.ndarray:
     """(N+1,) bool: states in which a Navigate subtask is active that the environment executes by teleport."""
     plan = episode.record.plan
     ways = np.array([_is_way(entry.kind) for entry in plan]) & navigates_by_teleport(episode)
@@ -66,7 +66,7 @@ def _is_way(kind: str) -> bool:
     return kind in SUBTASKS and SUBTASKS[kind].navigates
 
 
-def instructions_of(episode: Episode) -> Instructions:
+def instructions_of(episode: RecordedEpisode) -> Instructions:
     """The instructions of an episode; teleported Navigate subtasks are marked as such."""
     record = episode.record
     told = Instructions(task_words(record), tuple(subtask_words(record)))
@@ -79,7 +79,7 @@ def state_names(columns: Mapping[str, int], layout: Mapping[str, Any]) -> list[s
     """A name for every column of ``obs/state``.
 
     Args:
-        columns: names and widths of its parts (`Episode.columns`).
+        columns: names and widths of its parts (`RecordedEpisode.columns`).
         layout: of the run that made the episode (`RunInfo.layout`), which names the joints.
     """
     joints = tuple(layout.get("joints", OLDER_JOINTS))

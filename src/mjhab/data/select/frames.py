@@ -19,7 +19,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.data.store.images import decode
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import DamagedError
 
 _OPEN = 64
@@ -45,7 +45,7 @@ class EncodedFrames:
     dtype: np.dtype
 
     @classmethod
-    def of(cls, episode: Episode, image: str, count: int) -> EncodedFrames:
+    def of(cls, episode: RecordedEpisode, image: str, count: int) -> EncodedFrames:
         """The first ``count`` images "<camera>/<output>" of an episode.
 
         Raises:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 
 BASE_VELOCITY = "agent/base_vel"
 OWN_KEYS: tuple[str, ...] = (
@@ -27,7 +27,7 @@ class SplitState:
     task: dict[str, np.ndarray]
 
 
-def split_state(episode: Episode) -> SplitState:
+def split_state(episode: RecordedEpisode) -> SplitState:
     """Divide the state observations of an episode.
 
     If the observations lack the velocity of the base, it is computed from the recorded states; without states it is
@@ -40,12 +40,12 @@ def split_state(episode: Episode) -> SplitState:
     return SplitState(own, {key: values for key, values in parts.items() if key not in own})
 
 
-def _parts(episode: Episode) -> dict[str, np.ndarray]:
+def _parts(episode: RecordedEpisode) -> dict[str, np.ndarray]:
     """The named parts of ``obs/state``; all of it as "state" if the parts have no names."""
     return episode.table("obs/state") or {"state": episode.array("obs/state")}
 
 
-def base_velocity(episode: Episode) -> np.ndarray:
+def base_velocity(episode: RecordedEpisode) -> np.ndarray:
     """Velocity of the base in its own frame (N+1, 3) float32: forward, left [m/s], yaw rate [rad/s]."""
     columns = episode.run.layout["columns"]
     q = episode.array("states/qpos")[:, columns["robot_q"][BASE]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.data.store.schema import DamagedError
 from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
 from mjhab.tasks.labelling.events import event_names, step_events
@@ -27,7 +27,7 @@ class Change:
     new: object
 
 
-def relabel(episode: Episode) -> tuple[EpisodeRecord, list[Change]]:
+def relabel(episode: RecordedEpisode) -> tuple[EpisodeRecord, list[Change]]:
     """The record of an episode with labels and events by the current rules, and its changes.
 
     Subtasks that had not ended when the episode was cut keep having no label.

@@ -18,11 +18,11 @@ from mjhab.data.export.folders import broken
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
 from mjhab.data.store.journal import journal_path
-from mjhab.data.store.reading import Episode, episodes, open_shard, shard_paths
+from mjhab.data.store.reading import RecordedEpisode, episodes, open_shard, shard_paths
 from mjhab.data.store.shard import ShardWriter, StorageError
 from mjhab.rollout.records import EpisodeRecord
 
-GROUPINGS: dict[str, Callable[[Episode], str]] = {
+GROUPINGS: dict[str, Callable[[RecordedEpisode], str]] = {
     "episode": lambda episode: episode.name,
     "home": lambda episode: episode.record.home,
     "target": lambda episode: target_of(episode.record),

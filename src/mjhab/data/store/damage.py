@@ -17,7 +17,7 @@ from mjhab.data.store.episode_data import (
     unnamed_actors,
 )
 from mjhab.data.store.images import check_frame
-from mjhab.data.store.reading import Episode, Shard
+from mjhab.data.store.reading import RecordedEpisode, Shard
 from mjhab.data.store.schema import DamagedError, column_widths, problems
 
 
@@ -30,7 +30,7 @@ def problems_in(shard: Shard, name: str) -> list[str]:
         return [f"cannot be read ({type(cause).__name__}: {reason(cause)})"]
 
 
-def episode_problems(episode: Episode) -> list[str]:
+def episode_problems(episode: RecordedEpisode) -> list[str]:
     """Describe missing or inconsistent parts and changed bytes; empty if the episode is undamaged.
 
     Raises:
@@ -52,7 +52,7 @@ def episode_problems(episode: Episode) -> list[str]:
         return wrong or _contradictions(episode) or _picture_problems(arrays)
 
 
-def refuse_damage(episode: Episode) -> None:
+def refuse_damage(episode: RecordedEpisode) -> None:
     """Check a whole episode before other files are made from it.
 
     Raises:
@@ -66,7 +66,7 @@ def refuse_damage(episode: Episode) -> None:
         )
 
 
-def _contradictions(episode: Episode) -> list[str]:
+def _contradictions(episode: RecordedEpisode) -> list[str]:
     """Describe where record, attributes and run of an episode contradict each other."""
     record = episode.record
     attributes = episode.attributes

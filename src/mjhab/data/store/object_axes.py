@@ -12,7 +12,7 @@ import numpy as np
 
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import quat_canonical, quat_from_yaw, quat_mul
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.rollout.records import PlanEntry
 from mjhab.tasks.plan import GOAL_OF
@@ -63,7 +63,7 @@ def shown_objects(plan: Sequence[PlanEntry]) -> tuple[str, ...]:
     return tuple(reversed(shown))
 
 
-def scan_yaws(episode: Episode) -> np.ndarray | None:
+def scan_yaws(episode: RecordedEpisode) -> np.ndarray | None:
     """Heading [rad] of the scan of the observed object in every state, (N+1,); None if the run does not hold headings.
 
     Runs of older versions do not.

@@ -79,7 +79,7 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
     return list(by_file.values())
 
 
-class Episode:
+class RecordedEpisode:
     """One recorded episode; arrays are read on access.
 
     After its shard is closed, every access opens the file again.
@@ -457,7 +457,7 @@ class Shard:
                 found[name] = self.run(name)
         return found
 
-    def episode(self, name: str) -> Episode:
+    def episode(self, name: str) -> RecordedEpisode:
         """One episode by its name.
 
         Raises:
@@ -465,14 +465,14 @@ class Shard:
         """
         if name not in self._places:
             raise unknown_name(f"episode in {self.path}", name, self.names[:20])
-        return Episode(self, name)
+        return RecordedEpisode(self, name)
 
     def open_group(self, name: str) -> h5py.Group:
         """The HDF5 group of an episode in ``names``, found without the file's index."""
         return group(self.file, self._places[name])
 
-    def __iter__(self) -> Iterator[Episode]:
-        return (Episode(self, name) for name in self.names)
+    def __iter__(self) -> Iterator[RecordedEpisode]:
+        return (RecordedEpisode(self, name) for name in self.names)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -505,7 +505,7 @@ def open_shard(path: Path | str) -> Shard:
     return Shard(path)
 
 
-def episodes(places: Path | Sequence[Path], copies: bool = False) -> Iterator[Episode]:
+def episodes(places: Path | Sequence[Path], copies: bool = False) -> Iterator[RecordedEpisode]:
     """Iterate over the episodes of shards and folders.
 
     Episodes remain usable after the iteration; once their shard is closed, every access opens the file again.

@@ -67,7 +67,7 @@ TURN_SPEED_RAD_S = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
+class RuledStance:
     """A base pose from which a hand pose is reached.
 
     Attributes:
@@ -110,7 +110,9 @@ class Hands:
     price: np.ndarray
 
 
-def find_stance(view: WorldView, scene: Scene, point: np.ndarray, hands: Hands) -> Stance | None:
+def find_stance(
+    view: WorldView, scene: Scene, point: np.ndarray, hands: Hands
+) -> RuledStance | None:
     """Find the nearest stance from which one of the hand poses is reached.
 
     Args:
@@ -131,7 +133,7 @@ def find_stance(view: WorldView, scene: Scene, point: np.ndarray, hands: Hands) 
             continue
         path = planner.plan(view.base[:2], base[:2])
         if path is not None and np.linalg.norm(path[-1] - base[:2]) < PATH_END_M:
-            return Stance(base, path, *found)
+            return RuledStance(base, path, *found)
     return None
 
 

@@ -20,7 +20,7 @@ from mjhab.experts.skills.by_rule import (
     Drive,
     Funnel,
     Hands,
-    Stance,
+    RuledStance,
     find_stance,
     move_hand,
 )
@@ -96,7 +96,7 @@ def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> np.ndarray:
     return funnel.step(view, motion.CLOSED if there else motion.OPEN, drive)
 
 
-def plan(view: WorldView, obj: str) -> tuple[Stance, np.ndarray, np.ndarray] | None:
+def plan(view: WorldView, obj: str) -> tuple[RuledStance, np.ndarray, np.ndarray] | None:
     """Choose a stance, and a grasp in the frame of the object: tcp position (3,) and rotation (3, 3); None if none."""
     pose = view.object_pose(obj)
     if inside_depth(view, pose[:3]):

@@ -16,7 +16,7 @@ from mjhab.experts.skills.by_rule import (
     STANDOFF_M,
     Funnel,
     Hands,
-    Stance,
+    RuledStance,
     find_stance,
     move_hand,
 )
@@ -81,7 +81,7 @@ def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
     return move_hand(view, aim, rot, motion.OPEN, (0.0, 0.0), funnel.ready)
 
 
-def plan(view: WorldView, obj: str, goal: np.ndarray) -> tuple[Stance, Funnel] | None:
+def plan(view: WorldView, obj: str, goal: np.ndarray) -> tuple[RuledStance, Funnel] | None:
     """Choose a stance and a release pose for an object at ``goal`` (3,) [m]; None on shelves and if none is found."""
     if inside_depth(view, goal):
         return None

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.rollout.policy import ACTION_SIZE, Policy
 
 STUDENT = "student"
@@ -128,7 +128,7 @@ def prefix_length(seed: int, index: int, longest: int) -> int:
     return int(stream(seed, "take_over", index).integers(0, longest + 1))
 
 
-def expert_steps(episode: Episode) -> np.ndarray:
+def expert_steps(episode: RecordedEpisode) -> np.ndarray:
     """(N,) bool mask of the control steps of a recorded episode that imitation learns from.
 
     If a student and another policy acted, the student's steps are excluded. If the student acted alone, for instance in

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts.policy import ExpertPolicy, Script
 from mjhab.viewer.drawn.plan_marks import PlanMarks, plan_marks
@@ -84,7 +84,7 @@ class RecordedPlans:
         self._envs = RecordedEnvs()
         self._known: dict[tuple[str, str, int], Future[PlanMarks | None]] = {}
 
-    def at(self, episode: Episode, track: Track, step: int) -> PlanMarks | None:
+    def at(self, episode: RecordedEpisode, track: Track, step: int) -> PlanMarks | None:
         """Return the plan for the subtask that is active in a state, and start its computation at the first call.
 
         None until it is computed, if that failed (see ``problem``), and if the expert has no plan.
@@ -106,7 +106,7 @@ class RecordedPlans:
         self._pool.shutdown(cancel_futures=True)
         self._envs.close()
 
-    def _plan(self, episode: Episode, track: Track, step: int) -> PlanMarks | None:
+    def _plan(self, episode: RecordedEpisode, track: Track, step: int) -> PlanMarks | None:
         if track.moments[step].active >= len(track.plan):
             return None
         with self._reading:
@@ -128,7 +128,7 @@ class RecordedPlans:
         return marks
 
 
-def _state_at(episode: Episode, track: Track, step: int) -> dict[str, Any]:
+def _state_at(episode: RecordedEpisode, track: Track, step: int) -> dict[str, Any]:
     """The recorded first state (see `envs.parts.snapshots`), with qpos, qvel and active subtask of the state ``step``.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.recorded import recorded_env
 
@@ -13,7 +13,7 @@ class RecordedEnvs:
     def __init__(self) -> None:
         self._envs: dict[str, SequentialTaskEnv] = {}
 
-    def of(self, episode: Episode) -> SequentialTaskEnv:
+    def of(self, episode: RecordedEpisode) -> SequentialTaskEnv:
         """Return the environment of an episode's configuration.
 
         Raises:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.select.query import Filter
-from mjhab.data.store.reading import Episode, open_shard, shard_paths
+from mjhab.data.store.reading import RecordedEpisode, open_shard, shard_paths
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.store import EPISODES
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -49,8 +49,8 @@ class Replay:
         self.recording = ""
         self.choice = ""
         # One tuple, assigned at once: the thread of a page sets it while the thread of the frames reads it.
-        self._shown: tuple[Episode, Track] | None = None
-        self._episodes: dict[str, Episode] = {}
+        self._shown: tuple[RecordedEpisode, Track] | None = None
+        self._episodes: dict[str, RecordedEpisode] = {}
         self._envs = RecordedEnvs()
         self._plan_wanted = False
         self._problem = ""
@@ -100,7 +100,7 @@ class Replay:
         """Why the episode, or the expert's plan in it, cannot be shown; "" if there is no problem."""
         return self._problem or (self._plans.problem if self._plan_wanted else "")
 
-    def _title(self, episode: Episode) -> str:
+    def _title(self, episode: RecordedEpisode) -> str:
         label = str(episode.attributes.get("label", ""))
         index = int(episode.attributes["index"])
         name = f"{index} (seed {int(episode.attributes['seed'])}) {label}"

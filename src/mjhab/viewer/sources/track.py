@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.data.store.schema import CHECKS, FORCES
 from mjhab.rollout.records import Event, PlanEntry
 from mjhab.tasks.rewards.scoring import term_names
@@ -120,7 +120,7 @@ def force_limits(plan: Sequence[PlanEntry], config: TaskConfig) -> tuple[float, 
     return tuple(float(limits_of(config, entry.kind).force_limit) for entry in plan)
 
 
-def recorded_track(episode: Episode, config: TaskConfig) -> Track:
+def recorded_track(episode: RecordedEpisode, config: TaskConfig) -> Track:
     """Read the track of a recorded episode.
 
     Args:

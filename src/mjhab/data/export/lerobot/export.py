@@ -51,7 +51,7 @@ from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.older import OLDER_ROBOT
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 
 CAMERAS = "meta/cameras.json"
 """Calibration of the cameras, see `ObservedRows.calibration`. LeRobot does not read it."""
@@ -166,7 +166,7 @@ class _Export:
         self._made.append(made)
         self._frames += made.steps
 
-    def _name_segments(self, episode: Episode) -> None:
+    def _name_segments(self, episode: RecordedEpisode) -> None:
         """Take the names of segmentation ids from the first episode; refuse an episode with other ones."""
         if not any(key.startswith(IMAGES["seg"]) for key in self._features):
             return
@@ -186,7 +186,7 @@ class _Export:
             [self._actors.setdefault(name, len(self._actors)) for name in made.actors],
         )
 
-    def _make(self, number: int, episode: Episode) -> Made:
+    def _make(self, number: int, episode: RecordedEpisode) -> Made:
         record = episode.record
         words = instructions_of(episode)
         length = self._until.steps(episode.array("reward/success"))
@@ -211,7 +211,9 @@ class _Export:
         self._pieces.finish(number, made)
         return made
 
-    def _columns(self, episode: Episode, number: int, numbers: _Numbers) -> dict[str, np.ndarray]:
+    def _columns(
+        self, episode: RecordedEpisode, number: int, numbers: _Numbers
+    ) -> dict[str, np.ndarray]:
         count = self._until.steps(episode.array("reward/success"))
         state = split_state(episode)
         done = np.zeros(count, bool)
@@ -291,7 +293,7 @@ class _Export:
 
 
 def _shown(
-    episode: Episode, length: int, camera: str, samples: list[np.ndarray]
+    episode: RecordedEpisode, length: int, camera: str, samples: list[np.ndarray]
 ) -> Iterator[np.ndarray]:
     """The first ``length`` frames of a camera; a sample of them is appended to ``samples`` for the statistics."""
     chosen = sampled(length)

@@ -12,7 +12,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.select.describing import state_names
 from mjhab.data.select.own_state import split_state
-from mjhab.data.store.reading import Episode
+from mjhab.data.store.reading import RecordedEpisode
 
 FPS = round(1 / STEP_SECONDS)
 STATE = "observation.state"
@@ -52,7 +52,7 @@ class Choice:
     until: str = ""
 
 
-def describe(episode: Episode, choice: Choice) -> Features:
+def describe(episode: RecordedEpisode, choice: Choice) -> Features:
     """The features of an episode by their LeRobot names."""
     state = split_state(episode)
     actions = [str(name) for name in episode.run.layout.get("actions", [])]
@@ -101,7 +101,7 @@ def _feature(
     return {"dtype": dtype, "shape": list(shape), "names": names}
 
 
-def _state_feature(parts: Mapping[str, np.ndarray], episode: Episode) -> dict[str, Any]:
+def _state_feature(parts: Mapping[str, np.ndarray], episode: RecordedEpisode) -> dict[str, Any]:
     """The feature of concatenated state observations (N+1, n), with a name per column."""
     widths = {key: values.shape[1] for key, values in parts.items()}
     return _feature("float32", (sum(widths.values()),), state_names(widths, episode.run.layout))
@@ -129,7 +129,7 @@ def film_features(features: Features) -> list[str]:
     return [key for key, feature in features.items() if feature["dtype"] == "video"]
 
 
-def differing(episode: Episode, first: Features, other: Features) -> UsageError:
+def differing(episode: RecordedEpisode, first: Features, other: Features) -> UsageError:
     """Make the error for an episode whose features differ from those of the first one."""
     names = [key for key in {**first, **other} if first.get(key) != other.get(key)]
     return UsageError(

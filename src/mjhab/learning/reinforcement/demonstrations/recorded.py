@@ -16,7 +16,7 @@ import torch
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
-from mjhab.data.store.reading import Episode, open_shard
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.learning.demos import SUCCESSES, lacks_states, nothing_to_learn, recorded_profile
 from mjhab.learning.layout import image_options
@@ -65,7 +65,7 @@ def replay_recorded(
     done = 0
     for path, names in by_shard.items():
         with open_shard(path) as shard:
-            groups: dict[str, list[Episode]] = defaultdict(list)
+            groups: dict[str, list[RecordedEpisode]] = defaultdict(list)
             for name in names:
                 episode = shard.episode(name)
                 check_episode(session, episode)
@@ -80,7 +80,7 @@ def replay_recorded(
     return buffer
 
 
-def check_episode(session: ReinforcementSession, episode: Episode) -> None:
+def check_episode(session: ReinforcementSession, episode: RecordedEpisode) -> None:
     """Refuse an episode whose actions have another meaning than in the run, or whose rewards differ from the run's.
 
     Raises:
@@ -123,7 +123,7 @@ def check_episode(session: ReinforcementSession, episode: Episode) -> None:
 class _Player:
     """Simulates episodes of one recording again, with the rules and rewards of the run."""
 
-    def __init__(self, session: ReinforcementSession, like: Episode, worlds: int) -> None:
+    def __init__(self, session: ReinforcementSession, like: RecordedEpisode, worlds: int) -> None:
         config = session.env.config
         rules = {
             name: value
@@ -143,7 +143,7 @@ class _Player:
         self._width = len(session.layout.actions)
         self._device = session.worlds.device
 
-    def play(self, batch: Sequence[Episode], buffer: ReplayBuffer) -> None:
+    def play(self, batch: Sequence[RecordedEpisode], buffer: ReplayBuffer) -> None:
         """Simulate at most W episodes and add their control steps to the buffer, except the first step of each."""
         env = self._env
         count = len(batch)

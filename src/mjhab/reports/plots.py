@@ -15,12 +15,29 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 
 Figure = dict[str, Any]
 
-OTHER_COLOR = "#9ca3af"
+OTHER_COLOR = "#57534e"
 _TONES = {
-    "good": ("#15803d", "#86efac", "#0d9488", "#bef264"),
-    "fair": ("#eab308", "#facc15", "#ca8a04", "#fde047"),
-    "bad": ("#dc2626", "#f97316", "#be185d", "#fb7185", "#7c2d12", "#c2410c", "#9f1239"),
+    "good": ("#15803d", "#a3e635", "#2dd4bf", "#4ade80", "#10b981"),
+    "fair": ("#eab308", "#fde68a", "#a16207", "#fde047", "#d97706", "#713f12"),
+    "bad": (
+        "#dc2626",
+        "#fdba74",
+        "#991b1b",
+        "#f9a8d4",
+        "#ea580c",
+        "#db2777",
+        "#701a75",
+        "#d946ef",
+    ),
 }
+"""Colours of labels by tone; any two of all tones differ by 19 or more in CIELAB (tests/reports/test_colors.py)."""
+_PATTERNS = ("", "/", "x", ".")
+"""Hatching of the labels of a tone that has more labels than colours, one for each round of its colours."""
+LABEL_COLORS = (
+    "greens, clean success; yellows and browns, success with a flaw; reds, pinks and oranges, kinds of failure, "
+    "hatched where there are more of them than colours"
+)
+"""What the colours of `labels_figure` mean, for the words beside a chart."""
 _FAIR_STARTS = ("success_then", "dubious", "winding", "dropped_to_goal")
 
 
@@ -90,8 +107,7 @@ def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ())
     used: Counter[str] = Counter()
     data = []
     for label in labels:
-        shades = _TONES[tone(label)]
-        color = shades[used[tone(label)] % len(shades)]
+        marker = _label_marker(tone(label), used[tone(label)])
         used[tone(label)] += 1
         data.append(
             {
@@ -101,7 +117,7 @@ def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ())
                 "y": [f"{kind} ({totals[kind]})" for kind in kinds],
                 "x": [counts[kind][label] / totals[kind] for kind in kinds],
                 "customdata": [counts[kind][label] for kind in kinds],
-                "marker": {"color": color},
+                "marker": marker,
                 "hovertemplate": f"{label}<br>%{{customdata}} of %{{y}}: %{{x:.1%}}<extra></extra>",
             }
         )
@@ -118,6 +134,17 @@ def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ())
             "legend": {"orientation": "h", "y": -0.18, "traceorder": "normal"},
         },
     }
+
+
+def _label_marker(label_tone: str, number: int) -> dict[str, Any]:
+    """Colour and hatching of a label, the ``number``-th of its tone in a chart."""
+    shades = _TONES[label_tone]
+    rounds, shade = divmod(number, len(shades))
+    marker: dict[str, Any] = {"color": shades[shade]}
+    if rounds:
+        shape = _PATTERNS[rounds % len(_PATTERNS)]
+        marker["pattern"] = {"shape": shape, "fillmode": "overlay", "size": 7}
+    return marker
 
 
 def _label_order(label: str) -> tuple[int, str]:

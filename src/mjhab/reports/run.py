@@ -18,7 +18,7 @@ from mjhab.reports.metrics import (
     rows_by_position,
     summarize,
 )
-from mjhab.reports.plots import force_figure, labels_figure, progress_figure
+from mjhab.reports.plots import LABEL_COLORS, force_figure, labels_figure, progress_figure
 from mjhab.rollout.records import EpisodeRecord
 
 FORCE_EPISODES = 12
@@ -125,7 +125,7 @@ def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list
     out.append(
         parts.section("Success per subtask", hint, parts.success_table(rows_by_kind(records)))
     )
-    hint = "Outcomes of subtasks. Green: clean success; yellow: success with a flaw; red shades: kinds of failure."
+    hint = f"Outcomes of subtasks: {LABEL_COLORS}."
     labels = (
         '<div id="labels-plot"></div>'
         if labels_by_kind(records)

@@ -11,7 +11,7 @@ from mjhab.bench.experts.rows import ALL, CHAIN, PAPER_POLICY, Result
 from mjhab.reports import parts
 from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import beside_the_paper, rules_of
-from mjhab.reports.plots import Figure, labels_figure
+from mjhab.reports.plots import LABEL_COLORS, Figure, labels_figure
 from mjhab.reports.run import render_page
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -166,8 +166,7 @@ def _kind_section(kind: str, members: Sequence[Result], plots: dict[str, Figure]
         body += f'<h3>How it went</h3><div id="labels-{kind}"></div>'
     hint = (
         "Success once; whiskers are Wilson 95 % intervals. The dot says whether the rate is at least what the project "
-        f"asks for. {_GENTLE} How it went is told by trajectory labels: green, clean success; yellow, success with a "
-        "flaw; red shades, kinds of failure."
+        f"asks for. {_GENTLE} How it went is told by trajectory labels: {LABEL_COLORS}."
     )
     return parts.section(kind.capitalize(), hint, body)
 

@@ -167,7 +167,7 @@ class SubtaskSpec:
 
     name: str = ""
     words: tuple[str, ...] = ()
-    color: str = "#9ca3af"
+    color: str = "#57534e"
     about: About = "object"
     limits: SubtaskConfig = USUAL_LIMITS
     train_horizon: int | None = None

@@ -2,7 +2,7 @@
 "use strict";
 const $ = (id) => document.getElementById(id);
 const TYPES = { uint8: Uint8Array, int8: Int8Array, uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
-const TOP = 65535, MAX_LAMPS = 8;
+const TOP = 65535, MAX_LAMPS = 8, NOW_COLOR = "#c026d3";
 
 async function unpack(text) {
   const bytes = Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
@@ -255,7 +255,7 @@ function curve(canvas, name, lines, now) {
     values.forEach((v, t) => (t ? g.lineTo(x(t), y(v)) : g.moveTo(x(t), y(v))));
     g.stroke();
   }
-  g.strokeStyle = "#ef4444"; g.beginPath(); g.moveTo(x(now), 12); g.lineTo(x(now), h); g.stroke();
+  g.strokeStyle = NOW_COLOR; g.beginPath(); g.moveTo(x(now), 12); g.lineTo(x(now), h); g.stroke();
   const at = lines.map(({ values }) => values[Math.floor(now)].toLocaleString(undefined, { maximumFractionDigits: 2 })).join(" / ");
   g.fillStyle = ink; g.fillText(`${name}: ${at}`, 2, 10);
 }
@@ -271,7 +271,7 @@ function timeLine(canvas, head, actor, now) {
     const at = x(event.step);
     g.fillStyle = event.color; g.beginPath(); g.moveTo(at, 17); g.lineTo(at - 5, 6); g.lineTo(at + 5, 6); g.fill();
   }
-  g.fillStyle = "#ef4444"; g.fillRect(x(now) - 1, 2, 2, h - 4);
+  g.fillStyle = NOW_COLOR; g.fillRect(x(now) - 1, 2, 2, h - 4);
 }
 
 // -- the page -----------------------------------------------------------------------------------------------------

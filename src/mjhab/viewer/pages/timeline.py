@@ -18,6 +18,8 @@ EVENT_HEIGHT = 14
 ACTOR_HEIGHT = 6
 HEIGHT = EVENT_HEIGHT + BAR_HEIGHT + ACTOR_HEIGHT
 TONE_COLORS = {"good": "#16a34a", "bad": "#dc2626", "none": "#64748b"}
+NOW_COLOR = "#c026d3"
+"""The line of the step that is shown; page.js of exported pages has the same."""
 GAUGE_COLOR = "#3b82f6"
 ACTOR_COLORS = ("#cbd5e1", "#f472b6", "#38bdf8", "#a3e635", "#fb923c")
 MIN_NAMED_SHARE = 0.06
@@ -43,7 +45,7 @@ def timeline_svg(track: Track, now: float) -> str:
             f'<path d="M{x:.1f} {EVENT_HEIGHT} l-4 -10 h8 z" fill="{color}"><title>{escape(told)}</title></path>'
         )
     x = now * scale
-    parts.append(f'<path d="M{x:.1f} 0 V{HEIGHT}" stroke="#ef4444" stroke-width="2"/></svg>')
+    parts.append(f'<path d="M{x:.1f} 0 V{HEIGHT}" stroke="{NOW_COLOR}" stroke-width="2"/></svg>')
     return "".join(parts)
 
 

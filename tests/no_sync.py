@@ -72,7 +72,9 @@ class NoSync(TorchDispatchMode):
         for name, method in self._kept.items():
             setattr(torch.Tensor, name, method)
 
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
         self.seen += 1
         name = func.overloadpacket.__name__
         kwargs = kwargs or {}

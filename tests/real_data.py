@@ -19,5 +19,7 @@ def real_data(*parts: str) -> Path:
     """
     path = Path(os.environ.get(VARIABLE) or DEFAULT).joinpath(*parts)
     if not path.exists():
-        missing(f"real data {path} is absent; set {VARIABLE} to the folder that holds {parts[0]}")
+        missing(
+            f"real data {path} is absent; set {VARIABLE} to the folder that holds {parts[0]}"
+        )
     return path

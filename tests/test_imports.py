@@ -37,7 +37,9 @@ ALLOWED: dict[str, frozenset[str]] = {
     "serving": frozenset({"core"}),
     "evaluation": _ENV | {"assets", "experts", "rollout", "data", "reports", "serving"},
     "integrations": frozenset({"core", "tasks", "robots", "envs", "evaluation"}),
-    "learning": frozenset({"core", "tasks", "robots", "config", "episodes", "envs", "experts"})
+    "learning": frozenset(
+        {"core", "tasks", "robots", "config", "episodes", "envs", "experts"}
+    )
     | {"rollout", "data", "reports", "evaluation"},
     "viewer": _RUN,
     "bench": _RUN | {"assets", "learning", "viewer"},
@@ -49,7 +51,9 @@ HEAVY: dict[str, frozenset[str]] = {
     "mujoco": frozenset({"robots", "layout", "sim", "render", "viewer", "bench"}),
     "warp": frozenset({"sim", "render"}),
     "mujoco_warp": frozenset({"sim", "render"}),
-    "torch": frozenset({"sim", "render", "envs", "data", "learning", "integrations", "bench"}),
+    "torch": frozenset(
+        {"sim", "render", "envs", "data", "learning", "integrations", "bench"}
+    ),
     "safetensors": frozenset({"learning"}),
     "h5py": frozenset({"data"}),
     "msgpack": frozenset({"serving"}),
@@ -90,7 +94,9 @@ def imported(path: Path) -> Iterator[str]:
             base = node.module or ""
             if node.level:
                 package = ("mjhab", *path.relative_to(SOURCE).parent.parts)
-                base = ".".join((*package[: len(package) - node.level + 1], *filter(None, [base])))
+                base = ".".join(
+                    (*package[: len(package) - node.level + 1], *filter(None, [base]))
+                )
             yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
@@ -111,12 +117,12 @@ def test_file_imports_only_what_its_package_may(path: Path) -> None:
             )
         elif parts[0] in HEAVY:
             assert package in HEAVY[parts[0]], f"{package} may not import {parts[0]}"
-            assert parts[0] not in ("warp", "mujoco_warp") or path.parent.name == "warp", (
-                f"{parts[0]} in {path}"
-            )
-            assert parts[0] != "torch" or package != "envs" or path.parent.name == "device", (
-                f"torch in {path}"
-            )
+            assert (
+                parts[0] not in ("warp", "mujoco_warp") or path.parent.name == "warp"
+            ), f"{parts[0]} in {path}"
+            assert (
+                parts[0] != "torch" or package != "envs" or path.parent.name == "device"
+            ), f"torch in {path}"
 
 
 def module_of(path: Path) -> str:
@@ -205,7 +211,11 @@ def test_import_mjhab_is_light() -> None:
         "assert not bad, f'import mjhab loaded {bad}'\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
 
@@ -215,7 +225,11 @@ def test_every_package_is_an_attribute() -> None:
     packages = sorted(path.parent.name for path in SOURCE.glob("*/__init__.py"))
     code = f"import mjhab\nfor name in {packages}:\n    assert name in dir(mjhab)\n    getattr(mjhab, name)\n"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
 

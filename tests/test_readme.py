@@ -50,14 +50,19 @@ def policy_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pat
 def eval_command() -> list[str]:
     """Arguments of the README's command that evaluates this policy."""
     (line,) = (
-        line for line in block_with("bash", "DriveToGoal").splitlines() if "DriveToGoal" in line
+        line
+        for line in block_with("bash", "DriveToGoal").splitlines()
+        if "DriveToGoal" in line
     )
     return shlex.split(line)[1:]
 
 
 def test_the_policy_of_the_readme_runs_as_a_file(policy_file: Path) -> None:
     spec = eval_spec(parse(eval_command()))
-    assert inspect_policy(str(spec.policy)).env_options == {"obs_mode": "depth", "camera_size": 32}
+    assert inspect_policy(str(spec.policy)).env_options == {
+        "obs_mode": "depth",
+        "camera_size": 32,
+    }
     run = mjhab.evaluate(spec.policy, subtask=spec.subtask, out=spec.out, **SMALL)
     assert [record.steps for record in run.records] == [4, 4] and run.report.is_file()
     assert (
@@ -77,7 +82,10 @@ def test_listed_keys_are_those_of_the_environment() -> None:
     obs, info = env.reset(seed=0)
     listed = keys_of_table(text, "Info")
     assert listed == set(info) == set(env.step(np.zeros((1, 13), np.float32))[4])
-    entries = {key.replace("<camera>", "fetch_head") for key in keys_of_table(text, "Observations")}
+    entries = {
+        key.replace("<camera>", "fetch_head")
+        for key in keys_of_table(text, "Observations")
+    }
     assert entries <= set(obs)
     env.close()
 

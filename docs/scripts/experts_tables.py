@@ -102,20 +102,43 @@ def subtask_table() -> str:
 
 def chain_table() -> str:
     """One line per pack, household task and navigation."""
-    head = ("homes", "chain", "navigation", "n", "whole chain %", "95 %", "ask %", "commit")
+    head = (
+        "homes",
+        "chain",
+        "navigation",
+        "n",
+        "whole chain %",
+        "95 %",
+        "ask %",
+        "commit",
+    )
     lines = []
     for name, pack in PACKS.items():
         for row in read(name)["chains"]:
             line = [pack, row["task"], row["navigate"], str(row["episodes"])]
             line += [percent(row["success_once"]), interval(row), percent(row["asked"])]
-            line += [row["commit"][:7], " ".join(f"{share:.2f}" for share in row["progressive"])]
+            line += [
+                row["commit"][:7],
+                " ".join(f"{share:.2f}" for share in row["progressive"]),
+            ]
             lines.append(line)
-    return table((*head, "share of episodes that did the first 1, 2, ... subtasks"), lines)
+    return table(
+        (*head, "share of episodes that did the first 1, 2, ... subtasks"), lines
+    )
 
 
 def profile_table() -> str:
     """The ten rows of the paper's Table 1 under ``--profile ms_hab``; Pick and Place over all their objects."""
-    head = ("task", "subtask", "target", "n", "once %", "95 %", "at end %", "paper RL-Per %")
+    head = (
+        "task",
+        "subtask",
+        "target",
+        "n",
+        "once %",
+        "95 %",
+        "at end %",
+        "paper RL-Per %",
+    )
     results = read("experts-ms-hab")
     rows = [row for row in results["groups"] if row["subtask"] in ("pick", "place")]
     rows += [row for row in results["rows"] if row["subtask"] in ("open", "close")]
@@ -146,9 +169,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument(
-        "run", nargs="?", type=Path, help="results.json of a run whose rows are to be taken"
+        "run",
+        nargs="?",
+        type=Path,
+        help="results.json of a run whose rows are to be taken",
     )
-    parser.add_argument("--into", help="name of the file under docs/results, without .json")
+    parser.add_argument(
+        "--into", help="name of the file under docs/results, without .json"
+    )
     given = parser.parse_args()
     if (given.run is None) != (given.into is None):
         parser.error("a run and --into belong together")

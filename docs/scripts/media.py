@@ -60,7 +60,11 @@ def make_films(into: Path, scratch: Path) -> None:
 def make_cameras(into: Path) -> None:
     """cameras.webp: what the two cameras of the robot see in a Pick: colours, depth, segments."""
     env = mjhab.make(
-        task="set_table", subtask="pick", obs_mode="rgbd+seg", camera_size=CAMERA_SIZE, num_envs=1
+        task="set_table",
+        subtask="pick",
+        obs_mode="rgbd+seg",
+        camera_size=CAMERA_SIZE,
+        num_envs=1,
     )
     obs, _ = env.reset(seed=0)
     rows = []
@@ -68,17 +72,25 @@ def make_cameras(into: Path) -> None:
         camera = name.removesuffix("/rgb")
         rgb = obs[name][0]
         depth = obs[f"{camera}/depth"][0, ..., 0].astype(float) / 1000.0
-        grey = np.where(depth > 0.0, 255.0 * np.clip(1.0 - depth / NEAR_TO_FAR_M, 0.0, 1.0), 0.0)
+        grey = np.where(
+            depth > 0.0, 255.0 * np.clip(1.0 - depth / NEAR_TO_FAR_M, 0.0, 1.0), 0.0
+        )
         palette = np.random.default_rng(1).integers(40, 255, (4096, 3))
         segments = palette[obs[f"{camera}/seg"][0, ..., 0] % len(palette)]
         grey = np.repeat(grey[..., None], 3, axis=2)
-        rows.append(np.concatenate([rgb, grey.astype(np.uint8), segments.astype(np.uint8)], axis=1))
+        rows.append(
+            np.concatenate(
+                [rgb, grey.astype(np.uint8), segments.astype(np.uint8)], axis=1
+            )
+        )
     env.close()
     Image.fromarray(np.concatenate(rows)).save(into / "cameras.webp", quality=QUALITY)
 
 
 def _animate(film: Path, path: Path) -> None:
-    frames = [Image.fromarray(frame).resize(FILM) for frame in iio.imiter(film)][::SPEED_UP]
+    frames = [Image.fromarray(frame).resize(FILM) for frame in iio.imiter(film)][
+        ::SPEED_UP
+    ]
     seconds = 1.0 / iio.immeta(film)["fps"]
     frames[0].save(
         path,

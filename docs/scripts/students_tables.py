@@ -31,7 +31,11 @@ def student_table(assets: str) -> str:
         "control steps", "samples", "minutes", "paper BC %", "RL-Per %", "commit",
     )  # fmt: skip
     lines = []
-    rows = [row for row in read("students")["rows"] if (row["assets"], row["seed"]) == (assets, 0)]
+    rows = [
+        row
+        for row in read("students")["rows"]
+        if (row["assets"], row["seed"]) == (assets, 0)
+    ]
     for row in sorted(rows, key=place_of):
         training = row["training"]
         judged = row["evaluation"]
@@ -43,13 +47,18 @@ def student_table(assets: str) -> str:
             row["target"] or "all",
             str(row["image_size"] or "states"),
         ]
-        line += [f"**{percent(judged['success_once'])}**", f"{100 * low:.0f}-{100 * high:.0f}"]
+        line += [
+            f"**{percent(judged['success_once'])}**",
+            f"{100 * low:.0f}-{100 * high:.0f}",
+        ]
         line += [str(judged["episodes"]), percent(judged["success_at_end"])]
         frames = training["frames"]
         line += [f"{training['episodes']:,}", "-" if frames is None else f"{frames:,}"]
         samples = training["samples"]
         line += [f"{samples / 1e6:.1f} M" if samples else "-", minutes(training)]
-        line += [f"{paper[name]:.1f}" if name in paper else "-" for name in ("bc", "rl_per")]
+        line += [
+            f"{paper[name]:.1f}" if name in paper else "-" for name in ("bc", "rl_per")
+        ]
         lines.append([*line, training["commits"][-1][:7] or "-"])
     return table(head, lines)
 
@@ -66,9 +75,24 @@ def seed_table() -> str:
         if len(seeds) < 2:
             continue
         rates = [seeds[seed]["success_once"] for seed in sorted(seeds)]
-        line = [task, subtask, target or "all", size, assets, ", ".join(map(percent, rates))]
+        line = [
+            task,
+            subtask,
+            target or "all",
+            size,
+            assets,
+            ", ".join(map(percent, rates)),
+        ]
         lines.append([*line, percent(sum(rates) / len(rates))])
-    head = ("task", "subtask", "target", "px", "homes", "once % with seeds 0, 1, 2", "mean")
+    head = (
+        "task",
+        "subtask",
+        "target",
+        "px",
+        "homes",
+        "once % with seeds 0, 1, 2",
+        "mean",
+    )
     return table(head, lines)
 
 

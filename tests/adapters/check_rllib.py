@@ -31,7 +31,9 @@ OPTIONS = {
     "horizon": HORIZON,
     "episode_pool": 2,
 }
-EXAMPLES = [block for block in blocks(ROOT / "docs" / "training.md") if "ray.rllib" in block.code]
+EXAMPLES = [
+    block for block in blocks(ROOT / "docs" / "training.md") if "ray.rllib" in block.code
+]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -89,6 +91,8 @@ def test_the_documentation_has_an_example() -> None:
 def test_the_example_of_the_documentation_runs(tmp_path: Path) -> None:
     script = tmp_path / EXAMPLES[0].file
     script.write_text(EXAMPLES[0].code)
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[-1]) == 512

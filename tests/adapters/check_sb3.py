@@ -43,8 +43,12 @@ def test_ppo_and_sac_train() -> None:
     ppo = stable_baselines3.PPO("MlpPolicy", env, n_steps=8, batch_size=8, n_epochs=1)
     before = [value.clone() for value in ppo.policy.parameters()]
     ppo.learn(16)
-    assert any((a != b).any() for a, b in zip(before, ppo.policy.parameters(), strict=True))
-    sac = stable_baselines3.SAC("MlpPolicy", env, learning_starts=8, batch_size=8, buffer_size=64)
+    assert any(
+        (a != b).any() for a, b in zip(before, ppo.policy.parameters(), strict=True)
+    )
+    sac = stable_baselines3.SAC(
+        "MlpPolicy", env, learning_starts=8, batch_size=8, buffer_size=64
+    )
     sac.learn(24)
     assert sac.replay_buffer.pos > 0
 

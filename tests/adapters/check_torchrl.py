@@ -63,7 +63,9 @@ def test_the_last_observation_of_an_episode_is_kept() -> None:
 
 def test_ppo_learns_from_a_rollout() -> None:
     env = to_torchrl(mjhab.make_train(**OPTIONS))
-    layers = nn.Sequential(nn.Linear(42, 32), nn.Tanh(), nn.Linear(32, 26), NormalParamExtractor())
+    layers = nn.Sequential(
+        nn.Linear(42, 32), nn.Tanh(), nn.Linear(32, 26), NormalParamExtractor()
+    )
     actor = ProbabilisticActor(
         TensorDictModule(layers, in_keys=["state"], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
@@ -75,7 +77,9 @@ def test_ppo_learns_from_a_rollout() -> None:
         found = env.rollout(8, policy=actor, break_when_any_done=False)
     GAE(gamma=0.97, lmbda=0.95, value_network=critic)(found)
     losses = ClipPPOLoss(actor, critic)(found.reshape(-1))
-    total = torch.stack([value for name, value in losses.items() if name.startswith("loss_")]).sum()
+    total = torch.stack(
+        [value for name, value in losses.items() if name.startswith("loss_")]
+    ).sum()
     total.backward()
     assert all(parameter.grad is not None for parameter in layers.parameters())
 

@@ -23,7 +23,11 @@ class FakeHub:
     """
 
     def __init__(
-        self, repo: str, files: dict[str, bytes], lfs: tuple[str, ...] = (), page: int = 1000
+        self,
+        repo: str,
+        files: dict[str, bytes],
+        lfs: tuple[str, ...] = (),
+        page: int = 1000,
     ) -> None:
         self.repo = repo
         self.files = files
@@ -44,7 +48,9 @@ class FakeHub:
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self._server.daemon_threads = True
         self.endpoint = f"http://127.0.0.1:{self._server.server_address[1]}"
-        threading.Thread(target=self._server.serve_forever, args=(0.02,), daemon=True).start()
+        threading.Thread(
+            target=self._server.serve_forever, args=(0.02,), daemon=True
+        ).start()
 
     def close(self) -> None:
         self._server.shutdown()
@@ -71,7 +77,9 @@ class FakeHub:
         if start + self.page < len(self.files):
             link = f'<https://elsewhere.example/tree?recursive=true&cursor={start + self.page}>; rel="next"'
         self._json(
-            request, [{"type": "directory", "path": "d", "oid": "x", "size": 0}, *rows], link
+            request,
+            [{"type": "directory", "path": "d", "oid": "x", "size": 0}, *rows],
+            link,
         )
 
     def _row(self, path: str) -> dict[str, Any]:
@@ -102,10 +110,16 @@ class FakeHub:
             return
         if fault == "wrong":
             data = bytes(255 - b for b in data)
-        start = int(wanted.removeprefix("bytes=").rstrip("-")) if wanted and fault != "whole" else 0
+        start = (
+            int(wanted.removeprefix("bytes=").rstrip("-"))
+            if wanted and fault != "whole"
+            else 0
+        )
         request.send_response(206 if start else 200)
         if start:
-            request.send_header("Content-Range", f"bytes {start}-{len(data) - 1}/{len(data)}")
+            request.send_header(
+                "Content-Range", f"bytes {start}-{len(data) - 1}/{len(data)}"
+            )
         body = data[start:]
         request.send_header("Content-Length", str(len(body)))
         request.end_headers()

@@ -26,7 +26,9 @@ GOOD = {
 }
 
 
-def make_zip(path: Path, files: dict[str, bytes], links: dict[str, str] | None = None) -> Path:
+def make_zip(
+    path: Path, files: dict[str, bytes], links: dict[str, str] | None = None
+) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
             archive.writestr(name, data)
@@ -38,7 +40,9 @@ def make_zip(path: Path, files: dict[str, bytes], links: dict[str, str] | None =
 
 
 def make_tar(
-    path: Path, files: dict[str, bytes], special: dict[str, tuple[bytes, str]] | None = None
+    path: Path,
+    files: dict[str, bytes],
+    special: dict[str, tuple[bytes, str]] | None = None,
 ) -> Path:
     with tarfile.open(path, "w:gz") as archive:
         for name, data in files.items():
@@ -55,7 +59,8 @@ def make_tar(
 
 @pytest.mark.parametrize("make", [make_zip, make_tar])
 @pytest.mark.parametrize(
-    "name", ["../evil", "a/../../evil", "/evil", "a\\..\\evil", "C:/evil", "..", "./../evil"]
+    "name",
+    ["../evil", "a/../../evil", "/evil", "a\\..\\evil", "C:/evil", "..", "./../evil"],
 )
 def test_paths_that_lead_out_are_refused(tmp_path: Path, make: object, name: str) -> None:
     archive = make(tmp_path / "bundle", {**GOOD, name: b"x"})  # type: ignore[operator]
@@ -80,7 +85,9 @@ def test_an_archive_that_holds_far_more_than_its_size_is_refused_before_it_is_un
     assert not (tmp_path / "out").exists()
 
 
-def test_a_header_of_a_tar_archive_that_states_gigabytes_is_not_read(tmp_path: Path) -> None:
+def test_a_header_of_a_tar_archive_that_states_gigabytes_is_not_read(
+    tmp_path: Path,
+) -> None:
     header = tarfile.TarInfo("pax")
     header.type = tarfile.XHDTYPE
     header.size = 2**32
@@ -125,7 +132,9 @@ def test_damaged_archives_are_refused(tmp_path: Path, kind: str) -> None:
         whole = (make_zip if kind == "zip" else make_tar)(path, payload).read_bytes()
         middle = len(whole) // 2
         path.write_bytes(
-            whole[:middle] if kind == "tar.gz" else whole[:200] + b"\0" * 300 + whole[500:]
+            whole[:middle]
+            if kind == "tar.gz"
+            else whole[:200] + b"\0" * 300 + whole[500:]
         )
     with pytest.raises(UsageError, match=r"damaged|neither a zip nor a tar") as caught:
         install_bundle(SOURCE, path, tmp_path / "root")
@@ -141,27 +150,40 @@ def test_a_bundle_is_installed_without_a_network(
     monkeypatch.setattr(
         "mjhab.assets.transfer._open", lambda *args, **kwargs: pytest.fail("network")
     )
-    bundle = make(tmp_path / "bundle", {wrapper + name: data for name, data in GOOD.items()})  # type: ignore[operator]
+    bundle = make(
+        tmp_path / "bundle", {wrapper + name: data for name, data in GOOD.items()}
+    )  # type: ignore[operator]
     folder = install_bundle(SOURCE, bundle, tmp_path / "root")
-    assert {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()} == {
+    assert {
+        p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()
+    } == {
         *GOOD,
         RECORD,
     }
     record = read_record(folder)
-    assert record is not None and (record["origin"], record["trust"]) == ("bundle", "first use")
+    assert record is not None and (record["origin"], record["trust"]) == (
+        "bundle",
+        "first use",
+    )
     assert not any((tmp_path / "root" / ".partial").iterdir())
     with pytest.raises(UsageError, match="--overwrite replaces it"):
         install_bundle(SOURCE, bundle, tmp_path / "root")
 
 
 @pytest.mark.parametrize(
-    "path", ["ycb/024_bowl/textured.glb", "ycb-main/meshes/024_bowl/google_16k/textured.glb"]
+    "path",
+    ["ycb/024_bowl/textured.glb", "ycb-main/meshes/024_bowl/google_16k/textured.glb"],
 )
-def test_a_bundle_may_have_the_layout_of_the_repository(tmp_path: Path, path: str) -> None:
+def test_a_bundle_may_have_the_layout_of_the_repository(
+    tmp_path: Path, path: str
+) -> None:
     bundle = make_zip(tmp_path / "b.zip", {path: b"bowl", "ycb-main/README.md": b"r"})
     folder = install_bundle(SOURCES["ycb"], bundle, tmp_path / "root")
     assert (folder / "024_bowl" / "textured.glb").read_bytes() == b"bowl"
-    assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == [RECORD, "textured.glb"]
+    assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == [
+        RECORD,
+        "textured.glb",
+    ]
 
 
 def test_a_bundle_of_something_else_is_refused(tmp_path: Path) -> None:
@@ -180,7 +202,9 @@ def test_an_archive_larger_than_the_disk_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bundle = make_zip(tmp_path / "b.zip", {**GOOD, "zeros": bytes(1 << 20)})
-    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 1 << 19}))
+    monkeypatch.setattr(
+        "shutil.disk_usage", lambda path: type("Usage", (), {"free": 1 << 19})
+    )
     with pytest.raises(UsageError, match=r"only 0\.0 GB free"):
         unpack(bundle, tmp_path / "out")
 
@@ -203,7 +227,9 @@ def test_a_folder_without_a_record_is_trusted_on_first_use(tmp_path: Path) -> No
     assert verify(folder).first_use and not verify(folder).first_use
     (folder / "024_bowl" / "textured.glb").write_bytes(b"b0wl")
     assert verify(folder).changed == ("024_bowl/textured.glb",)
-    with pytest.raises(UsageError, match="does not exist; `mjhab assets fetch nothing` gets it"):
+    with pytest.raises(
+        UsageError, match="does not exist; `mjhab assets fetch nothing` gets it"
+    ):
         verify(tmp_path / "nothing")
 
 
@@ -225,7 +251,8 @@ def test_a_damaged_record_is_named(tmp_path: Path, body: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "kept"), [("a/b.txt", "a/b.txt"), ("./a//b", "a/b"), ("a/./..b/c", "a/..b/c")]
+    ("given", "kept"),
+    [("a/b.txt", "a/b.txt"), ("./a//b", "a/b"), ("a/./..b/c", "a/..b/c")],
 )
 def test_harmless_paths_stay(given: str, kept: str) -> None:
     assert safe_path(given, "x") == kept

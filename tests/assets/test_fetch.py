@@ -80,7 +80,9 @@ def no_leftovers(root: Path) -> bool:
     return not any((root / ".partial").iterdir())
 
 
-def test_fetch_installs_every_file_and_records_its_hash(hub: FakeHub, tmp_path: Path) -> None:
+def test_fetch_installs_every_file_and_records_its_hash(
+    hub: FakeHub, tmp_path: Path
+) -> None:
     count = Count()
     assert fetch(SOURCE, tmp_path, progress=count.progress()) == tmp_path / "replica_cad"
     assert installed(tmp_path) == FILES and no_leftovers(tmp_path)
@@ -173,7 +175,9 @@ def test_a_dead_hub_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("HF_ENDPOINT", "http://127.0.0.1:9")
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     count = Count()
-    with pytest.raises(TransferError, match=r"127\.0\.0\.1:9.*the connection failed.*proxy"):
+    with pytest.raises(
+        TransferError, match=r"127\.0\.0\.1:9.*the connection failed.*proxy"
+    ):
         fetch(SOURCE, tmp_path, progress=count.progress())
     # Nobody waits long to hear that there is no network; a server that was reached gets TRIES.
     assert sum(count.waits) + FIRST_TIMEOUT <= 5
@@ -188,7 +192,9 @@ def test_a_hub_that_says_nothing_is_given_up_soon(
         monkeypatch.setenv("HF_ENDPOINT", f"http://127.0.0.1:{silent.getsockname()[1]}")
         monkeypatch.setenv("no_proxy", "127.0.0.1")
         count = Count()
-        with pytest.raises(TransferError, match="the server says nothing, again and again"):
+        with pytest.raises(
+            TransferError, match="the server says nothing, again and again"
+        ):
             fetch(SOURCE, tmp_path, progress=count.progress())
     assert count.waits == []
 
@@ -201,7 +207,9 @@ def test_a_file_of_which_nothing_comes_is_given_up(
         monkeypatch.setenv("no_proxy", "127.0.0.1")
         url = f"http://127.0.0.1:{silent.getsockname()[1]}/file"
         waits: list[float] = []
-        with pytest.raises(TransferError, match="the server says nothing, again and again"):
+        with pytest.raises(
+            TransferError, match="the server says nothing, again and again"
+        ):
             download(url, tmp_path / "file", Expected(10), sleep=waits.append)
     assert len(waits) == TRIES / SILENCE_COSTS - 1
 
@@ -227,11 +235,16 @@ def test_a_list_of_files_has_an_end(
 def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) -> None:
     hub.files = {"README.md": b"moved"}
     with pytest.raises(
-        UsageError, match=r"is not the data set replica_cad: it must hold configs/scenes/\*"
+        UsageError,
+        match=r"is not the data set replica_cad: it must hold configs/scenes/\*",
     ):
         fetch(SOURCE, tmp_path, progress=Count().progress())
     with pytest.raises(UsageError, match=r"none that ycb is made of.*--repo.*--offline"):
-        fetch(replace(SOURCES["ycb"], repo=SOURCE.repo), tmp_path, progress=Count().progress())
+        fetch(
+            replace(SOURCES["ycb"], repo=SOURCE.repo),
+            tmp_path,
+            progress=Count().progress(),
+        )
     assert not (tmp_path / "replica_cad").exists() and not (tmp_path / "ycb").exists()
 
 
@@ -249,7 +262,9 @@ def test_ycb_files_go_where_the_reader_looks(hub: FakeHub, tmp_path: Path) -> No
         "collision_meshes/024_cv_decomp.glb": b"no",
         "LICENSE": b"terms",
     }
-    folder = fetch(replace(SOURCES["ycb"], repo=SOURCE.repo), tmp_path, progress=Count().progress())
+    folder = fetch(
+        replace(SOURCES["ycb"], repo=SOURCE.repo), tmp_path, progress=Count().progress()
+    )
     assert (folder / "024_bowl" / "textured.glb").read_bytes() == b"bowl"
     assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == [
         RECORD,
@@ -265,7 +280,9 @@ def test_episodes_come_out_of_their_archive(hub: FakeHub, tmp_path: Path) -> Non
     hub.files = {"rearrange.zip": buffer.getvalue(), "other.zip": b"no"}
     hub.lfs = ("rearrange.zip",)
     folder = fetch(
-        replace(SOURCES["hab_episodes"], repo=SOURCE.repo), tmp_path, progress=Count().progress()
+        replace(SOURCES["hab_episodes"], repo=SOURCE.repo),
+        tmp_path,
+        progress=Count().progress(),
     )
     assert [path.read_bytes() for path in folder.rglob("*.json.gz")] == [b"episodes"]
     record = read_record(folder)
@@ -276,7 +293,9 @@ def test_episodes_come_out_of_their_archive(hub: FakeHub, tmp_path: Path) -> Non
     assert no_leftovers(tmp_path)
 
 
-def test_an_installed_data_set_is_replaced_only_on_request(hub: FakeHub, tmp_path: Path) -> None:
+def test_an_installed_data_set_is_replaced_only_on_request(
+    hub: FakeHub, tmp_path: Path
+) -> None:
     fetch(SOURCE, tmp_path, progress=Count().progress())
     hub.files["LICENSE.txt"] = b"new terms"
     with pytest.raises(UsageError, match=r"exists; .*--overwrite replaces it"):
@@ -306,13 +325,17 @@ def test_a_failed_replacement_keeps_what_was_there(
 def test_no_room_is_found_out_before_the_download(
     hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("shutil.disk_usage", lambda path: type("Usage", (), {"free": 1000}))
+    monkeypatch.setattr(
+        "shutil.disk_usage", lambda path: type("Usage", (), {"free": 1000})
+    )
     with pytest.raises(UsageError, match=r"GB more, but only 0\.0 GB are free"):
         fetch(SOURCE, tmp_path, progress=Count().progress())
     assert hub.asked == []
 
 
-def test_proxies_are_used(hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_proxies_are_used(
+    hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HF_ENDPOINT", "http://hub.example")
     monkeypatch.setenv("http_proxy", hub.endpoint)
     monkeypatch.setenv("no_proxy", "")
@@ -329,13 +352,20 @@ def test_the_endpoint_must_be_an_address(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_unknown_data_sets_are_refused_with_a_hint() -> None:
-    with pytest.raises(UsageError, match=r"unknown data set 'ycbb'\. Did you mean 'ycb'\?"):
+    with pytest.raises(
+        UsageError, match=r"unknown data set 'ycbb'\. Did you mean 'ycb'\?"
+    ):
         source_named("ycbb")
 
 
 @pytest.mark.parametrize(
     "body",
-    [b"<html>", json.dumps({"error": "no"}).encode(), json.dumps([1]).encode(), b"[" * 100_000],
+    [
+        b"<html>",
+        json.dumps({"error": "no"}).encode(),
+        json.dumps([1]).encode(),
+        b"[" * 100_000,
+    ],
 )
 def test_an_answer_of_something_else_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: bytes, hub: FakeHub

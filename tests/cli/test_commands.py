@@ -62,7 +62,11 @@ def test_help_loads_no_heavy_library() -> None:
         "sys.exit(f'loaded {bad}' if bad else 0)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
 
@@ -93,7 +97,10 @@ def test_homes_list(capsys: pytest.CaptureFixture[str]) -> None:
 def test_homes_show(capsys: pytest.CaptureFixture[str]) -> None:
     name = machine(capsys, "homes", "list")["homes"][0]["name"]
     shown = machine(capsys, "homes", "show", name)
-    assert shown["name"] == name and sorted(shown["articulations"]) == ["fridge", "kitchen_counter"]
+    assert shown["name"] == name and sorted(shown["articulations"]) == [
+        "fridge",
+        "kitchen_counter",
+    ]
     assert main(["homes", "show", name]) == 0
     out = capsys.readouterr().out
     assert "sofa" in out and "fridge" in out
@@ -110,7 +117,15 @@ def test_homes_render_writes_the_picture(
     out = tmp_path / "new" / "home.png"
     size = ("--width", "64", "--height", "48")
     said = machine(
-        capsys, "homes", "render", "builtin_m0_00", "--out", str(out), "--view", "inside", *size
+        capsys,
+        "homes",
+        "render",
+        "builtin_m0_00",
+        "--out",
+        str(out),
+        "--view",
+        "inside",
+        *size,
     )
     assert said == {
         "home": "builtin_m0_00",
@@ -125,10 +140,16 @@ def test_homes_render_writes_the_picture(
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (("homes", "show", "builtin_m0_0"), ("unknown home", "Did you mean", "builtin_m1_00")),
+        (
+            ("homes", "show", "builtin_m0_0"),
+            ("unknown home", "Did you mean", "builtin_m1_00"),
+        ),
         (("homes", "render", "nowhere"), ("unknown home", "builtin_m0_00")),
         (("homes", "render", "builtin_m0_00", "--out", "x.jpg"), ("must end with .png",)),
-        (("homes", "render", "builtin_m0_00", "--width", "0"), ("--width must be at least 16",)),
+        (
+            ("homes", "render", "builtin_m0_00", "--width", "0"),
+            ("--width must be at least 16",),
+        ),
         (("homes", "list", "--assets", "bulitin"), ("asset pack", "builtin")),
         (("homes", "list", "--assets", "no/such/folder"), ("no/such/folder",)),
         (("bench", "sim", "--worlds", "0"), ("--worlds must be at least 1",)),
@@ -146,8 +167,12 @@ def test_bad_input(
         assert word in err
 
 
-def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gl_probe, "renderer_probe", lambda: {"egl": True, "osmesa": False})
+def test_doctor(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        gl_probe, "renderer_probe", lambda: {"egl": True, "osmesa": False}
+    )
     monkeypatch.setattr(
         doctor,
         "loaded_plugins",
@@ -169,7 +194,10 @@ def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPa
         "robots",
     ]
     assert found["robots"]["fetch"] == ""
-    assert [plugin["registered"] for plugin in found["plugins"]] == [["subtask 'push'"], []]
+    assert [plugin["registered"] for plugin in found["plugins"]] == [
+        ["subtask 'push'"],
+        [],
+    ]
     assert found["plugins"][1]["error"] == "E: gone"
     assert found["renderers"] == {"rasterizer": True, "egl": True, "osmesa": False}
     assert found["mujoco"] == "3.17.0" and found["cores"] >= 1
@@ -180,7 +208,9 @@ def test_doctor(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPa
 
 
 def test_doctor_knows_all_extras() -> None:
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())[
+        "project"
+    ]
     extras = set(project["optional-dependencies"]) - {"all", "dev"}
     assert set(doctor.EXTRAS) == extras
 
@@ -191,13 +221,20 @@ def test_hints_install_into_the_python_that_runs_from_where_mjhab_is(
     root = Path(__file__).parents[2]
     assert checkout() == root
     assert shlex.split(install_extra("view"))[-2:] == ["-e", f"{root}[view]"]
-    assert shlex.split(pip_install("torchrl", "sets of words"))[-2:] == ["torchrl", "sets of words"]
+    assert shlex.split(pip_install("torchrl", "sets of words"))[-2:] == [
+        "torchrl",
+        "sets of words",
+    ]
     assert pip_install("torchrl").startswith((sys.executable, "uv "))
-    monkeypatch.setattr(machine_module, "__file__", "/lib/site-packages/mjhab/core/machine.py")
+    monkeypatch.setattr(
+        machine_module, "__file__", "/lib/site-packages/mjhab/core/machine.py"
+    )
     assert shlex.split(install_extra("view"))[-1] == "mjhab[view]"
 
 
-def test_tables_are_whole_where_nobody_sees_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_are_whole_where_nobody_sees_a_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["envs", "describe", "mjhab/CloseSubtaskTrain-v1", "--obs", "depth"]) == 0
     text = capsys.readouterr().out
     assert "…" not in text and "sensor_param/fetch_head/extrinsic_cv" in text
@@ -210,7 +247,14 @@ def test_tables_cut_no_word_in_narrow_terminals(
     monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     columns = ("key", "shape", "dtype", "unit", "frame", "meaning")
-    row = ("extra/tcp_pose_wrt_base", 7, "float32", "m, wxyz", "base_link", "position, quaternion")
+    row = (
+        "extra/tcp_pose_wrt_base",
+        7,
+        "float32",
+        "m, wxyz",
+        "base_link",
+        "position, quaternion",
+    )
     print_table("observations", columns, [row, row])
     text = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert max(map(len, text.splitlines())) <= width and "…" not in text
@@ -221,10 +265,10 @@ def test_tables_cut_no_word_in_narrow_terminals(
 
 
 def test_a_reader_may_stop_early() -> None:
-    command = (
-        f"{sys.executable} -m mjhab.cli.main envs describe mjhab/PickSubtaskTrain-v1 | head -1"
+    command = f"{sys.executable} -m mjhab.cli.main envs describe mjhab/PickSubtaskTrain-v1 | head -1"
+    done = subprocess.run(
+        command, shell=True, capture_output=True, text=True, timeout=120
     )
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stderr == "" and done.stdout.count("\n") == 1
 
 
@@ -232,7 +276,11 @@ def test_demo_is_an_evaluation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     asked: list[Any] = []
     monkeypatch.setattr(evaluate, "run_eval", lambda options: asked.append(options) or 0)
     assert main(["demo", "--out", str(tmp_path), "--json"]) == 0
-    assert (asked[0].task, asked[0].episodes, asked[0].policy) == ("set_table", 4, "expert")
+    assert (asked[0].task, asked[0].episodes, asked[0].policy) == (
+        "set_table",
+        4,
+        "expert",
+    )
     assert asked[0].json and asked[0].overwrite and asked[0].out == tmp_path
 
 
@@ -245,7 +293,9 @@ def test_doctor_fails_without_the_right_mujoco(
     assert "pip install mujoco==3.17.0" in capsys.readouterr().out.replace("\n", " ")
 
 
-def test_gpu_is_asked_for_without_cuda(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_gpu_is_asked_for_without_cuda(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     tool = tmp_path / "nvidia-smi"
     tool.write_text("#!/bin/sh\necho 'NVIDIA H200'\necho 'NVIDIA H200'\n")
     tool.chmod(0o755)
@@ -274,7 +324,9 @@ def test_bench_sim_measures_both_on_the_same_worlds() -> None:
     result = bench.measure_sps(cast("Any", env), steps=5, rounds=4, seed=0)
     assert list(result) == ["engine_sps", "env_sps", "ratio", "worlds", "reset_ms"]
     assert result["worlds"] == 3 and 0 < result["env_sps"] < result["engine_sps"]
-    assert result["ratio"] == pytest.approx(result["env_sps"] / result["engine_sps"], abs=1e-3)
+    assert result["ratio"] == pytest.approx(
+        result["env_sps"] / result["engine_sps"], abs=1e-3
+    )
     assert env.bare_steps == 20 and env.steps_taken == 4 * (2 * 5 + 3 * bench.WARM_STEPS)
     # Every round runs its episodes three times: to record the commands, and timed for either side.
     assert env.resets == [[r, r + 1, r + 2] for r in (0, 3, 6, 9) for _ in range(3)]
@@ -287,9 +339,26 @@ def test_bench_sim_prints_the_keys(
         "mjhab.envs.make", lambda **options: TimedEnv(options["num_envs"], quality=1.0)
     )
     result = machine(
-        capsys, "bench", "sim", "--worlds", "2", "--steps", "3", "--rounds", "2", "--threads", "2"
+        capsys,
+        "bench",
+        "sim",
+        "--worlds",
+        "2",
+        "--steps",
+        "3",
+        "--rounds",
+        "2",
+        "--threads",
+        "2",
     )
-    assert list(result) == ["engine_sps", "env_sps", "ratio", "worlds", "reset_ms", "threads"]
+    assert list(result) == [
+        "engine_sps",
+        "env_sps",
+        "ratio",
+        "worlds",
+        "reset_ms",
+        "threads",
+    ]
     assert (result["worlds"], result["threads"]) == (2, 2)
 
 

@@ -31,7 +31,9 @@ def evaluate(out: Path, worlds: int, threads: int) -> dict[int, dict]:
         str(out),
     ]
     assert main(args) == 0
-    records = [json.loads(line) for line in (out / "episodes.jsonl").read_text().splitlines()]
+    records = [
+        json.loads(line) for line in (out / "episodes.jsonl").read_text().splitlines()
+    ]
     return {r["index"]: {k: v for k, v in r.items() if k != "seconds"} for r in records}
 
 

@@ -72,7 +72,9 @@ def test_help_names_every_style(command: str, capsys: pytest.CaptureFixture[str]
         main([command, "--help"])
     told = " ".join(capsys.readouterr().out.replace("│", " ").split())
     about_styles = told[told.index("--style") :].split("--")[1]
-    assert [name for name in NAMES if name not in about_styles.replace(",", " ").split()] == []
+    assert [
+        name for name in NAMES if name not in about_styles.replace(",", " ").split()
+    ] == []
 
 
 @pytest.mark.parametrize("algorithm", LEARNERS)

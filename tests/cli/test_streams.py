@@ -49,7 +49,9 @@ def test_an_evaluation_is_whole_where_stderr_cannot_be_written(
     assert (tmp_path / "run" / "summary.json").is_file()
 
 
-def test_a_refusal_without_stderr_has_its_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_without_stderr_has_its_exit_code(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(sys, "stderr", full_device())
     assert main(["eval", "--task", "no_such_task"]) == 2
     sys.stderr.close()
@@ -66,7 +68,9 @@ def test_closed_streams_are_opened_before_a_file_gets_their_number() -> None:
 
 
 @pytest.mark.parametrize("is_closed", [False, True])
-def test_a_stream_without_a_descriptor_discards_what_it_cannot_write(is_closed: bool) -> None:
+def test_a_stream_without_a_descriptor_discards_what_it_cannot_write(
+    is_closed: bool,
+) -> None:
     stream = io.StringIO()
     if is_closed:
         stream.close()

@@ -71,7 +71,9 @@ def test_profiles_set_their_values_at_once() -> None:
 def test_horizons_are_those_of_training_and_of_evaluation(
     build: Any, subtask: str, horizons: tuple[int, ...]
 ) -> None:
-    limits = task_config(build(profile="ms_hab", task="set_table", subtask=subtask), ROBOT)
+    limits = task_config(
+        build(profile="ms_hab", task="set_table", subtask=subtask), ROBOT
+    )
     judged = number_of(subtask) if subtask else slice(None)
     assert np.all(np.array(horizons_of(limits))[judged] == np.array(horizons)[judged])
     assert (
@@ -100,7 +102,9 @@ def test_an_option_that_contradicts_the_profile_is_refused_with_both_names(
     name: str, value: Any
 ) -> None:
     wanted: dict[str, Any] = {name: value}
-    given, contradicted = next(iter(value.items())) if isinstance(value, dict) else (name, value)
+    given, contradicted = (
+        next(iter(value.items())) if isinstance(value, dict) else (name, value)
+    )
     for build in (EnvConfig, TrainConfig):
         with pytest.raises(UsageError, match="'ms_hab'") as error:
             build(profile="ms_hab", **PICK, **wanted)
@@ -117,7 +121,12 @@ def test_what_agrees_or_is_not_fixed_may_be_given() -> None:
     # Recorded runs tell lists where there were tuples.
     cameras: Any = ["fetch_head", "fetch_hand"]
     config = EnvConfig(
-        profile="ms_hab", **PICK, **free, stillness="published", horizon=200, cameras=cameras
+        profile="ms_hab",
+        **PICK,
+        **free,
+        stillness="published",
+        horizon=200,
+        cameras=cameras,
     )
     assert config.camera_size == 64
     again = dataclasses.replace(config, num_envs=5)
@@ -156,7 +165,8 @@ def test_environments_take_profiles_in_every_way_they_are_made() -> None:
         (single.unwrapped, 100),
     ):
         assert (
-            env.config.profile == "ms_hab" and limits_of(env.task_config, "pick").horizon == horizon
+            env.config.profile == "ms_hab"
+            and limits_of(env.task_config, "pick").horizon == horizon
         )
         assert env.task_config.stillness == "published"
     for env in (made, trained, named, single):
@@ -164,7 +174,9 @@ def test_environments_take_profiles_in_every_way_they_are_made() -> None:
 
 
 def test_a_head_that_is_stationary_stays_and_the_expert_does_without_it() -> None:
-    env = envs.make_train(**PICK, profile="ms_hab", num_envs=1, threads=1, autoreset="disabled")
+    env = envs.make_train(
+        **PICK, profile="ms_hab", num_envs=1, threads=1, autoreset="disabled"
+    )
     env.reset(seed=0)
     before = env.state.robot_q[0, [4, 6]].copy()
     for _ in range(5):

@@ -25,7 +25,9 @@ VALUES: tuple[Any, ...] = (
 )
 
 
-@pytest.mark.parametrize("name", [option.name for option in dataclasses.fields(EnvConfig)])
+@pytest.mark.parametrize(
+    "name", [option.name for option in dataclasses.fields(EnvConfig)]
+)
 def test_any_value_is_taken_or_refused(name: str) -> None:
     default = getattr(EnvConfig(subtask="pick"), name)
     for value in VALUES:

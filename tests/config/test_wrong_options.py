@@ -19,7 +19,19 @@ from mjhab.scenes.pack_source import PackRequest, pack_request
 
 WRONG: dict[Any, tuple[Any, ...]] = {
     str: (3, 1.5, True, [], ["a"], {}, b"x", object(), "x" * 5000, "a\0b", math.nan),
-    int: ("3", 1.5, True, [], {}, -1, 2**64, 10**30, math.nan, np.bool_(True), np.float64(2)),
+    int: (
+        "3",
+        1.5,
+        True,
+        [],
+        {},
+        -1,
+        2**64,
+        10**30,
+        math.nan,
+        np.bool_(True),
+        np.float64(2),
+    ),
     float: ("a", True, [], {}, math.nan, math.inf, -1.0, 2.0, 10**400),
     bool: ("no", 2, 3.0, [], math.nan),
     tuple: ("x", 3, [3], [None], [["a"]], {"a": 1}, {"a"}, ["x" * 5000]),
@@ -37,7 +49,11 @@ def type_name(value: Any) -> str:
 def wrong() -> list[tuple[str, Any]]:
     found: list[tuple[str, Any]] = []
     for name, hint in get_type_hints(EnvConfig).items():
-        if name not in {field.name for field in dataclasses.fields(EnvConfig)} - OTHERWISE_READ:
+        if (
+            name
+            not in {field.name for field in dataclasses.fields(EnvConfig)}
+            - OTHERWISE_READ
+        ):
             continue
         kinds = {get_origin(kind) or kind for kind in get_args(hint) or (hint,)}
         kinds = {get_origin(hint)} if get_origin(hint) in (tuple, Mapping) else kinds
@@ -51,16 +67,23 @@ def wrong() -> list[tuple[str, Any]]:
 def test_values_of_another_type_are_refused_by_name(config: type[EnvConfig]):
     # One number of pixels and one name of a camera are taken as well.
     fitting = {"camera_size": int, "cameras": str}
-    cases = [(name, value) for name, value in wrong() if type(value) is not fitting.get(name)]
+    cases = [
+        (name, value) for name, value in wrong() if type(value) is not fitting.get(name)
+    ]
     assert len(cases) > 250
     for name, value in cases:
         with pytest.raises(UsageError) as error:
             config(**{"task": "set_table", "subtask": "pick", name: value})
         said = str(error.value)
-        assert name.split("_")[0] in said and "\n" not in said and len(said) < 500, (name, said)
+        assert name.split("_")[0] in said and "\n" not in said and len(said) < 500, (
+            name,
+            said,
+        )
 
 
-@pytest.mark.parametrize("size", [0, 10**6, (3,), (3, 4, 5), (0, 3), ("a", "b"), 1.5, "128"])
+@pytest.mark.parametrize(
+    "size", [0, 10**6, (3,), (3, 4, 5), (0, 3), ("a", "b"), 1.5, "128"]
+)
 def test_sizes_of_images_are_one_or_two_numbers(size: Any):
     with pytest.raises(UsageError, match="camera_size must be"):
         EnvConfig(camera_size=size)
@@ -99,7 +122,9 @@ def test_the_cpu_backend_has_no_other_device(device: str):
         mjhab.make(device=device)
 
 
-def test_auto_does_not_fall_back_from_a_device_that_was_asked_for(monkeypatch: pytest.MonkeyPatch):
+def test_auto_does_not_fall_back_from_a_device_that_was_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+):
     monkeypatch.setattr("mjhab.sim.backends.cuda_devices", list)
     with pytest.raises(UsageError, match="backend 'cpu' has no device 'cuda:7'"):
         mjhab.make(backend="auto", device="cuda:7")
@@ -112,7 +137,8 @@ def test_assets_are_a_place_or_a_request(assets: Any):
 
 
 @pytest.mark.parametrize(
-    "fields", [{"place": 3}, {"articulate": "fridge"}, {"scenes": [3]}, {"stage_mesh": ["a"]}]
+    "fields",
+    [{"place": 3}, {"articulate": "fridge"}, {"scenes": [3]}, {"stage_mesh": ["a"]}],
 )
 def test_fields_of_a_request_have_types(fields: dict[str, Any]):
     with pytest.raises(UsageError, match="assets: "):
@@ -162,9 +188,13 @@ def test_registering_functions_say_what_they_expect(register: str, value: Any):
         getattr(mjhab, register)(value)
 
 
-@pytest.mark.parametrize("option", [{"num_envs": 4}, {"autoreset": "same_step"}, {"backend": 3}])
+@pytest.mark.parametrize(
+    "option", [{"num_envs": 4}, {"autoreset": "same_step"}, {"backend": 3}]
+)
 def test_a_plain_gymnasium_env_is_one_world(option: dict[str, Any]):
-    with pytest.raises(UsageError, match=r"plain gymnasium\.Env has .*make_vec takes others"):
+    with pytest.raises(
+        UsageError, match=r"plain gymnasium\.Env has .*make_vec takes others"
+    ):
         gymnasium.make("mjhab/SetTable-v1", **option)
 
 
@@ -179,7 +209,12 @@ def test_evaluations_and_data_sets_refuse_other_types_before_anything_is_written
     monkeypatch.chdir(tmp_path)
     for name, values in SPEC_FIELDS.items():
         for value in values:
-            options = {"out": tmp_path / "run", "subtask": "close", "episodes": 1, name: value}
+            options = {
+                "out": tmp_path / "run",
+                "subtask": "close",
+                "episodes": 1,
+                name: value,
+            }
             with pytest.raises(UsageError, match=f"{name} must be"):
                 run("zero", **options)
     assert not list(tmp_path.iterdir())

@@ -40,13 +40,23 @@ def test_products_match_matrices() -> None:
     ma = rot.mat_from_quat(a)
     mb = rot.mat_from_quat(b)
     np.testing.assert_allclose(rot.mat_from_quat(rot.quat_mul(a, b)), ma @ mb, atol=1e-12)
-    np.testing.assert_allclose(rot.quat_rotate(a, v), np.einsum("nij,nj->ni", ma, v), atol=1e-12)
-    np.testing.assert_allclose(rot.quat_rotate_inv(a, rot.quat_rotate(a, v)), v, atol=1e-12)
+    np.testing.assert_allclose(
+        rot.quat_rotate(a, v), np.einsum("nij,nj->ni", ma, v), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        rot.quat_rotate_inv(a, rot.quat_rotate(a, v)), v, atol=1e-12
+    )
     np.testing.assert_allclose(np.linalg.det(ma), 1.0)
 
 
 def test_matrix_to_quaternion_in_all_four_branches() -> None:
-    halves = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0.5, -0.5, 0.5, 0.5]]
+    halves = [
+        [1, 0, 0, 0],
+        [0, 1, 0, 0],
+        [0, 0, 1, 0],
+        [0, 0, 0, 1],
+        [0.5, -0.5, 0.5, 0.5],
+    ]
     q = np.concatenate([random_quats(200), np.array(halves, dtype=float)])
     back = rot.quat_from_mat(rot.mat_from_quat(q))
     assert (back[:, 0] >= 0).all()
@@ -62,7 +72,9 @@ def test_canonical_quaternions(library: Any) -> None:
     for dtype in (np.float64, np.float32):
         one = to_numpy(rot.quat_canonical(library(q.astype(dtype))))
         assert one.dtype == dtype and one.shape == q.shape
-        np.testing.assert_array_equal(one, to_numpy(rot.quat_canonical(library(-q.astype(dtype)))))
+        np.testing.assert_array_equal(
+            one, to_numpy(rot.quat_canonical(library(-q.astype(dtype))))
+        )
         np.testing.assert_array_equal(one, to_numpy(rot.quat_canonical(library(one))))
         np.testing.assert_array_equal(np.abs(one), np.abs(q.astype(dtype)))
         first = [next((x for x in row if x != 0), 0.0) for row in one[0]]
@@ -75,7 +87,9 @@ def test_yaw_and_axis_angle() -> None:
     yaw = np.array([-3.0, -0.5, 0.0, 1.0, 3.0])
     np.testing.assert_allclose(rot.yaw_from_quat(rot.quat_from_yaw(yaw)), yaw, atol=1e-12)
     z = np.array([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(rot.quat_from_axis_angle(z, yaw), rot.quat_from_yaw(yaw), atol=1e-12)
+    np.testing.assert_allclose(
+        rot.quat_from_axis_angle(z, yaw), rot.quat_from_yaw(yaw), atol=1e-12
+    )
     quarter = rot.quat_from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array(math.pi / 2))
     np.testing.assert_allclose(
         rot.quat_rotate(quarter, np.array([0.0, 1.0, 0.0])), [0, 0, 1], atol=1e-12
@@ -87,7 +101,9 @@ def test_poses_compose_invert_and_map_points() -> None:
     b = np.concatenate([RNG.normal(size=(20, 3)), random_quats(20)], axis=1)
     p = RNG.normal(size=(20, 3))
     np.testing.assert_allclose(
-        rot.pose_apply(rot.pose_mul(a, b), p), rot.pose_apply(a, rot.pose_apply(b, p)), atol=1e-12
+        rot.pose_apply(rot.pose_mul(a, b), p),
+        rot.pose_apply(a, rot.pose_apply(b, p)),
+        atol=1e-12,
     )
     unit = np.tile([0.0, 0, 0, 1, 0, 0, 0], (20, 1))
     np.testing.assert_allclose(rot.pose_mul(a, rot.pose_inv(a)), unit, atol=1e-12)
@@ -110,7 +126,10 @@ def test_torch_rotates_the_same_in_value_and_dtype(dtype: Any) -> None:
         (rot.quat_rotate(q, v), rot.quat_rotate(t(q), t(v))),
         (rot.quat_rotate_inv(q, v), rot.quat_rotate_inv(t(q), t(v))),
         (rot.mat_from_quat(q), rot.mat_from_quat(t(q))),
-        (rot.quat_from_mat(rot.mat_from_quat(q)), rot.quat_from_mat(t(rot.mat_from_quat(q)))),
+        (
+            rot.quat_from_mat(rot.mat_from_quat(q)),
+            rot.quat_from_mat(t(rot.mat_from_quat(q))),
+        ),
         (rot.quat_from_yaw(yaw), rot.quat_from_yaw(t(yaw))),
         (rot.yaw_from_quat(q), rot.yaw_from_quat(t(q))),
         (rot.quat_from_axis_angle(v, yaw), rot.quat_from_axis_angle(t(v), t(yaw))),
@@ -132,10 +151,16 @@ class _Record:
 def test_array_helpers() -> None:
     table = np.arange(12).reshape(3, 4)
     assert pick_column(table, np.array([1, 0, 3])).tolist() == [1, 4, 11]
-    assert pick_column(torch.from_numpy(table), torch.tensor([1, 0, 3])).tolist() == [1, 4, 11]
+    assert pick_column(torch.from_numpy(table), torch.tensor([1, 0, 3])).tolist() == [
+        1,
+        4,
+        11,
+    ]
     mask = np.array([True, False])
     mixed = where_rows(
-        mask, _Record(np.ones(2), np.ones((2, 2, 2))), _Record(np.zeros(2), np.zeros((2, 2, 2)))
+        mask,
+        _Record(np.ones(2), np.ones((2, 2, 2))),
+        _Record(np.zeros(2), np.zeros((2, 2, 2))),
     )
     assert mixed.a.tolist() == [1, 0] and mixed.b.sum() == 4 and mixed.c is None
     assert to_numpy(torch.ones(2)).tolist() == [1, 1]

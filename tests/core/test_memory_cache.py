@@ -49,7 +49,9 @@ def test_a_value_is_made_once(limit: None):
     assert made == [1] and len(cache) == 1
 
 
-def test_the_limit_holds_for_all_caches_and_the_least_recently_used_goes_first(limit: None):
+def test_the_limit_holds_for_all_caches_and_the_least_recently_used_goes_first(
+    limit: None,
+):
     set_memory_limit(3.5)
     first = MemoryCache("maps")
     second = MemoryCache("models")
@@ -58,7 +60,9 @@ def test_the_limit_holds_for_all_caches_and_the_least_recently_used_goes_first(l
     first.get("new", megabyte)
     first.get("old", megabyte)
     second.get("newest", megabyte)
-    assert "used" not in second and "old" in first and "new" in first and "newest" in second
+    assert (
+        "used" not in second and "old" in first and "new" in first and "newest" in second
+    )
     assert memory_use() == {"maps": 2.0, "models": 1.0}
 
 
@@ -103,5 +107,7 @@ def test_bytes_of_arrays_in_a_value():
 def test_a_limit_that_is_no_size_is_refused(given: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(memory_cache, "_LIMIT", memory_cache._Limit())
     monkeypatch.setenv(LIMIT_VARIABLE, given)
-    with pytest.raises(UsageError, match=r"MJHAB_CACHE_MB must be a number of megabytes >= 0"):
+    with pytest.raises(
+        UsageError, match=r"MJHAB_CACHE_MB must be a number of megabytes >= 0"
+    ):
         memory_limit_mb()

@@ -59,7 +59,9 @@ def test_names_of_the_data_sets_pass(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", HOSTILE, ids=repr)
 def test_hostile_names_are_refused(name: Any) -> None:
-    with pytest.raises(ValueError, match=r"field 'task': .* is no name\. Expected letters, digits"):
+    with pytest.raises(
+        ValueError, match=r"field 'task': .* is no name\. Expected letters, digits"
+    ):
         check_name("field 'task'", name)
 
 

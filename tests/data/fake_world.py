@@ -60,10 +60,16 @@ class _Sim:
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
         one = self._env.worlds[world]
-        return {"qpos": one.qpos.copy(), "qvel": one.qpos[:NV] * 0.5, "ctrl": np.zeros(13)}
+        return {
+            "qpos": one.qpos.copy(),
+            "qvel": one.qpos[:NV] * 0.5,
+            "ctrl": np.zeros(13),
+        }
 
     def model(self, home: str) -> Any:
-        return SimpleNamespace(nq=NQ, qpos0=np.full(NQ, float(len(home))), names=home.encode())
+        return SimpleNamespace(
+            nq=NQ, qpos0=np.full(NQ, float(len(home))), names=home.encode()
+        )
 
 
 class FakeEnv:
@@ -84,7 +90,9 @@ class FakeEnv:
         self.segments = segments
         self.horizon = horizon
         self.metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED}
-        self.config = FakeConfig(subtask=subtask, num_envs=num_envs, runs_to_horizon=bool(subtask))
+        self.config = FakeConfig(
+            subtask=subtask, num_envs=num_envs, runs_to_horizon=bool(subtask)
+        )
         self.plan = tuple(e for e in CHAIN if e[0] == subtask) if subtask else CHAIN
         self.layout = SimpleNamespace(
             robot=ROBOT,
@@ -131,7 +139,9 @@ class FakeEnv:
         self.success = np.array([w.success for w in self.worlds])
         self.fail = np.array([w.done and not w.success for w in self.worlds])
 
-    def step(self, actions: np.ndarray) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
         live = np.array([not w.done for w in self.worlds])
         kind = np.array([number_of(self.plan[w.pointer][0]) for w in self.worlds])
         for w, world in enumerate(self.worlds):
@@ -139,7 +149,9 @@ class FakeEnv:
                 world.step(actions[w])
         self.judged = self._signals()
         assert self.tracker is not None
-        events = self.tracker.step(kind, self.judged, np.array([w.t for w in self.worlds]), live)
+        events = self.tracker.step(
+            kind, self.judged, np.array([w.t for w in self.worlds]), live
+        )
         labels = self.tracker.labels(kind)
         ended: list[dict[str, Any] | None] = [None] * self.num_envs
         moved = np.zeros(self.num_envs, bool)
@@ -155,7 +167,13 @@ class FakeEnv:
         over = self.progress.done
         obs = self._observe(None, None, None, None)
         reward = np.array([0.5 * w.t for w in self.worlds])
-        return obs, reward, over & self.success, over & ~self.success, self._info(events, ended)
+        return (
+            obs,
+            reward,
+            over & self.success,
+            over & ~self.success,
+            self._info(events, ended),
+        )
 
     def _ended(self, w: int, kind: int, label: str) -> dict[str, Any]:
         assert self.tracker is not None
@@ -217,7 +235,9 @@ class FakeEnv:
             shape = (self.num_envs, SIZE, SIZE)
             level = (np.abs(qpos[:, :1]) * 1000).astype(np.int16)[:, None, None]
             ramp = np.arange(SIZE * SIZE, dtype=np.int16).reshape(SIZE, SIZE, 1)
-            obs["sensor_data/fetch_head/depth"] = level + np.broadcast_to(ramp, (*shape, 1))
+            obs["sensor_data/fetch_head/depth"] = level + np.broadcast_to(
+                ramp, (*shape, 1)
+            )
             obs["sensor_data/fetch_head/rgb"] = np.repeat(
                 obs["sensor_data/fetch_head/depth"] % 256, 3, 3
             ).astype("u1")
@@ -225,9 +245,9 @@ class FakeEnv:
                 np.eye(3, dtype=np.float32), (self.num_envs, 1, 1)
             )
             if self.segments:
-                obs["sensor_data/fetch_head/seg"] = obs["sensor_data/fetch_head/depth"].astype(
-                    np.int32
-                ) % len(self.segments)
+                obs["sensor_data/fetch_head/seg"] = obs[
+                    "sensor_data/fetch_head/depth"
+                ].astype(np.int32) % len(self.segments)
                 pose = np.tile(np.eye(4, dtype=np.float32), (self.num_envs, 1, 1))
                 pose[:, :3, 3] = qpos[:, :3]
                 obs["sensor_param/fetch_head/cam2world_gl"] = pose
@@ -278,7 +298,8 @@ class _World:
         self.done = False
         self.success = False
         entries = [
-            {"kind": kind, "target": target, "goal": np.zeros(3)} for kind, target in env.plan
+            {"kind": kind, "target": target, "goal": np.zeros(3)}
+            for kind, target in env.plan
         ]
         self.spec = {
             "seed": seed,

@@ -35,7 +35,9 @@ def record(
     max_steps = options.pop("max_steps", None)
     with ShardWriter(path) as writer:
         recorder = Recorder(writer, world, POLICY, **options)
-        records = rollout(world, RandomPolicy(0), list(episodes), seed, [recorder], max_steps)
+        records = rollout(
+            world, RandomPolicy(0), list(episodes), seed, [recorder], max_steps
+        )
     return records, recorder
 
 
@@ -73,6 +75,9 @@ def chains_and_picks(folder: Path) -> Path:
     """Three chains and two Picks in a folder, with images."""
     record(folder / "chains.h5", range(3), FakeEnv(images=True), images=ImageFormat())
     record(
-        folder / "picks.h5", range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+        folder / "picks.h5",
+        range(2),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
     )
     return folder

@@ -19,7 +19,16 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.cli.main import parse
-from tests.docs.pages import PAGES, README, ROOT, Command, blocks, commands, name_of, saved
+from tests.docs.pages import (
+    PAGES,
+    README,
+    ROOT,
+    Command,
+    blocks,
+    commands,
+    name_of,
+    saved,
+)
 
 SMALL: dict[str, str] = {
     "episodes": "2",
@@ -92,7 +101,9 @@ def run_page(page: Path, folder: Path) -> list[str]:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     # Scripts write into the pages and results beside them.
-    shutil.copytree(ROOT / "docs", folder / "docs", ignore=shutil.ignore_patterns("media"))
+    shutil.copytree(
+        ROOT / "docs", folder / "docs", ignore=shutil.ignore_patterns("media")
+    )
     for block in [*saved(README), *saved(page)]:
         (folder / block.file).write_text(block.code)
     failed = []
@@ -132,7 +143,11 @@ def run(command: Command, folder: Path, lasting: list[Lasting]) -> bool:
         return started
     try:
         done = subprocess.run(
-            words, cwd=folder, env=environment, stdout=subprocess.DEVNULL, timeout=COMMAND_SECONDS
+            words,
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            timeout=COMMAND_SECONDS,
         )
     except subprocess.TimeoutExpired:
         print(f"not done after {COMMAND_SECONDS:.0f} s", file=sys.stderr)

@@ -43,8 +43,16 @@ from tests.docs.pages import (
 
 SMALL_VECTOR = {"num_envs": 2}
 SMALL_EVALUATION = {"episodes": 1, "worlds": 1, "films": 0, "horizon": 5}
-SMALL_GENERATION = {"episodes": 1, "per_target": 0, "keep": None, "workers": 0, "horizon": 5}
-WITH_PYTHON = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
+SMALL_GENERATION = {
+    "episodes": 1,
+    "per_target": 0,
+    "keep": None,
+    "workers": 0,
+    "horizon": 5,
+}
+WITH_PYTHON = [
+    page for page in PAGES if any(b.language == "python" for b in blocks(page))
+]
 FILES = {
     "docs/extending.md": ("home/cottage.json", "home/hut.py", "mug/mug.glb"),
     "docs/tutorials/extend.md": ("mug/mug.glb",),
@@ -121,7 +129,9 @@ def test_commands_exist(page: Path) -> None:
 
 def make_targets() -> list[str]:
     """Targets of the Makefile that have a description."""
-    return re.findall(r"^([a-z0-9-]+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    return re.findall(
+        r"^([a-z0-9-]+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE
+    )
 
 
 def test_make_help_lists_every_target() -> None:
@@ -158,7 +168,10 @@ def check_command(command: Command, reason: str) -> None:
         ("score --check scores/mine/result.json", ""),
         ("eval --subtask pick --episodes 50", "--episodes 2"),
         ("train bc --task set_table --subtask pick --out runs/a", "--demos 8"),
-        ("train bc --task set_table --subtask pick --data runs/b --out runs/a", "--films 0"),
+        (
+            "train bc --task set_table --subtask pick --data runs/b --out runs/a",
+            "--films 0",
+        ),
     ],
 )
 def test_commands_are_made_quick(words: str, added: str) -> None:
@@ -178,7 +191,9 @@ def test_tables_of_the_experts_are_those_of_their_results() -> None:
     assert tables["page_with_tables"](page) == page
 
 
-def test_table_of_the_students_is_that_of_their_results(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_table_of_the_students_is_that_of_their_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scripts = ROOT / "docs" / "scripts"
     monkeypatch.syspath_prepend(str(scripts))
     tables = runpy.run_path(str(scripts / "students_tables.py"))
@@ -192,12 +207,16 @@ def test_the_leaderboard_is_the_table_of_its_results() -> None:
     files = sorted((ROOT / "docs" / "results" / "leaderboard").glob("*.json"))
     results = [read_for_table(file) for file in files]
     assert {result.facts["track"] for result in results} == set(TRACKS)
-    assert (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8") == leaderboard(results)
+    assert (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8") == leaderboard(
+        results
+    )
 
 
 def test_the_site_needs_no_network() -> None:
     site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    assert "  - search\n  - offline" in site, "search works from a disk by the plugin offline alone"
+    assert "  - search\n  - offline" in site, (
+        "search works from a disk by the plugin offline alone"
+    )
     (scripts,) = re.findall(r"polyfills: \[(.*)\]", site)
     assert (ROOT / "docs" / scripts).is_file()
     assert not re.findall(r"https?://", site)
@@ -212,4 +231,6 @@ def test_pages_and_pictures_that_a_page_refers_to_exist(page: Path) -> None:
     docs = ROOT / "docs"
     if page.is_relative_to(docs):
         places = {name: (page.parent / name).resolve() for name in targets}
-        assert [name for name, place in places.items() if not place.is_relative_to(docs)] == []
+        assert [
+            name for name, place in places.items() if not place.is_relative_to(docs)
+        ] == []

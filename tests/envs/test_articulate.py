@@ -12,7 +12,8 @@ from tests.real_data import real_data
 def test_a_task_runs_beside_furniture_that_it_does_not_use() -> None:
     folder = real_data("replica_cad")
     assets = PackRequest(
-        f"{folder}/v3_sc2_staging_00", ("kitchen_cupboards", "cabinet", "chest_of_drawers")
+        f"{folder}/v3_sc2_staging_00",
+        ("kitchen_cupboards", "cabinet", "chest_of_drawers"),
     )
     env = make(
         task="set_table",

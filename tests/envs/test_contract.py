@@ -43,7 +43,11 @@ def build(**options) -> SequentialTaskEnv:
 
 
 def actions(env: SequentialTaskEnv, seed: int) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1, 1, env.action_space.shape).astype(np.float32)
+    return (
+        np.random.default_rng(seed)
+        .uniform(-1, 1, env.action_space.shape)
+        .astype(np.float32)
+    )
 
 
 def physics(env: SequentialTaskEnv, world: int) -> list[bytes]:
@@ -76,7 +80,9 @@ def test_make_vec_by_id_runs_and_stays_in_its_spaces(env_id: str):
     assert reward.shape == (2,) and reward.dtype == np.float64 and np.all(reward <= 1)
     assert not terminated.any() and not truncated.any()
     most = worlds.rewarder.dense.tables[int(info["kind"][0])].attainable
-    np.testing.assert_allclose(sum(info["reward_terms"].values()) / most, reward, atol=1e-9)
+    np.testing.assert_allclose(
+        sum(info["reward_terms"].values()) / most, reward, atol=1e-9
+    )
 
 
 def test_ids_are_known_after_import_mjhab_alone():
@@ -138,7 +144,9 @@ def test_next_step_autoreset_step_by_step():
     obs, reward, terminated, truncated, info = env.step(actions(env, 1))
     # The reset step: the action is ignored, nothing is earned, the first observation of the next episode comes back.
     assert reward[0] == 0.0 and reward[1] != 0.0 and not (terminated | truncated).any()
-    assert info["episode_spec"][0]["index"] == 1 and env.progress.episode_step.tolist() == [0, 2]
+    assert info["episode_spec"][0][
+        "index"
+    ] == 1 and env.progress.episode_step.tolist() == [0, 2]
     named, _ = build(num_envs=2).reset(seed=0, options={"episode": [1, INDEX_STRIDE]})
     np.testing.assert_array_equal(obs["state"][0], named["state"][0])
     obs, *_ = env.step(actions(env, 2))
@@ -167,7 +175,10 @@ def test_termination_is_failure_or_success_and_truncation_is_time():
         if terminated[0] or truncated[0]:
             break
     assert (
-        terminated[0] and not truncated[0] and info["fail"][0] and info["cumulative_force"][0] > 0
+        terminated[0]
+        and not truncated[0]
+        and info["fail"][0]
+        and info["cumulative_force"][0] > 0
     )
 
 
@@ -260,7 +271,8 @@ def test_no_part_of_a_state_is_forgotten():
     """Every part with a state is in snapshots, and a restored world keeps nothing of the episode before."""
     worlds = 5
     env, other = (
-        build(num_envs=worlds, subtask="navigate", reward_mode="normalized_dense") for _ in range(2)
+        build(num_envs=worlds, subtask="navigate", reward_mode="normalized_dense")
+        for _ in range(2)
     )
     for each, seed in ((env, 1), (other, 2)):
         each.reset(seed=seed)
@@ -268,11 +280,18 @@ def test_no_part_of_a_state_is_forgotten():
             each.step(actions(each, 10 * seed + step))
     stateful = [part for key, part in vars(env).items() if hasattr(part, "get_state")]
     assert stateful
-    assert {id(part) for part in stateful} <= {id(part) for part in env.restorable_parts().values()}
+    assert {id(part) for part in stateful} <= {
+        id(part) for part in env.restorable_parts().values()
+    }
     other.set_state(4, env.get_state(1))
     want = arrays_of_worlds(env, worlds)
     got = arrays_of_worlds(other, worlds)
-    assert {".grip", ".progress.pointer", ".teleports.pending", ".nav._origin"} <= want.keys()
+    assert {
+        ".grip",
+        ".progress.pointer",
+        ".teleports.pending",
+        ".nav._origin",
+    } <= want.keys()
     different = [key for key in want if not np.array_equal(want[key][1], got[key][4])]
     assert not different
     place = np.tile(env.sim.qpos[1, :2], (worlds, 1))
@@ -284,7 +303,10 @@ def test_a_state_of_a_version_without_ee_contact_is_taken():
     env.reset(seed=0)
     state = env.get_state(0)
     lacking = WATCHED.index("ee_contact")
-    old = {**state, "signals": {k: v for k, v in state["signals"].items() if k != "ee_contact"}}
+    old = {
+        **state,
+        "signals": {k: v for k, v in state["signals"].items() if k != "ee_contact"},
+    }
     labels = {**state["tracker"]["labels"]}
     labels |= {name: np.delete(labels[name], lacking) for name in ("now", "seen")}
     old["tracker"] = {**state["tracker"], "labels": labels}
@@ -327,7 +349,10 @@ def test_a_nan_world_resets_itself_and_the_others_do_not_notice(mode: str):
     assert [physics(env, w) for w in (0, 2)] == [physics(calm, w) for w in (0, 2)]
     assert np.isfinite(obs["state"]).all()
     if mode != "disabled":
-        assert env.episode_of(1).index == INDEX_STRIDE + 1 and not env.sim.taint()[1] & NAN_BIT
+        assert (
+            env.episode_of(1).index == INDEX_STRIDE + 1
+            and not env.sim.taint()[1] & NAN_BIT
+        )
 
 
 def test_an_env_whose_state_was_made_infinite_from_outside_goes_on():
@@ -396,7 +421,10 @@ def test_options_of_training_take_effect():
         force_limits=False,
         num_envs=1,
     )
-    assert env.task_config.goal_tol == 0.2 and limits_of(env.task_config, "place").horizon == 50
+    assert (
+        env.task_config.goal_tol == 0.2
+        and limits_of(env.task_config, "place").horizon == 50
+    )
     assert np.isinf(force_limits(env.task_config)).all()
     _, info = env.reset(seed=0)
     assert info["steps_left"][0] == 50
@@ -407,7 +435,9 @@ def test_options_of_training_take_effect():
 
 
 def test_zone_goals_reach_over_the_whole_receptacle():
-    env = build(subtask="place", task="tidy_house", overrides={"goal_type": "zone"}, num_envs=1)
+    env = build(
+        subtask="place", task="tidy_house", overrides={"goal_type": "zone"}, num_envs=1
+    )
     env.reset(seed=0)
     rect = env.tables.plans[0].subtasks[0].goal_rect
     goal = env.tables.plans[0].subtasks[0].goal_pos
@@ -432,7 +462,9 @@ def test_open_training_finds_one_drawer_in_ten_ajar_and_evaluation_none():
         )
         ajar += q > 0.01
     assert 1 <= ajar <= 12
-    judged = envs.make(subtask="open", target="kitchen_counter/drawer3", num_envs=1, threads=1)
+    judged = envs.make(
+        subtask="open", target="kitchen_counter/drawer3", num_envs=1, threads=1
+    )
     judged.reset(seed=0)
     assert judged.state.link_q[0, link] < 0.01
 

@@ -44,7 +44,9 @@ KINDS = [
 
 def actions_of(step: int, dim: int, gripper: int) -> np.ndarray:
     """Slow random motion; the gripper stays shut and opens at the end."""
-    out = 0.3 * np.random.default_rng(step).uniform(-1, 1, (WORLDS, dim)).astype(np.float32)
+    out = 0.3 * np.random.default_rng(step).uniform(-1, 1, (WORLDS, dim)).astype(
+        np.float32
+    )
     out[:, gripper] = -1.0 if step < HORIZON - 2 else 1.0
     return out
 
@@ -52,7 +54,14 @@ def actions_of(step: int, dim: int, gripper: int) -> np.ndarray:
 @pytest.fixture(scope="module")
 def env() -> Any:
     """Short Picks with small pictures, shared by the tests that reset what they need."""
-    return make(task="tidy_house", subtask="pick", num_envs=WORLDS, horizon=3, **PICTURES, **DEVICE)
+    return make(
+        task="tidy_house",
+        subtask="pick",
+        num_envs=WORLDS,
+        horizon=3,
+        **PICTURES,
+        **DEVICE,
+    )
 
 
 @contextmanager
@@ -94,7 +103,10 @@ def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
     }
     cpu = make(**options, horizon=HORIZON, threads=1)
     dev = make(**options, horizon=HORIZON, **DEVICE)
-    assert dev.observation_space == cpu.observation_space and dev.action_space == cpu.action_space
+    assert (
+        dev.observation_space == cpu.observation_space
+        and dev.action_space == cpu.action_space
+    )
     theirs, _ = cpu.reset(options={"episode": [0, 1]})
     ours, info = dev.reset()
     np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
@@ -109,14 +121,19 @@ def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
         for flags, expected in zip(our_ends, ends, strict=True):
             np.testing.assert_array_equal(flags.numpy(), expected)
         final, expected = (
-            (info["final_info"], told["final_info"]) if step == HORIZON - 1 else (info, told)
+            (info["final_info"], told["final_info"])
+            if step == HORIZON - 1
+            else (info, told)
         )
         for name in (*CHECKERS, "pointer", "kind", "steps_left", "success", "fail"):
             np.testing.assert_array_equal(
                 final[name].numpy(), expected[name], err_msg=f"{name} in step {step}"
             )
         assert final["reward_terms"].keys() == expected["reward_terms"].keys()
-        assert event_names(expected["kind"], final["event_flags"]) == expected["events"].tolist()
+        assert (
+            event_names(expected["kind"], final["event_flags"])
+            == expected["events"].tolist()
+        )
         records = expected["ended"]
     compare(info["final_obs"], told["final_obs"])
     assert final["ended"].all() and info["ended"].all()
@@ -161,7 +178,12 @@ def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env: Any) -> No
 
 
 def test_profiles_are_the_same_on_the_device() -> None:
-    options = {"task": "tidy_house", "subtask": "place", "num_envs": 1, "profile": "ms_hab"}
+    options = {
+        "task": "tidy_house",
+        "subtask": "place",
+        "num_envs": 1,
+        "profile": "ms_hab",
+    }
     cpu = make_train(**options, threads=1)
     dev = make_train(**options, **(DEVICE | {"starts": 2}))
     cpu.reset(options={"episode": [0]})
@@ -185,7 +207,13 @@ def test_profiles_are_the_same_on_the_device() -> None:
 
 
 def test_training_draws_the_same_starts() -> None:
-    options = {"task": "set_table", "subtask": "close", "num_envs": 1, "episode_pool": 3, "seed": 5}
+    options = {
+        "task": "set_table",
+        "subtask": "close",
+        "num_envs": 1,
+        "episode_pool": 3,
+        "seed": 5,
+    }
     cpu = make_train(**options, threads=1)
     dev = make_train(**options, **(DEVICE | {"starts": 2}))
     cpu.reset(options={"episode": [1]})
@@ -236,14 +264,22 @@ def test_landings_are_tried_in_the_state_that_is_to_be_expected() -> None:
             (qpos[a.link_q[link]] - low) / (high - low) >= 0.85,
             qpos[a.object_q[bowl] :][:3],
         )
-    assert [bool(opened) for opened, _ in seen.values()] == [False, True, True, True, False]
+    assert [bool(opened) for opened, _ in seen.values()] == [
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
     np.testing.assert_array_equal(seen[0][1], episode.object_pose[bowl, :3])
     assert np.linalg.norm(seen[2][1] - seen[0][1]) > 0.1, "it moves with the drawer"
     np.testing.assert_array_equal(
         seen[4][1], env.layout.parked_poses[bowl, :3], err_msg="carried: out of the way"
     )
     for position in (6, 8):
-        np.testing.assert_allclose(seen[position][1], plan.subtasks[5].goal_pos, atol=0.002)
+        np.testing.assert_allclose(
+            seen[position][1], plan.subtasks[5].goal_pos, atol=0.002
+        )
 
 
 def test_what_is_held_leaps_along() -> None:
@@ -259,7 +295,9 @@ def test_what_is_held_leaps_along() -> None:
         1.0  # world 0 holds object 1 with both fingers, world 1 touches it
     )
     state = SimpleNamespace(
-        robot_q=qpos[:, :15], object_pose=qpos[:, 15:].unflatten(1, (2, 7)), finger_force=force
+        robot_q=qpos[:, :15],
+        object_pose=qpos[:, 15:].unflatten(1, (2, 7)),
+        finger_force=force,
     )
     addresses = SimpleNamespace(robot_q=np.arange(15), object_q=np.array([15, 22]))
     landing = torch.as_tensor(rng.uniform(-1, 1, (3, 15)))
@@ -267,7 +305,9 @@ def test_what_is_held_leaps_along() -> None:
     moved = teleporter.moved(qpos, cast("Any", state), landing, torch.tensor([1, 1, -1]))
     np.testing.assert_array_equal(moved[0, 3:22], qpos[0, 3:22])
     np.testing.assert_array_equal(moved[:, :3], landing[:, :3])
-    before, after = (pose_mul(pose_inv(_base(q[0, :3])), q[0, 22:].numpy()) for q in (qpos, moved))
+    before, after = (
+        pose_mul(pose_inv(_base(q[0, :3])), q[0, 22:].numpy()) for q in (qpos, moved)
+    )
     np.testing.assert_allclose(after, before, atol=1e-12)
     for w in (1, 2):
         np.testing.assert_array_equal(moved[w, :15], landing[w])
@@ -287,12 +327,14 @@ def test_a_reset_leaves_every_bit_of_the_other_worlds(env: Any) -> None:
         idle(env)
         before = env.sim.get_world(0)
         was = map_record(lambda x: x[0].clone(), env.progress)
-        _, info = env.reset(options={"reset_mask": torch.tensor([False, True]), "episode": [3]})
+        _, info = env.reset(
+            options={"reset_mask": torch.tensor([False, True]), "episode": [3]}
+        )
         for name, value in env.sim.get_world(0).items():
             np.testing.assert_array_equal(value, before[name], err_msg=name)
-        assert dataclasses.asdict(map_record(lambda x: x[0], env.progress)) == dataclasses.asdict(
-            was
-        )
+        assert dataclasses.asdict(
+            map_record(lambda x: x[0], env.progress)
+        ) == dataclasses.asdict(was)
         assert info["steps_left"].tolist() == [2, 3] and env.episode_spec(1)["index"] == 3
         np.testing.assert_array_equal(env.sim.qpos[1], env.pool.qpos[3])
 
@@ -302,7 +344,11 @@ def test_disabled_autoreset_leaves_finished_worlds(env: Any) -> None:
         *_, truncated, info = idle(env, 3)
         assert truncated.all() and info["ended"].all() and "final_obs" not in info
         *_, truncated, info = idle(env)
-        assert not truncated.any() and not info["ended"].any() and (info["steps_left"] == 0).all()
+        assert (
+            not truncated.any()
+            and not info["ended"].any()
+            and (info["steps_left"] == 0).all()
+        )
 
 
 def test_next_step_autoreset_takes_a_step(env: Any) -> None:
@@ -310,7 +356,11 @@ def test_next_step_autoreset_takes_a_step(env: Any) -> None:
         *_, truncated, info = idle(env, 3)
         assert truncated.all() and (info["steps_left"] == 0).all()
         _, reward, _, truncated, info = idle(env)
-        assert not truncated.any() and (info["steps_left"] == 3).all() and (reward == 0).all()
+        assert (
+            not truncated.any()
+            and (info["steps_left"] == 3).all()
+            and (reward == 0).all()
+        )
         np.testing.assert_array_equal(env.sim.qpos, env.pool.qpos[env.start_row])
 
 
@@ -340,7 +390,9 @@ def test_overflow_and_bad_actions_raise_in_evaluation(env: Any) -> None:
         and int(env.tainted) > tainted
     )
     rows = env.sim.engine.sizes.rows
-    with pytest.raises(UsageError, match=rf"rows={rows}\).*buffers=\{{'rows': {2 * rows}\}}"):
+    with pytest.raises(
+        UsageError, match=rf"rows={rows}\).*buffers=\{{'rows': {2 * rows}\}}"
+    ):
         env.check_taint()
     env.sim.engine.overflow_seen.zero_()
     env.step(torch.full((WORLDS, len(env.action_table)), torch.inf))
@@ -363,7 +415,9 @@ def test_a_step_never_waits_for_the_device(
 
     if device != "cpu":
         options = DEVICE | PICTURES | {"device": device}
-        env = make(task="tidy_house", subtask="pick", num_envs=WORLDS, horizon=3, **options)
+        env = make(
+            task="tidy_house", subtask="pick", num_envs=WORLDS, horizon=3, **options
+        )
     env.reset()
     idle(env, 4)
     actions = torch.zeros((WORLDS, len(env.action_table)), device=env.device)
@@ -392,7 +446,9 @@ def test_a_step_never_waits_for_the_device(
         ({"episodes": [0]}, "unknown reset option 'episodes'"),
     ],
 )
-def test_bad_reset_options_are_told(env: Any, options: dict[str, Any], message: str) -> None:
+def test_bad_reset_options_are_told(
+    env: Any, options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(UsageError, match=message):
         env.reset(options=options)
 
@@ -429,7 +485,9 @@ def test_a_plain_gymnasium_env_runs_on_the_cpu_backend() -> None:
 
 
 def test_wrappers_for_numpy_refuse_tensors(env: Any) -> None:
-    with pytest.raises(UsageError, match=r"FrameStack works on numpy arrays, .*backend='cpu'"):
+    with pytest.raises(
+        UsageError, match=r"FrameStack works on numpy arrays, .*backend='cpu'"
+    ):
         FrameStack(env, 2)
 
 

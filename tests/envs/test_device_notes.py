@@ -22,7 +22,9 @@ def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
     rng = np.random.default_rng(0)
     worlds = 6
     kinds = np.array([0, 1, 2, 3, 4, 0])
-    plans = [TaskPlan("", (Subtask(SubtaskKind(int(k)), obj="a", link="b"),)) for k in kinds]
+    plans = [
+        TaskPlan("", (Subtask(SubtaskKind(int(k)), obj="a", link="b"),)) for k in kinds
+    ]
     tracker = Tracker(worlds)
     notes = DeviceNotes(worlds, 40, torch.device("cpu"))
     step = np.zeros(worlds, np.int64)
@@ -59,7 +61,9 @@ def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
         notes.begin(torch.as_tensor(moved), *tensors(signals, progress))
         assert notes.records(plans) == expected
         for w, record in enumerate(expected):
-            label = spec_of(int(kinds[w])).labels[int(codes[w])] if codes[w] >= 0 else None
+            label = (
+                spec_of(int(kinds[w])).labels[int(codes[w])] if codes[w] >= 0 else None
+            )
             assert label == (record and record["label"])
         written += sum(record is not None for record in expected)
     assert written > worlds
@@ -77,7 +81,9 @@ def draw_progress(
 ) -> Progress:
     zero = np.zeros_like(step)
     force = rng.random(len(step)).astype(np.float32)
-    return Progress(zero, zero, within.copy(), step.copy(), force, force, done, done.copy())
+    return Progress(
+        zero, zero, within.copy(), step.copy(), force, force, done, done.copy()
+    )
 
 
 def tensors(*records: Any) -> Any:

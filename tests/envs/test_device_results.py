@@ -23,7 +23,14 @@ PICTURES: dict[str, Any] = {"obs_mode": "depth", "camera_size": 8}
 @pytest.fixture(scope="module")
 def env() -> Any:
     """Short Picks with small pictures, shared by tests that reset it."""
-    return make(task="tidy_house", subtask="pick", num_envs=WORLDS, horizon=3, **PICTURES, **DEVICE)
+    return make(
+        task="tidy_house",
+        subtask="pick",
+        num_envs=WORLDS,
+        horizon=3,
+        **PICTURES,
+        **DEVICE,
+    )
 
 
 def idle(env: Any, steps: int = 1) -> Any:
@@ -41,7 +48,10 @@ def test_pictures_after_a_reset_are_those_of_the_new_episode(env: Any) -> None:
         env.progress, steps_left=env.progress.steps_left + torch.tensor([0, 5])
     )
     obs, _, _, truncated, info = idle(env)
-    assert truncated.tolist() == [True, False] and info["_final_obs"].tolist() == [True, False]
+    assert truncated.tolist() == [True, False] and info["_final_obs"].tolist() == [
+        True,
+        False,
+    ]
     pictures = [key for key in obs if key.endswith("depth")]
     assert len(pictures) == 2
     again = env._observe()
@@ -55,7 +65,9 @@ def test_pictures_after_a_reset_are_those_of_the_new_episode(env: Any) -> None:
         assert not torch.equal(obs[key][0], final[key][0])
     idle(env, 2)
     for key in pictures:
-        np.testing.assert_array_equal(final[key], kept[key], err_msg="a copy of their own")
+        np.testing.assert_array_equal(
+            final[key], kept[key], err_msg="a copy of their own"
+        )
 
 
 def test_a_teleport_changes_the_pictures() -> None:
@@ -78,7 +90,13 @@ def test_a_teleport_changes_the_pictures() -> None:
 def tensors_in(value: Any) -> list[torch.Tensor]:
     if isinstance(value, torch.Tensor):
         return [value]
-    parts = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
+    parts = (
+        value.values()
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, tuple)
+        else ()
+    )
     return [tensor for part in parts for tensor in tensors_in(part)]
 
 
@@ -101,7 +119,9 @@ def test_gradients_of_a_policy_stay_out_of_the_engine(env: Any) -> None:
     actions = torch.zeros(WORLDS, len(env.action_table), requires_grad=True)
     obs, reward, *_ = env.step(actions * 2.0)
     assert not env.sim.engine.ctrl_t.requires_grad and not env.grip.requires_grad
-    assert not reward.requires_grad and not any(value.requires_grad for value in obs.values())
+    assert not reward.requires_grad and not any(
+        value.requires_grad for value in obs.values()
+    )
 
 
 @pytest.mark.parametrize("work", ["reset", "step", "pool"])

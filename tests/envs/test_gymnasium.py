@@ -60,7 +60,9 @@ def test_an_env_is_copied_and_pickled_before_it_is_used() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("name", ["no_such_thing", "num_envs", "single_action_space", "_private"])
+@pytest.mark.parametrize(
+    "name", ["no_such_thing", "num_envs", "single_action_space", "_private"]
+)
 def test_a_name_that_nobody_has_builds_no_world(name: str) -> None:
     env: Any = gymnasium.make(ENV_ID, **OPTIONS).unwrapped
     with pytest.raises(AttributeError, match=f"no attribute '{name}'"):
@@ -69,10 +71,17 @@ def test_a_name_that_nobody_has_builds_no_world(name: str) -> None:
     assert env._opened is None and copy.deepcopy(env).config == env.config
 
 
-def test_a_single_world_has_what_its_vector_environment_has_but_vectors_of_worlds() -> None:
+def test_a_single_world_has_what_its_vector_environment_has_but_vectors_of_worlds() -> (
+    None
+):
     env: Any = gymnasium.make(ENV_ID, **OPTIONS).unwrapped
     env.reset(seed=0)
-    of_vectors = {"num_envs", "single_action_space", "single_observation_space", "autoreset_mode"}
+    of_vectors = {
+        "num_envs",
+        "single_action_space",
+        "single_observation_space",
+        "autoreset_mode",
+    }
     elsewhere = {*dir(VectorEnv), *dir(SingleEnv), *vars(env), *of_vectors, "due"}
     public = {name for name in dir(env.worlds) if not name.startswith("_")}
     assert public - elsewhere == OF_WORLDS
@@ -83,14 +92,21 @@ def test_a_single_world_has_what_its_vector_environment_has_but_vectors_of_world
 def dtypes(values: Mapping[str, Any]) -> dict[str, Any]:
     """Type of every entry, those of nested entries too: the dtype of tensors and arrays, else the class."""
     return {
-        key: dtypes(value) if isinstance(value, dict) else getattr(value, "dtype", type(value))
+        key: dtypes(value)
+        if isinstance(value, dict)
+        else getattr(value, "dtype", type(value))
         for key, value in values.items()
     }
 
 
 @pytest.mark.parametrize("vector", [False, True])
 def test_gymnasium_gives_our_environments_as_tensors(vector: bool) -> None:
-    options = OPTIONS | {"obs_mode": "depth", "camera_size": 16, "horizon": 2, "episode_pool": 2}
+    options = OPTIONS | {
+        "obs_mode": "depth",
+        "camera_size": 16,
+        "horizon": 2,
+        "episode_pool": 2,
+    }
     env: Any
     if vector:
         env = VectorNumpyToTorch(gymnasium.make_vec(ENV_ID, num_envs=2, **options))
@@ -98,7 +114,9 @@ def test_gymnasium_gives_our_environments_as_tensors(vector: bool) -> None:
         env = NumpyToTorch(gymnasium.make(ENV_ID, **options))
     obs, info = env.reset(seed=0)
     for _ in range(2):
-        obs, reward, terminated, truncated, info = env.step(torch.zeros(env.action_space.shape))
+        obs, reward, terminated, truncated, info = env.step(
+            torch.zeros(env.action_space.shape)
+        )
     seen = dtypes(obs)
     assert seen[STATE_KEY] == torch.float32
     assert seen["sensor_data/fetch_head/depth"] == torch.int16
@@ -127,13 +145,17 @@ def test_a_single_world_in_gymnasiums_own_vector_keeps_its_types() -> None:
 
 def test_the_autoreset_mode_is_an_attribute_as_in_gymnasiums_own_vectors() -> None:
     for mode in AutoresetMode:
-        env = build(num_envs=1, autoreset=mode.name.lower(), obs_mode="depth", camera_size=16)
+        env = build(
+            num_envs=1, autoreset=mode.name.lower(), obs_mode="depth", camera_size=16
+        )
         assert env.autoreset_mode == FrameStack(env, 2).autoreset_mode == mode
         assert FlattenStatePixels(env).autoreset_mode == mode
 
 
 def test_a_frameskip_is_refused_as_torchrl_understands_it() -> None:
-    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as refused:
+    with pytest.raises(
+        TypeError, match="unexpected keyword argument 'frameskip'"
+    ) as refused:
         gymnasium.make(ENV_ID, frameskip=2)
     assert isinstance(refused.value, UsageError)
 
@@ -181,7 +203,9 @@ def test_step_before_reset_is_told() -> None:
 
 def test_keys_are_flat_or_nested() -> None:
     flat = build(num_envs=2, obs_mode="depth", camera_size=16)
-    deep = build(num_envs=2, obs_mode="depth", camera_size=16, obs_keys="nested", horizon=1)
+    deep = build(
+        num_envs=2, obs_mode="depth", camera_size=16, obs_keys="nested", horizon=1
+    )
     have, _ = flat.reset(seed=1)
     got, _ = deep.reset(seed=1)
     assert deep.observation_space.contains(got)
@@ -189,7 +213,8 @@ def test_keys_are_flat_or_nested() -> None:
     same = nested(have)
     np.testing.assert_array_equal(got["extra"]["is_grasped"], have["extra/is_grasped"])
     np.testing.assert_array_equal(
-        got["sensor_data"]["fetch_head"]["depth"], same["sensor_data"]["fetch_head"]["depth"]
+        got["sensor_data"]["fetch_head"]["depth"],
+        same["sensor_data"]["fetch_head"]["depth"],
     )
     *_, info = deep.step(still(deep))
     assert set(info["final_obs"]) == set(got) and "qpos" in info["final_obs"]["agent"]
@@ -205,7 +230,10 @@ def test_proprioception_holds_what_the_robot_measures() -> None:
     space = env.single_observation_space
     assert isinstance(space, spaces.Dict)
     hidden = {"extra/obj_pose_wrt_base", "extra/goal_pos_wrt_base", "extra/is_grasped"}
-    assert not hidden & set(obs) and obs[STATE_KEY].shape == (2, state_dim(robot, own=True))
+    assert not hidden & set(obs) and obs[STATE_KEY].shape == (
+        2,
+        state_dim(robot, own=True),
+    )
     actions = still(env)
     actions[:, 11] = 0.5  # ahead at half of 1 m/s
     for _ in range(6):
@@ -220,7 +248,9 @@ def test_proprioception_holds_what_the_robot_measures() -> None:
 
 
 def test_scales_of_another_shape_are_told_theirs() -> None:
-    with pytest.raises(UsageError, match=r"subtask: \{term: scale\}.*'pick': \{'reach': 10\}"):
+    with pytest.raises(
+        UsageError, match=r"subtask: \{term: scale\}.*'pick': \{'reach': 10\}"
+    ):
         build(reward_scales={"reach": 10})
 
 

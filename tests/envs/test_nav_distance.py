@@ -32,13 +32,17 @@ def test_every_world_has_its_own_home_and_goal() -> None:
     assert set(asked) == {home.name for home in homes}
     for _ in range(5):
         xy = rng.uniform(-4, 4, (4, 2))
-        wanted = [maps[home.name].distance(xy[k], goals[k]) for k, home in enumerate(homes)]
+        wanted = [
+            maps[home.name].distance(xy[k], goals[k]) for k, home in enumerate(homes)
+        ]
         np.testing.assert_allclose(ways.at(xy), [*wanted, 0.0], atol=1e-5)
     # A world that moves on leaves the others alone.
     before = ways.at(xy)
     ways.begin(1, homes[2].name, goals[2])
     after = ways.at(xy)
-    assert after[1] == pytest.approx(maps[homes[2].name].distance(xy[1], goals[2]), abs=1e-5)
+    assert after[1] == pytest.approx(
+        maps[homes[2].name].distance(xy[1], goals[2]), abs=1e-5
+    )
     np.testing.assert_array_equal(np.delete(after, 1), np.delete(before, 1))
     with pytest.raises(UsageError, match="unknown home 'builtin_m0_99'"):
         ways.begin(0, "builtin_m0_99", goals[0])
@@ -59,7 +63,9 @@ def test_distances_fall_on_the_way_to_the_goal() -> None:
         # Step to the neighbouring cell that is nearest to the goal.
         i, j = free.to_cell(at)
         around = field[i - 1 : i + 2, j - 1 : j + 2]
-        at = free.to_xy(np.array([i - 1, j - 1]) + np.unravel_index(around.argmin(), around.shape))
+        at = free.to_xy(
+            np.array([i - 1, j - 1]) + np.unravel_index(around.argmin(), around.shape)
+        )
         left.append(ways.at(at[None])[0])
     assert left[-1] <= 0.1
     assert (np.diff(left[1:]) < 0).all()

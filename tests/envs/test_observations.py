@@ -34,7 +34,11 @@ HALF = np.array([0.0479, 0.0933, 0.1760]) / 2
 @pytest.fixture(scope="module")
 def env() -> SequentialTaskEnv:
     env = envs.make(
-        task="tidy_house", subtask="pick", num_envs=WORLDS, autoreset="disabled", threads=1
+        task="tidy_house",
+        subtask="pick",
+        num_envs=WORLDS,
+        autoreset="disabled",
+        threads=1,
     )
     env.reset(seed=0)
     return env
@@ -62,7 +66,9 @@ def before_camera(
 ) -> tuple[SimState, int, np.ndarray, np.ndarray]:
     """A state with one box 0.3 m ahead of a camera in every world, turned at random; its slot, positions (W, 3) and
     rotations (W, 3, 3)."""
-    slot = next(i for i, name in enumerate(env.layout.object_names) if name.startswith(OBJECT))
+    slot = next(
+        i for i, name in enumerate(env.layout.object_names) if name.startswith(OBJECT)
+    )
     body = env.sim.model(env.homes[0]).body(env.layout.object_names[slot]).id
     cam_pos, cam_mat = env.observer.renderer.camera_poses(env.state, (camera,))
     pos = cam_pos[:, 0] - 0.3 * cam_mat[:, 0, :, 2]
@@ -72,10 +78,17 @@ def before_camera(
     body_mat = env.state.body_mat.copy()
     body_pos[:, body] = pos
     body_mat[:, body] = mat
-    return dataclasses.replace(env.state, body_pos=body_pos, body_mat=body_mat), slot, pos, mat
+    return (
+        dataclasses.replace(env.state, body_pos=body_pos, body_mat=body_mat),
+        slot,
+        pos,
+        mat,
+    )
 
 
-def project(obs: dict[str, np.ndarray], camera: str, world: int, points: np.ndarray) -> np.ndarray:
+def project(
+    obs: dict[str, np.ndarray], camera: str, world: int, points: np.ndarray
+) -> np.ndarray:
     """(n, 3): column, row [px] and depth [m] of world points (n, 3), by the camera parameters in the observation."""
     extrinsic = obs[f"sensor_param/{camera}/extrinsic_cv"][world]
     local = points @ extrinsic[:, :3].T + extrinsic[:, 3]
@@ -86,7 +99,9 @@ def project(obs: dict[str, np.ndarray], camera: str, world: int, points: np.ndar
 def to_world(env: SequentialTaskEnv, world: int, points: np.ndarray) -> np.ndarray:
     """World points (n, 3) of points in base_link."""
     x, y, yaw = env.state.robot_q[world, :3]
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    turn = np.array(
+        [[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
+    )
     return points @ turn.T + (x, y, BASE_HEIGHT)
 
 
@@ -109,13 +124,16 @@ def test_every_mode_fills_its_space_and_describes_it(env, mode, cameras, size, i
     assert set(rows) == set(obs) == set(observer.single_space.spaces)
     for key, array in obs.items():
         assert (
-            rows[key]["shape"] == list(array.shape[1:]) and rows[key]["dtype"] == array.dtype.name
+            rows[key]["shape"] == list(array.shape[1:])
+            and rows[key]["dtype"] == array.dtype.name
         )
         assert rows[key]["unit"] and rows[key]["frame"] and rows[key]["meaning"]
     names = (cameras,) if isinstance(cameras, str) else cameras
     height, width = (size, size) if isinstance(size, int) else size
     shown = {key for key in obs if key.startswith("sensor_data/")}
-    assert shown == {f"sensor_data/{camera}/{image}" for camera in names for image in images}
+    assert shown == {
+        f"sensor_data/{camera}/{image}" for camera in names for image in images
+    }
     assert all(obs[key].shape[1:3] == (height, width) for key in shown)
     assert ("pointcloud/xyz" in obs) == ("pointcloud" in mode)
     if "pointcloud" in mode:
@@ -129,7 +147,9 @@ def test_the_state_is_the_same_bits_in_every_mode(env):
     rich = look(env, Observer(env.sim, env.sensing, "rgbd", size=8, threads=1))
     for key, array in plain.items():
         assert array.tobytes() == rich[key].tobytes()
-    np.testing.assert_array_equal(plain["agent/qpos"], env.state.robot_q[:, 3:].astype(np.float32))
+    np.testing.assert_array_equal(
+        plain["agent/qpos"], env.state.robot_q[:, 3:].astype(np.float32)
+    )
 
 
 def turned(env: SequentialTaskEnv) -> SimState:
@@ -226,9 +246,13 @@ def test_camera_poses_are_those_of_the_cameras_of_the_model(env):
         for camera in ROBOT.camera_names:
             pose = obs[f"sensor_param/{camera}/cam2world_gl"][world]
             np.testing.assert_allclose(pose[:3, 3], data.cam(camera).xpos, atol=1e-5)
-            np.testing.assert_allclose(pose[:3, :3], data.cam(camera).xmat.reshape(3, 3), atol=1e-5)
+            np.testing.assert_allclose(
+                pose[:3, :3], data.cam(camera).xmat.reshape(3, 3), atol=1e-5
+            )
             # extrinsic_cv is its inverse with y and z turned round.
-            there = np.vstack([obs[f"sensor_param/{camera}/extrinsic_cv"][world], [0, 0, 0, 1]])
+            there = np.vstack(
+                [obs[f"sensor_param/{camera}/extrinsic_cv"][world], [0, 0, 0, 1]]
+            )
             np.testing.assert_allclose(there @ pose, np.diag([1, -1, -1, 1]), atol=1e-5)
 
 
@@ -236,7 +260,9 @@ def test_intrinsics_come_from_the_vertical_field_of_view():
     matrix = intrinsic_matrix(ROBOT, "fetch_head", (64, 96))
     # 2 rad from the lowest to the highest row (mshab: fov of both Fetch cameras).
     assert 2 * np.arctan(32 / matrix[1, 1]) == pytest.approx(2.0)
-    np.testing.assert_allclose(matrix, [[matrix[1, 1], 0, 48], [0, matrix[1, 1], 32], [0, 0, 1]])
+    np.testing.assert_allclose(
+        matrix, [[matrix[1, 1], 0, 48], [0, matrix[1, 1], 32], [0, 0, 1]]
+    )
 
 
 @pytest.mark.parametrize("camera", ROBOT.camera_names)
@@ -244,10 +270,16 @@ def test_points_of_an_object_project_onto_its_segment_at_its_depth(env, camera):
     observer = Observer(env.sim, env.sensing, "depth+seg", camera, (96, 160), threads=1)
     state, slot, pos, mat = before_camera(env, camera)
     obs = look(env, observer, state)
-    corners = 0.7 * HALF * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = (
+        0.7
+        * HALF
+        * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    )
     seg_id = observer.segmentation_names.index(env.layout.object_names[slot])
     for world in range(WORLDS):
-        col, row, depth = project(obs, camera, world, corners @ mat[world].T + pos[world]).T
+        col, row, depth = project(
+            obs, camera, world, corners @ mat[world].T + pos[world]
+        ).T
         at = (np.floor(row).astype(int), np.floor(col).astype(int))
         assert (obs[f"sensor_data/{camera}/seg"][world][at] == seg_id).all()
         # The surface lies before points inside, by less than the object's size.
@@ -258,7 +290,9 @@ def test_points_of_an_object_project_onto_its_segment_at_its_depth(env, camera):
 def test_the_cloud_lies_on_the_depth_images_and_on_the_object(env):
     cameras = ("fetch_hand", "fetch_head")
     size = (48, 64)
-    observer = Observer(env.sim, env.sensing, "rgbd+seg+pointcloud", cameras, size, threads=1)
+    observer = Observer(
+        env.sim, env.sensing, "rgbd+seg+pointcloud", cameras, size, threads=1
+    )
     state, slot, pos, mat = before_camera(env, "fetch_head")
     obs = look(env, observer, state)
     seg_id = observer.segmentation_names.index(env.layout.object_names[slot])
@@ -270,7 +304,8 @@ def test_the_cloud_lies_on_the_depth_images_and_on_the_object(env):
             for name in ("rgb", "seg"):
                 image = obs[f"sensor_data/{camera}/{name}"][world]
                 np.testing.assert_array_equal(
-                    obs[f"pointcloud/{name}"][world, part], image.reshape(-1, image.shape[2])
+                    obs[f"pointcloud/{name}"][world, part],
+                    image.reshape(-1, image.shape[2]),
                 )
             mm = obs[f"sensor_data/{camera}/depth"][world].reshape(-1)
             hit = mm > 0
@@ -278,7 +313,9 @@ def test_the_cloud_lies_on_the_depth_images_and_on_the_object(env):
             assert not obs["pointcloud/xyz"][world, part][~hit].any()
             pixel = project(obs, camera, world, xyz[part])[hit]
             row, col = np.divmod(np.flatnonzero(hit), size[1])
-            np.testing.assert_allclose(pixel[:, :2], np.column_stack([col, row]) + 0.5, atol=0.01)
+            np.testing.assert_allclose(
+                pixel[:, :2], np.column_stack([col, row]) + 0.5, atol=0.01
+            )
             np.testing.assert_allclose(pixel[:, 2], mm[hit] / 1000, atol=0.00055)
         local = (xyz[seg == seg_id] - pos[world]) @ mat[world]
         assert len(local) > 20
@@ -288,15 +325,21 @@ def test_the_cloud_lies_on_the_depth_images_and_on_the_object(env):
 
 def test_one_camera_sees_what_it_sees_beside_another(env):
     both = look(env, Observer(env.sim, env.sensing, "rgbd+seg", size=32, threads=1))
-    hand = look(env, Observer(env.sim, env.sensing, "rgbd+seg", "fetch_hand", 32, threads=1))
+    hand = look(
+        env, Observer(env.sim, env.sensing, "rgbd+seg", "fetch_hand", 32, threads=1)
+    )
     assert not any("fetch_head" in key for key in hand)
     for key, array in hand.items():
         np.testing.assert_array_equal(array, both[key])
 
 
 def test_a_wider_image_shows_more_at_the_sides_and_the_same_in_the_middle(env):
-    square = look(env, Observer(env.sim, env.sensing, "depth", "fetch_head", 32, threads=1))
-    wide = look(env, Observer(env.sim, env.sensing, "depth", "fetch_head", (32, 64), threads=1))
+    square = look(
+        env, Observer(env.sim, env.sensing, "depth", "fetch_head", 32, threads=1)
+    )
+    wide = look(
+        env, Observer(env.sim, env.sensing, "depth", "fetch_head", (32, 64), threads=1)
+    )
     key = "sensor_data/fetch_head/depth"
     apart = np.abs(wide[key][:, :, 16:48].astype(int) - square[key])
     assert (apart <= 1).mean() > 0.995  # pixels right on an edge may fall to either side
@@ -335,7 +378,9 @@ def test_cloud_of_a_camera_by_hand():
 
 def test_depth_is_rounded_to_millimetres_and_capped():
     depth = np.array([[1.2344, 1.2346, 0.0, 40.0], [0.0104, 32.767, 32.768, 5.0]])
-    image = row_of("sensor_data/fetch_head/depth").compute(synthetic(depth, (0.0, 0.0, 0.0)))
+    image = row_of("sensor_data/fetch_head/depth").compute(
+        synthetic(depth, (0.0, 0.0, 0.0))
+    )
     assert image.dtype == np.int16 and image.shape == (1, 2, 4, 1)
     assert image[0, ..., 0].tolist() == [[1234, 1235, 0, 32767], [10, 32767, 32767, 5000]]
 
@@ -348,7 +393,11 @@ def test_a_world_that_diverged_is_blank_and_leaves_the_others(env, value):
     body_pos[0, 5:] = value
     if np.isnan(value):
         body_mat[0] = value
-    bad = look(env, observer, dataclasses.replace(env.state, body_pos=body_pos, body_mat=body_mat))
+    bad = look(
+        env,
+        observer,
+        dataclasses.replace(env.state, body_pos=body_pos, body_mat=body_mat),
+    )
     good = look(env, observer)
     for key in (key for key in good if key.startswith("sensor_data/")):
         assert not bad[key][0].any() and good[key][0].any()

@@ -61,7 +61,9 @@ def registered(task: TaskSpec = TASK, **changes: Any) -> Iterator[None]:
 def with_rule(**changes: Any) -> TaskSpec:
     """The task with another rule."""
     # A spec keeps what it derived from its rules, so it is made anew.
-    return TaskSpec(TASK.name, TASK.words, (replace(TASK.targets[0], **changes),), TASK.objects, 0)
+    return TaskSpec(
+        TASK.name, TASK.words, (replace(TASK.targets[0], **changes),), TASK.objects, 0
+    )
 
 
 def run(steps: int = 2, subtask: str = "stare") -> None:
@@ -91,7 +93,10 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         {"expert": raising},
         r"expert of subtask 'stare' raised ValueError: no way .*line",
     ),
-    "expert is no generator": ({"expert": lambda view: 3}, "'stare' must be a generator function"),
+    "expert is no generator": (
+        {"expert": lambda view: 3},
+        "'stare' must be a generator function",
+    ),
     "expert leads nowhere": (
         {"expert": "nowhere_at_all:fn"},
         "subtask 'stare': expert: module 'nowhere_at_all'.* cannot be imported",
@@ -100,8 +105,14 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         {"expert": 3},
         "subtask 'stare': expert must be a generator function",
     ),
-    "start is an object": ({"start": object()}, "'stare': start must be an object of a subclass"),
-    "start is a class": ({"start": type(START)}, "'stare': start must be .* got the class Nav"),
+    "start is an object": (
+        {"start": object()},
+        "'stare': start must be an object of a subclass",
+    ),
+    "start is a class": (
+        {"start": type(START)},
+        "'stare': start must be .* got the class Nav",
+    ),
     "start leads nowhere": (
         {"start": "pathlib:Nothing"},
         "'stare': start: module 'pathlib' has no",

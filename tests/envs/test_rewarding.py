@@ -38,7 +38,9 @@ LAYOUT: Any = SimpleNamespace(
         SimpleNamespace(link=SimpleNamespace(joint="slide")),
     ],
 )
-SENSING: Any = SimpleNamespace(handle_pos=lambda state, world, link: state.handles[world, link])
+SENSING: Any = SimpleNamespace(
+    handle_pos=lambda state, world, link: state.handles[world, link]
+)
 
 
 def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
@@ -46,7 +48,10 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
     w = len(kinds)
     link_name = ("fridge/top_door", "kitchen_counter/drawer3")[link]
     plan = stack_plans(
-        [TaskPlan("t", (Subtask(SubtaskKind(k), "bowl", link_name, GOAL),)) for k in kinds],
+        [
+            TaskPlan("t", (Subtask(SubtaskKind(k), "bowl", link_name, GOAL),))
+            for k in kinds
+        ],
         CONFIG,
         doors={"fridge/top_door"},
     )
@@ -60,8 +65,12 @@ def inputs_of(kinds: list[int], link: int = 1, **over: Any) -> RewardInputs:
     state["object_pose"][:, 1, :3] = over.pop("obj", (0.5, 0.3, 1.27))
     state["handles"][:, link] = over.pop("handle", HANDLE)
     for name in set(over) & set(state):
-        state[name] = np.broadcast_to(np.asarray(over.pop(name), float), state[name].shape)
-    world = resting(1, w, REST_QPOS, **{"plan_obj_pos": state["object_pose"][:, 1:2, :3], **over})
+        state[name] = np.broadcast_to(
+            np.asarray(over.pop(name), float), state[name].shape
+        )
+    world = resting(
+        1, w, REST_QPOS, **{"plan_obj_pos": state["object_pose"][:, 1:2, :3], **over}
+    )
     progress = start(plan, CONFIG)
     active = active_entries(plan, progress.pointer, CONFIG)
     signals = measure(world, plan, progress, CONFIG, active)
@@ -76,7 +85,9 @@ def rewarder(worlds: int, mode: str = "dense", **more: Any) -> Rewarder:
     return Rewarder(worlds, RewardRules(CONFIG, mode, **more), LAYOUT, SENSING)
 
 
-def step(kind: int, way: GoalDistance = straight_distance, **over: Any) -> dict[str, float]:
+def step(
+    kind: int, way: GoalDistance = straight_distance, **over: Any
+) -> dict[str, float]:
     made = rewarder(1, nav_distance=way)
     inputs = inputs_of([kind], **over)
     made.begin(np.array([True]), inputs)
@@ -96,11 +107,15 @@ def test_it_looks_at_the_object_in_focus() -> None:
     found = step(PLACE, object_vel=moving)
     assert found["slow_object"] == pytest.approx(3 * (1 - tanh(2.5 / 5)))
     away = np.hypot(0.5, np.hypot(0.3, 0.77)), np.hypot(0.5, 0.77)
-    assert found["transport"] == pytest.approx(6 * (1 - (tanh(away[0]) + tanh(away[1])) / 2))
+    assert found["transport"] == pytest.approx(
+        6 * (1 - (tanh(away[0]) + tanh(away[1])) / 2)
+    )
 
 
 @pytest.mark.parametrize(("link", "ideal"), [(0, 2.0), (1, 1.0)])
-def test_it_looks_at_the_handle_and_the_speed_of_the_link_in_focus(link: int, ideal: float) -> None:
+def test_it_looks_at_the_handle_and_the_speed_of_the_link_in_focus(
+    link: int, ideal: float
+) -> None:
     speed = np.full((1, 2), 9.0)
     speed[0, link] = -ideal
     found = step(OPEN, link=link, link_qd=speed)
@@ -139,17 +154,28 @@ def test_only_navigation_asks_for_the_way() -> None:
 
 def test_modes() -> None:
     inputs = inputs_of(
-        [PICK, PICK], finger_force=squeeze(), obj=(0.5, 0.0, 1.27), robot_qd=np.zeros((2, 15))
+        [PICK, PICK],
+        finger_force=squeeze(),
+        obj=(0.5, 0.0, 1.27),
+        robot_qd=np.zeros((2, 15)),
     )
     moved = dataclasses.replace(
-        inputs, signals=dataclasses.replace(inputs.signals, success=np.array([True, False]))
+        inputs,
+        signals=dataclasses.replace(inputs.signals, success=np.array([True, False])),
     )
     dense, terms = rewarder(2).step(moved)
-    assert dense == pytest.approx([29.0, 26.0]) and terms["success"].tolist() == [3.0, 0.0]
+    assert dense == pytest.approx([29.0, 26.0]) and terms["success"].tolist() == [
+        3.0,
+        0.0,
+    ]
     normalized, same = rewarder(2, "normalized_dense").step(moved)
     assert normalized == pytest.approx([1.0, 26 / 29])
     np.testing.assert_array_equal(list(same.values()), list(terms.values()))
-    for mode, want in (("sparse", [1.0, 0.0]), ("none", [0.0, 0.0]), ("pointer", [0.0, 0.0])):
+    for mode, want in (
+        ("sparse", [1.0, 0.0]),
+        ("none", [0.0, 0.0]),
+        ("pointer", [0.0, 0.0]),
+    ):
         reward, nothing = rewarder(2, mode).step(moved)
         assert reward.dtype == np.float64 and reward.tolist() == want and nothing == {}
     with pytest.raises(UsageError, match="normalized_dense"):
@@ -166,7 +192,10 @@ def test_the_real_torso_reaches_the_normaliser_almost() -> None:
     assert reward[0] == pytest.approx(44 - lost) and lost < 0.001
     above = np.array(REST_QPOS)
     above[3] = top + 0.01
-    assert rewarder(1).step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0] == 2.0
+    assert (
+        rewarder(1).step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][0]
+        == 2.0
+    )
 
 
 def test_the_torso_is_not_clipped_where_published() -> None:
@@ -185,7 +214,8 @@ def test_the_torso_is_not_clipped_where_published() -> None:
 
 def test_closing_at_the_handle_is_remembered_until_the_world_begins_anew() -> None:
     at_handle, away = (
-        inputs_of([CLOSE] * 3, joint_q=0.0, handle=at) for at in ((0.5, 0.2, 1.27), HANDLE)
+        inputs_of([CLOSE] * 3, joint_q=0.0, handle=at)
+        for at in ((0.5, 0.2, 1.27), HANDLE)
     )
     made = rewarder(3)
     made.begin(np.ones(3, bool), away)
@@ -198,7 +228,9 @@ def test_closing_at_the_handle_is_remembered_until_the_world_begins_anew() -> No
     made.set_state(0, saved[1])
     made.set_state(1, saved[0])
     assert made.step(away)[1]["closed"].tolist() == [0.0, 8.0, 8.0]
-    assert made.step(inputs_of([CLOSE] * 3, joint_q=0.4))[1]["closed"].tolist() == [0.0] * 3
+    assert (
+        made.step(inputs_of([CLOSE] * 3, joint_q=0.4))[1]["closed"].tolist() == [0.0] * 3
+    )
 
 
 def test_results_outlive_the_next_step() -> None:
@@ -213,4 +245,6 @@ def test_results_outlive_the_next_step() -> None:
 def test_only_the_kinds_at_hand_are_reported() -> None:
     _, terms = rewarder(1, kinds=("close",)).step(inputs_of([CLOSE]))
     assert "posture_closed" in terms and "hold" not in terms
-    assert {"posture_closed", "hold", "arrived"} <= set(rewarder(1).step(inputs_of([CLOSE]))[1])
+    assert {"posture_closed", "hold", "arrived"} <= set(
+        rewarder(1).step(inputs_of([CLOSE]))[1]
+    )

@@ -18,7 +18,8 @@ from mjhab.tasks.plan import SubtaskKind
 
 def build(**options) -> SequentialTaskEnv:
     return envs.make(
-        **{"task": "set_table", "num_envs": 2, "autoreset": "disabled", "threads": 1} | options
+        **{"task": "set_table", "num_envs": 2, "autoreset": "disabled", "threads": 1}
+        | options
     )
 
 
@@ -90,12 +91,24 @@ def test_worlds_can_be_in_different_subtasks():
 
 def snapshot(env: SequentialTaskEnv, world: int) -> list[bytes]:
     batch = env.sim.batch
-    rows = [batch.qpos, batch.qvel, batch.ctrl, batch.qacc_warmstart, batch.sensordata, batch.xpos]
+    rows = [
+        batch.qpos,
+        batch.qvel,
+        batch.ctrl,
+        batch.qacc_warmstart,
+        batch.sensordata,
+        batch.xpos,
+    ]
     rows += [
         getattr(env.progress, f)
         for f in ("pointer", "steps_left", "cumulative_force", "peak_force")
     ]
-    rows += [env.state.robot_q, env.state.object_pose, env.tracker._start_step, env.joint_start]
+    rows += [
+        env.state.robot_q,
+        env.state.object_pose,
+        env.tracker._start_step,
+        env.joint_start,
+    ]
     notes: Any = env.tracker._notes
     labels = notes._labels
     rows += [getattr(labels, name) for name in labels.__dataclass_fields__]
@@ -127,10 +140,14 @@ def run(num_envs: int, threads: int, episodes: list[int], steps: int) -> dict[in
         for step in range(steps):
             actions = np.zeros((num_envs, ROBOT.action.dim), np.float32)
             for w, episode in enumerate(group):
-                actions[w] = np.random.default_rng((episode, step)).uniform(-1, 1, ROBOT.action.dim)
+                actions[w] = np.random.default_rng((episode, step)).uniform(
+                    -1, 1, ROBOT.action.dim
+                )
             env.step(actions)
         for w, episode in enumerate(group):
-            out[episode] = env.sim.batch.qpos[w].tobytes() + env.sim.batch.qvel[w].tobytes()
+            out[episode] = (
+                env.sim.batch.qpos[w].tobytes() + env.sim.batch.qvel[w].tobytes()
+            )
     return out
 
 
@@ -194,7 +211,10 @@ def test_horizon_ends_a_single_subtask_and_reports_it():
         _, _, terminated, truncated, info = env.step(still(env))
     record = info["ended"][0]
     assert truncated[0] and not terminated[0]
-    assert record["label"] == "cant_reach_articulation_failure" and not record["success_once"]
+    assert (
+        record["label"] == "cant_reach_articulation_failure"
+        and not record["success_once"]
+    )
     assert record["end_step"] - record["start_step"] == 3
 
 
@@ -213,7 +233,11 @@ def test_cameras_are_not_black():
     obs, _ = env.reset(seed=0)
     assert env.observation_space.contains(obs)
     depth = obs["sensor_data/fetch_head/depth"]
-    assert depth.shape == (1, 64, 64, 1) and depth.dtype == np.int16 and (depth > 0).mean() > 0.5
+    assert (
+        depth.shape == (1, 64, 64, 1)
+        and depth.dtype == np.int16
+        and (depth > 0).mean() > 0.5
+    )
     assert obs["sensor_data/fetch_hand/rgb"].std() > 10
     assert len(np.unique(obs["sensor_data/fetch_head/seg"])) > 3
 

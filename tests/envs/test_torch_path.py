@@ -55,7 +55,9 @@ def assert_same(found: Any, wanted: Any, dtype: torch.dtype, name: str = "") -> 
         for field in dataclasses.fields(wanted):
             old = getattr(wanted, field.name)
             if old is not None:
-                assert_same(getattr(found, field.name), old, dtype, f"{name}.{field.name}")
+                assert_same(
+                    getattr(found, field.name), old, dtype, f"{name}.{field.name}"
+                )
     elif isinstance(wanted, dict):
         assert list(found) == list(wanted)
         for key, old in wanted.items():
@@ -71,7 +73,11 @@ def assert_same(found: Any, wanted: Any, dtype: torch.dtype, name: str = "") -> 
         }
         assert found.dtype in {**kinds, "u": (torch.uint8,)}[wanted.dtype.kind], name
         assert tuple(found.shape) == wanted.shape, name
-        tolerance = max(TOLERANCE[dtype], 1e-6) if wanted.dtype == np.float32 else TOLERANCE[dtype]
+        tolerance = (
+            max(TOLERANCE[dtype], 1e-6)
+            if wanted.dtype == np.float32
+            else TOLERANCE[dtype]
+        )
         np.testing.assert_allclose(
             to_numpy(found), wanted, rtol=tolerance, atol=tolerance, err_msg=name
         )
@@ -102,7 +108,9 @@ def history(request: pytest.FixtureRequest) -> tuple[SequentialTaskEnv, list[Sim
     return env, states
 
 
-def _touched(state: SimState, env: SequentialTaskEnv, rng: np.random.Generator) -> SimState:
+def _touched(
+    state: SimState, env: SequentialTaskEnv, rng: np.random.Generator
+) -> SimState:
     """The state with forces, touches and open links, of which random motions bring few."""
     low, high = np.array([ref.link.range for ref in env.layout.links]).T
     return dataclasses.replace(
@@ -122,7 +130,9 @@ def pointers(
     length = env.tables.arrays.length
     if kind is None:
         return rng.integers(0, length + 1)
-    return np.array([rng.choice(np.flatnonzero(row == kind)) for row in env.tables.arrays.kind])
+    return np.array(
+        [rng.choice(np.flatnonzero(row == kind)) for row in env.tables.arrays.kind]
+    )
 
 
 class Follower:
@@ -162,7 +172,9 @@ class Follower:
         world = self.sensing.world_state(state, tables, focus, joint_start)
         progress = progress_rules.accumulate(progress, world.robot_force)
         signals = measure(world, tables.arrays, progress, self.config, focus.active)
-        after, outcome = progress_rules.advance(progress, signals, tables.arrays, self.config)
+        after, outcome = progress_rules.advance(
+            progress, signals, tables.arrays, self.config
+        )
         inputs = RewardInputs(state, world, signals, focus, progress)
         reward, terms = self.rewarder.step(inputs)
         self.rewarder.begin(outcome.ended, inputs)
@@ -186,7 +198,9 @@ class Follower:
             "obs": state_observation(state_table(self.robot), context),
             "tcp": self.sensing.tcp_pose(state),
             "label": labels.label(self.notes, signals.kind),
-            "events": events.edge_events(signals.kind, before.now, label_state.watch(signals)),
+            "events": events.edge_events(
+                signals.kind, before.now, label_state.watch(signals)
+            ),
         }
 
 
@@ -209,7 +223,9 @@ def test_the_signs_of_quaternions_do_not_matter(
         state_observation(
             state_table(env.layout.robot),
             sensing.context(
-                as_torch(each, dtype), as_torch(env.focus, dtype), as_torch(env.signals, dtype)
+                as_torch(each, dtype),
+                as_torch(env.focus, dtype),
+                as_torch(env.signals, dtype),
             ),
         )["state"]
         for each in (state, other)
@@ -233,7 +249,11 @@ def follow_both(
     env, states = history
     kinds = list(SubtaskKind) if kind is None else [kind]
     rows = Rows(
-        env.tables.arrays, env.tables.obj, env.tables.link, env.tables.target, env.tables.held
+        env.tables.arrays,
+        env.tables.obj,
+        env.tables.link,
+        env.tables.target,
+        env.tables.held,
     )
     tensors = as_torch(rows, dtype)
     host = Follower(env, np.zeros(0), kinds, mode, published)
@@ -261,12 +281,19 @@ def follow_both(
         assert watch.seen > 100
         for name, part in wanted.items():
             assert_same(found[name], part, dtype, name=name)
-        assert found["obs"]["state"].dtype == torch.float32 and found["reward"].dtype == dtype
+        assert (
+            found["obs"]["state"].dtype == torch.float32
+            and found["reward"].dtype == dtype
+        )
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("mode", ["dense", "normalized_dense", "sparse", "pointer", "none"])
-def test_all_that_follows_physics_is_the_same(history: Any, mode: str, dtype: torch.dtype) -> None:
+@pytest.mark.parametrize(
+    "mode", ["dense", "normalized_dense", "sparse", "pointer", "none"]
+)
+def test_all_that_follows_physics_is_the_same(
+    history: Any, mode: str, dtype: torch.dtype
+) -> None:
     follow_both(history, None, mode, dtype)
 
 
@@ -293,7 +320,10 @@ def test_the_reward_of_one_kind_is_the_same(
 @pytest.mark.parametrize("base", BASES)
 @pytest.mark.parametrize("mode", CONTROL_MODES)
 def test_every_control_mode_is_the_same(mode: str, base: str, dtype: torch.dtype) -> None:
-    options: dict[str, Any] = {"base": base, "stationary": ("head",) if base == "holonomic" else ()}
+    options: dict[str, Any] = {
+        "base": base,
+        "stationary": ("head",) if base == "holonomic" else (),
+    }
     host = make_controller(mode, WORLDS, **options)
     device = make_controller(mode, WORLDS, like=torch.zeros(0, dtype=dtype), **options)
     rng = np.random.default_rng(3)
@@ -306,7 +336,9 @@ def test_every_control_mode_is_the_same(mode: str, base: str, dtype: torch.dtype
         mask = everyone if number == 0 else some
         actions = rng.uniform(-1.2, 1.2, (WORLDS, host.dim)).astype(np.float32)
         if number == 0:  # Constants go to the device once.
-            warm = make_controller(mode, WORLDS, like=torch.zeros(0, dtype=dtype), **options)
+            warm = make_controller(
+                mode, WORLDS, like=torch.zeros(0, dtype=dtype), **options
+            )
             warm.ctrl(warm.still(moved), moved)
         given = torch.from_numpy(actions)
         flags = torch.from_numpy(mask)
@@ -346,7 +378,9 @@ def test_what_cameras_see_is_the_same(mode: str, dtype: torch.dtype) -> None:
     seer = env.observer
     pos, mat = seer.renderer.camera_poses(env.state, seer.cameras)
     outputs = ("depth", "rgb", "seg")
-    images = seer.renderer.robot_views(env.state, env.homes, seer.size, outputs, seer.cameras)
+    images = seer.renderer.robot_views(
+        env.state, env.homes, seer.size, outputs, seer.cameras
+    )
     images["depth"][0, 0, 0, 0] = 40.0  # Farther than an int16 counts in millimetres.
     intrinsic = seer._intrinsic
     views = Views(env.layout.robot, images, pos, mat, env.state.robot_q[:, :3], intrinsic)
@@ -357,7 +391,9 @@ def test_what_cameras_see_is_the_same(mode: str, dtype: torch.dtype) -> None:
             for part in (images, pos, mat, env.state.robot_q[:, :3], intrinsic)
         ),
     )
-    rows = [entry for entry in seer.table if entry.key.startswith(("sensor", "pointcloud"))]
+    rows = [
+        entry for entry in seer.table if entry.key.startswith(("sensor", "pointcloud"))
+    ]
     assert len(rows) >= 3
     for entry in rows:
         entry.compute(moved)
@@ -400,7 +436,9 @@ def test_ways_to_goals_are_those_of_the_host_to_a_millimetre(
         np.testing.assert_allclose(to_numpy(found), ways.at(xy), atol=1e-3)
     nothing = fields.at(torch.full((WORLDS,), -1), moved)
     np.testing.assert_array_equal(to_numpy(nothing), np.zeros(WORLDS))
-    assert GoalFields([], maps, "cpu").at(torch.full((1,), -1), moved[:1]).tolist() == [0.0]
+    assert GoalFields([], maps, "cpu").at(torch.full((1,), -1), moved[:1]).tolist() == [
+        0.0
+    ]
 
 
 def test_a_table_of_ways_too_large_for_the_device_is_refused(

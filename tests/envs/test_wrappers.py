@@ -38,7 +38,9 @@ class CountingEnv(VectorEnv):
         self.rows = spaces.Dict(
             {
                 "state": spaces.Box(-np.inf, np.inf, (4,), np.float32),
-                "sensor_param/cam/intrinsic_cv": spaces.Box(-np.inf, np.inf, (3, 3), np.float32),
+                "sensor_param/cam/intrinsic_cv": spaces.Box(
+                    -np.inf, np.inf, (3, 3), np.float32
+                ),
                 DEPTH: spaces.Box(0, 32767, (2, 3, 1), np.int16),
                 RGB: spaces.Box(0, 255, (2, 3, 3), np.uint8),
                 SEG: spaces.Box(0, 99, (2, 3, 1), np.int32),
@@ -68,7 +70,9 @@ class CountingEnv(VectorEnv):
             "sensor_param/cam/intrinsic_cv": np.tile(
                 np.eye(3, dtype=np.float32), (self.num_envs, 1, 1)
             ),
-            DEPTH: np.broadcast_to(value.reshape(shape), (self.num_envs, 2, 3, 1)).astype(np.int16),
+            DEPTH: np.broadcast_to(value.reshape(shape), (self.num_envs, 2, 3, 1)).astype(
+                np.int16
+            ),
             RGB: rgb,
             SEG: np.full((self.num_envs, 2, 3, 1), 7, np.int32),
         }
@@ -81,7 +85,9 @@ class CountingEnv(VectorEnv):
         self._ended[mask] = False
         return self._observe(), {}
 
-    def step(self, actions: np.ndarray) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
         again = self._ended if self.mode == NEXT else np.zeros(self.num_envs, bool)
         self._step += 1
         self._begin(again)
@@ -91,7 +97,13 @@ class CountingEnv(VectorEnv):
             info = {"final_obs": self._observe(), "_final_obs": done}
             self._begin(done)
         self._ended = done.copy()
-        return self._observe(), np.ones(self.num_envs), done, np.zeros(self.num_envs, bool), info
+        return (
+            self._observe(),
+            np.ones(self.num_envs),
+            done,
+            np.zeros(self.num_envs, bool),
+            info,
+        )
 
 
 class Frames:
@@ -143,7 +155,10 @@ def test_frames_next_step():
     assert env.reset() == [[0, 0, 0], [1000, 1000, 1000]]
     assert env.step() == [[0, 0, 1], [1000, 1000, 1001]]
     assert env.step() == [[0, 1, 2], [1000, 1001, 1002]]  # world 0 ended: its last frames
-    assert env.step() == [[100, 100, 100], [1001, 1002, 1003]]  # it starts anew; world 1 ended
+    assert env.step() == [
+        [100, 100, 100],
+        [1001, 1002, 1003],
+    ]  # it starts anew; world 1 ended
     assert env.step() == [[100, 100, 101], [1100, 1100, 1100]]
     assert env.step() == [[100, 101, 102], [1100, 1100, 1101]]
     assert "final_obs" not in env.info
@@ -155,7 +170,10 @@ def test_frames_next_step_with_a_reset_in_between():
     env.step()
     assert env.step() == [[0, 1, 2], [1000, 1001, 1002]]  # world 0 ended
     assert env.reset([True, False]) == [[100, 100, 100], [1000, 1001, 1002]]
-    assert env.step() == [[100, 100, 101], [1001, 1002, 1003]]  # no second reset of world 0
+    assert env.step() == [
+        [100, 100, 101],
+        [1001, 1002, 1003],
+    ]  # no second reset of world 0
 
 
 def test_frames_disabled():
@@ -225,7 +243,8 @@ def test_gymnasiums_statistics_agree_above_and_below(mode):
             _, _, done, _, info = env.step(np.zeros(2, int))
             assert ("episode" in info) == done.any()
             lengths += [
-                (w, info["episode"]["l"][w], info["episode"]["r"][w]) for w in np.flatnonzero(done)
+                (w, info["episode"]["l"][w], info["episode"]["r"][w])
+                for w in np.flatnonzero(done)
             ]
         assert len(lengths) >= 6 and {(0, 2, 2.0), (1, 3, 3.0)} == set(lengths)
 
@@ -257,7 +276,9 @@ def test_flat_pixels_of_a_stack_in_the_final_observation_too():
     assert info["final_obs"]["state"][0].tolist() == [2, 2, 2, 2]
 
 
-@pytest.mark.parametrize("cameras", [("fetch_head", "fetch_hand"), ("fetch_hand", "fetch_head")])
+@pytest.mark.parametrize(
+    "cameras", [("fetch_head", "fetch_hand"), ("fetch_hand", "fetch_head")]
+)
 def test_cameras_keep_the_order_asked_for(cameras: tuple[str, ...]):
     """Learners join images in the order in which they find them, in spaces as in observations."""
     env = envs.make(
@@ -292,19 +313,24 @@ def test_depth_is_normalised_as_the_original_networks_do_and_comes_back():
     np.testing.assert_array_equal(denormalize_depth(small), every)
     linear = normalize_depth(every, "linear", 8.0)
     assert linear[4000] == pytest.approx(0.5) and linear[0] == 0 and linear.max() == 1.0
-    np.testing.assert_array_equal(denormalize_depth(linear, "linear", 8.0), np.minimum(every, 8000))
+    np.testing.assert_array_equal(
+        denormalize_depth(linear, "linear", 8.0), np.minimum(every, 8000)
+    )
 
 
 ORDERS = {
     "raw": lambda env, **how: NormalizeImages(env, **how),
     "stacked": lambda env, **how: NormalizeImages(FrameStack(env, 3), **how),
-    "flat": lambda env, **how: NormalizeImages(FlattenStatePixels(FrameStack(env, 3)), **how),
+    "flat": lambda env, **how: NormalizeImages(
+        FlattenStatePixels(FrameStack(env, 3)), **how
+    ),
 }
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
-    "how", [{}, {"depth": "linear", "depth_clip": 5.0, "rgb": "imagenet"}, {"depth": "raw"}]
+    "how",
+    [{}, {"depth": "linear", "depth_clip": 5.0, "rgb": "imagenet"}, {"depth": "raw"}],
 )
 def test_images_are_normalised_and_come_back_wherever_the_wrapper_stands(order, how):
     env = ORDERS[order](CountingEnv(SAME), **how)
@@ -334,18 +360,29 @@ def test_numbers_of_normalised_images():
     env = NormalizeImages(CountingEnv(SAME), rgb="imagenet")
     obs, _ = env.reset()
     # Pixel (1, 2): bytes 14 * (15, 16, 17); mean and std of red, green, blue as torchvision has them.
-    want = (14 * np.array([15, 16, 17]) / 255 - (0.485, 0.456, 0.406)) / (0.229, 0.224, 0.225)
+    want = (14 * np.array([15, 16, 17]) / 255 - (0.485, 0.456, 0.406)) / (
+        0.229,
+        0.224,
+        0.225,
+    )
     np.testing.assert_allclose(obs[RGB][0, 1, 2], want, rtol=1e-5)
-    assert obs[DEPTH][1, 0, 0, 0] == pytest.approx(1 - np.tanh(1.0)) and obs[SEG].dtype == np.int32
+    assert (
+        obs[DEPTH][1, 0, 0, 0] == pytest.approx(1 - np.tanh(1.0))
+        and obs[SEG].dtype == np.int32
+    )
     flat = NormalizeImages(FlattenStatePixels(CountingEnv(SAME)), rgb="imagenet")
-    np.testing.assert_allclose(flat.reset()[0]["pixels"]["cam_rgb"][0, :, 1, 2], want, rtol=1e-5)
+    np.testing.assert_allclose(
+        flat.reset()[0]["pixels"]["cam_rgb"][0, :, 1, 2], want, rtol=1e-5
+    )
     unit = NormalizeImages(CountingEnv(SAME)).reset()[0][RGB]
     assert unit.dtype == np.float32 and unit[0, 1, 2, 2] == pytest.approx(14 * 17 / 255)
 
 
 def test_frames_of_the_real_environment_under_a_partial_reset():
     env = FrameStack(
-        envs.make(task="set_table", subtask="close", num_envs=2, autoreset="disabled", threads=1),
+        envs.make(
+            task="set_table", subtask="close", num_envs=2, autoreset="disabled", threads=1
+        ),
         3,
         keys=["state"],
     )

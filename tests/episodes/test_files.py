@@ -9,7 +9,14 @@ from pathlib import Path
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.episodes.files import Factory, Recipe, make_file, manifest_path, partial_path, state_hash
+from mjhab.episodes.files import (
+    Factory,
+    Recipe,
+    make_file,
+    manifest_path,
+    partial_path,
+    state_hash,
+)
 from mjhab.episodes.hab.format import read_hab
 
 RECIPE = Recipe("tidy_house", "val", 5, "builtin", 0, 6)
@@ -38,8 +45,12 @@ def test_the_file_holds_the_episodes_and_the_manifest_their_hashes(whole: Path) 
     assert {e.info["split"] for e in file.episodes} == {"val"}
     assert [len(e.target_names) for e in file.episodes] == [5] * 6
     assert (manifest["task"], manifest["seed"], manifest["count"]) == ("tidy_house", 5, 6)
-    assert [row["hash"] for row in manifest["episodes"]] == [state_hash(e) for e in file.episodes]
-    assert [row["home"] for row in manifest["episodes"]] == [e.scene for e in file.episodes]
+    assert [row["hash"] for row in manifest["episodes"]] == [
+        state_hash(e) for e in file.episodes
+    ]
+    assert [row["home"] for row in manifest["episodes"]] == [
+        e.scene for e in file.episodes
+    ]
     assert len({row["hash"] for row in manifest["episodes"]}) == 6
     assert not partial_path(whole).exists()
 
@@ -91,7 +102,9 @@ def test_nothing_is_replaced_unasked(whole: Path, tmp_path: Path) -> None:
         make_file(RECIPE, whole, 1, silent)
     out = tmp_path / "x.json"
     partial_path(out).write_text('{"format": "mjhab-episodes-1", "task": "set_table"}\n')
-    with pytest.raises(UsageError, match=r"x\.json\.partial was left by a run with other options"):
+    with pytest.raises(
+        UsageError, match=r"x\.json\.partial was left by a run with other options"
+    ):
         make_file(replace(RECIPE, count=1), out, 1, silent)
     make_file(replace(RECIPE, count=1), out, 1, silent, overwrite=True)
     assert len(read_hab(out).episodes) == 1

@@ -45,7 +45,8 @@ def test_episodes_are_stable_and_separate(task: str, tmp_path, monkeypatch):
         assert moved.max() < 0.02 and speed < 0.05
         for target in episode.targets:
             assert (
-                np.linalg.norm(np.subtract(target.goal_pos, target.start_pos)) >= MIN_START_GOAL_M
+                np.linalg.norm(np.subtract(target.goal_pos, target.start_pos))
+                >= MIN_START_GOAL_M
             )
 
 
@@ -53,11 +54,16 @@ def test_set_table_starts_in_drawer_and_fridge():
     episodes = maker("set_table")
     episode = episodes.episode(0, 0)
     bowl, apple = episode.targets
-    assert bowl.obj.startswith("024_bowl") and bowl.start_link == "kitchen_counter/drawer3"
+    assert (
+        bowl.obj.startswith("024_bowl") and bowl.start_link == "kitchen_counter/drawer3"
+    )
     assert apple.obj.startswith("013_apple") and apple.start_link == "fridge/top_door"
     home = next(h for h in episodes.layout.pack.homes if h.name == episode.home)
     places = {r.id: r for r in placed_receptacles(episodes.layout, home)}
-    for target, place_id in ((bowl, "kitchen_counter/drawer3"), (apple, "fridge/middle_top")):
+    for target, place_id in (
+        (bowl, "kitchen_counter/drawer3"),
+        (apple, "fridge/middle_top"),
+    ):
         place = next(r for r in places.values() if r.link == place_id or r.id == place_id)
         local = place.local(np.array(target.start_pos[:2]))
         assert (np.abs(local) <= np.array(place.half)).all()
@@ -73,13 +79,20 @@ def test_groceries_have_the_fridge_open():
 def test_wanted_target_type_is_among_the_targets():
     episodes = maker("tidy_house", "009_gelatin_box")
     for i in range(3):
-        assert any(t.obj.startswith("009_gelatin_box") for t in episodes.episode(1, i).targets)
+        assert any(
+            t.obj.startswith("009_gelatin_box") for t in episodes.episode(1, i).targets
+        )
 
 
 def test_homes_of_a_pattern_take_turns():
     sim = CpuSimulator(Layout(open_pack("builtin"), roster("tidy_house")), 1, 1)
     some = EpisodeMaker(sim, "tidy_house", "train", home="builtin_m3_0[0-2]")
-    assert [some.make(0, index)[0].home[-2:] for index in range(4)] == ["00", "01", "02", "00"]
+    assert [some.make(0, index)[0].home[-2:] for index in range(4)] == [
+        "00",
+        "01",
+        "02",
+        "00",
+    ]
     drawn = EpisodeMaker(sim, "tidy_house", "val")
     every = EpisodeMaker(sim, "tidy_house", "val", home="builtin_m3_*")
     assert drawn.homes == every.homes and drawn.digest != every.digest, (

@@ -28,7 +28,11 @@ def unregistered() -> Iterator[None]:
 
 @pytest.mark.parametrize(
     ("words", "called"),
-    [(("mug",), {"mug"}), (("mug", "coffee mug"), {"mug", "coffee mug"}), ((), {"my mug"})],
+    [
+        (("mug",), {"mug"}),
+        (("mug", "coffee mug"), {"mug", "coffee mug"}),
+        ((), {"my mug"}),
+    ],
 )
 def test_a_registered_object_is_called_by_its_words(
     words: tuple[str, ...], called: set[str], unregistered: None
@@ -48,7 +52,9 @@ def test_a_registered_object_is_called_by_its_words(
             dataclasses.replace(episode, index=index), plan, alone=False
         )
         for sentence in (*told.subtasks, told.task):
-            found = sorted((name for name in called if f"the {name} " in sentence), key=len)
+            found = sorted(
+                (name for name in called if f"the {name} " in sentence), key=len
+            )
             assert found, sentence
             names.add(found[-1])
     assert names == called
@@ -57,7 +63,9 @@ def test_a_registered_object_is_called_by_its_words(
 def test_words_of_an_object_are_a_tuple_of_texts() -> None:
     kind = open_pack().objects["005_tomato_soup_can"]
     for wrong, told in (("mug", "got the text 'mug'"), (("",), "must not be empty")):
-        with pytest.raises(UsageError, match=f"object '005_tomato_soup_can': words .*{told}"):
+        with pytest.raises(
+            UsageError, match=f"object '005_tomato_soup_can': words .*{told}"
+        ):
             ObjectModel(kind, words=wrong)  # type: ignore[arg-type]
 
 
@@ -71,10 +79,15 @@ def test_set_table_names_drawer_fridge_and_table() -> None:
     assert "bowl" in told.task and "apple" in told.task
     assert told.task.count("on the dining table") == 2
     assert told.subtasks[3].endswith("the bowl from the kitchen counter")
-    assert told.subtasks[5].endswith("on the dining table") or "down on" in told.subtasks[5]
+    assert (
+        told.subtasks[5].endswith("on the dining table") or "down on" in told.subtasks[5]
+    )
     assert told.subtasks[11].endswith("the apple from the fridge")
 
     # The words are those of the episode: the same when asked again, others in other episodes.
     assert Narrator(layout).instructions(episode, plan, alone=False) == told
     others = [dataclasses.replace(episode, index=index) for index in range(1, 20)]
-    assert len({narrator.instructions(other, plan, alone=False).task for other in others}) > 1
+    assert (
+        len({narrator.instructions(other, plan, alone=False).task for other in others})
+        > 1
+    )

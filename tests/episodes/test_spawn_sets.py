@@ -31,7 +31,9 @@ from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
-RECIPE = SpawnRecipe("set_table", "pick", "024_bowl", "train", seed=0, count=CHUNK + 8, pool=2)
+RECIPE = SpawnRecipe(
+    "set_table", "pick", "024_bowl", "train", seed=0, count=CHUNK + 8, pool=2
+)
 
 
 def quiet(done: int, fallbacks: int) -> None:
@@ -50,7 +52,11 @@ def layout() -> Layout:
 
 def test_a_set_gives_the_starts_it_was_made_of(made: SpawnSet, layout: Layout):
     found = SpawnSet.load(made.path, layout)
-    assert len(found) == RECIPE.count and found.recipe == RECIPE and found.digest == made.digest
+    assert (
+        len(found) == RECIPE.count
+        and found.recipe == RECIPE
+        and found.digest == made.digest
+    )
     assert found.fallbacks == 0 and len(found.homes) <= 2
     assert not partial_folder(made.path).exists()
     factory = SpawnFactory(RECIPE)
@@ -59,12 +65,21 @@ def test_a_set_gives_the_starts_it_was_made_of(made: SpawnSet, layout: Layout):
         own = factory.row(index)
         np.testing.assert_array_equal(row.qpos, own.qpos)
         np.testing.assert_array_equal(row.episode.object_pose, own.episode.object_pose)
-        assert row.episode.targets == own.episode.targets and row.episode.home == own.episode.home
-        assert (row.position, row.fallback, row.tries) == (own.position, own.fallback, own.tries)
+        assert (
+            row.episode.targets == own.episode.targets
+            and row.episode.home == own.episode.home
+        )
+        assert (row.position, row.fallback, row.tries) == (
+            own.position,
+            own.fallback,
+            own.tries,
+        )
 
 
 def test_an_environment_starts_from_the_set(made: SpawnSet, layout: Layout):
-    config = EnvConfig(task="set_table", subtask="pick", target="024_bowl", spawns=str(made.path))
+    config = EnvConfig(
+        task="set_table", subtask="pick", target="024_bowl", spawns=str(made.path)
+    )
     sim = CpuSimulator(layout, 1, 1)
     maker = StartMaker(sim, config, task_config(config, ROBOT))
     assert maker.spawn_set is not None
@@ -74,15 +89,24 @@ def test_an_environment_starts_from_the_set(made: SpawnSet, layout: Layout):
         start = maker.start(episode)
         row = maker.spawn_set.row(index)
         np.testing.assert_array_equal(start.qpos, row.qpos)
-        assert start.plan.subtasks[0].obj.startswith("024_bowl") and start.home == row.episode.home
+        assert (
+            start.plan.subtasks[0].obj.startswith("024_bowl")
+            and start.home == row.episode.home
+        )
     online = StartMaker(
-        sim, EnvConfig(task="set_table", subtask="pick", target="024_bowl"), maker.task_config
+        sim,
+        EnvConfig(task="set_table", subtask="pick", target="024_bowl"),
+        maker.task_config,
     )
-    np.testing.assert_array_equal(online.start(made.row(3).episode).qpos, made.row(3).qpos)
+    np.testing.assert_array_equal(
+        online.start(made.row(3).episode).qpos, made.row(3).qpos
+    )
 
 
 def test_rows_beyond_the_last_are_drawn_evenly(made: SpawnSet):
-    numbers = [made.number(world * (1 << 20) + k) for world in range(1, 16) for k in range(40)]
+    numbers = [
+        made.number(world * (1 << 20) + k) for world in range(1, 16) for k in range(40)
+    ]
     assert max(numbers) < len(made)
     assert np.bincount(numbers, minlength=len(made)).min() >= 4
     assert [made.number(k) for k in range(5)] == [0, 1, 2, 3, 4]
@@ -92,7 +116,9 @@ def test_another_layout_is_refused_with_both_hashes(made: SpawnSet):
     other = Layout(open_pack("builtin"), roster("tidy_house"))
     with pytest.raises(UsageError) as error:
         SpawnSet.load(made.path, other)
-    assert made.header["layout"] in str(error.value) and layout_digest(other) in str(error.value)
+    assert made.header["layout"] in str(error.value) and layout_digest(other) in str(
+        error.value
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,7 +131,11 @@ def test_another_layout_is_refused_with_both_hashes(made: SpawnSet):
     ],
 )
 def test_another_purpose_is_refused(made: SpawnSet, change: dict[str, Any], words: str):
-    options: dict[str, Any] = {"task": "set_table", "subtask": "pick", "target": "024_bowl"}
+    options: dict[str, Any] = {
+        "task": "set_table",
+        "subtask": "pick",
+        "target": "024_bowl",
+    }
     config = EnvConfig(**options | change)
     with pytest.raises(UsageError, match=words):
         made.check(config)
@@ -120,7 +150,8 @@ def test_a_published_set_names_the_arms_it_was_drawn_from():
     assert factory.header()["grasps"]["013_apple"] == apples.digest("013_apple")
     robot = factory.row(1).qpos[factory.sim.addresses.robot_q]
     away = [
-        np.abs(robot[list(ROBOT.arm_columns)] - one.arm).max() for one in apples.arms("013_apple")
+        np.abs(robot[list(ROBOT.arm_columns)] - one.arm).max()
+        for one in apples.arms("013_apple")
     ]
     assert min(away) <= ARM_NOISE[1] + 1e-9
     assert (
@@ -167,11 +198,23 @@ def forged(value: Any) -> Callable[[np.ndarray], np.ndarray]:
         ("home", forged("/etc/x"), r"column 'home': '/etc/x' is no name"),
         ("targets", forged("a b"), r"column 'targets': 'a b' is no name"),
         ("qpos", forged(np.nan), r"column 'qpos' has numbers that are not finite"),
-        ("object_pose", forged(1e300), r"column 'object_pose': 1e\+300 is out of the range"),
+        (
+            "object_pose",
+            forged(1e300),
+            r"column 'object_pose': 1e\+300 is out of the range",
+        ),
         ("points", forged(-5000.0), r"column 'points': -5000 is out of the range"),
-        ("link_q", lambda column: column[:-1], r"column 'link_q' has shape .* does not fit"),
+        (
+            "link_q",
+            lambda column: column[:-1],
+            r"column 'link_q' has shape .* does not fit",
+        ),
         ("qpos", lambda column: column[:, 0], r"column 'qpos' has shape"),
-        ("position", lambda column: column.astype(float), r"column 'position' is float64"),
+        (
+            "position",
+            lambda column: column.astype(float),
+            r"column 'position' is float64",
+        ),
     ],
 )
 def test_made_up_starts_are_refused(
@@ -192,7 +235,8 @@ def test_a_set_that_could_not_be_read_is_not_written(
     made: SpawnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(
-        UsageError, match=r"10,000,000 starts takes .* MB.*2,048.*at most \d{3},\d{3} starts"
+        UsageError,
+        match=r"10,000,000 starts takes .* MB.*2,048.*at most \d{3},\d{3} starts",
     ):
         check_size(made.columns, 10_000_000)
     size = sum(column.nbytes for column in made.columns.values())
@@ -203,19 +247,25 @@ def test_a_set_that_could_not_be_read_is_not_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_set_that_will_be_too_large_is_refused_before_it_is_made(tmp_path: Path) -> None:
+def test_a_set_that_will_be_too_large_is_refused_before_it_is_made(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(UsageError, match="a spawn set of 1,000,000,000 starts"):
         make_set(replace(RECIPE, count=10**9), tmp_path / "a.npz", 1, quiet)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("field", ["task", "split", "subtask", "target"])
-def test_a_recipe_with_a_name_that_is_none_is_refused(made: SpawnSet, tmp_path: Path, field: str):
+def test_a_recipe_with_a_name_that_is_none_is_refused(
+    made: SpawnSet, tmp_path: Path, field: str
+):
     header = {key: value for key, value in made.header.items() if key != "digest"}
     header["recipe"] = {**header["recipe"], field: "../x"}
     path = tmp_path / "forged.npz"
     write(path, header, made.columns)
-    with pytest.raises(UsageError, match=rf"forged\.npz .*recipe, {field}: '\.\./x' is no name"):
+    with pytest.raises(
+        UsageError, match=rf"forged\.npz .*recipe, {field}: '\.\./x' is no name"
+    ):
         SpawnSet.read(path)
 
 
@@ -284,7 +334,10 @@ def test_commands(capsys: pytest.CaptureFixture[str], made: SpawnSet, tmp_path: 
     assert main(["spawns", "list", str(out)]) == 0
     table = capsys.readouterr().out
     assert "close" in table and "1 sets" in table
-    assert main(["spawns", "make", "--out", str(tmp_path / "wave.npz"), "--subtask", "wave"]) == 2
+    assert (
+        main(["spawns", "make", "--out", str(tmp_path / "wave.npz"), "--subtask", "wave"])
+        == 2
+    )
     assert "unknown subtask" in capsys.readouterr().err
     assert main(["spawns", "list", str(tmp_path / "nothing")]) == 2
 
@@ -317,5 +370,7 @@ def test_bench_spawn(capsys: pytest.CaptureFixture[str]):
 def test_starts_share_the_arrangements_of_the_pool() -> None:
     factory = SpawnFactory(RECIPE)
     assert factory.header()["grasps"] == {}
-    np.testing.assert_array_equal(factory.episode(0).object_pose, factory.episode(2).object_pose)
+    np.testing.assert_array_equal(
+        factory.episode(0).object_pose, factory.episode(2).object_pose
+    )
     assert (factory.episode(0).object_pose != factory.episode(1).object_pose).any()

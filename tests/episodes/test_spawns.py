@@ -51,7 +51,9 @@ def empty_home(sampler: SpawnSampler, home: str) -> np.ndarray:
     return qpos
 
 
-def spawns(sampler: SpawnSampler, home: str, goal: SpawnGoal, wanted: int) -> list[np.ndarray]:
+def spawns(
+    sampler: SpawnSampler, home: str, goal: SpawnGoal, wanted: int
+) -> list[np.ndarray]:
     found: list[np.ndarray] = []
     qpos = empty_home(sampler, home)
     for k in range(400):
@@ -229,7 +231,8 @@ def test_pick_finds_its_link_open_and_the_bowl_carried_along(set_table: Bench):
         seen.append(drawn)
         slot = sim.layout.object_names.index(start.plan.subtasks[0].obj)
         before, after = (
-            link_frame(set_table, start.home, q) for q in (float(episode.link_q[k]), drawn)
+            link_frame(set_table, start.home, q)
+            for q in (float(episode.link_q[k]), drawn)
         )
         own = slice(a.object_q[slot], a.object_q[slot] + 7)
         np.testing.assert_allclose(
@@ -257,14 +260,22 @@ def test_fridge_is_open_for_pick_and_close_and_shut_for_open(set_table: Bench):
     column = sim.addresses.link_q[door]
     for subtask, target in (("pick", "013_apple"), ("close", FRIDGE_DOOR)):
         for start in set_table.maker(subtask, target).starts(set_table.named(4)):
-            limit = dict(next(h for h in sim.layout.pack.homes if h.name == start.home).open_limits)
-            assert 0.75 * 2.3 - 1e-9 <= start.qpos[column] <= limit.get(FRIDGE_DOOR, 2.3) + 1e-9
+            limit = dict(
+                next(h for h in sim.layout.pack.homes if h.name == start.home).open_limits
+            )
+            assert (
+                0.75 * 2.3 - 1e-9
+                <= start.qpos[column]
+                <= limit.get(FRIDGE_DOOR, 2.3) + 1e-9
+            )
     for episode, start in zip(
         set_table.named(4),
         set_table.maker("open", FRIDGE_DOOR).starts(set_table.named(4)),
         strict=True,
     ):
-        assert start.qpos[column] == episode.link_q[door] and abs(start.qpos[column]) < 1e-3
+        assert (
+            start.qpos[column] == episode.link_q[door] and abs(start.qpos[column]) < 1e-3
+        )
         rows = sim.addresses.object_q[:, None] + np.arange(7)
         np.testing.assert_array_equal(start.qpos[rows], episode.object_pose)
 
@@ -281,7 +292,9 @@ def test_open_and_close_stand_in_the_area_and_face_what_they_open(set_table: Ben
             assert x_min <= x <= x_max and y_min <= y <= y_max
             target = next(t for t in episode.targets if t.start_link == link)
             at = next(
-                p for p in maker.home(start.home).articulations if p.template == link.split("/")[0]
+                p
+                for p in maker.home(start.home).articulations
+                if p.template == link.split("/")[0]
             )
             root = (
                 at.pos
@@ -334,7 +347,9 @@ def test_navigate_carries_what_the_plan_says(set_table: Bench):
         subtask = start.plan.subtasks[0]
         leg = start.position % 8
         link = subtask.link or {0: BOWL_DRAWER, 1: FRIDGE_DOOR}[start.position // 8]
-        stands_open = start.qpos[a.link_q[set_table.sim.layout.link_ids.index(link)]] > 0.1
+        stands_open = (
+            start.qpos[a.link_q[set_table.sim.layout.link_ids.index(link)]] > 0.1
+        )
         assert stands_open == (leg in (2, 4, 6))
         opened.add(leg)
         if subtask.must_hold:
@@ -356,7 +371,9 @@ def test_crowded_floor_gives_the_nearest_place_and_says_so(set_table: Bench):
     ).reshape(-1, 2)
     targets = {layout.object_names.index(t.obj) for t in episode.targets}
     pose = episode.object_pose.copy()
-    for slot, xy in zip((s for s in range(len(pose)) if s not in targets), grid, strict=False):
+    for slot, xy in zip(
+        (s for s in range(len(pose)) if s not in targets), grid, strict=False
+    ):
         pose[slot] = [*xy, layout.objects[slot].half[2], *quat_from_yaw(np.array(0.3))]
     start = maker.start(dataclasses.replace(episode, object_pose=pose))
     assert start.fallback and start.tries == MAX_TRIES
@@ -378,9 +395,13 @@ def test_a_start_that_does_not_hold_its_object_does_not_count(tidy_house: Bench)
     xy = base_of(tidy_house, start)[:2]
     goal = SpawnGoal(np.array(start.plan.subtasks[0].goal_pos[:2]))
     grip = (0.5, np.radians(30.0))
-    assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, pose)) is not None
+    assert (
+        maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, pose)) is not None
+    )
     away = pose + np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
-    assert maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, away, grip)) is None
+    assert (
+        maker.sampler.at(start.home, start.qpos, xy, goal, Held(slot, away, grip)) is None
+    )
 
 
 # -- the published spawn rule ----------------------------------------------------------------------------------------
@@ -405,7 +426,10 @@ def test_published_picks_at_a_link_start_all_around_the_object(set_table: Bench)
         slot = set_table.sim.layout.object_names.index(subtask.obj)
         away = base[:2] - start.qpos[a.object_q[slot] : a.object_q[slot] + 2]
         far = max(far, float(np.hypot(*away)))
-        assert maker.sampler.map(start.home).clearance_at(base[:2]) >= NAVMESH_BASE_RADIUS_M - 0.02
+        assert (
+            maker.sampler.map(start.home).clearance_at(base[:2])
+            >= NAVMESH_BASE_RADIUS_M - 0.02
+        )
         assert maker.sampler.scratch.collision_free(start.home, start.qpos)
         x_min, x_max, y_min, y_max = start.boxes[subtask.link]
         outside += not (x_min <= base[0] <= x_max and y_min <= base[1] <= y_max)
@@ -417,7 +441,9 @@ def test_published_picks_at_a_link_start_all_around_the_object(set_table: Bench)
         assert x_min <= x <= x_max and y_min <= y <= y_max
 
 
-def test_published_places_at_a_link_start_around_the_goal_with_the_arm_of_a_pick(groceries: Bench):
+def test_published_places_at_a_link_start_around_the_goal_with_the_arm_of_a_pick(
+    groceries: Bench,
+):
     maker = published(groceries, "place")
     a = groceries.sim.addresses
     arms = {}
@@ -452,7 +478,9 @@ def test_published_headings_are_drawn_before_the_noise_of_the_base(tidy_house: B
         # Within the noise's reach of the object the place may have been on its other side.
         assert (
             error
-            <= YAW_NOISE[1] + np.arcsin(min(1.0, XY_NOISE[1] * np.sqrt(2) / max(away, 0.3))) + 1e-9
+            <= YAW_NOISE[1]
+            + np.arcsin(min(1.0, XY_NOISE[1] * np.sqrt(2) / max(away, 0.3)))
+            + 1e-9
         )
         worst.append(error)
     assert max(worst) > YAW_NOISE[1]
@@ -469,7 +497,9 @@ def test_published_teleports_bind_the_front_area_only_where_navigate_is_judged_b
         for position in plan.indices(SubtaskKind.NAVIGATE):
             subtask = plan.subtasks[position]
             goal = maker.spawn_goal(plan, position, boxes)
-            assert (goal.area is not None) == (bool(subtask.link) and not subtask.must_hold)
+            assert (goal.area is not None) == (
+                bool(subtask.link) and not subtask.must_hold
+            )
             assert goal.reach == 1.8 and goal.yaw_noise == (0.1, 0.5) and goal.turn < 0.5
             qpos = maker.foresee(episode, plan, position)
             found, _ = maker.sampler.search(

@@ -62,11 +62,23 @@ class Knowing(ZeroPolicy):
 def test_a_run_folder_with_report_and_films(stage: Stage, tmp_path: Path) -> None:
     run = mjhab.evaluate("zero", episodes=3, worlds=2, films=1, out=tmp_path / "run")
     names = sorted(entry.name for entry in run.path.iterdir())
-    assert names == ["config.json", "episodes.jsonl", "films", "report.html", "summary.json"]
-    assert [entry.name for entry in (run.path / "films").iterdir()] == ["episode_00000.mp4"]
+    assert names == [
+        "config.json",
+        "episodes.jsonl",
+        "films",
+        "report.html",
+        "summary.json",
+    ]
+    assert [entry.name for entry in (run.path / "films").iterdir()] == [
+        "episode_00000.mp4"
+    ]
     assert run.report.read_text().count("<video") == 1 and run.film_problem is None
-    assert [record.index for record in run.records] == [0, 1, 2] and run.summary["episodes"] == 3
-    assert list(run.records) == sorted(read_records(run.path), key=lambda record: record.index)
+    assert [record.index for record in run.records] == [0, 1, 2] and run.summary[
+        "episodes"
+    ] == 3
+    assert list(run.records) == sorted(
+        read_records(run.path), key=lambda record: record.index
+    )
     assert json.loads((run.path / "config.json").read_text()) == run.config
     assert stage.built[0].closed
 
@@ -79,12 +91,22 @@ def test_all_ways_to_give_a_policy_are_one(stage: Stage, tmp_path: Path) -> None
         )
     ]
     assert all(run.records == runs[0].records for run in runs)
-    assert [run.config["policy"] for run in runs] == ["zero", "zero", "zero", "zero", "<lambda>"]
+    assert [run.config["policy"] for run in runs] == [
+        "zero",
+        "zero",
+        "zero",
+        "zero",
+        "<lambda>",
+    ]
 
 
-def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path: Path) -> None:
+def test_what_the_policy_needs_and_what_the_user_asks_for(
+    stage: Stage, tmp_path: Path
+) -> None:
     asked = {"episodes": 1, "films": 0}
-    run = mjhab.evaluate(Own(), **asked, camera_size=64, horizon=np.int64(5), out=tmp_path / "a")
+    run = mjhab.evaluate(
+        Own(), **asked, camera_size=64, horizon=np.int64(5), out=tmp_path / "a"
+    )
     assert stage.options[0] == {"obs_mode": "depth", "camera_size": 64, "horizon": 5}
     assert run.config["env"] == stage.options[0] and run.config["policy"] == "own"
     mjhab.evaluate(Own, **asked, env={"obs_mode": "rgb"}, out=tmp_path / "b")
@@ -101,7 +123,10 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path
         ({"task": "set_tabel"}, "Did you mean 'set_table'"),
         ({"target": "024_bowl"}, "a target needs a subtask"),
         ({"episodes": 0}, "episodes must be at least 1, got 0"),
-        ({"episodes": 10**18}, "episodes must be at most 100,000,000, got 1000000000000000000"),
+        (
+            {"episodes": 10**18},
+            "episodes must be at most 100,000,000, got 1000000000000000000",
+        ),
         ({"episodes": "3"}, "episodes must be a whole number of at least 1, got '3'"),
         ({"worlds": 10**6}, "worlds must be at most 65,536"),
         ({"films": 10**6}, "films must be at most 10,000"),
@@ -109,9 +134,15 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(stage: Stage, tmp_path
         ({"seed": 2**63}, "seed must be at most"),
         ({"horizon": 10**20}, "horizon must be at most"),
         ({"frame_stack": 10**9}, "frame_stack must be at most 256"),
-        ({"policy": "zero", "style": ("speed=0.5",)}, "only the policy expert has a style"),
+        (
+            {"policy": "zero", "style": ("speed=0.5",)},
+            "only the policy expert has a style",
+        ),
         ({"instruction": "shut it"}, "an instruction needs a subtask"),
-        ({"instruction": "shut it", "subtask": "close"}, "the policy zero takes no instruction"),
+        (
+            {"instruction": "shut it", "subtask": "close"},
+            "the policy zero takes no instruction",
+        ),
         (
             {"instruction": "shut it", "subtask": "close", "policy": ZeroPolicy},
             "the policy zero takes no instruction",
@@ -137,7 +168,9 @@ def test_episodes_take_memory_only_when_they_run(stage: Stage, tmp_path: Path) -
         stage.interrupt_at = 200
         tracemalloc.start()
         with pytest.raises(EvaluationInterrupted):
-            mjhab.evaluate("zero", episodes=episodes, films=0, out=tmp_path, resume=resume)
+            mjhab.evaluate(
+                "zero", episodes=episodes, films=0, out=tmp_path, resume=resume
+            )
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert peak < 60e6
@@ -150,13 +183,15 @@ def test_ctrl_c_reports_and_goes_on_to_the_caller(stage: Stage, tmp_path: Path) 
     kept = caught.value.run
     assert isinstance(caught.value, KeyboardInterrupt) and 0 < len(kept.records) < 30
     assert (
-        f"Partial: {len(kept.records)} of 30" in kept.report.read_text() and stage.built[0].closed
+        f"Partial: {len(kept.records)} of 30" in kept.report.read_text()
+        and stage.built[0].closed
     )
     stage.interrupt_at = None
     whole = mjhab.evaluate("zero", episodes=30, films=0, out=tmp_path, resume=True)
     assert (
         len(whole.records) == 30
-        and whole.records == mjhab.evaluate("zero", episodes=30, out=tmp_path, resume=True).records
+        and whole.records
+        == mjhab.evaluate("zero", episodes=30, out=tmp_path, resume=True).records
     )
     assert len(stage.built) == 2, "nothing was left to run the third time"
 
@@ -175,5 +210,6 @@ def test_further_sinks_hear_the_rollout(tmp_path: Path) -> None:
 def test_default_folders_are_valid_names() -> None:
     spec = EvalSpec(subtask="pick")
     assert (
-        library.default_out(spec, "ws://host:80/a b").name == "set_table_pick_ws-host-80-a-b_seed0"
+        library.default_out(spec, "ws://host:80/a b").name
+        == "set_table_pick_ws-host-80-a-b_seed0"
     )

@@ -50,7 +50,9 @@ class Own(ZeroPolicy):
     env_options = {"obs_mode": "depth", "camera_size": 32}  # noqa: RUF012
 
 
-def test_the_example_of_the_docstring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_of_the_docstring(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (example,) = doctest.DocTestFinder(recurse=False).find(
         mjhab.generate, "mjhab.generate", globs={}
@@ -89,12 +91,16 @@ def test_policies_of_ones_own(built: list[dict[str, Any]], tmp_path: Path) -> No
             and made.standing.complete
             and not made.is_short
         )
-        np.testing.assert_equal([episode.array("actions") for episode in made.episodes()], first)
+        np.testing.assert_equal(
+            [episode.array("actions") for episode in made.episodes()], first
+        )
     mjhab.generate(Own, episodes=1, stillness="published", out=str(tmp_path / "own"))
     assert built[-1] == {"obs_mode": "depth", "camera_size": 32, "stillness": "published"}
 
 
-def test_a_stopped_generation_goes_on(built: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_a_stopped_generation_goes_on(
+    built: list[dict[str, Any]], tmp_path: Path
+) -> None:
     told: list[Standing] = []
     spec = GenerateSpec(tmp_path / "set", "random", episodes=12, worlds=2)
     first = run_generation(spec, told.append, lambda: any(now.kept for now in told))
@@ -106,11 +112,15 @@ def test_a_stopped_generation_goes_on(built: list[dict[str, Any]], tmp_path: Pat
     with pytest.raises(UsageError, match="not empty"):
         run_generation(spec)
     second = run_generation(replace(spec, resume=True))
-    assert second.standing.complete and second.summary["written"] == 12 - first.standing.kept
+    assert (
+        second.standing.complete and second.summary["written"] == 12 - first.standing.kept
+    )
     assert [episode.record.index for episode in second.episodes()] == list(range(12))
 
 
-def test_ctrl_c_keeps_what_is_finished(built: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_ctrl_c_keeps_what_is_finished(
+    built: list[dict[str, Any]], tmp_path: Path
+) -> None:
     class Impatient(ZeroPolicy):
         left = 30
 
@@ -127,18 +137,26 @@ def test_ctrl_c_keeps_what_is_finished(built: list[dict[str, Any]], tmp_path: Pa
 
 
 def test_there_are_never_more_workers_than_episodes(tmp_path: Path) -> None:
-    spec = GenerateSpec(out=tmp_path, policy="zero", subtask="close", episodes=3, workers=200)
+    spec = GenerateSpec(
+        out=tmp_path, policy="zero", subtask="close", episodes=3, workers=200
+    )
     assert make_job(spec).workers == 3
     spec = GenerateSpec(out=tmp_path, policy="zero", subtask="close", per_target=10**9)
     assert make_job(spec).episodes == 100_000_000
 
 
-def test_a_quota_that_is_not_filled_is_told(built: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_a_quota_that_is_not_filled_is_told(
+    built: list[dict[str, Any]], tmp_path: Path
+) -> None:
     made = mjhab.generate(
         "random", episodes=4, per_target=3, keep="steps < 0", out=tmp_path / "set"
     )
     assert made.is_short and made.standing.complete and made.summary["tried"] == 4
-    assert (made.summary["kept"], made.summary["yield"], made.summary["labels"]) == (0, 0.0, {})
+    assert (made.summary["kept"], made.summary["yield"], made.summary["labels"]) == (
+        0,
+        0.0,
+        {},
+    )
 
 
 def test_what_cannot_work_is_refused_before_anything_is_built(
@@ -160,14 +178,23 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
         ({"images": "dept"}, "unknown observation mode"),
         ({"images": "rgb", "rgb": "gif"}, "image format"),
         ({"images": "rgb", "cameras": ("head",)}, "unknown camera"),
-        ({"episode": 3}, "unknown option of a data set 'episode'. Did you mean 'episodes'"),
+        (
+            {"episode": 3},
+            "unknown option of a data set 'episode'. Did you mean 'episodes'",
+        ),
         ({"spawns": "x.npz"}, "unknown option of a data set 'spawns'"),
         ({"env": {"cameras": ("fetch_hand",)}}, "unknown option of a data set 'cameras'"),
         ({"policy": "exprt"}, "Did you mean 'expert'"),
         ({"stillness": "relative"}, "stillness"),
         ({"policy": Own, "images": "rgb"}, "camera_size = 32"),
-        ({"policy": functools.partial(Own), "workers": 1, "style": ("hold=2",)}, "policy expert"),
-        ({"policy": lambda env: Own(), "workers": 1}, "cannot be sent to worker processes"),
+        (
+            {"policy": functools.partial(Own), "workers": 1, "style": ("hold=2",)},
+            "policy expert",
+        ),
+        (
+            {"policy": lambda env: Own(), "workers": 1},
+            "cannot be sent to worker processes",
+        ),
         ({"ray": "127.0.0.1:1"}, "Ray"),
     ):
         with pytest.raises(UsageError) as error:
@@ -185,7 +212,9 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
 
 
 def test_targets_that_quotas_count(tmp_path: Path) -> None:
-    stage = build_stage(GenerateSpec(tmp_path, "random", subtask="open", episodes=1, threads=1))
+    stage = build_stage(
+        GenerateSpec(tmp_path, "random", subtask="open", episodes=1, threads=1)
+    )
     assert stage.targets == ("kitchen_counter/drawer3", "fridge/top_door")
     assert stage.about == {"name": "random", "seed": 0} and stage.licence == ""
     stage.env.close()
@@ -206,7 +235,9 @@ def test_whole_tasks_and_navigate_have_one_quota(
             GenerateSpec(tmp_path, episodes=1, policy="zero", **options)
         ).targets == (ALL,)
     one = build_stage(
-        GenerateSpec(tmp_path, episodes=1, policy="zero", subtask="pick", target="024_bowl")
+        GenerateSpec(
+            tmp_path, episodes=1, policy="zero", subtask="pick", target="024_bowl"
+        )
     )
     assert one.targets == ("024_bowl",)
 
@@ -238,8 +269,12 @@ def test_the_configuration_holds_what_decides_and_nothing_else(tmp_path: Path) -
         {"env": {"open_start": 0.5}},
         {"env": {"horizon": 7}},
     ):
-        assert resolved_config(replace(spec, **change), PolicyFacts("expert")) != config, change
-    asked = resolved_config(replace(spec, style=("hold=2", "speed=0.5..1")), PolicyFacts("expert"))
+        assert (
+            resolved_config(replace(spec, **change), PolicyFacts("expert")) != config
+        ), change
+    asked = resolved_config(
+        replace(spec, style=("hold=2", "speed=0.5..1")), PolicyFacts("expert")
+    )
     assert asked["style"] == ["speed=0.5..1.0", "hold=2"]
 
 
@@ -252,4 +287,6 @@ def test_licence_of_public_assets(tmp_path: Path) -> None:
     ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    assert "CC BY" in licence_of(str(tmp_path)) and "YCB" in licence_of(str(tmp_path / "apt_0"))
+    assert "CC BY" in licence_of(str(tmp_path)) and "YCB" in licence_of(
+        str(tmp_path / "apt_0")
+    )

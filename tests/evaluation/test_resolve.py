@@ -90,7 +90,8 @@ def test_policies_with_a_name() -> None:
 
 def test_an_unknown_name_tells_all_forms() -> None:
     with pytest.raises(
-        UsageError, match=r"unknown policy 'exprt'. Did you mean 'expert'\?.*FILE.py:CLASS"
+        UsageError,
+        match=r"unknown policy 'exprt'. Did you mean 'expert'\?.*FILE.py:CLASS",
     ):
         inspect_policy("exprt")
     with pytest.raises(UsageError, match="unknown policy 'exprt'"):
@@ -113,16 +114,23 @@ def test_what_is_known_of_a_file_before_there_is_an_environment(file: Path) -> N
     assert set(facts.identity) == {"policy_sha256"}
     file.write_text(GOOD.replace("SPEED, np", "-SPEED, np"))
     changed = inspect_policy(f"{file}:Plain")
-    assert changed.identity != facts.identity, "another version of a policy is another policy"
+    assert changed.identity != facts.identity, (
+        "another version of a policy is another policy"
+    )
     policy = resolve_policy(f"{file}:Plain", FakeEnv(1))
     policy.reset(np.ones(1, bool))
-    assert (policy.act(None, {}) == -0.25).all(), "the file is read again when it has changed"
+    assert (policy.act(None, {}) == -0.25).all(), (
+        "the file is read again when it has changed"
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        (":Plian", ("no class 'Plian'", "Did you mean 'Plain'", "Valid names: Deaf, Greedy, ")),
+        (
+            ":Plian",
+            ("no class 'Plian'", "Did you mean 'Plain'", "Valid names: Deaf, Greedy, "),
+        ),
         ("", ("say which class", "mine.py:Plain", "mine.py:Deaf")),
         (":Deaf", ("Deaf has no reset", "reset(mask)", "act(obs, info)")),
         (":Nameless", ("Nameless has no name", "name = 'Nameless'")),
@@ -145,7 +153,10 @@ def test_a_class_that_is_no_policy(file: Path, name: str, words: tuple[str, ...]
             "ModuleNotFoundError: No module named 'no_such_library' (line 2)",
         ),
         ("class A:\n    def act(self:\n", "SyntaxError"),
-        ("def f():\n    return 1 / 0\n\nf()\n", "ZeroDivisionError: division by zero (line 2)"),
+        (
+            "def f():\n    return 1 / 0\n\nf()\n",
+            "ZeroDivisionError: division by zero (line 2)",
+        ),
         ("import sys\nsys.exit(3)\n", "SystemExit: 3 (line 2)"),
         ("import numpy as np\n", "defines no class at all"),
     ],
@@ -190,7 +201,9 @@ def test_other_kinds_can_be_registered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resolve, "POLICY_KINDS", list(resolve.POLICY_KINDS))
     monkeypatch.setitem(sys.modules, "tests_policy_kind", _Kind)  # type: ignore[arg-type]
     register_policy_kind(
-        PolicyKind("test:NAME", lambda spec: spec.startswith("test:"), "tests_policy_kind")
+        PolicyKind(
+            "test:NAME", lambda spec: spec.startswith("test:"), "tests_policy_kind"
+        )
     )
     assert inspect_policy("test:mine") == PolicyFacts("mine", {"weights": "abc"})
     assert isinstance(resolve_policy("test:mine", FakeEnv(1)), RandomPolicy)

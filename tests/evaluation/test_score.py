@@ -28,7 +28,13 @@ from mjhab.evaluation.score.result import (
     summary_of,
     write_result,
 )
-from mjhab.evaluation.score.run import ScoreSpec, check, check_rules, score, scored_options
+from mjhab.evaluation.score.run import (
+    ScoreSpec,
+    check,
+    check_rules,
+    score,
+    scored_options,
+)
 from mjhab.rollout.records import SubtaskRecord
 
 ALL_ROWS = manifests.TRACKS["subtasks"]
@@ -50,7 +56,9 @@ def result(small: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return out / "result.json", score(spec)
 
 
-def test_a_score_is_made_of_the_episodes_of_the_manifest(result: tuple[Path, Result]) -> None:
+def test_a_score_is_made_of_the_episodes_of_the_manifest(
+    result: tuple[Path, Result],
+) -> None:
     path, scored = result
     assert scored.facts["policy"] == "random" and scored.facts["split"] == "test"
     assert {(e.row, e.record.index) for e in scored.episodes} == {
@@ -63,14 +71,18 @@ def test_a_score_is_made_of_the_episodes_of_the_manifest(result: tuple[Path, Res
     assert {"processor", "cores"} <= set(scored.facts["hardware"])
     assert "mujoco" in scored.facts["versions"]
     # Nothing is left to do: the second call reads what the first one left.
-    again = score(ScoreSpec("random", "subtasks", "test", path.parent, worlds=2, threads=1))
+    again = score(
+        ScoreSpec("random", "subtasks", "test", path.parent, worlds=2, threads=1)
+    )
     assert again.summary == summary
     # The time is that of all starts, not that of the last one.
     assert again.facts["seconds"] == scored.facts["seconds"] > 0.5
     assert [e.record for e in again.episodes] == [e.record for e in scored.episodes]
 
 
-def test_a_check_plays_the_actions_again(result: tuple[Path, Result], tmp_path: Path) -> None:
+def test_a_check_plays_the_actions_again(
+    result: tuple[Path, Result], tmp_path: Path
+) -> None:
     path, scored = result
     found = check(read_result(path))
     assert (found.episodes, found.wrong, found.inexact) == (3, {}, [])
@@ -80,7 +92,9 @@ def test_a_check_plays_the_actions_again(result: tuple[Path, Result], tmp_path: 
     for entry in content["episodes"]:
         entry["record"]["success_once"] = True
     claimed = tmp_path / "claimed.json"
-    episodes = [runs.Scored(e.row, _won(e.record), e.start, e.actions) for e in scored.episodes]
+    episodes = [
+        runs.Scored(e.row, _won(e.record), e.start, e.actions) for e in scored.episodes
+    ]
     write_result(claimed, scored.facts, episodes)
     assert len(check(read_result(claimed)).wrong) == 3
 
@@ -108,14 +122,17 @@ def test_a_check_sees_what_capabilities_and_starts_are_made_of(
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("policies", {}), ("policy", None), ("versions", 3), ("policies", {"x": 1})]
+    ("name", "value"),
+    [("policies", {}), ("policy", None), ("versions", 3), ("policies", {"x": 1})],
 )
 def test_facts_that_cannot_be_read_are_refused(
     result: tuple[Path, Result], tmp_path: Path, name: str, value: Any
 ) -> None:
     _, scored = result
     with pytest.raises(UsageError, match=f"edited: facts.{name}"):
-        write_result(tmp_path / "facts.json", {**scored.facts, name: value}, scored.episodes)
+        write_result(
+            tmp_path / "facts.json", {**scored.facts, name: value}, scored.episodes
+        )
 
 
 def _won(record: Any) -> Any:
@@ -124,8 +141,12 @@ def _won(record: Any) -> Any:
     return replace(record, success_once=True, completed=1)
 
 
-@pytest.mark.parametrize("what", ["score", "record", "digest", "row", "manifest", "twice"])
-def test_an_edited_file_is_refused(result: tuple[Path, Result], tmp_path: Path, what: str) -> None:
+@pytest.mark.parametrize(
+    "what", ["score", "record", "digest", "row", "manifest", "twice"]
+)
+def test_an_edited_file_is_refused(
+    result: tuple[Path, Result], tmp_path: Path, what: str
+) -> None:
     path, _ = result
     content = json.loads(path.read_text())
     sealed = what in ("row", "manifest", "twice")
@@ -170,7 +191,10 @@ def test_a_table_has_policies_rows_and_capabilities(result: tuple[Path, Result])
     page = leaderboard([result[1]])
     assert "| random | test |" in page and "(incomplete)" not in page
     assert all(f"| {row.name} |" in page for row in ROWS)
-    assert "| policy | reach | grasp | carry | articulate | navigate | under force limit |" in page
+    assert (
+        "| policy | reach | grasp | carry | articulate | navigate | under force limit |"
+        in page
+    )
 
 
 def test_starts_tell_episodes_from_others(
@@ -182,7 +206,9 @@ def test_starts_tell_episodes_from_others(
     digests = starts_of(row, "test", manifests.SEED, 1, 1)
     assert digests == [e.start for e in result[1].episodes if e.row == row.name]
     assert len(set(digests)) == row.episodes
-    monkeypatch.setattr(manifests, "_starts", lambda: {"subtasks/test": {row.name: digests}})
+    monkeypatch.setattr(
+        manifests, "_starts", lambda: {"subtasks/test": {row.name: digests}}
+    )
     asked = manifest("subtasks", "test")
     assert summary_of(asked, result[1].episodes)["complete"]
     digests[1] = "elsewhere"
@@ -196,7 +222,9 @@ def test_the_starts_of_the_package_fit_its_rows(monkeypatch: pytest.MonkeyPatch)
     for name, rows in json.loads(manifests.STARTS_FILE.read_text()).items():
         asked = manifest(*name.split("/"))
         lengths = {row.name: row.episodes for row in asked.rows}
-        assert {row: len(digests) for row, digests in rows.items()}.items() <= lengths.items()
+        assert {
+            row: len(digests) for row, digests in rows.items()
+        }.items() <= lengths.items()
 
 
 def test_actions_come_back_and_are_played_to_their_end() -> None:
@@ -290,9 +318,18 @@ def test_the_command_checks_and_tabulates(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--check", "RESULT", "--policy", "zero"], "--policy has no meaning with --check"),
-        (["--check", "RESULT", "--episodes", "3"], "--episodes has no meaning with --check"),
-        (["--table", "RESULT", "--check-seed", "1"], "--check-seed has no meaning with --table"),
+        (
+            ["--check", "RESULT", "--policy", "zero"],
+            "--policy has no meaning with --check",
+        ),
+        (
+            ["--check", "RESULT", "--episodes", "3"],
+            "--episodes has no meaning with --check",
+        ),
+        (
+            ["--table", "RESULT", "--check-seed", "1"],
+            "--check-seed has no meaning with --table",
+        ),
         (["--starts", "--policy", "zero"], "--policy has no meaning with --starts"),
         (["--check-seed", "1"], "--check-seed is for --check FILE"),
         (["--check", "FOLDER"], "is a folder; give the result.json in it"),
@@ -306,7 +343,11 @@ def test_what_would_be_passed_over_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     file = result[0]
-    places = {"RESULT": file, "FOLDER": file.parent, "SUMMARY": file.with_name("summary.json")}
+    places = {
+        "RESULT": file,
+        "FOLDER": file.parent,
+        "SUMMARY": file.with_name("summary.json"),
+    }
     assert main(["score", *(str(places.get(word, word)) for word in words)]) == 2
     assert message in capsys.readouterr().err
 
@@ -315,7 +356,9 @@ def test_a_summary_makes_the_same_table_and_cannot_be_checked(
     result: tuple[Path, Result], tmp_path: Path
 ) -> None:
     summary = result[0].with_name("summary.json")
-    assert leaderboard([read_for_table(summary)]) == leaderboard([read_for_table(result[0])])
+    assert leaderboard([read_for_table(summary)]) == leaderboard(
+        [read_for_table(result[0])]
+    )
     with pytest.raises(UsageError, match=r"no episodes to verify; give the result\.json"):
         read_result(summary)
 
@@ -334,7 +377,11 @@ def test_a_summary_makes_the_same_table_and_cannot_be_checked(
     ],
 )
 def test_a_broken_summary_is_refused(
-    result: tuple[Path, Result], tmp_path: Path, place: tuple[Any, ...], value: Any, message: str
+    result: tuple[Path, Result],
+    tmp_path: Path,
+    place: tuple[Any, ...],
+    value: Any,
+    message: str,
 ) -> None:
     content = json.loads(result[0].with_name("summary.json").read_text())
     *way, last = place

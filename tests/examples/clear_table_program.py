@@ -22,7 +22,9 @@ def steps(env: Any) -> Any:
 
 
 if __name__ == "__main__":
-    whole: Any = gymnasium.make_vec("mjhab/ClearTable-v1", num_envs=1, threads=1).unwrapped
+    whole: Any = gymnasium.make_vec(
+        "mjhab/ClearTable-v1", num_envs=1, threads=1
+    ).unwrapped
     info = steps(whole)
     plan = info["episode_spec"][0]["plan"]
     kinds = [entry["kind"] for entry in plan]

@@ -41,7 +41,9 @@ def trains() -> None:
         terms = info["reward_terms"]
         assert set(terms) == {"reach", "push", "in_zone", "rest", "force", "success"}
         assert ((reward > 0) & (reward <= 1)).all()
-        total = sum(terms.values()) / env.rewarder.dense.tables[info["kind"][0]].attainable
+        total = (
+            sum(terms.values()) / env.rewarder.dense.tables[info["kind"][0]].attainable
+        )
         np.testing.assert_allclose(reward, total)
     assert [spec["plan"][0]["kind"] for spec in info["episode_spec"]] == ["push", "push"]
     env.close()
@@ -74,7 +76,9 @@ def uses(out: Path) -> None:
     mine = captured("data", "query", str(out), "--where", "subtask == 'push'")
     labels = ", ".join(repr(label) for label in SUBTASKS["push"].labels)
     assert captured("data", "query", str(out), "--where", f"label in [{labels}]") == mine
-    assert captured("data", "query", str(out), "--where", "touched or not touched") == mine
+    assert (
+        captured("data", "query", str(out), "--where", "touched or not touched") == mine
+    )
     assert main(["data", "query", str(out), "--where", "label == 'pushed'"]) == 2
     assert main(["label", str(out)]) == 0
     assert main(["export", "maniskill", str(out), "--out", str(exported)]) == 0

@@ -46,7 +46,9 @@ def test_the_servos_follow_by_bounded_steps_with_numpy_and_torch() -> None:
 
 
 def test_an_environment_moves_its_arm_by_it() -> None:
-    env = mjhab.make(task="set_table", subtask="pick", control_mode=MODE, autoreset="disabled")
+    env = mjhab.make(
+        task="set_table", subtask="pick", control_mode=MODE, autoreset="disabled"
+    )
     env.reset(seed=0)
     arm = list(env.controller.robot.arm_columns)
     begin = env.state.robot_q[:, arm].copy()
@@ -67,15 +69,21 @@ def test_a_mode_that_cannot_work_is_told() -> None:
         UsageError, match=r"unknown control mode .* Did you mean 'pd_joint_pos_smooth'"
     ):
         make_controller("pd_joint_pos_smoth")
-    with pytest.raises(UsageError, match="'pd_joint_pos' is registered twice: by mjhab itself and"):
-        mjhab.register_control_mode(mjhab.ControlMode("pd_joint_pos", CONTROL_MODES[MODE].make_arm))
+    with pytest.raises(
+        UsageError, match="'pd_joint_pos' is registered twice: by mjhab itself and"
+    ):
+        mjhab.register_control_mode(
+            mjhab.ControlMode("pd_joint_pos", CONTROL_MODES[MODE].make_arm)
+        )
     with pytest.raises(UsageError, match="control mode 'x': make_arm must be a function"):
         mjhab.ControlMode("x", 3)  # pyright: ignore[reportArgumentType]
     with pytest.raises(UsageError, match="name of the control mode"):
         mjhab.ControlMode("", print)  # pyright: ignore[reportArgumentType]
     mjhab.register_control_mode(mjhab.ControlMode("x", lambda request: 3))  # pyright: ignore
     try:
-        with pytest.raises(UsageError, match=r"'x': make_arm must return a .*Arm, got int"):
+        with pytest.raises(
+            UsageError, match=r"'x': make_arm must return a .*Arm, got int"
+        ):
             make_controller("x")
     finally:
         CONTROL_MODES.remove("x")

@@ -39,7 +39,12 @@ def test_the_pack_of_the_plugin_is_listed_and_checked(
 def test_a_home_file_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "cottage.png"
     size = ("--width", "160", "--height", "120", "--json")
-    assert main(["homes", "render", "cottage", "--assets", COTTAGE, "--out", str(out), *size]) == 0
+    assert (
+        main(
+            ["homes", "render", "cottage", "--assets", COTTAGE, "--out", str(out), *size]
+        )
+        == 0
+    )
     assert out.stat().st_size > 1000
     assert json.loads(capsys.readouterr().out)["home"] == "cottage"
 

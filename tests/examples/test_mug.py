@@ -32,7 +32,9 @@ def mug() -> Iterator[None]:
     OBJECTS.remove("mug")
 
 
-def test_the_file_is_what_its_script_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_file_is_what_its_script_makes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     script = runpy.run_path(str(FOLDER / "make_mug.py"))
     monkeypatch.setitem(script["main"].__globals__, "OUT", tmp_path / "mug.glb")
     script["main"]()

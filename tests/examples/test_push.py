@@ -54,7 +54,9 @@ def test_the_zone_is_narrower_than_the_goal_of_a_place() -> None:
 
 
 LABELS = {
-    "success_then_excessive_collisions": history(at_goal="0111", success="0010", force_ok="1110"),
+    "success_then_excessive_collisions": history(
+        at_goal="0111", success="0010", force_ok="1110"
+    ),
     "success_then_left_zone": history(at_goal="0110", success="0010"),
     "push_success": history(at_goal="0011", success="0001"),
     "excessive_collision_failure": history(ee_contact="0111", force_ok="1110"),

@@ -40,7 +40,9 @@ def test_it_is_a_robot_with_what_tasks_need(boxy: Robot) -> None:
 
 
 @pytest.mark.parametrize("subtask", SUBTASKS)
-def test_every_subtask_spawns_steps_draws_and_is_rewarded(boxy: Robot, subtask: str) -> None:
+def test_every_subtask_spawns_steps_draws_and_is_rewarded(
+    boxy: Robot, subtask: str
+) -> None:
     target = "024_bowl" if subtask in ("pick", "place") else ""
     env = mjhab.make(
         robot="boxy",
@@ -59,7 +61,10 @@ def test_every_subtask_spawns_steps_draws_and_is_rewarded(boxy: Robot, subtask: 
     for _ in range(5):
         obs, reward, terminated, truncated, info = env.step(action)
     assert obs["state"].shape == (1, state_dim(boxy)) and np.isfinite(obs["state"]).all()
-    assert obs["sensor_data/boxy_hand/rgb"].std() > 5 and obs["sensor_data/boxy_head/depth"].any()
+    assert (
+        obs["sensor_data/boxy_hand/rgb"].std() > 5
+        and obs["sensor_data/boxy_head/depth"].any()
+    )
     assert 0.0 < reward[0] < 1.0 and not terminated[0] and not truncated[0]
     assert bool(info["is_grasped"][0]) is held and env.nan_resets[0] == 0
     env.close()
@@ -76,7 +81,9 @@ def test_the_expert_reaches_for_a_bowl_with_it(boxy: Robot) -> None:
     for _ in range(60):
         obs, _, _, _, info = env.step(expert.act(obs, info))
         hand = obs["extra/tcp_pose_wrt_base"][0, :3]
-        nearest = min(nearest, float(np.linalg.norm(obs["extra/obj_pose_wrt_base"][0, :3] - hand)))
+        nearest = min(
+            nearest, float(np.linalg.norm(obs["extra/obj_pose_wrt_base"][0, :3] - hand))
+        )
     assert nearest < 0.5 * start
 
 
@@ -105,7 +112,9 @@ def test_a_spawn_set_is_of_its_robot(tmp_path: Path) -> None:
 def test_the_grasp_bench_and_the_engine_bench_take_it() -> None:
     rows = grasp_table(seconds=0.5, objects=("004_sugar_box",), robot="boxy")
     assert [row["object"] for row in rows] == ["004_sugar_box"] and not rows[0]["dropped"]
-    measured = measure_engine(EngineSpec(worlds=1, threads=1, steps=2, rounds=1, robot="boxy"))
+    measured = measure_engine(
+        EngineSpec(worlds=1, threads=1, steps=2, rounds=1, robot="boxy")
+    )
     assert measured["env_sps"] > 0
 
 

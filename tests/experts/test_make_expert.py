@@ -25,7 +25,9 @@ OPTIONS = {"episode_pool": 1, "home": "builtin_m0_00"}
         lambda: gymnasium.make(ENV_ID, **OPTIONS).unwrapped,
     ],
 )
-def test_what_is_no_vector_environment_of_ours_is_refused(make: Callable[[], object]) -> None:
+def test_what_is_no_vector_environment_of_ours_is_refused(
+    make: Callable[[], object],
+) -> None:
     with pytest.raises(
         UsageError, match=r"make_expert takes the vector environment of mjhab\.make"
     ):

@@ -57,9 +57,9 @@ def test_styles_do_not_depend_on_the_worlds():
     words = ("speed=0.6..1.0", "noise=0.0..0.1", "hold=0..5", "dither=0.05")
     many = records("place", *words, episodes=(0, 1, 2))
     few = records("place", *words, worlds=2, episodes=(2, 0, 1))
-    assert [r.style for r in many] == [r.style for r in few] and [r.final_state for r in many] == [
-        r.final_state for r in few
-    ]
+    assert [r.style for r in many] == [r.style for r in few] and [
+        r.final_state for r in many
+    ] == [r.final_state for r in few]
     assert len({r.style["speed"] for r in many}) == 3
 
 
@@ -67,13 +67,24 @@ def test_dropped_objects_are_labelled_so():
     placed = labels(records("place"))
     dropped = labels(records("place", "release=drop"))
     assert len(placed) >= 3 and len(dropped) >= 3
-    assert set(dropped) == {"dropped_to_goal_success"} and "dropped_to_goal_success" not in placed
+    assert (
+        set(dropped) == {"dropped_to_goal_success"}
+        and "dropped_to_goal_success" not in placed
+    )
 
 
 def test_slower_takes_longer_and_holding_still_delays():
-    plain, slow, late = (records("pick", *words) for words in ((), ("speed=0.6",), ("hold=20",)))
-    both = [(p, s) for p, s in zip(plain, slow, strict=True) if p.success_once and s.success_once]
-    assert len(both) >= 2 and all(success_step(s) > 1.2 * success_step(p) for p, s in both)
+    plain, slow, late = (
+        records("pick", *words) for words in ((), ("speed=0.6",), ("hold=20",))
+    )
+    both = [
+        (p, s)
+        for p, s in zip(plain, slow, strict=True)
+        if p.success_once and s.success_once
+    ]
+    assert len(both) >= 2 and all(
+        success_step(s) > 1.2 * success_step(p) for p, s in both
+    )
     begun = [
         (p.events[0][0], h.events[0][0])
         for p, h in zip(plain, late, strict=True)
@@ -87,7 +98,9 @@ def test_visible_waits_are_shorter_than_counted_ones():
     counted = records("place")
     visible = records("place", "waits=visible")
     both = [
-        (c, v) for c, v in zip(counted, visible, strict=True) if c.success_once and v.success_once
+        (c, v)
+        for c, v in zip(counted, visible, strict=True)
+        if c.success_once and v.success_once
     ]
     assert len(both) >= 3
     assert np.median([success_step(c) - success_step(v) for c, v in both]) >= 2
@@ -95,11 +108,18 @@ def test_visible_waits_are_shorter_than_counted_ones():
 
 def one_world(task: str, subtask: str, target: str) -> Any:
     return envs.make(
-        task=task, subtask=subtask, target=target, num_envs=1, autoreset="disabled", threads=1
+        task=task,
+        subtask=subtask,
+        target=target,
+        num_envs=1,
+        autoreset="disabled",
+        threads=1,
     )
 
 
-def opening_steps(target: str, words: tuple[str, ...], steps: int) -> Iterator[tuple[float, Any]]:
+def opening_steps(
+    target: str, words: tuple[str, ...], steps: int
+) -> Iterator[tuple[float, Any]]:
     """The expert opens a link: after every step its opening as a share of its range, and x, y, yaw of the base."""
     env = one_world("set_table", "open", target)
     expert = make_expert(env, Styles.parse(words))
@@ -150,7 +170,8 @@ def a_start() -> WorldView:
 
 
 @pytest.mark.parametrize(
-    ("wish", "low", "high"), [("top", -1.0, -0.93), ("tilted", -0.95, -0.33), ("side", -0.36, 1.0)]
+    ("wish", "low", "high"),
+    [("top", -1.0, -0.93), ("tilted", -0.95, -0.33), ("side", -0.36, 1.0)],
 )
 def test_the_hand_comes_from_where_it_was_asked_to(wish: str, low: float, high: float):
     view = a_start()
@@ -171,7 +192,9 @@ def test_a_manner_slows_by_stretching_time():
     action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
     out = executed(manner, action)
     assert out[7] == action[7]
-    np.testing.assert_array_equal(np.delete(out, 7), np.delete(action, 7) * np.float32(0.5))
+    np.testing.assert_array_equal(
+        np.delete(out, 7), np.delete(action, 7) * np.float32(0.5)
+    )
 
 
 def test_bursts_of_noise_disturb_a_robot_at_rest_and_pause():
@@ -198,7 +221,9 @@ def test_a_plain_manner_gives_the_very_action():
 
 def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
     manner = Manner(
-        Style(noise=0.1, base_noise=0.1, noise_kind="step"), ROBOT.action, np.random.default_rng(0)
+        Style(noise=0.1, base_noise=0.1, noise_kind="step"),
+        ROBOT.action,
+        np.random.default_rng(0),
     )
     action = np.zeros(13, np.float32)
     action[0] = 0.5
@@ -208,7 +233,9 @@ def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
     assert not moved[:, 7:].any()
     action[0] = 0.025
     np.testing.assert_allclose(
-        np.array([executed(manner, action)[1] for _ in range(2000)]).std(), 0.01, rtol=0.15
+        np.array([executed(manner, action)[1] for _ in range(2000)]).std(),
+        0.01,
+        rtol=0.15,
     )
 
 
@@ -242,7 +269,9 @@ class Notes(Sink):
         self.actors.add(step.notes.actors[step.notes.actor[0]])
 
 
-@pytest.mark.parametrize("words", [("speed=0.8",), ("noise=0.1", "hold=4", "dither=0.05")])
+@pytest.mark.parametrize(
+    "words", [("speed=0.8",), ("noise=0.1", "hold=4", "dither=0.05")]
+)
 def test_the_expert_tells_what_it_intends_without_its_noise(words: tuple[str, ...]):
     env = envs.make(
         task="tidy_house",
@@ -253,7 +282,14 @@ def test_the_expert_tells_what_it_intends_without_its_noise(words: tuple[str, ..
         threads=1,
     )
     notes = Notes()
-    rollout(env, make_expert(env, Styles.parse(words)), [0], seed=0, sinks=[notes], max_steps=60)
+    rollout(
+        env,
+        make_expert(env, Styles.parse(words)),
+        [0],
+        seed=0,
+        sinks=[notes],
+        max_steps=60,
+    )
     executed = np.array(notes.executed)
     intended = np.array(notes.intended)
     assert notes.actors == {"expert"}

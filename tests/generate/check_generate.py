@@ -46,7 +46,9 @@ _LONGEST_WAIT = 3.0
 def start(out: Path, episodes: int, *more: str) -> subprocess.Popen[str]:
     """The command, at the head of a process group of its own."""
     command = [*MJHAB, *MAKE, "--episodes", str(episodes), "--out", str(out), *more]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
 
 
 def written(out: Path) -> int:
@@ -78,9 +80,13 @@ def wait_until(
 
 def workers(process: subprocess.Popen[str]) -> list[int]:
     """Process ids of the workers of a running command."""
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    children = (
+        Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    )
     return [
-        int(pid) for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        int(pid)
+        for pid in children
+        if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()
     ]
 
 
@@ -155,4 +161,8 @@ def main(out: Path, episodes: int, seed: int | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]) if len(sys.argv) > 3 else None)
+    main(
+        Path(sys.argv[1]),
+        int(sys.argv[2]),
+        int(sys.argv[3]) if len(sys.argv) > 3 else None,
+    )

@@ -101,14 +101,22 @@ def fingerprints(small: bool, data: str = "") -> dict[str, str]:
         for name, options in episode_sets(small, data):
             out = Path(folder) / name.replace("/", "-")
             run_command("generate", *options, "--out", str(out))
-            found.update((f"{name}/{key}", value) for key, value in shard_fingerprints(out))
+            found.update(
+                (f"{name}/{key}", value) for key, value in shard_fingerprints(out)
+            )
         first = Path(folder) / "set_table-pick"
         exported = Path(folder) / "maniskill"
         run_command("export", "maniskill", str(first), "--out", str(exported))
-        found.update((f"export/{key}", value) for key, value in shard_fingerprints(exported))
-    for env_id in sorted(name for name in gymnasium.registry if name.startswith("mjhab/")):
+        found.update(
+            (f"export/{key}", value) for key, value in shard_fingerprints(exported)
+        )
+    for env_id in sorted(
+        name for name in gymnasium.registry if name.startswith("mjhab/")
+    ):
         if not small or "Pick" in env_id:
-            found[f"env/{env_id}"] = env_fingerprint(env_id, steps=20 if small else ENV_STEPS)
+            found[f"env/{env_id}"] = env_fingerprint(
+                env_id, steps=20 if small else ENV_STEPS
+            )
     found["model/builtin"] = model_fingerprint("builtin")
     if data:
         found["model/data"] = model_fingerprint(data)
@@ -120,13 +128,25 @@ def episode_sets(small: bool, data: str) -> Iterator[tuple[str, list[str]]]:
     if small:
         yield (
             "set_table-pick",
-            ["--task", "set_table", "--subtask", "pick", "--episodes", "1", "--worlds", "1"],
+            [
+                "--task",
+                "set_table",
+                "--subtask",
+                "pick",
+                "--episodes",
+                "1",
+                "--worlds",
+                "1",
+            ],
         )
         return
     for task in CHAINS:
         yield task, ["--task", task, "--episodes", "2", "--worlds", "2"]
         for subtask in SUBTASKS[task]:
-            yield f"{task}-{subtask}", ["--task", task, "--subtask", subtask, "--episodes", "4"]
+            yield (
+                f"{task}-{subtask}",
+                ["--task", task, "--subtask", subtask, "--episodes", "4"],
+            )
     for mode in ("forward", "drive"):
         options = ["--navigate", "drive"] if mode == "drive" else []
         yield (
@@ -138,7 +158,16 @@ def episode_sets(small: bool, data: str) -> Iterator[tuple[str, list[str]]]:
             for subtask in SUBTASKS[task]:
                 yield (
                     f"data-{task}-{subtask}",
-                    ["--assets", data, "--task", task, "--subtask", subtask, "--episodes", "1"],
+                    [
+                        "--assets",
+                        data,
+                        "--task",
+                        task,
+                        "--subtask",
+                        subtask,
+                        "--episodes",
+                        "1",
+                    ],
                 )
 
 
@@ -167,7 +196,9 @@ def shard_fingerprints(folder: Path) -> Iterator[tuple[str, str]]:
                 )
             )
             for name, item in sorted(datasets.items()):
-                if not name.startswith(RUNS) and not any(part in name.lower() for part in VOLATILE):
+                if not name.startswith(RUNS) and not any(
+                    part in name.lower() for part in VOLATILE
+                ):
                     value = item[()]
                     content = (
                         stable_record(value)
@@ -189,7 +220,9 @@ def stable_record(value: Any) -> bytes:
     except ValueError:
         return raw
     kept = {
-        key: entry for key, entry in record.items() if not any(part in key for part in VOLATILE)
+        key: entry
+        for key, entry in record.items()
+        if not any(part in key for part in VOLATILE)
     }
     return json.dumps(kept, sort_keys=True).encode()
 

@@ -8,7 +8,12 @@ from tests.guard.fingerprint import fingerprints, report_differences
 def test_two_recordings_are_the_same_in_every_fingerprint() -> None:
     first = fingerprints(small=True)
     assert report_differences(first, fingerprints(small=True)) == 0
-    assert {name.split("/")[0] for name in first} == {"env", "export", "model", "set_table-pick"}
+    assert {name.split("/")[0] for name in first} == {
+        "env",
+        "export",
+        "model",
+        "set_table-pick",
+    }
 
 
 def test_a_change_is_reported() -> None:

@@ -116,7 +116,9 @@ JSON_READERS: dict[str, Callable[[bytes], Act]] = {
     "pack folder": lambda content: written("pack.json", content, packed),
     "scene": lambda content: in_data_set(SCENE_FILE, content),
     "object": lambda content: in_data_set(OBJECT_FILE, content),
-    "config of a run": lambda content: written("config.json", content, lambda p: resumed(p.parent)),
+    "config of a run": lambda content: written(
+        "config.json", content, lambda p: resumed(p.parent)
+    ),
     "config of a data set": lambda content: written(
         "d/generation.json", content, lambda p: generate(p.parent)
     ),
@@ -132,7 +134,16 @@ def packed(path: Path) -> Any:
 
 
 def generate(folder: Path) -> int:
-    words = ["generate", "--subtask", "close", "--policy", "zero", "--episodes", "1", "--resume"]
+    words = [
+        "generate",
+        "--subtask",
+        "close",
+        "--policy",
+        "zero",
+        "--episodes",
+        "1",
+        "--resume",
+    ]
     return main([*words, "--out", str(folder)])
 
 
@@ -172,9 +183,13 @@ def run_folders() -> Iterator[Case]:
     for name, line in RECORDS.items():
         yield Case("run folder", f"record is {name}", with_records(line + line, resumed))
     for field, value in FIELDS:
-        yield Case("run folder", f"record with {field} = {value!r}", with_field(field, value))
+        yield Case(
+            "run folder", f"record with {field} = {value!r}", with_field(field, value)
+        )
     for field in ("index", "steps"):
-        yield Case("run folder", f"record with {field} = NaN", with_field(field, float("nan")))
+        yield Case(
+            "run folder", f"record with {field} = NaN", with_field(field, float("nan"))
+        )
         yield Case("run folder", f"record with {field} = 1e300", with_field(field, 1e300))
     for name, content in BROKEN_JSON.items():
         yield Case("run folder", f"summary is {name}", with_summary(content))
@@ -218,7 +233,12 @@ def with_summary(content: bytes) -> Act:
 
 
 def episode(objects: list[Any], **more: Any) -> bytes:
-    row = {"episode_id": "7", "scene_id": "builtin_m0_00", "rigid_objs": objects, "targets": {}}
+    row = {
+        "episode_id": "7",
+        "scene_id": "builtin_m0_00",
+        "rigid_objs": objects,
+        "targets": {},
+    }
     return json.dumps({"episodes": [row | more]}).encode()
 
 
@@ -236,17 +256,31 @@ def at(x: float) -> list[list[float]]:
 def archives() -> Iterator[Case]:
     many = episode([["024_bowl.object_config.json", EYE]] * 12_000)
     yield Case("archive", "a gzip bomb", lambda folder: read_bomb(folder))
-    yield Case("archive", "gzip cut off", written("e.json.gz", gzip.compress(many)[:-9], read_hab))
-    yield Case("archive", "gzip header alone", written("e.json.gz", b"\x1f\x8b", read_hab))
-    yield Case("archive", "an episode of 12,000 objects", written("e.json", many, read_hab))
+    yield Case(
+        "archive",
+        "gzip cut off",
+        written("e.json.gz", gzip.compress(many)[:-9], read_hab),
+    )
+    yield Case(
+        "archive", "gzip header alone", written("e.json.gz", b"\x1f\x8b", read_hab)
+    )
+    yield Case(
+        "archive", "an episode of 12,000 objects", written("e.json", many, read_hab)
+    )
     for x in (1e300, -1e300, 1e6, float("inf"), float("nan")):
         content = episode([["024_bowl.object_config.json", at(x)]])
         yield Case("archive", f"an object at {x}", written("e.json", content, read_hab))
     for name in ("a\0b", "x" * 5000, "a\nb", "\u202e", "..", ""):
         content = episode([], scene_id=name)
-        yield Case("archive", f"scene id {name[:20]!r}", written("e.json", content, read_hab))
+        yield Case(
+            "archive", f"scene id {name[:20]!r}", written("e.json", content, read_hab)
+        )
     yield Case("archive", "a folder in place of a file", lambda folder: read_hab(folder))
-    yield Case("archive", "a device in place of a file", lambda folder: read_hab(Path("/dev/zero")))
+    yield Case(
+        "archive",
+        "a device in place of a file",
+        lambda folder: read_hab(Path("/dev/zero")),
+    )
     yield Case("archive", "a pipe in place of a file", read_pipe)
     yield Case("archive", "a scene of 5,000 objects", crowded)
 
@@ -351,7 +385,9 @@ def meshes() -> Iterator[Case]:
             setting("accessors", 0, "count", value=10**12)(document),
         )[:0],
         "a stride below zero": setting("bufferViews", 0, "byteStride", value=-12),
-        "a view that begins before the data": setting("bufferViews", 0, "byteOffset", value=-64),
+        "a view that begins before the data": setting(
+            "bufferViews", 0, "byteOffset", value=-64
+        ),
         "an unknown component": setting("accessors", 0, "componentType", value=5130),
         "a scene that is not there": setting("scene", value=7),
         "nodes that are null": setting("nodes", value=None),
@@ -362,7 +398,9 @@ def meshes() -> Iterator[Case]:
     }
     for name, change in changes.items():
         yield Case("GLB", name, glb(change))
-    yield Case("GLB", "a texture that is null", glb(setting("textures", value=None), image=True))
+    yield Case(
+        "GLB", "a texture that is null", glb(setting("textures", value=None), image=True)
+    )
     yield Case("GLB", "a PNG of 1.6 gigapixels", huge_picture)
     for name, text in URDFS.items():
         yield Case("URDF", name, written("a.urdf", text.encode(), read_urdf))
@@ -405,7 +443,11 @@ HOME_FIELDS: dict[str, Any] = {
     "name": ["../../x", "/abs", "", 3, "a\0b", LONG_NAME],
     "floor": [None, {"size": [1e300, 1]}, {"size": [float("nan"), 1]}, {"size": [-1, 4]}],
     "walls": [None, {"outer": 3}, {"outer": "wall_white", "height": 1e300}],
-    "furniture": [3, [{"kind": "no_such", "at": [0, 0]}], [{"kind": "../x", "at": [0, 0]}]],
+    "furniture": [
+        3,
+        [{"kind": "no_such", "at": [0, 0]}],
+        [{"kind": "../x", "at": [0, 0]}],
+    ],
 }
 
 
@@ -420,7 +462,11 @@ def homes() -> Iterator[Case]:
         for value in values:
             content = json.dumps(base | {field: value}).encode()
             shown = str(value)[:40]
-            yield Case("home file", f"{field} = {shown}", written("home.json", content, home_pack))
+            yield Case(
+                "home file",
+                f"{field} = {shown}",
+                written("home.json", content, home_pack),
+            )
 
 
 # -- filters -----------------------------------------------------------------------------------------------------------
@@ -465,7 +511,15 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 OPTIONS: dict[str, tuple[str, ...]] = {
     "eval": ("episodes", "films", "seed", "worlds", "threads", "camera-size", "cache-mb"),
-    "generate": ("episodes", "seed", "worlds", "workers", "threads", "camera-size", "per-target"),
+    "generate": (
+        "episodes",
+        "seed",
+        "worlds",
+        "workers",
+        "threads",
+        "camera-size",
+        "per-target",
+    ),
     "homes render": ("width", "height"),
     "episodes make": ("count", "first", "seed", "workers"),
     "spawns make": ("count", "seed", "pool"),
@@ -490,10 +544,17 @@ def options() -> Iterator[Case]:
     for command, names in OPTIONS.items():
         for name in names:
             for value in VALUES:
-                yield Case("option", f"{command} --{name} {value!r}", asked(command, name, value))
+                yield Case(
+                    "option", f"{command} --{name} {value!r}", asked(command, name, value)
+                )
     for (command, name), value in TOO_MANY.items():
         yield Case("option", f"{command} --{name} {value}", asked(command, name, value))
-    texts = {"empty": "", "10,000 characters": "x" * 10_000, "a path": "/proc/self", "NUL": "a\0b"}
+    texts = {
+        "empty": "",
+        "10,000 characters": "x" * 10_000,
+        "a path": "/proc/self",
+        "NUL": "a\0b",
+    }
     for command, name in (
         ("eval", "task"),
         ("eval", "target"),
@@ -508,10 +569,17 @@ def options() -> Iterator[Case]:
         for what, text in texts.items():
             if (name, what) in ACCEPTED:
                 continue
-            yield Case("option", f"{command} --{name}, {what}", asked(command, name, text))
+            yield Case(
+                "option", f"{command} --{name}, {what}", asked(command, name, text)
+            )
 
 
-ACCEPTED = {("target", "empty"), ("home", "empty"), ("episodes-file", "empty"), ("spawns", "empty")}
+ACCEPTED = {
+    ("target", "empty"),
+    ("home", "empty"),
+    ("episodes-file", "empty"),
+    ("spawns", "empty"),
+}
 """What means the same as leaving the option out."""
 
 
@@ -543,10 +611,35 @@ PLACES = {
 }
 WRITERS: dict[str, tuple[str, ...]] = {
     "eval": ("eval", "--subtask", "close", "--policy", "zero", "--out"),
-    "eval --resume": ("eval", "--subtask", "close", "--policy", "zero", "--resume", "--out"),
-    "eval --overwrite": ("eval", "--subtask", "close", "--policy", "zero", "--overwrite", "--out"),
+    "eval --resume": (
+        "eval",
+        "--subtask",
+        "close",
+        "--policy",
+        "zero",
+        "--resume",
+        "--out",
+    ),
+    "eval --overwrite": (
+        "eval",
+        "--subtask",
+        "close",
+        "--policy",
+        "zero",
+        "--overwrite",
+        "--out",
+    ),
     "generate": ("generate", "--subtask", "close", "--episodes", "1", "--out"),
-    "homes render": ("homes", "render", "builtin_m0_00", "--width", "8", "--height", "8", "--out"),
+    "homes render": (
+        "homes",
+        "render",
+        "builtin_m0_00",
+        "--width",
+        "8",
+        "--height",
+        "8",
+        "--out",
+    ),
     "episodes make": ("episodes", "make", "--count", "1", "--out"),
     "spawns make": ("spawns", "make", "--subtask", "pick", "--count", "1", "--out"),
     "bench soak": ("bench", "soak", "--steps", "1", "--worlds", "1", "--out"),
@@ -563,7 +656,9 @@ def places() -> Iterator[Case]:
             yield Case("place", f"{command} --out {name}", wrote(words, place))
     yield Case("place", "eval --out is a file", wrote(WRITERS["eval"], "{file}"))
     yield Case("place", "generate --out is a file", wrote(WRITERS["generate"], "{file}"))
-    yield Case("place", "homes render --out is a folder", wrote(WRITERS["homes render"], "{dir}"))
+    yield Case(
+        "place", "homes render --out is a folder", wrote(WRITERS["homes render"], "{dir}")
+    )
     long = f"{LONG_NAME}=0.5,b=0.5"
     split = ("data", "split", "{shard}", "--parts", *long.split(","), "--out")
     yield Case("place", "data split with a part of 300 characters", wrote(split, "{new}"))

@@ -58,7 +58,10 @@ def fuzz(name: str, reader: Reader, seconds: float, folder: Path) -> Counter[str
 def _tell(name: str, seed: int, error: Exception, data: bytes) -> None:
     frames = traceback.extract_tb(error.__traceback__)[-4:]
     way = ", ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames)
-    print(f"  {name}, seed {seed}: {type(error).__name__}: {str(error)[:100]} ({way})", flush=True)
+    print(
+        f"  {name}, seed {seed}: {type(error).__name__}: {str(error)[:100]} ({way})",
+        flush=True,
+    )
     _keep(name, seed, data)
 
 
@@ -74,7 +77,9 @@ def main() -> None:
     seconds = float(sys.argv[1])
     for name in sys.argv[2:] or READERS:
         with tempfile.TemporaryDirectory() as folder:
-            print(name, dict(fuzz(name, READERS[name], seconds, Path(folder))), flush=True)
+            print(
+                name, dict(fuzz(name, READERS[name], seconds, Path(folder))), flush=True
+            )
 
 
 if __name__ == "__main__":

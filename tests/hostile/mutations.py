@@ -80,7 +80,9 @@ def changed_bytes(raw: bytes, rng: random.Random) -> bytes:
             case 3:
                 del data[at:]
             case _:
-                data[at:end] = rng.choice((b"-1", b"1e999", b"null", b"[]", b'""', b"99999999999"))
+                data[at:end] = rng.choice(
+                    (b"-1", b"1e999", b"null", b"[]", b'""', b"99999999999")
+                )
     return bytes(data)
 
 
@@ -232,7 +234,9 @@ def changed_torch(raw: bytes, rng: random.Random) -> bytes:
     elif way < 0.8:
         weights[rng.choice(["", "actor.", 3, f"{name}.weight"])] = weights.pop(name)
     else:
-        content["agent"] = rng.choice([weights[name], {}, [], None, 3, "text", {"agent": weights}])
+        content["agent"] = rng.choice(
+            [weights[name], {}, [], None, 3, "text", {"agent": weights}]
+        )
     out = io.BytesIO()
     torch.save(content, out)
     return out.getvalue()

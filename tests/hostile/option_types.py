@@ -18,7 +18,12 @@ BAD: dict[type, tuple[Any, ...]] = {
     Path: (Path("x" * 20_000), Path("a\0b")),
 }
 OUTPUTS = ("out", "page", "export", "log", "record")
-BAD_OUTPUTS = (Path("/proc/mjhab/x"), Path("/dev/null"), Path("/dev/null/x"), Path("x" * 300))
+BAD_OUTPUTS = (
+    Path("/proc/mjhab/x"),
+    Path("/dev/null"),
+    Path("/dev/null/x"),
+    Path("x" * 300),
+)
 
 
 def option_classes() -> list[type]:

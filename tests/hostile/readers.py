@@ -90,7 +90,11 @@ def data_set(folder: Path) -> Path:
     """A tiny data set with furniture that opens and a stage."""
     tiny_data_set(folder)
     scene = json.loads((folder / SCENE_FILE).read_text())
-    cabinet = {"template_name": "cabinet", "translation": [3, 0, 0], "rotation": [1, 0, 0, 0]}
+    cabinet = {
+        "template_name": "cabinet",
+        "translation": [3, 0, 0],
+        "rotation": [1, 0, 0, 0],
+    }
     scene["articulated_object_instances"].append(cabinet)
     (folder / SCENE_FILE).write_text(json.dumps(scene))
     urdf = folder / "urdf" / "cabinet" / "cabinet.urdf"
@@ -107,9 +111,13 @@ def in_data_set(file: str, mutate: Mutator) -> Reader:
     """The reader of ReplicaCAD, with one file changed."""
 
     def read(path: Path) -> Any:
-        return open_replica_cad(Path(str(path).removesuffix(file)), (), None, ("cabinet",))
+        return open_replica_cad(
+            Path(str(path).removesuffix(file)), (), None, ("cabinet",)
+        )
 
-    return Reader(file, lambda folder: (data_set(folder) / file).read_bytes(), read, mutate, 15)
+    return Reader(
+        file, lambda folder: (data_set(folder) / file).read_bytes(), read, mutate, 15
+    )
 
 
 def glb(read: Callable[[Path], Any], size: float = 1.0) -> Reader:
@@ -133,7 +141,12 @@ def glb(read: Callable[[Path], Any], size: float = 1.0) -> Reader:
 def home_bytes(folder: Path) -> bytes:
     inner = {"start": [3.0, 0.0], "end": [3.0, 2.0], "doorways": [[0.5, 1.0]]}
     walls = {"outer": "wall_white", "inner": [inner], "height": 2.5}
-    rack = {"furniture": "table_03", "name": "rack", "center": [0.0, 0.0, 0.8], "half": [0.1, 0.1]}
+    rack = {
+        "furniture": "table_03",
+        "name": "rack",
+        "center": [0.0, 0.0, 0.8],
+        "half": [0.1, 0.1],
+    }
     home = {
         "format": "mjhab-home-1",
         "name": "mine",
@@ -148,7 +161,9 @@ def home_bytes(folder: Path) -> bytes:
 
 def pack_bytes(name: str) -> Callable[[Path], bytes]:
     def make(folder: Path) -> bytes:
-        save_pack(open_replica_cad(data_set(folder / "set"), (), None, ("cabinet",)), folder)
+        save_pack(
+            open_replica_cad(data_set(folder / "set"), (), None, ("cabinet",)), folder
+        )
         return (folder / name).read_bytes()
 
     return make
@@ -159,7 +174,13 @@ def pack_of(path: Path) -> Any:
 
 
 def spawn_bytes(folder: Path) -> bytes:
-    recipe = {"task": "set_table", "subtask": "pick", "target": "", "split": "train", "seed": 0}
+    recipe = {
+        "task": "set_table",
+        "subtask": "pick",
+        "target": "",
+        "split": "train",
+        "seed": 0,
+    }
     header = {
         "format": "mjhab-spawns-1",
         "recipe": {**recipe, "count": 2},
@@ -280,10 +301,14 @@ READERS: dict[str, Reader] = {
     "home": Reader("home.json", home_bytes, home_pack, changed_json),
     **{name: in_data_set(*given) for name, given in SCENES.items()},
     "pack": Reader("pack.json", pack_bytes("pack.json"), pack_of, changed_json, 20),
-    "pack meshes": Reader("meshes.npz", pack_bytes("meshes.npz"), pack_of, changed_arrays, 20),
+    "pack meshes": Reader(
+        "meshes.npz", pack_bytes("meshes.npz"), pack_of, changed_arrays, 20
+    ),
     "spawn set": Reader("s.npz", spawn_bytes, use_spawns, changed_spawns),
     "policies": Reader("p.json", policies_bytes, use_policies, changed_json),
-    "checkpoint": Reader("c.safetensors", checkpoint_bytes, use_checkpoint, changed_safetensors),
+    "checkpoint": Reader(
+        "c.safetensors", checkpoint_bytes, use_checkpoint, changed_safetensors
+    ),
     "MS-HAB checkpoint": Reader("p.pt", ms_hab_bytes, load_network, changed_torch, 10),
     "shard": Reader(
         "b.h5", lambda folder: shard(folder / "made" / "a.h5").read_bytes(), read_shard

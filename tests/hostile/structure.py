@@ -228,7 +228,9 @@ def read_shard(folder: Path) -> bool:
                 lambda: stats(path),
                 lambda: to_maniskill(path, folder / "m"),
             ),
-            command("data", "query", path, "--where", "steps > 0 and seed >= 0", "--json"),
+            command(
+                "data", "query", path, "--where", "steps > 0 and seed >= 0", "--json"
+            ),
             command("data", "stats", path, "--json"),
             command("label", path),
             asked(lambda: repair(path)),
@@ -242,7 +244,12 @@ def replay_shard(folder: Path) -> bool:
 
 
 def make_export(folder: Path) -> None:
-    record(folder / "a.h5", range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        folder / "a.h5",
+        range(2),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
     to_maniskill(folder / "a.h5", folder / "set")
     for file in (folder / "set").rglob("*.*"):
         if file.suffix in (".h5", ".json"):
@@ -252,7 +259,14 @@ def make_export(folder: Path) -> None:
 
 def read_import(folder: Path) -> bool:
     taken = command(
-        "data", "import", "ms_hab", folder / "b.h5", "--task", "set_table", "--out", folder / "in"
+        "data",
+        "import",
+        "ms_hab",
+        folder / "b.h5",
+        "--task",
+        "set_table",
+        "--out",
+        folder / "in",
     )
     written = [*(folder / "in").rglob("*.h5")] if (folder / "in").is_dir() else []
     for path in written:
@@ -305,17 +319,31 @@ def _changing(
 SUBJECTS: dict[str, Subject] = {
     "shard": Subject(make_shard, _changing(change_hdf5, "a.h5"), read_shard),
     "replay": Subject(make_shard, _changing(change_hdf5, "a.h5"), replay_shard),
-    "ms_hab JSON": Subject(make_export, _changing(change_json_file, "b.json"), read_import),
+    "ms_hab JSON": Subject(
+        make_export, _changing(change_json_file, "b.json"), read_import
+    ),
     "ms_hab HDF5": Subject(make_export, _changing(change_hdf5, "b.h5"), read_import),
-    "run config": Subject(make_run, _changing(change_json_file, "run/config.json"), read_run),
-    "run summary": Subject(make_run, _changing(change_json_file, "run/summary.json"), read_run),
-    "generation config": Subject(make_set, _changing(change_json_file, f"set/{CONFIG}"), read_set),
-    "tried episodes": Subject(make_set, _changing(change_json_line, f"set/{TRIED}"), read_set),
-    "run records": Subject(make_run, _changing(change_json_line, "run/episodes.jsonl"), read_run),
+    "run config": Subject(
+        make_run, _changing(change_json_file, "run/config.json"), read_run
+    ),
+    "run summary": Subject(
+        make_run, _changing(change_json_file, "run/summary.json"), read_run
+    ),
+    "generation config": Subject(
+        make_set, _changing(change_json_file, f"set/{CONFIG}"), read_set
+    ),
+    "tried episodes": Subject(
+        make_set, _changing(change_json_line, f"set/{TRIED}"), read_set
+    ),
+    "run records": Subject(
+        make_run, _changing(change_json_line, "run/episodes.jsonl"), read_run
+    ),
 }
 
 
-def try_draws(name: str, seeds: range, template: Path, work: Path) -> Iterator[tuple[int, float]]:
+def try_draws(
+    name: str, seeds: range, template: Path, work: Path
+) -> Iterator[tuple[int, float]]:
     """Change a fresh copy of ``template`` for every seed and read it; yields seed and duration [s].
 
     Raises:
@@ -347,7 +375,9 @@ def _count(draws: int, names: list[str]) -> None:
                             print(f"{name} {seed}: {seconds:.0f} s", flush=True)
                 except Exception as error:
                     places = traceback.extract_tb(error.__traceback__)[-4:]
-                    where = " ".join(f"{Path(p.filename).name}:{p.lineno}" for p in places)
+                    where = " ".join(
+                        f"{Path(p.filename).name}:{p.lineno}" for p in places
+                    )
                     seen[where] += 1
                     if seen[where] == 1:
                         print(

@@ -44,7 +44,9 @@ def test_it_is_refused(case: Case, tmp_path: Path):
 # -- options, each by its type -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("options", option_classes(), ids=lambda options: options.__name__)
+@pytest.mark.parametrize(
+    "options", option_classes(), ids=lambda options: options.__name__
+)
 def test_no_command_takes_numbers_and_texts_out_of_all_range(options: type):
     for name, value in values_of(options):
         with pytest.raises(UsageError, match=f"--{name.replace('_', '-')} "):
@@ -60,7 +62,9 @@ def make(options: type, name: str, value: Any) -> Any:
     return made
 
 
-@pytest.mark.parametrize("options", option_classes(), ids=lambda options: options.__name__)
+@pytest.mark.parametrize(
+    "options", option_classes(), ids=lambda options: options.__name__
+)
 def test_defaults_are_in_range(options: type):
     for field in dataclasses.fields(options):
         if field.default is not dataclasses.MISSING and field.name not in OUTPUTS:
@@ -116,7 +120,12 @@ def own_cache(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("variable", "value"),
-    [("HOME", "{file}"), ("HOME", "/proc"), ("MJHAB_CACHE", "{file}"), ("MJHAB_CACHE", "/proc/x")],
+    [
+        ("HOME", "{file}"),
+        ("HOME", "/proc"),
+        ("MJHAB_CACHE", "{file}"),
+        ("MJHAB_CACHE", "/proc/x"),
+    ],
 )
 def test_a_cache_that_cannot_be_written_is_replaced_with_one_warning(
     variable: str,
@@ -156,7 +165,9 @@ def test_a_cache_that_fills_up_goes_on_elsewhere(
     own_cache: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path / "small"))
-    before = write_cached(cache_dir() / "models" / "a", lambda file: file.write_text("before"))
+    before = write_cached(
+        cache_dir() / "models" / "a", lambda file: file.write_text("before")
+    )
 
     def full(file: Path) -> None:
         if file.is_relative_to(tmp_path):

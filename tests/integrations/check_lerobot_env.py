@@ -16,9 +16,13 @@ from lerobot.utils.import_utils import register_third_party_plugins
 def main() -> None:
     register_third_party_plugins()
     config_class = EnvConfig.get_choice_class("mjhab")
-    config = config_class(subtask="close", target="kitchen_counter/drawer3", image_size=32)
+    config = config_class(
+        subtask="close", target="kitchen_counter/drawer3", image_size=32
+    )
     features = env_to_policy_features(config)
-    assert features["action"].shape == (13,) and features["observation.state"].shape == (34,)
+    assert features["action"].shape == (13,) and features["observation.state"].shape == (
+        34,
+    )
     assert features["observation.environment_state"].shape == (11,)
     assert features["observation.images.head"].shape == (3, 32, 32)
     (worlds,) = make_env(config, n_envs=2)["mjhab"].values()

@@ -45,16 +45,24 @@ def main() -> None:
     spec = benchmark.get_action_spec()
     seen_spec = benchmark.get_observation_spec()
     assert check_specs(spec, spec, seen_spec, seen_spec) == []
-    assert benchmark.get_hold_action(None)["actions"].shape == (spec["actions"].dims,) == (9,)
+    assert (
+        benchmark.get_hold_action(None)["actions"].shape
+        == (spec["actions"].dims,)
+        == (9,)
+    )
     server = Still()
     runner = SyncEpisodeRunner()
     for index in range(2):
         numbered = {**task, "episode_idx": index}
-        result = asyncio.run(runner.run_episode(benchmark, numbered, server, max_steps=STEPS))
+        result = asyncio.run(
+            runner.run_episode(benchmark, numbered, server, max_steps=STEPS)
+        )
         assert set(result["metrics"]) == set(benchmark.get_metric_keys())
         assert result["steps"] == STEPS and result["metrics"]["success"] is False
     first, second = server.seen[0], server.seen[STEPS]
-    assert first["images"]["head"].shape == (32, 32, 3) and first["images"]["head"].std() > 0
+    assert (
+        first["images"]["head"].shape == (32, 32, 3) and first["images"]["head"].std() > 0
+    )
     assert first["states"].shape == (42,) and "drawer 3" in first["task_description"]
     assert not np.array_equal(first["states"], second["states"])
     benchmark.cleanup()

@@ -19,14 +19,19 @@ def test_it_gives_what_lerobot_reads() -> None:
     )
     obs, _ = worlds.reset(seed=[3, 4])
     assert worlds.observation_space.contains(obs)
-    assert obs["pixels"]["head"].shape == (2, 16, 16, 3) and obs["pixels"]["head"].std() > 0
+    assert (
+        obs["pixels"]["head"].shape == (2, 16, 16, 3) and obs["pixels"]["head"].std() > 0
+    )
     assert obs["agent_pos"].shape == (2, 34) and obs["environment_state"].shape == (2, 11)
     assert not np.array_equal(obs["agent_pos"][0], obs["agent_pos"][1])
     told = worlds.call("task_description")
     assert all("drawer 3" in text for text in told)
     assert worlds.call("_max_episode_steps") == (500, 500)
     _, _, terminated, truncated, info = worlds.step(np.zeros((2, 13), np.float32))
-    assert not (terminated | truncated).any() and info["is_success"].tolist() == [False, False]
+    assert not (terminated | truncated).any() and info["is_success"].tolist() == [
+        False,
+        False,
+    ]
     assert worlds.call("render")[0].ndim == 3
     # The seed of a reset names its episode.
     again, _ = LeRobotEnv(OPTIONS).reset(seed=4)

@@ -35,16 +35,24 @@ def sac_shapes() -> dict[str, tuple[int, ...]]:
 
     def encoder(name: str) -> None:
         for camera in (HAND, HEAD):
-            for i, (inputs, outputs) in enumerate(((3, 32), (32, 64), (64, 128), (128, 256))):
-                shapes.update(_conv(f"{name}.cnns.{camera}.layers.{2 * i}", outputs, inputs, 3, 3))
+            for i, (inputs, outputs) in enumerate(
+                ((3, 32), (32, 64), (64, 128), (128, 256))
+            ):
+                shapes.update(
+                    _conv(f"{name}.cnns.{camera}.layers.{2 * i}", outputs, inputs, 3, 3)
+                )
         for camera in (HAND, HEAD):
-            shapes.update(_linear(f"{name}.pixels_projections.{camera}.projection.0", 50, 12544))
+            shapes.update(
+                _linear(f"{name}.pixels_projections.{camera}.projection.0", 50, 12544)
+            )
             shapes.update(_norm(f"{name}.pixels_projections.{camera}.projection.1", 50))
         shapes.update(_linear(f"{name}.state_projection.projection.0", 50, 42))
         shapes.update(_norm(f"{name}.state_projection.projection.1", 50))
 
     encoder("actor.encoder")
-    for i, (inputs, outputs) in enumerate(((150, 256), (256, 256), (256, 256), (256, 26))):
+    for i, (inputs, outputs) in enumerate(
+        ((150, 256), (256, 256), (256, 256), (256, 26))
+    ):
         shapes.update(_linear(f"actor.mlp.{2 * i}", outputs, inputs))
     for critic in ("critic", "critic_target"):
         encoder(f"{critic}.encoder")
@@ -78,7 +86,9 @@ def bc_shapes(frames: int = 1) -> dict[str, tuple[int, ...]]:
             shapes |= _conv(f"{name}.0.{2 * i}", outputs, inputs, kernel, kernel)
         shapes |= _linear(f"{name}.1.0", 1024, 5184)
     shapes |= _linear("extractors.state", 1024, 42)
-    for i, (inputs, outputs) in enumerate(((3072, 2048), (2048, 1024), (1024, 512), (512, 13))):
+    for i, (inputs, outputs) in enumerate(
+        ((3072, 2048), (2048, 1024), (1024, 512), (512, 13))
+    ):
         shapes |= _linear(f"mlp.{2 * i}", outputs, inputs)
     return shapes
 
@@ -113,7 +123,9 @@ def dp_shapes() -> dict[str, tuple[int, ...]]:
         block(f"noise_pred_net.down_modules.{i}.0", inputs, outputs)
         block(f"noise_pred_net.down_modules.{i}.1", outputs, outputs)
         if i < 2:
-            shapes |= _conv(f"noise_pred_net.down_modules.{i}.2.conv", outputs, outputs, 3)
+            shapes |= _conv(
+                f"noise_pred_net.down_modules.{i}.2.conv", outputs, outputs, 3
+            )
     shapes |= _conv("noise_pred_net.final_conv.0.block.0", 64, 64, 5) | _norm(
         "noise_pred_net.final_conv.0.block.1", 64
     )
@@ -156,7 +168,9 @@ def sac_action(w: Weights, depth: dict[str, Tensor], state: Tensor) -> Tensor:
         for i in range(4):
             x = _convolve(w, f"actor.encoder.cnns.{camera}.layers.{2 * i}", x, stride=2)
             x = x.relu() if i < 3 else x
-        parts.append((f"actor.encoder.pixels_projections.{camera}.projection", x.flatten()))
+        parts.append(
+            (f"actor.encoder.pixels_projections.{camera}.projection", x.flatten())
+        )
     parts.append(("actor.encoder.state_projection.projection", state[-1]))
     encoded = [
         F.layer_norm(
@@ -172,7 +186,11 @@ def sac_action(w: Weights, depth: dict[str, Tensor], state: Tensor) -> Tensor:
 
 
 def _extract(
-    w: Weights, prefix: str, strides: tuple[int, ...], depth: dict[str, Tensor], state: Tensor
+    w: Weights,
+    prefix: str,
+    strides: tuple[int, ...],
+    depth: dict[str, Tensor],
+    state: Tensor,
 ) -> Tensor:
     parts = []
     for camera in (HEAD, HAND):
@@ -202,18 +220,27 @@ def dp_plan(w: Weights, depth: dict[str, Tensor], state: Tensor, noise: Tensor) 
     """Of one world: 8 actions (8, 13) from noise (100, 16, 13)."""
     seen = []
     for frame in range(2):
-        x = torch.stack([1 - torch.tanh(depth[camera][frame] / 1000) for camera in (HAND, HEAD)])[
-            None
-        ]
+        x = torch.stack(
+            [1 - torch.tanh(depth[camera][frame] / 1000) for camera in (HAND, HEAD)]
+        )[None]
         for i in range(4):
-            x = F.max_pool2d(_convolve(w, f"visual_encoder.cnn.{3 * i}", x, padding=1).relu(), 2)
-        x = _convolve(w, "visual_encoder.cnn.12", x).relu().flatten(2).max(dim=2).values[0]
+            x = F.max_pool2d(
+                _convolve(w, f"visual_encoder.cnn.{3 * i}", x, padding=1).relu(), 2
+            )
+        x = (
+            _convolve(w, "visual_encoder.cnn.12", x)
+            .relu()
+            .flatten(2)
+            .max(dim=2)
+            .values[0]
+        )
         seen.append(torch.cat([_apply(w, "visual_encoder.fc.0", x).relu(), state[frame]]))
     observed = torch.cat(seen)
     # Ho et al. 2020, equations 6, 7 and 15, on the cosine schedule with its offset of 0.008.
     cosine = [math.cos((i / 100 + 0.008) / 1.008 * math.pi / 2) ** 2 for i in range(101)]
     betas = torch.tensor(
-        [min(1 - cosine[i + 1] / cosine[i], 0.999) for i in range(100)], dtype=torch.float64
+        [min(1 - cosine[i + 1] / cosine[i], 0.999) for i in range(100)],
+        dtype=torch.float64,
     )
     alphas = 1 - betas
     bars = torch.cumprod(1 - betas, 0)
@@ -228,7 +255,11 @@ def dp_plan(w: Weights, depth: dict[str, Tensor], state: Tensor, noise: Tensor) 
             + math.sqrt(float(alphas[t])) * (1 - bar_before) / (1 - bar) * x
         )
         if t:
-            x = x + math.sqrt((1 - bar_before) / (1 - bar) * float(betas[t])) * noise[100 - t]
+            x = (
+                x
+                + math.sqrt((1 - bar_before) / (1 - bar) * float(betas[t]))
+                * noise[100 - t]
+            )
     return x[1:9]
 
 
@@ -237,11 +268,15 @@ def _unet(w: Weights, actions: Tensor, step: int, observed: Tensor) -> Tensor:
     rates = torch.exp(torch.arange(32) * (-math.log(10000) / 31))
     embedded = torch.cat([(step * rates).sin(), (step * rates).cos()])
     embedded = F.mish(_apply(w, f"{net}diffusion_step_encoder.1", embedded))
-    condition = torch.cat([_apply(w, f"{net}diffusion_step_encoder.3", embedded), observed])
+    condition = torch.cat(
+        [_apply(w, f"{net}diffusion_step_encoder.3", embedded), observed]
+    )
 
     def conv_block(name: str, x: Tensor) -> Tensor:
         x = F.conv1d(x, w[f"{name}.block.0.weight"], w[f"{name}.block.0.bias"], padding=2)
-        return F.mish(F.group_norm(x, 8, w[f"{name}.block.1.weight"], w[f"{name}.block.1.bias"]))
+        return F.mish(
+            F.group_norm(x, 8, w[f"{name}.block.1.weight"], w[f"{name}.block.1.bias"])
+        )
 
     def block(name: str, x: Tensor) -> Tensor:
         film = _apply(w, f"{name}.cond_encoder.1", F.mish(condition)).reshape(2, -1, 1)
@@ -250,7 +285,9 @@ def _unet(w: Weights, actions: Tensor, step: int, observed: Tensor) -> Tensor:
         )
         key = f"{name}.residual_conv"
         return inner + (
-            F.conv1d(x, w[f"{key}.weight"], w[f"{key}.bias"]) if f"{key}.weight" in w else x
+            F.conv1d(x, w[f"{key}.weight"], w[f"{key}.bias"])
+            if f"{key}.weight" in w
+            else x
         )
 
     def pair(name: str, x: Tensor) -> Tensor:
@@ -264,7 +301,11 @@ def _unet(w: Weights, actions: Tensor, step: int, observed: Tensor) -> Tensor:
         kept.append(x)
         if i < 2:
             x = F.conv1d(
-                x, w[f"{name}.2.conv.weight"], w[f"{name}.2.conv.bias"], stride=2, padding=1
+                x,
+                w[f"{name}.2.conv.weight"],
+                w[f"{name}.2.conv.bias"],
+                stride=2,
+                padding=1,
             )
     x = pair(f"{net}mid_modules", x)
     for i in range(2):

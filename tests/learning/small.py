@@ -36,14 +36,18 @@ def layout(inputs: InputConfig = INPUTS) -> Layout:
     return Layout(inputs, STATE, ACTIONS, TARGETS, CONTROL)
 
 
-def config(algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any) -> StudentConfig:
+def config(
+    algorithm: str = BC, inputs: InputConfig = INPUTS, **changes: Any
+) -> StudentConfig:
     """A student that takes milliseconds."""
     networks = {
         BC: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
         FLOW: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
         ACT: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=1),
         GAUSSIAN: NetworkConfig(channels=(4, 8), image_features=8, hidden=16, layers=2),
-        DIFFUSION: NetworkConfig("paper_dp", channels=(4, 8), image_features=8, unet=(8, 16)),
+        DIFFUSION: NetworkConfig(
+            "paper_dp", channels=(4, 8), image_features=8, unet=(8, 16)
+        ),
     }
     networks[GAUSSIAN_ACTIONS] = networks[GAUSSIAN]
     single = algorithm in (GAUSSIAN, GAUSSIAN_ACTIONS)
@@ -77,11 +81,15 @@ def demonstrations(
     parts = []
     for length in lengths:
         vector = np.zeros((length, told.width), np.float32)
-        vector[:, : told.measured_width] = random.normal(size=(length, told.measured_width))
+        vector[:, : told.measured_width] = random.normal(
+            size=(length, told.measured_width)
+        )
         vector[:, told.measured_width :] = told.condition(told.kinds[0], TARGETS[0])
         actions = np.full((length, len(ACTIONS)), 0.5, np.float32)
         actions[:, 0] = np.tanh(vector[:, 0])
-        images = random.integers(0, 256, (length, len(told.image_keys), SIZE, SIZE), np.uint8)
+        images = random.integers(
+            0, 256, (length, len(told.image_keys), SIZE, SIZE), np.uint8
+        )
         parts.append(
             Demonstrations(
                 vector,

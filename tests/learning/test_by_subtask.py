@@ -69,7 +69,10 @@ def test_a_policy_that_works_long_is_asked_only_for_its_worlds() -> None:
     entries = (Entry("navigate", "", "expert"), Entry("pick", "", ""))
     driver, picker = Chooser(1.0), Constant(2.0)
     policy = PoliciesBySubtask(entries, [driver, picker], worlds=2, width=3)
-    info: dict[str, Any] = {"episode_spec": [{"plan": PLAN}] * 2, "pointer": np.array([0, 1])}
+    info: dict[str, Any] = {
+        "episode_spec": [{"plan": PLAN}] * 2,
+        "pointer": np.array([0, 1]),
+    }
     assert policy.act({}, info)[:, 0].tolist() == [1.0, 2.0]
     assert driver.chosen == [[True, False]]
 
@@ -83,11 +86,20 @@ def test_an_entry_names_any_policy(tmp_path: Path) -> None:
         ("open", "student:set_table/open/fridge/top_door", "student:set_table/open/fridge/top_door"),
         ("close", "a.safetensors+b.safetensors", f"{tmp_path}/a.safetensors+{tmp_path}/b.safetensors"),
     ]  # fmt: skip
-    listed = [{"subtask": name, "target": "", "checkpoint": spec} for name, spec, _ in rows]
+    listed = [
+        {"subtask": name, "target": "", "checkpoint": spec} for name, spec, _ in rows
+    ]
     path.write_text(json.dumps({"policies": listed}), encoding="utf-8")
-    assert [entry.checkpoint for entry in read_entries(path)] == [read for *_, read in rows]
-    for spec, told in (("other.json", "not another policies file"), ("student", "say which")):
-        path.write_text(json.dumps({"policies": [{**listed[0], "checkpoint": spec}]}), "utf-8")
+    assert [entry.checkpoint for entry in read_entries(path)] == [
+        read for *_, read in rows
+    ]
+    for spec, told in (
+        ("other.json", "not another policies file"),
+        ("student", "say which"),
+    ):
+        path.write_text(
+            json.dumps({"policies": [{**listed[0], "checkpoint": spec}]}), "utf-8"
+        )
         with pytest.raises(UsageError, match=told):
             read_entries(path)
 
@@ -96,7 +108,11 @@ def test_the_expert_does_what_a_file_leaves_to_it(tmp_path: Path) -> None:
     path = tmp_path / "policies.json"
     names = ("navigate", "open", "pick", "place", "close")
     listed = [
-        {"subtask": name, "target": "", "checkpoint": "zero" if name == "open" else "expert"}
+        {
+            "subtask": name,
+            "target": "",
+            "checkpoint": "zero" if name == "open" else "expert",
+        }
         for name in names
     ]
     path.write_text(json.dumps({"policies": listed}), encoding="utf-8")
@@ -111,7 +127,10 @@ def test_the_expert_does_what_a_file_leaves_to_it(tmp_path: Path) -> None:
     )
     (record,) = run.records
     # The expert drives to the drawer; nobody opens it.
-    assert record.completed == 1 and [s.kind for s in record.subtasks] == ["navigate", "open"]
+    assert record.completed == 1 and [s.kind for s in record.subtasks] == [
+        "navigate",
+        "open",
+    ]
 
 
 def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:
@@ -125,7 +144,9 @@ def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:
         ('{"policies": {}}', "must hold"),
         (json.dumps({"policies": [{"subtask": "pick"}]}), "must hold"),
         (
-            json.dumps({"policies": [{"subtask": "pik", "target": "", "checkpoint": "a"}]}),
+            json.dumps(
+                {"policies": [{"subtask": "pik", "target": "", "checkpoint": "a"}]}
+            ),
             "Did you mean 'pick'",
         ),
     ):

@@ -19,7 +19,11 @@ def test_fields_are_set_by_name() -> None:
          "inputs.previous_action=false", "dagger.rounds=2"],
     )  # fmt: skip
     student = changed.student
-    assert (student.chunk, student.inputs.image_size, student.optimizer.ema) == (4, 64, 0.0)
+    assert (student.chunk, student.inputs.image_size, student.optimizer.ema) == (
+        4,
+        64,
+        0.0,
+    )
     assert student.network.channels == (32, 64, 64)
     assert not student.inputs.previous_action
     assert changed.dagger is not None and changed.dagger.rounds == 2
@@ -73,7 +77,9 @@ def test_every_settable_field_takes_its_own_value() -> None:
     assert with_changes(preset, as_words(settable(preset))) == preset
 
 
-@pytest.mark.parametrize(("algorithm", "name"), [(PPO, "depth"), (SAC, "fast"), (RLPD, "demos")])
+@pytest.mark.parametrize(
+    ("algorithm", "name"), [(PPO, "depth"), (SAC, "fast"), (RLPD, "demos")]
+)
 def test_every_field_of_a_reinforcement_preset_takes_its_own_value(
     algorithm: str, name: str
 ) -> None:
@@ -83,7 +89,9 @@ def test_every_field_of_a_reinforcement_preset_takes_its_own_value(
 
 def test_fields_of_reinforcement_are_set_by_name() -> None:
     preset = reinforcement_preset(PPO, "fast")
-    changed = with_fields(preset, ["ppo.demonstrations=800", "network.hidden=512", "horizon=0"])
+    changed = with_fields(
+        preset, ["ppo.demonstrations=800", "network.hidden=512", "horizon=0"]
+    )
     assert changed.ppo is not None
     assert (changed.ppo.demonstrations, changed.network.hidden) == (800, 512)
     with pytest.raises(UsageError, match=r"Did you mean 'ppo\.demonstrations'"):

@@ -19,7 +19,12 @@ from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import episodes
 from mjhab.learning.batches import BatchSampler, shift_images, take_chunks
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.demos import base_velocity, layout_of_data, load_demonstrations, nearness
+from mjhab.learning.demos import (
+    base_velocity,
+    layout_of_data,
+    load_demonstrations,
+    nearness,
+)
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
 from tests.learning.small import INPUTS, demonstrations
@@ -51,13 +56,17 @@ def test_chunks_stay_in_their_episode(chunk: int, history: int, seed: int) -> No
         )
         seen = taken.vector[row].reshape(history, -1)
         np.testing.assert_array_equal(seen[-1], data.vector[row])
-        np.testing.assert_array_equal(seen[0], data.vector[max(row - history + 1, starts[episode])])
+        np.testing.assert_array_equal(
+            seen[0], data.vector[max(row - history + 1, starts[episode])]
+        )
     assert taken.images.shape[1] == history
 
 
 def test_demonstrations_without_images_make_chunks() -> None:
     data = demonstrations(0, (7,))
-    blind = dataclasses.replace(data, images=np.zeros((len(data.vector), 0, 0, 0), np.uint8))
+    blind = dataclasses.replace(
+        data, images=np.zeros((len(data.vector), 0, 0, 0), np.uint8)
+    )
     taken = take_chunks(blind, data.usable, 2, history=3)
     assert taken.images.shape == (len(data.usable), 0, 0, 0)
     assert taken.vector.shape == (len(data.usable), 3 * data.vector.shape[1])
@@ -106,26 +115,38 @@ def test_shifted_images_are_crops_with_the_edge_repeated(most: int, seed: int) -
     padded = np.pad(images, ((0, 0), (0, 0), (most, most), (most, most)), mode="edge")
     for image, out in zip(padded, moved, strict=True):
         crops = [
-            image[:, y : y + 6, x : x + 6] for y in range(2 * most + 1) for x in range(2 * most + 1)
+            image[:, y : y + 6, x : x + 6]
+            for y in range(2 * most + 1)
+            for x in range(2 * most + 1)
         ]
         assert any((crop == out).all() for crop in crops)
 
 
 def test_near_things_are_bright() -> None:
-    assert nearness(np.array([0, 500, 1000, 32767], np.int16)).tolist() == [255, 137, 61, 0]
+    assert nearness(np.array([0, 500, 1000, 32767], np.int16)).tolist() == [
+        255,
+        137,
+        61,
+        0,
+    ]
 
 
 def test_base_velocity_is_along_the_base() -> None:
     q = np.array([[0.0, 0.0, np.pi / 2], [0.0, 0.0, np.pi]])
     qd = np.array([[0.0, 2.0, 0.5], [1.0, 0.0, -1.0]])
-    np.testing.assert_allclose(base_velocity(q, qd), [[2.0, 0.5], [-1.0, -1.0]], atol=1e-7)
+    np.testing.assert_allclose(
+        base_velocity(q, qd), [[2.0, 0.5], [-1.0, -1.0]], atol=1e-7
+    )
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demos")
     record(
-        folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+        folder / "picks.h5",
+        range(4),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
     )
     return folder
 
@@ -168,16 +189,21 @@ def test_several_processes_read_the_same(source: Path, tmp_path: Path) -> None:
         images=ImageFormat(),
     )
     told = layout_of_data(tmp_path, INPUTS, EVERY)
-    one, two = (load_demonstrations(tmp_path, told, -1, EVERY, workers) for workers in (1, 2))
+    one, two = (
+        load_demonstrations(tmp_path, told, -1, EVERY, workers) for workers in (1, 2)
+    )
     assert one.episodes > 4
     for name in ("vector", "images", "actions", "first", "last", "usable"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_data_that_do_not_fit_are_refused_with_what_to_do(source: Path, tmp_path: Path) -> None:
+def test_data_that_do_not_fit_are_refused_with_what_to_do(
+    source: Path, tmp_path: Path
+) -> None:
     larger = InputConfig(cameras=("fetch_head",), image_size=2 * SIZE)
     with pytest.raises(
-        UsageError, match=f"16x16 px; the preset needs 32x32 px.*replay.*--camera-size {2 * SIZE}"
+        UsageError,
+        match=f"16x16 px; the preset needs 32x32 px.*replay.*--camera-size {2 * SIZE}",
     ):
         layout_of_data(source, larger, EVERY)
     hand = InputConfig(cameras=("fetch_hand",), image_size=SIZE)
@@ -187,7 +213,10 @@ def test_data_that_do_not_fit_are_refused_with_what_to_do(source: Path, tmp_path
         layout_of_data(source, INPUTS, Filter("steps > 1000"))
     told = layout_of_data(source, INPUTS, EVERY)
     record(
-        tmp_path / "other.h5", range(1), FakeEnv(subtask="close", images=True), images=ImageFormat()
+        tmp_path / "other.h5",
+        range(1),
+        FakeEnv(subtask="close", images=True),
+        images=ImageFormat(),
     )
     with pytest.raises(
         UsageError, match="unknown target of this student 'kitchen_counter/drawer3'"

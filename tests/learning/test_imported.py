@@ -40,8 +40,21 @@ def test_the_papers_preset_trains_on_data_of_the_original(tmp_path: Path) -> Non
     data = imported(tmp_path, PAPER_SIDE_PX)
     assert len(select(data, Filter("profile == 'ms_hab'")).matched) == 2
     run = tmp_path / "run"
-    options = ["--data", str(data), "--out", str(run), "--eval-episodes", "0", "--round-episodes"]
-    options += ["0", "--updates", "2", *(part for each in TINY for part in ("--set", each))]
+    options = [
+        "--data",
+        str(data),
+        "--out",
+        str(run),
+        "--eval-episodes",
+        "0",
+        "--round-episodes",
+    ]
+    options += [
+        "0",
+        "--updates",
+        "2",
+        *(part for each in TINY for part in ("--set", each)),
+    ]
     assert main(["train", "bc", "--preset", "paper", *STAGE, *options]) == 0
     layout = load_checkpoint(run / "student.safetensors").layout
     assert layout.profile == "ms_hab" and layout.robot == "fetch"
@@ -51,15 +64,21 @@ def test_the_papers_preset_trains_on_data_of_the_original(tmp_path: Path) -> Non
 
 def test_what_needs_states_is_refused_in_one_line(tmp_path: Path) -> None:
     data = imported(tmp_path, 8)
-    with pytest.raises(UsageError, match=r"128x128 px\. It was imported .*inputs\.image_size=8$"):
+    with pytest.raises(
+        UsageError, match=r"128x128 px\. It was imported .*inputs\.image_size=8$"
+    ):
         layout_of_data(data, InputConfig(image_size=128))
-    with pytest.raises(UsageError, match=r"no depth images of cam.*fetch_hand, fetch_head"):
+    with pytest.raises(
+        UsageError, match=r"no depth images of cam.*fetch_hand, fetch_head"
+    ):
         layout_of_data(data, InputConfig(cameras=("cam",), image_size=8))
     layout = layout_of_data(data, InputConfig(image_size=8, base_velocity=True))
     with pytest.raises(UsageError, match=r"data without states.*--preset paper"):
         load_demonstrations(data, layout, -1)
     session: Any = SimpleNamespace(request=SimpleNamespace(recompute_rewards=False))
-    with pytest.raises(UsageError, match=r"its actions cannot be simulated again.*train bc --data"):
+    with pytest.raises(
+        UsageError, match=r"its actions cannot be simulated again.*train bc --data"
+    ):
         check_episode(session, next(episodes(data)))
 
 
@@ -69,6 +88,7 @@ def test_data_imported_before_it_told_its_actions(tmp_path: Path) -> None:
     run = dataclasses.replace(episode.run, config={"env": {}}, layout={})
     older: Any = SimpleNamespace(run=run, name=episode.name, shard=episode.shard)
     with pytest.raises(
-        UsageError, match=r"does not say control_mode, base, stationary, the names of the actions"
+        UsageError,
+        match=r"does not say control_mode, base, stationary, the names of the actions",
     ):
         entries_of(older)

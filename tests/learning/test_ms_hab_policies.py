@@ -72,9 +72,16 @@ def one_thread() -> Iterator[None]:
 
 def observation(rng: np.random.Generator, worlds: int = WORLDS) -> dict[str, np.ndarray]:
     shape = (worlds, 128, 128, 1)
-    depth = {c: rng.integers(0, 5000, shape).astype(np.int16) for c in ("fetch_head", "fetch_hand")}
-    obs: dict[str, np.ndarray] = {"state": rng.normal(size=(worlds, 42)).astype(np.float32)}
-    return obs | {f"sensor_data/{camera}/depth": images for camera, images in depth.items()}
+    depth = {
+        c: rng.integers(0, 5000, shape).astype(np.int16)
+        for c in ("fetch_head", "fetch_hand")
+    }
+    obs: dict[str, np.ndarray] = {
+        "state": rng.normal(size=(worlds, 42)).astype(np.float32)
+    }
+    return obs | {
+        f"sensor_data/{camera}/depth": images for camera, images in depth.items()
+    }
 
 
 def info(*indices: int) -> dict[str, Any]:
@@ -88,9 +95,9 @@ def tensors(
     last = [history[max(0, len(history) - frames + i)] for i in range(frames)]
     depth = {
         f"{camera}_depth": torch.tensor(
-            np.stack([obs[f"sensor_data/{camera}/depth"][world, ..., 0] for obs in last]).astype(
-                np.float32
-            )
+            np.stack(
+                [obs[f"sensor_data/{camera}/depth"][world, ..., 0] for obs in last]
+            ).astype(np.float32)
         )
         for camera in ("fetch_head", "fetch_hand")
     }
@@ -100,7 +107,9 @@ def tensors(
 class Plain:
     """What a policy does in one world, computed with plain functions from the observations of its episode."""
 
-    def __init__(self, case: Case, weights: original.Weights, world: int, index: int) -> None:
+    def __init__(
+        self, case: Case, weights: original.Weights, world: int, index: int
+    ) -> None:
         self.case = case
         self.weights = weights
         self.world = world
@@ -145,11 +154,18 @@ def test_actions_are_those_of_a_plain_computation(name: str, tmp_path: Path) -> 
         obs = observation(rng)
         got = policy.act(obs, info(*indices))
         want = np.stack([one.act(obs) for one in plain])
-        assert got.dtype == np.float32 and got.shape == (WORLDS, 13) and (np.abs(got) <= 1).all()
+        assert (
+            got.dtype == np.float32
+            and got.shape == (WORLDS, 13)
+            and (np.abs(got) <= 1).all()
+        )
         np.testing.assert_allclose(got, want, atol=2e-4)
         spread.append(got)
     # The weights are such that actions differ from step to step and do not all lie at the limits.
-    assert np.std(spread, axis=0)[:, :8].min() > 1e-3 and (np.abs(spread) < 0.99).mean() > 0.2
+    assert (
+        np.std(spread, axis=0)[:, :8].min() > 1e-3
+        and (np.abs(spread) < 0.99).mean() > 0.2
+    )
 
 
 def test_objects_are_seen_in_the_axes_of_their_scans(tmp_path: Path) -> None:
@@ -162,7 +178,9 @@ def test_objects_are_seen_in_the_axes_of_their_scans(tmp_path: Path) -> None:
     pose = obs["state"][:, 31:38]
     pose[1] = 0.0
     turn = Rotation.from_rotvec([0.0, 0.0, 1.089])
-    x, y, z, w = (Rotation.from_quat(pose[0, [4, 5, 6, 3]]) * turn).as_quat(canonical=True)
+    x, y, z, w = (Rotation.from_quat(pose[0, [4, 5, 6, 3]]) * turn).as_quat(
+        canonical=True
+    )
     pose[0, 3:] /= np.linalg.norm(pose[0, 3:])
     turned = {key: values.copy() for key, values in obs.items()}
     turned["state"][0, 34:38] = (w, x, y, z)
@@ -176,7 +194,9 @@ def test_objects_are_seen_in_the_axes_of_their_scans(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_episode_does_not_depend_on_the_worlds_beside_it(name: str, tmp_path: Path) -> None:
+def test_an_episode_does_not_depend_on_the_worlds_beside_it(
+    name: str, tmp_path: Path
+) -> None:
     _, network = load_network(
         original.save(tmp_path / "a.pt", original.random_weights(CASES[name].shapes))
     )
@@ -188,7 +208,9 @@ def test_an_episode_does_not_depend_on_the_worlds_beside_it(name: str, tmp_path:
     for _ in range(2):
         obs = observation(rng)
         alone = {key: values[1:] for key, values in obs.items()}
-        np.testing.assert_array_equal(many.act(obs, info(1, 5))[1:], one.act(alone, info(5)))
+        np.testing.assert_array_equal(
+            many.act(obs, info(1, 5))[1:], one.act(alone, info(5))
+        )
 
 
 def test_the_networks_have_the_names_and_shapes_of_the_original() -> None:
@@ -200,7 +222,9 @@ def test_the_networks_have_the_names_and_shapes_of_the_original() -> None:
             if not key.startswith(layout.training_only)
         }
         network = layout.build(acting)
-        assert {key: tuple(value.shape) for key, value in network.state_dict().items()} == acting
+        assert {
+            key: tuple(value.shape) for key, value in network.state_dict().items()
+        } == acting
 
 
 def test_weights_that_are_not_finite_are_refused_by_name(tmp_path: Path) -> None:
@@ -208,14 +232,19 @@ def test_weights_that_are_not_finite_are_refused_by_name(tmp_path: Path) -> None
     name = next(iter(weights))
     weights[name].view(-1)[0] = torch.nan
     path = original.save(tmp_path / "a.pt", weights)
-    with pytest.raises(UsageError, match=f"1 of the .* numbers of its tensor {name} are not fin"):
+    with pytest.raises(
+        UsageError, match=f"1 of the .* numbers of its tensor {name} are not fin"
+    ):
         load_network(path)
 
 
 def test_frames_and_cameras_are_read_off_the_parameters(tmp_path: Path) -> None:
     weights = original.random_weights(original.bc_shapes(frames=3))
     _, network = load_network(original.save(tmp_path / "a.pt", weights))
-    assert network.frames == 3 and network.cameras == ("fetch_head_depth", "fetch_hand_depth")
+    assert network.frames == 3 and network.cameras == (
+        "fetch_head_depth",
+        "fetch_hand_depth",
+    )
     _, network = load_network(
         original.save(tmp_path / "b.pt", original.random_weights(CASES["sac"].shapes))
     )
@@ -240,25 +269,39 @@ def test_other_layouts_are_told_apart_by_their_keys(tmp_path: Path) -> None:
     gone = {key: value for key, value in weights.items() if key != "actor_mean.2.bias"}
     original.save(path, {**gone, "actor_std": torch.zeros(3)})
     refuse(
-        path, "keys of MS-HAB's PPO network", "missing: actor_mean.2.bias;", "too many: actor_std"
+        path,
+        "keys of MS-HAB's PPO network",
+        "missing: actor_mean.2.bias;",
+        "too many: actor_std",
     )
     original.save(path, {**weights, "actor_mean.0.weight": torch.zeros(512, 700)})
     refuse(path, "of another shape: actor_mean.0.weight (512, 700) instead of (512, 768)")
     original.save(
         path,
-        {key.replace("fetch_hand_depth", "all_depth"): value for key, value in weights.items()},
+        {
+            key.replace("fetch_hand_depth", "all_depth"): value
+            for key, value in weights.items()
+        },
     )
     refuse(path, "too many: feature_net.extractors.all_depth.0.0.weight", "and 2 more")
     sac = original.random_weights(CASES["sac"].shapes)
     inner = {
-        key.removeprefix("actor."): value for key, value in sac.items() if key.startswith("actor.")
+        key.removeprefix("actor."): value
+        for key, value in sac.items()
+        if key.startswith("actor.")
     }
     original.save(path, inner)
     refuse(path, "Nearest is SAC: missing: actor.encoder", "too many: encoder.cnns")
     original.save(path, {"policy.net.0.weight": torch.zeros(3)})
-    refuse(path, "another layout than MS-HAB's SAC, PPO, BC, DP", "too many: policy.net.0.weight")
+    refuse(
+        path,
+        "another layout than MS-HAB's SAC, PPO, BC, DP",
+        "too many: policy.net.0.weight",
+    )
     dp = original.random_weights(CASES["dp"].shapes)
-    narrow = {key: value[:60] if value.shape[0] == 64 else value for key, value in dp.items()}
+    narrow = {
+        key: value[:60] if value.shape[0] == 64 else value for key, value in dp.items()
+    }
     original.save(path, narrow)
     refuse(path, "keys of MS-HAB's DP network, but inconsistent sizes")
     torch.save({"agent": {}, "step": 3}, path)
@@ -276,13 +319,23 @@ class Spy:
 
 
 @pytest.mark.filterwarnings("error")
-def test_files_that_are_no_checkpoints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_that_are_no_checkpoints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     mark = tmp_path / "executed"
     path = tmp_path / "a.pt"
     torch.save({"agent": {"w": torch.zeros(2)}, "extra": Spy(mark)}, path)
-    refuse(path, "needs more than tensors and was refused; nothing in it was executed", "pathlib")
+    refuse(
+        path,
+        "needs more than tensors and was refused; nothing in it was executed",
+        "pathlib",
+    )
     path.write_bytes(pickle.dumps({"agent": Spy(mark)}))
-    refuse(path, "cannot be read as a checkpoint of torch", "Nothing in it was executed. Save the")
+    refuse(
+        path,
+        "cannot be read as a checkpoint of torch",
+        "Nothing in it was executed. Save the",
+    )
     with pytest.raises(UsageError) as caught:
         load_network(path)
     assert "weights_only" not in str(caught.value) + capsys.readouterr().err
@@ -291,7 +344,9 @@ def test_files_that_are_no_checkpoints(tmp_path: Path, capsys: pytest.CaptureFix
     refuse(path, "cannot be read as a checkpoint of torch")
     path.unlink()
     refuse(path, "does not exist")
-    with pytest.raises(UsageError, match=r"'ms_hab:' names no file; .* as in ms_hab:CHECKPOINT.pt"):
+    with pytest.raises(
+        UsageError, match=r"'ms_hab:' names no file; .* as in ms_hab:CHECKPOINT.pt"
+    ):
         inspect_policy("ms_hab:")
 
 
@@ -305,23 +360,33 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
     }
     for option, value in changes.items():
         env = environment(**{option: value})
-        with pytest.raises(UsageError, match=rf"{option} (is|are) .*Make it with profile='ms_hab'"):
+        with pytest.raises(
+            UsageError, match=rf"{option} (is|are) .*Make it with profile='ms_hab'"
+        ):
             ms_hab_policy(path, env)
     wide = environment(obs_mode="rgbd+seg", camera_size=(128, 128))
     policy = ms_hab_policy(path, wide)
     policy.reset(np.ones(WORLDS, bool))
     obs = observation(np.random.default_rng(0))
     lacking = {key: value for key, value in obs.items() if "hand" not in key}
-    with pytest.raises(UsageError, match="the observations lack sensor_data/fetch_hand/depth"):
-        policy.act(lacking, info(0, 1))
-    small = {**obs, "sensor_data/fetch_head/depth": np.zeros((WORLDS, 64, 64, 1), np.int16)}
     with pytest.raises(
-        UsageError, match=r"fetch_head/depth has shape \(2, 64, 64, 1\); .* need \(2, 128, 128, 1\)"
+        UsageError, match="the observations lack sensor_data/fetch_hand/depth"
+    ):
+        policy.act(lacking, info(0, 1))
+    small = {
+        **obs,
+        "sensor_data/fetch_head/depth": np.zeros((WORLDS, 64, 64, 1), np.int16),
+    }
+    with pytest.raises(
+        UsageError,
+        match=r"fetch_head/depth has shape \(2, 64, 64, 1\); .* need \(2, 128, 128, 1\)",
     ):
         policy.act(small, info(0, 1))
 
 
-def test_a_policy_brings_its_profile_and_the_user_may_choose_another(tmp_path: Path) -> None:
+def test_a_policy_brings_its_profile_and_the_user_may_choose_another(
+    tmp_path: Path,
+) -> None:
     path = original.save(tmp_path / "a.pt", original.random_weights(CASES["ppo"].shapes))
     facts = inspect_policy(f"ms_hab:{path}")
     assert facts.env_options["profile"] == "ms_hab"
@@ -335,7 +400,12 @@ def test_a_policy_acts_in_an_environment(tmp_path: Path) -> None:
     weights = original.random_weights(CASES["sac"].shapes)
     path = original.save(tmp_path / "policy.pt", weights)
     env = make(
-        task="set_table", subtask="pick", num_envs=2, autoreset="disabled", threads=1, **ENV_OPTIONS
+        task="set_table",
+        subtask="pick",
+        num_envs=2,
+        autoreset="disabled",
+        threads=1,
+        **ENV_OPTIONS,
     )
     policy = ms_hab_policy(path, env)
     seen: list[tuple[dict, dict]] = []

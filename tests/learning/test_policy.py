@@ -27,7 +27,9 @@ def scene(worlds: int, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]
     """Observations and info of a step; world w is in episode w."""
     randoms = [np.random.default_rng([step, w]) for w in range(worlds)]
     obs = {
-        "state": np.stack([random.normal(size=5) for random in randoms]).astype(np.float32),
+        "state": np.stack([random.normal(size=5) for random in randoms]).astype(
+            np.float32
+        ),
         "sensor_data/fetch_head/depth": np.stack(
             [r.integers(0, 3000, (SIZE, SIZE, 1), np.int16) for r in randoms]
         ),
@@ -37,20 +39,28 @@ def scene(worlds: int, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]
     return obs, {"episode_spec": specs, "pointer": np.zeros(worlds, np.int64)}
 
 
-def actions_of(worlds: int, steps: int, algorithm: str = "bc", **changes: Any) -> np.ndarray:
-    policy = StudentPolicy(make_student(config(algorithm, **changes), layout()), fake_env(worlds))
+def actions_of(
+    worlds: int, steps: int, algorithm: str = "bc", **changes: Any
+) -> np.ndarray:
+    policy = StudentPolicy(
+        make_student(config(algorithm, **changes), layout()), fake_env(worlds)
+    )
     policy.reset(np.ones(worlds, bool))
     return np.stack([policy.act(*scene(worlds, step)) for step in range(steps)])
 
 
 @pytest.mark.parametrize("algorithm", ["bc", "flow", "diffusion"])
-def test_what_it_does_in_an_episode_does_not_depend_on_the_other_worlds(algorithm: str) -> None:
+def test_what_it_does_in_an_episode_does_not_depend_on_the_other_worlds(
+    algorithm: str,
+) -> None:
     few = actions_of(3, 5, algorithm)
     many = actions_of(21, 5, algorithm)
     np.testing.assert_array_equal(few, many[:, :3])
 
 
-def test_the_first_actions_of_every_chunk_are_executed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_actions_of_every_chunk_are_executed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     student = make_student(config(chunk=4, execute=3), layout())
     asked: list[np.ndarray] = []
 
@@ -125,7 +135,9 @@ def test_an_unknown_target_is_refused_by_name() -> None:
     policy = StudentPolicy(make_student(config(), layout()), fake_env(1))
     policy.reset(np.ones(1, bool))
     obs, info = scene(1, 0)
-    info["episode_spec"][0]["plan"] = ({"kind": "pick", "target": "013_apple_:0000", "goal": None},)
+    info["episode_spec"][0]["plan"] = (
+        {"kind": "pick", "target": "013_apple_:0000", "goal": None},
+    )
     with pytest.raises(UsageError, match="unknown target of this student '013_apple'"):
         policy.act(obs, info)
 
@@ -135,7 +147,10 @@ def test_a_checkpoint_is_a_policy_by_its_path(tmp_path: Path) -> None:
     save_student(path, make_student(config(), layout()), {})
     facts = inspect_policy(str(path))
     assert facts.name == "mine" and len(facts.identity["policy_sha256"]) == 64
-    assert facts.env_options["obs_mode"] == "depth" and facts.env_options["camera_size"] == SIZE
+    assert (
+        facts.env_options["obs_mode"] == "depth"
+        and facts.env_options["camera_size"] == SIZE
+    )
     policy = resolve_policy(str(path), fake_env(2))
     policy.reset(np.ones(2, bool))
     assert policy.act(*scene(2, 0)).shape == (2, 13)
@@ -155,7 +170,9 @@ def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize(
     "error",
     [
-        OSError("libtorch_cpu.so: cannot open shared object file: No such file or directory"),
+        OSError(
+            "libtorch_cpu.so: cannot open shared object file: No such file or directory"
+        ),
         ImportError("/lib/libstdc++.so.6: version `GLIBCXX_3.4.32' not found"),
         RuntimeError("module compiled against another ABI version"),
     ],
@@ -168,15 +185,21 @@ def test_a_torch_that_cannot_be_imported_is_told_in_one_line(
         raise error
 
     monkeypatch.setattr(libraries.importlib, "import_module", broken)
-    with pytest.raises(UsageError, match=r"torch is installed but cannot be imported") as told:
+    with pytest.raises(
+        UsageError, match=r"torch is installed but cannot be imported"
+    ) as told:
         require_learn()
     assert str(error) in str(told.value) and "pip install" in str(told.value)
-    with pytest.raises(UsageError, match=r"warp is installed but cannot be imported.*\[gpu\]'"):
+    with pytest.raises(
+        UsageError, match=r"warp is installed but cannot be imported.*\[gpu\]'"
+    ):
         cuda_devices()
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf], ids=str)
-def test_weights_that_are_not_finite_are_refused_by_name(number: float, tmp_path: Path) -> None:
+def test_weights_that_are_not_finite_are_refused_by_name(
+    number: float, tmp_path: Path
+) -> None:
     student = make_student(config(), layout())
     name, weights = next(iter(student.named_parameters()))
     weights.data.view(-1)[:2] = number
@@ -199,7 +222,8 @@ def test_several_students_execute_the_mean_of_their_actions(tmp_path: Path) -> N
     facts = inspect_policy(spec)
     assert facts.name == "1+2" and facts.env_options["camera_size"] == SIZE
     assert (
-        facts.identity["policy_sha256"] != inspect_policy(str(files[0])).identity["policy_sha256"]
+        facts.identity["policy_sha256"]
+        != inspect_policy(str(files[0])).identity["policy_sha256"]
     )
     together = resolve_policy(spec, fake_env(2))
     alone = [resolve_policy(str(file), fake_env(2)) for file in files]

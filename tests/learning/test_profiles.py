@@ -13,7 +13,12 @@ from mjhab.config.env import EnvConfig
 from mjhab.config.profiles import MS_HAB
 from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
-from mjhab.evaluation.evaluate import EvalSpec, describe_policy, env_options, resolved_config
+from mjhab.evaluation.evaluate import (
+    EvalSpec,
+    describe_policy,
+    env_options,
+    resolved_config,
+)
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.demos import layout_of_data, load_demonstrations
 from mjhab.learning.layout import Layout, profile_of
@@ -36,13 +41,21 @@ def of_ms_hab() -> Layout:
 
 
 @pytest.mark.parametrize("horizon", [0, 320])
-def test_demonstrations_are_of_the_profile_and_last_as_long_as_asked(horizon: int) -> None:
+def test_demonstrations_are_of_the_profile_and_last_as_long_as_asked(
+    horizon: int,
+) -> None:
     made = EnvConfig(**longer(CLOSE, horizon))
     assert made.horizon == (horizon or MS_HAB.horizon)
     wanted = MS_HAB.options("close", trains=False)
-    assert all(getattr(made, name) == value for name, value in wanted.items() if name != "horizon")
+    assert all(
+        getattr(made, name) == value
+        for name, value in wanted.items()
+        if name != "horizon"
+    )
     assert profile_of(vars(made)) == "ms_hab"
-    assert profile_of({**vars(made), "profile": "mjhab", "stillness": "absolute"}) == "mjhab"
+    assert (
+        profile_of({**vars(made), "profile": "mjhab", "stillness": "absolute"}) == "mjhab"
+    )
 
 
 def test_no_demonstration_is_cut_to_the_horizon_of_training() -> None:
@@ -87,7 +100,12 @@ def test_a_stationary_head_is_no_other_layout_but_another_control_mode_is() -> N
 
 
 def test_demonstrations_of_another_profile_are_refused(tmp_path: Path) -> None:
-    record(tmp_path / "a.h5", range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        tmp_path / "a.h5",
+        range(2),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
     every = "success or not success"
     request = Request(
         train_config(), Scene(profile="ms_hab"), Means(), data=(tmp_path,), where=every

@@ -37,7 +37,11 @@ BOXY = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
 HOLD_STEPS = 5
 INPUTS = InputConfig(image_size=16, base_velocity=True)
 SCENE = Scene(
-    "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
+    "set_table",
+    "close",
+    "kitchen_counter/drawer3",
+    home="builtin_m0_00",
+    profile="ms_hab",
 )
 
 
@@ -49,7 +53,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Request]:
         rounds=1, episodes=1, updates=2, first_prefix=4, horizon=220, final_updates=1
     )
     request = Request(
-        TrainConfig(student, dagger), SCENE, Means(1, 1, 1), eval_episodes=1, round_episodes=0
+        TrainConfig(student, dagger),
+        SCENE,
+        Means(1, 1, 1),
+        eval_episodes=1,
+        round_episodes=0,
     )
     out = tmp_path_factory.mktemp("run")
     train(request, out)
@@ -77,7 +85,9 @@ def test_a_run_leaves_a_student_data_and_an_evaluation(run: tuple[Path, Request]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert 'id="loss-plot"' in page and 'src="http' not in page
     assert "latest, episode_00000" in page and page.count("<video") == 1
-    first, second = (list(episodes(out / "data" / f"round_00{number}")) for number in range(2))
+    first, second = (
+        list(episodes(out / "data" / f"round_00{number}")) for number in range(2)
+    )
     assert len(first) == len(second) == 1
 
 
@@ -101,15 +111,21 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
         round_episodes=0,
         data=(out / "data",),
     )
-    with pytest.raises(UsageError, match="reward_mode sparse instead of normalized_dense"):
+    with pytest.raises(
+        UsageError, match="reward_mode sparse instead of normalized_dense"
+    ):
         train_reinforcement(told, tmp_path / "refused")
     told = dataclasses.replace(told, recompute_rewards=True)
     result = train_reinforcement(told, tmp_path / "run")
     assert result.summary["demonstrations"] == 2
     kept = tmp_path / "run" / "demonstrations"
-    position = json.loads((kept / "complete.json").read_text(encoding="utf-8"))["position"]
+    position = json.loads((kept / "complete.json").read_text(encoding="utf-8"))[
+        "position"
+    ]
     recorded = [
-        episode for part in (0, 1) for episode in episodes(out / "data" / f"round_00{part}")
+        episode
+        for part in (0, 1)
+        for episode in episodes(out / "data" / f"round_00{part}")
     ]
     # The first control step only leads into the recorded episode; an entry with what was seen last ends it.
     assert sum(position) == sum(episode.steps for episode in recorded)
@@ -119,7 +135,10 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
     assert 0.0 < paid.min() < 0.5 < paid.max() <= 1.0
     vector = np.load(kept / "vector.npy")
     state = vector[0, 0, :42]
-    assert any(np.allclose(state, episode.array("obs/state")[1], atol=1e-5) for episode in recorded)
+    assert any(
+        np.allclose(state, episode.array("obs/state")[1], atol=1e-5)
+        for episode in recorded
+    )
     # The drawer is open at first and shut in the end; its heading is a direction.
     link = vector[0, : np.argmin(begins[0]) + 1, 42:46]
     assert link[0, 0] > 0.8 and link[-1, 0] < 0.01 and link[:, 1].min() < -0.05
@@ -133,7 +152,8 @@ def test_what_was_collected_says_who_acted(run: tuple[Path, Request]) -> None:
             assert episode.actors == ("student", "expert") and episode.record.success_once
             assert recorded_profile(episode) == "ms_hab"
             assert (
-                episode.steps == np.flatnonzero(episode.array("reward/success"))[0] + 1 + HOLD_STEPS
+                episode.steps
+                == np.flatnonzero(episode.array("reward/success"))[0] + 1 + HOLD_STEPS
             )
             taken = episode.array("actor")
             assert taken[-1] == 1 and sorted(taken) == taken.tolist()
@@ -165,7 +185,9 @@ def test_the_table_of_students_says_what_lies_in_the_folders(
     assert students_report.main([str(table), str(other), str(judged)]) == 1
 
 
-def test_a_run_that_is_over_resumes_to_the_same_student(run: tuple[Path, Request]) -> None:
+def test_a_run_that_is_over_resumes_to_the_same_student(
+    run: tuple[Path, Request],
+) -> None:
     out, request = run
     before = load_checkpoint(out / "student.safetensors").tensors
     again = train(dataclasses.replace(request, eval_episodes=0), out, resume=True)
@@ -200,7 +222,10 @@ def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
     assert [row["row"] for row in result.summary["rows"]] == names
     assert result.summary["episodes"] == 2
     about = load_checkpoint(tmp_path / "run" / "student.safetensors").about
-    assert [scene["subtask"] for scene in (about["scene"], *about["also"])] == ["close", "open"]
+    assert [scene["subtask"] for scene in (about["scene"], *about["also"])] == [
+        "close",
+        "open",
+    ]
     kinds = {
         episode.record.plan[0].kind
         for name in folders
@@ -219,14 +244,21 @@ def test_other_robots_are_trained_with_their_own_cameras(tmp_path: Path) -> None
     student = config(inputs=inputs, demos=2, updates=1, hold_steps=HOLD_STEPS)
     scene = dataclasses.replace(SCENE, robot=robot.name, profile="")
     request = Request(
-        TrainConfig(student), scene, Means(1, 1, 1), eval_episodes=1, round_episodes=0, films=0
+        TrainConfig(student),
+        scene,
+        Means(1, 1, 1),
+        eval_episodes=1,
+        round_episodes=0,
+        films=0,
     )
     try:
         train(request, tmp_path / "run")
         layout = load_student(tmp_path / "run" / "student.safetensors").layout
         assert layout.robot == layout.env_options()["robot"] == robot.name
         judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
-        assert json.loads(judged.read_text(encoding="utf-8"))["env"]["robot"] == robot.name
+        assert (
+            json.loads(judged.read_text(encoding="utf-8"))["env"]["robot"] == robot.name
+        )
         standing = evaluate(
             "zero",
             subtask="close",

@@ -44,12 +44,20 @@ from tests.learning.reinforcement.toy import LAYOUT as LINE
 from tests.learning.reinforcement.toy import Toy
 from tests.learning.small import INPUTS, STATE, config, fake_env, layout, train_config
 
-TOLD = dataclasses.replace(INPUTS, cameras=(), image_size=0, condition=False, sentence=True)
+TOLD = dataclasses.replace(
+    INPUTS, cameras=(), image_size=0, condition=False, sentence=True
+)
 EVERY = "success or not success"
 DRAWER = "kitchen_counter/drawer3"
 WORDINGS = {
-    "open": ("open drawer 3 of the kitchen counter", "pull drawer 3 of the kitchen counter open"),
-    "close": ("close drawer 3 of the kitchen counter", "push drawer 3 of the kitchen counter shut"),
+    "open": (
+        "open drawer 3 of the kitchen counter",
+        "pull drawer 3 of the kitchen counter open",
+    ),
+    "close": (
+        "close drawer 3 of the kitchen counter",
+        "push drawer 3 of the kitchen counter shut",
+    ),
 }
 
 
@@ -64,14 +72,21 @@ class TellingEnv(FakeEnv):
         return obs, {**info, "episode_spec": [world.spec for world in self.worlds]}
 
     def _sentence(self, index: int, kind: str, target: str) -> str:
-        return subtask_instruction(Sentence(kind, target), lambda count: index % 2 * (count - 1))
+        return subtask_instruction(
+            Sentence(kind, target), lambda count: index % 2 * (count - 1)
+        )
 
 
 def words_of_tasks() -> list[str]:
     """Every word that a sentence of the built-in tasks and objects may contain."""
     wordings = [words for kind in SUBTASKS.names() for words in SUBTASKS[kind].words]
     texts = [re.sub(r"\{\w+\}", "", words) for words in (*wordings, *CARRY_WORDINGS)]
-    texts += [*FURNITURE_WORDS.values(), *LINK_WORDS.values(), "kitchen counter", "drawer 1 2 3 4"]
+    texts += [
+        *FURNITURE_WORDS.values(),
+        *LINK_WORDS.values(),
+        "kitchen counter",
+        "drawer 1 2 3 4",
+    ]
     texts += [name for names in OBJECT_WORDS.values() for name in names]
     texts += ["on in from by teleport bowl apple"]
     return sorted(set(re.findall(r"\w+", " ".join(texts).lower())))
@@ -107,7 +122,9 @@ def test_the_sentence_follows_the_measured_inputs() -> None:
     told = both.condition("pick", "024_bowl", "pick up the bowl")
     np.testing.assert_array_equal(told, np.concatenate([one_hot, code]))
     # Without the one-hot any subtask may be asked for.
-    np.testing.assert_array_equal(alone.condition("wipe", "table", "pick up the bowl"), code)
+    np.testing.assert_array_equal(
+        alone.condition("wipe", "table", "pick up the bowl"), code
+    )
     for one in (both, alone, layout()):
         assert one.width == one.measured_width + one.condition_width
         assert one.measured_width == layout().measured_width
@@ -148,7 +165,9 @@ def test_data_without_instructions_are_refused(tmp_path: Path) -> None:
     told = "recorded without instructions.*inputs.sentence=true.*mjhab generate"
     with pytest.raises(UsageError, match=told):
         layout_of_data(tmp_path, TOLD, Filter(EVERY))
-    assert layout_of_data(tmp_path, dataclasses.replace(TOLD, sentence=False), Filter(EVERY))
+    assert layout_of_data(
+        tmp_path, dataclasses.replace(TOLD, sentence=False), Filter(EVERY)
+    )
 
 
 def test_a_run_with_sentences_resumes_exactly(
@@ -177,11 +196,17 @@ def test_a_run_with_sentences_resumes_exactly(
         assert train(request, tmp_path / "part").interrupted
     train(request, tmp_path / "part", resume=True)
     whole, part = (
-        load_checkpoint(tmp_path / run / "training.safetensors") for run in ("whole", "part")
+        load_checkpoint(tmp_path / run / "training.safetensors")
+        for run in ("whole", "part")
     )
-    assert whole.config.inputs.sentence and whole.layout.entries[-1] == ("sentence", SENTENCE_WIDTH)
+    assert whole.config.inputs.sentence and whole.layout.entries[-1] == (
+        "sentence",
+        SENTENCE_WIDTH,
+    )
     assert whole.about["step"] == part.about["step"] == 4
-    assert all(torch.equal(whole.tensors[name], part.tensors[name]) for name in whole.tensors)
+    assert all(
+        torch.equal(whole.tensors[name], part.tensors[name]) for name in whole.tensors
+    )
 
 
 def info_of(sentences: list[str], pointer: int = 0) -> dict[str, Any]:
@@ -216,7 +241,9 @@ def taught(algorithm: str, updates: int) -> StudentPolicy:
                 )
             )
     data = Demonstrations.join(parts)
-    trainer = Trainer(make_student(config(algorithm, inputs=TOLD), told), seed=0, updates=updates)
+    trainer = Trainer(
+        make_student(config(algorithm, inputs=TOLD), told), seed=0, updates=updates
+    )
     trainer.student.fit_normalizers(data)
     trainer.restart_average()
     sampler = BatchSampler([data], 32, 1.0, 0)
@@ -241,7 +268,9 @@ def test_a_student_of_two_subtasks_does_what_the_sentence_says(
         actions = act(first, other, first, other)
         np.testing.assert_allclose(actions, [-0.5, 0.5, -0.5, 0.5], atol=0.2)
     # Wordings that it has not seen, of words that it has.
-    opened, shut = act("pull open drawer 3", "shut drawer 3", "open it", "Close it, please.")[:2]
+    opened, shut = act(
+        "pull open drawer 3", "shut drawer 3", "open it", "Close it, please."
+    )[:2]
     assert opened < -0.2 and shut > 0.2
 
 
@@ -268,7 +297,9 @@ def test_a_checkpoint_may_be_told_another_sentence(tmp_path: Path) -> None:
     obs = {"state": np.zeros((2, 5), np.float32)}
 
     def act(sentences: list[str], instruction: str = "") -> np.ndarray:
-        policy = resolve_policy(files["told"], env, PolicyOptions(instruction=instruction))
+        policy = resolve_policy(
+            files["told"], env, PolicyOptions(instruction=instruction)
+        )
         policy.reset(np.ones(2, bool))
         return policy.act(obs, info_of(sentences))
 
@@ -280,7 +311,9 @@ def test_a_checkpoint_may_be_told_another_sentence(tmp_path: Path) -> None:
 
 
 def test_agents_of_reinforcement_learning_see_the_sentence_of_their_episode() -> None:
-    told = dataclasses.replace(LINE, inputs=dataclasses.replace(LINE.inputs, sentence=True))
+    told = dataclasses.replace(
+        LINE, inputs=dataclasses.replace(LINE.inputs, sentence=True)
+    )
     env = Toy(2)
     sight = Sight(env, told, privileged=False)
     plan = ({"kind": "close", "target": DRAWER},)

@@ -51,7 +51,9 @@ def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
 @pytest.mark.usefixtures("shelf")
 def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
     spec = EvalSpec("student", **CLOSE, env={"robot": "panda_omron"})
-    with pytest.raises(UsageError, match=r"trained with robot 'fetch'; leave out --robot"):
+    with pytest.raises(
+        UsageError, match=r"trained with robot 'fetch'; leave out --robot"
+    ):
         resolved_config(spec, describe_policy(spec.policy))
 
 
@@ -67,7 +69,10 @@ def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
             {"subtask": "close"},
             r"give --target, .*for: set_table.close.kitchen_counter-drawer3",
         ),
-        ({"task": "tidy_house"}, "no student for the task 'tidy_house', but for: set_table.close"),
+        (
+            {"task": "tidy_house"},
+            "no student for the task 'tidy_house', but for: set_table.close",
+        ),
     ],
 )
 def test_where_there_is_none_those_are_named_that_there_are(
@@ -87,11 +92,15 @@ def test_one_student_may_serve_all_targets(shelf: Path) -> None:
     assert shipped_kind.shipped_path("set_table", "pick", "024_bowl") == str(own)
 
 
-def test_one_student_may_act_for_several_names_and_together_with_others(shelf: Path) -> None:
+def test_one_student_may_act_for_several_names_and_together_with_others(
+    shelf: Path,
+) -> None:
     name = "set_table.close.kitchen_counter-drawer3"
     scene = {"task": "set_table", "subtask": "pick", "target": ""}
     told = {"scene": scene, "also": [{**CLOSE, "split": "train"}]}
-    save_student(shelf / "all.safetensors", make_student(config(), layout(), seed=1), told)
+    save_student(
+        shelf / "all.safetensors", make_student(config(), layout(), seed=1), told
+    )
     index = {name: [name, "all"], "set_table.pick": ["all"]}
     (shelf / "index.json").write_text(json.dumps(index))
     spec = shipped_kind.shipped_path(**CLOSE)
@@ -100,7 +109,9 @@ def test_one_student_may_act_for_several_names_and_together_with_others(shelf: P
     assert [path.stem for path in members(pick)] == ["all"]
     assert list(shipped_kind.shipped()) == [name, "set_table.pick"]
     (shelf / f"{name}.safetensors").unlink()
-    (shelf / "index.json").write_text(json.dumps({name: ["all"], "set_table.pick": ["all"]}))
+    (shelf / "index.json").write_text(
+        json.dumps({name: ["all"], "set_table.pick": ["all"]})
+    )
     entries = shipped_kind.shipped_entries("set_table")
     assert [(entry.subtask, entry.target) for entry in entries] == [
         ("close", CLOSE["target"]),
@@ -122,8 +133,15 @@ def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
     scene = {"task": "set_table", "subtask": "close", "target": CLOSE["target"]}
     save_student(path, make_student(config(), layout()), {"scene": scene})
     (entry,) = shipped_kind.shipped_entries("set_table")
-    assert (entry.subtask, entry.target, entry.checkpoint) == ("close", CLOSE["target"], str(path))
-    assert describe_policy(str(EvalSpec("student", task="set_table").policy)).name == "student"
+    assert (entry.subtask, entry.target, entry.checkpoint) == (
+        "close",
+        CLOSE["target"],
+        str(path),
+    )
+    assert (
+        describe_policy(str(EvalSpec("student", task="set_table").policy)).name
+        == "student"
+    )
 
 
 def test_a_misspelt_student_is_suggested() -> None:

@@ -63,7 +63,13 @@ def roll(path: Path, worlds: int, longest: int, count: int = 5) -> tuple[Steady,
     policy, student, expert = make(worlds, longest)
     env: Any = FakeEnv(worlds, subtask="pick", horizon=20)
     with ShardWriter(path) as writer:
-        rollout(env, policy, list(range(count)), 3, [Recorder(writer, env, {"name": policy.name})])
+        rollout(
+            env,
+            policy,
+            list(range(count)),
+            3,
+            [Recorder(writer, env, {"name": policy.name})],
+        )
     return student, expert
 
 
@@ -84,7 +90,9 @@ def test_the_student_acts_first_and_the_expert_from_the_drawn_step_on(
         assert (intended[:prefix] == -0.5).all() and (intended[prefix:] == 0.25).all()
         names = [episode.actors[number] for number in episode.array("actor")]
         assert names == ["student"] * prefix + ["expert"] * (episode.steps - prefix)
-        np.testing.assert_array_equal(expert_steps(episode), np.arange(episode.steps) >= prefix)
+        np.testing.assert_array_equal(
+            expert_steps(episode), np.arange(episode.steps) >= prefix
+        )
     assert len(lengths) > 1
     # The expert thinks about a world only when it acts there, and plans anew once per episode.
     assert expert.asked.sum() >= acted
@@ -98,12 +106,16 @@ def test_prefixes_cover_their_range_and_depend_on_the_episode_alone() -> None:
     assert prefix_length(0, 5, 0) == 0
 
 
-def test_what_the_expert_intended_is_learned_from_the_take_over_on(tmp_path: Path) -> None:
+def test_what_the_expert_intended_is_learned_from_the_take_over_on(
+    tmp_path: Path,
+) -> None:
     roll(tmp_path / "a.h5", 2, 12)
     told = layout_of_data(tmp_path, NO_IMAGES, EVERY)
     data = load_demonstrations(tmp_path, told, -1, EVERY)
     assert (data.actions[data.usable] == 0.25).all()
-    prefixes = [prefix_length(3, index, 12) for index in range(4)]  # Episode 4 is tainted.
+    prefixes = [
+        prefix_length(3, index, 12) for index in range(4)
+    ]  # Episode 4 is tainted.
     assert len(data.usable) == len(data.actions) - sum(prefixes)
 
 
@@ -111,21 +123,34 @@ def test_a_student_alone_is_learned_from(tmp_path: Path) -> None:
     env: Any = FakeEnv(1, subtask="pick")
     with ShardWriter(tmp_path / "a.h5") as writer:
         rollout(
-            env, Steady("student", 0.1, 1), [0], 0, [Recorder(writer, env, {"name": "student"})]
+            env,
+            Steady("student", 0.1, 1),
+            [0],
+            0,
+            [Recorder(writer, env, {"name": "student"})],
         )
     assert all(expert_steps(episode).all() for episode in episodes(tmp_path / "a.h5"))
 
 
 def test_prefixes_begin_short_and_grow() -> None:
     config = DaggerConfig(first_prefix=20, prefix_growth=30, max_prefix=90)
-    assert [config.longest_prefix(number) for number in range(6)] == [0, 20, 50, 80, 90, 90]
+    assert [config.longest_prefix(number) for number in range(6)] == [
+        0,
+        20,
+        50,
+        80,
+        90,
+        90,
+    ]
 
 
 def test_a_worker_in_this_process_makes_what_a_job_asks_for(tmp_path: Path) -> None:
     policy, _, _ = make(2, 5)
 
     def build() -> Stage:
-        return Stage(cast("Any", FakeEnv(2, subtask="pick")), policy, {"name": policy.name})
+        return Stage(
+            cast("Any", FakeEnv(2, subtask="pick")), policy, {"name": policy.name}
+        )
 
     job = Job(WorkerSpec(build, 1), {"a": 1}, tmp_path / "out", 6, chunk=2)
     done = generate(job, InlineCrew())

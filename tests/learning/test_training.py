@@ -87,7 +87,9 @@ def test_every_student_learns_and_gives_chunks(algorithm: str) -> None:
     noise = np.zeros((3, student.draws, 4, 13), np.float32)
     chunk = student.act(every.vector[:3].numpy(), every.images[:3].numpy(), noise)
     assert chunk.shape == (3, student.config.chunk, 13) and np.abs(chunk).max() <= 1.0
-    assert (student.draws == 0) == (algorithm in ("bc", "act", "gaussian", "gaussian_actions"))
+    assert (student.draws == 0) == (
+        algorithm in ("bc", "act", "gaussian", "gaussian_actions")
+    )
 
 
 def test_what_lies_behind_the_end_is_not_learned() -> None:
@@ -114,7 +116,9 @@ def test_normalized_numbers_have_mean_zero_and_spread_one() -> None:
     actions = torch.from_numpy(data.actions)
     normal = student.action_normalizer
     torch.testing.assert_close(normal.restore(normal(actions)), actions)
-    plain = make_student(config(inputs=dataclasses.replace(INPUTS, normalize=False)), layout())
+    plain = make_student(
+        config(inputs=dataclasses.replace(INPUTS, normalize=False)), layout()
+    )
     plain.fit_normalizers(data)
     assert not plain.normalizer.mean.any() and (plain.normalizer.scale == 1).all()
 
@@ -149,7 +153,9 @@ def test_training_goes_on_bit_by_bit(algorithm: str, tmp_path: Path) -> None:
         part.update(batch(step))
     save_training(tmp_path / "t.safetensors", part, {})
     saved = load_checkpoint(tmp_path / "t.safetensors")
-    again = Trainer(make_student(saved.config, saved.layout, seed=77), seed=2, updates=100)
+    again = Trainer(
+        make_student(saved.config, saved.layout, seed=77), seed=2, updates=100
+    )
     again.restore(dict(saved.tensors), saved.about["step"])
     for step in range(2, 4):
         again.update(batch(step))
@@ -166,7 +172,9 @@ def test_a_student_comes_back_from_its_file(tmp_path: Path) -> None:
     save_student(path, trainer.average, {"scene": "here"})
     saved = load_checkpoint(path)
     assert (
-        saved.about == {"scene": "here"} and saved.layout == layout() and saved.config == config()
+        saved.about == {"scene": "here"}
+        and saved.layout == layout()
+        and saved.config == config()
     )
     one = batch()
     noise = np.zeros((8, 0, 4, 13), np.float32)
@@ -177,7 +185,9 @@ def test_a_student_comes_back_from_its_file(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.safetensors"]
 
 
-@pytest.mark.parametrize(("most", "size", "error"), [(1_000_000, 0.6, 1e-3), (1024, 0.5, 0.02)])
+@pytest.mark.parametrize(
+    ("most", "size", "error"), [(1_000_000, 0.6, 1e-3), (1024, 0.5, 0.02)]
+)
 def test_a_compact_student_acts_nearly_the_same(
     most: int, size: float, error: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,7 +201,9 @@ def test_a_compact_student_acts_nearly_the_same(
     assert load_checkpoint(small).about == {"step": 4}
     every = Batch.of(take_chunks(demonstrations(), np.arange(20), 4))
     chunks = [
-        load_student(path).act(every.vector.numpy(), every.images.numpy(), np.zeros((20, 0)))
+        load_student(path).act(
+            every.vector.numpy(), every.images.numpy(), np.zeros((20, 0))
+        )
         for path in (large, small)
     ]
     np.testing.assert_allclose(chunks[1], chunks[0], atol=error)
@@ -232,7 +244,9 @@ def test_a_broken_loss_changes_nothing_and_names_the_batch() -> None:
     bad = dataclasses.replace(batch(), actions=torch.full((8, 4, 13), torch.nan))
     with pytest.raises(BrokenLossError, match="nan in batch 2"):
         trainer.update(bad)
-    assert all(torch.equal(value, before[name]) for name, value in trainer.tensors().items())
+    assert all(
+        torch.equal(value, before[name]) for name, value in trainer.tensors().items()
+    )
 
 
 def test_presets_are_plain_data_and_come_back() -> None:
@@ -245,7 +259,9 @@ def test_presets_are_plain_data_and_come_back() -> None:
                 dataclasses.replace(preset.student, inputs=preset.student.inputs),
                 layout(preset.student.inputs),
             )
-    with pytest.raises(UsageError, match=r"unknown preset of bc 'smal'\. Did you mean 'small'"):
+    with pytest.raises(
+        UsageError, match=r"unknown preset of bc 'smal'\. Did you mean 'small'"
+    ):
         preset_of("bc", "smal")
 
 
@@ -256,7 +272,10 @@ def test_presets_are_plain_data_and_come_back() -> None:
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
     record(
-        folder / "picks.h5", range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+        folder / "picks.h5",
+        range(4),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
     )
     return folder
 
@@ -276,7 +295,9 @@ def request(source: Path, **changes: Any) -> Request:
 
 
 def test_demonstrations_must_be_of_what_is_judged(source: Path, tmp_path: Path) -> None:
-    others = request(source, scene=Scene("set_table", "open", "fridge/top_door"), eval_episodes=4)
+    others = request(
+        source, scene=Scene("set_table", "open", "fridge/top_door"), eval_episodes=4
+    )
     told = r"evaluated in open fridge/top_door, but the demonstrations are of .*pick 024_bowl"
     with pytest.raises(UsageError, match=told):
         train(others, tmp_path / "others")
@@ -293,7 +314,11 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = train(request(source), tmp_path / "whole")
-    assert whole.summary["steps"] == 4 and whole.summary["samples"] == 32 and not whole.interrupted
+    assert (
+        whole.summary["steps"] == 4
+        and whole.summary["samples"] == 32
+        and not whole.interrupted
+    )
     found = {entry.name for entry in (tmp_path / "whole").iterdir()}
     assert found >= {
         "config.json",
@@ -317,8 +342,12 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
     monkeypatch.setattr(Trainer, "update", make_updates)
     done = train(request(source), tmp_path / "part", resume=True)
     assert done.summary["steps"] == 4 and done.summary["samples"] == 32
-    one, other = (weights(tmp_path / name / "training.safetensors") for name in ("whole", "part"))
-    assert one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
+    one, other = (
+        weights(tmp_path / name / "training.safetensors") for name in ("whole", "part")
+    )
+    assert one.keys() == other.keys() and all(
+        torch.equal(one[name], other[name]) for name in one
+    )
     with pytest.raises(UsageError, match="it was started with seed = 0, now it is 1"):
         train(request(source, seed=1), tmp_path / "part", resume=True)
     with pytest.raises(UsageError, match="not empty"):
@@ -377,10 +406,15 @@ def test_the_learning_rate_falls_to_zero_in_the_end(
     monkeypatch.setattr(Trainer, "update", note)
     dagger = DaggerConfig(rounds=0, final_updates=4)
     done = train(
-        request(source, config=dataclasses.replace(train_config(), dagger=dagger)), tmp_path / "run"
+        request(source, config=dataclasses.replace(train_config(), dagger=dagger)),
+        tmp_path / "run",
     )
     assert asked == [1.0] * 4 + [1.0, 0.75, 0.5, 0.25]
-    assert (done.summary["steps"], done.summary["rounds"], done.summary["demonstrations"]) == (
+    assert (
+        done.summary["steps"],
+        done.summary["rounds"],
+        done.summary["demonstrations"],
+    ) == (
         8,
         0,
         4,
@@ -399,7 +433,8 @@ def judge_without_simulation(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ) -> list[Any]:
         asked.append(split)
         return [
-            dataclasses.replace(GOOD, success_once=number % 2 == 0) for number in range(episodes)
+            dataclasses.replace(GOOD, success_once=number % 2 == 0)
+            for number in range(episodes)
         ]
 
     monkeypatch.setattr(Session, "_evaluate_in", pretended)
@@ -442,7 +477,9 @@ def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
 
     monkeypatch.setattr(Session, "_evaluate_in", with_films)
     told = request(source, eval_episodes=6, round_episodes=2)
-    several = dataclasses.replace(told, also=(Scene("set_table", "open", "fridge/top_door"),))
+    several = dataclasses.replace(
+        told, also=(Scene("set_table", "open", "fridge/top_door"),)
+    )
     for asked, scenes in ((told, 1), (several, 2)):
         if films is not None:
             asked = dataclasses.replace(asked, films=films)
@@ -459,7 +496,10 @@ def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
 
 def test_without_an_evaluation_no_split_is_told(source: Path, tmp_path: Path) -> None:
     done = train(request(source, eval_split="val"), tmp_path / "run")
-    told = {name: done.summary[name] for name in ("split", "success_once", "interval", "episodes")}
+    told = {
+        name: done.summary[name]
+        for name in ("split", "success_once", "interval", "episodes")
+    }
     assert told == {"split": None, "success_once": None, "interval": None, "episodes": 0}
     assert "not evaluated" in done.report.read_text(encoding="utf-8")
 
@@ -495,13 +535,19 @@ def test_ctrl_c_during_an_update_keeps_whole_updates(
         patch.setattr(Trainer, "update", interrupted)
         stopped = train(request(source), tmp_path / "part")
     signal.signal(signal.SIGINT, before)
-    assert stopped.interrupted and stopped.summary["steps"] == 2 and stopped.summary["trained"]
+    assert (
+        stopped.interrupted
+        and stopped.summary["steps"] == 2
+        and stopped.summary["trained"]
+    )
     assert Path(stopped.summary["checkpoint"]).is_file()
     assert load_checkpoint(tmp_path / "part" / "training.safetensors").about["step"] == 2
     train(request(source), tmp_path / "part", resume=True)
     one, other = (weights(Path(run) / "training.safetensors") for run in (
         tmp_path / "whole", tmp_path / "part"))  # fmt: skip
-    assert whole.summary["steps"] == 4 and all(torch.equal(one[name], other[name]) for name in one)
+    assert whole.summary["steps"] == 4 and all(
+        torch.equal(one[name], other[name]) for name in one
+    )
 
 
 def test_before_the_data_are_read_there_is_no_checkpoint(

@@ -42,7 +42,9 @@ def image(group: Any, camera: str, output: str, t: int) -> np.ndarray:
     """A stored image, decoded."""
     stored = group[f"images/{camera}/{output}"]
     ends = [0, *stored["ends"][()]]
-    return np.asarray(Image.open(io.BytesIO(stored["bytes"][ends[t] : ends[t + 1]].tobytes())))
+    return np.asarray(
+        Image.open(io.BytesIO(stored["bytes"][ends[t] : ends[t + 1]].tobytes()))
+    )
 
 
 def check_frame(data: LeRobotDataset, row: int, group: Any, t: int) -> None:
@@ -50,7 +52,10 @@ def check_frame(data: LeRobotDataset, row: int, group: Any, t: int) -> None:
     item = data[row]
     assert abs(float(item["timestamp"]) - t / FPS) < 1e-5, (item["timestamp"], t)
     state = set(np.round(group["obs/state"][t], 5).tolist())
-    told = [*item["observation.state"].tolist(), *item["observation.environment_state"].tolist()]
+    told = [
+        *item["observation.state"].tolist(),
+        *item["observation.environment_state"].tolist(),
+    ]
     # Both together are the recorded state and, with it, the velocity of the base.
     assert state <= set(np.round(np.array(told, np.float32), 5).tolist())
     np.testing.assert_allclose(item["action"], group["actions"][t], atol=1e-6)
@@ -66,12 +71,20 @@ def check_frame(data: LeRobotDataset, row: int, group: Any, t: int) -> None:
             np.testing.assert_array_equal(item[key], poses[t])
         if key.startswith("observation.images."):
             shown = item[key].numpy().transpose(1, 2, 0) * 255
-            states = [t, *(t + by for by in OTHERS if 0 <= t + by < len(group["obs/state"]))]
-            errors = [
-                float(np.abs(shown - image(group, camera, "rgb", state)).mean()) for state in states
+            states = [
+                t,
+                *(t + by for by in OTHERS if 0 <= t + by < len(group["obs/state"])),
             ]
-            assert errors[0] < MOST_ERROR, f"{key} at {t}: mean error {errors[0]:.1f} of 255"
-            assert errors[0] <= min(errors[1:]) + 0.05, f"{key} at {t} is another frame: {errors}"
+            errors = [
+                float(np.abs(shown - image(group, camera, "rgb", state)).mean())
+                for state in states
+            ]
+            assert errors[0] < MOST_ERROR, (
+                f"{key} at {t}: mean error {errors[0]:.1f} of 255"
+            )
+            assert errors[0] <= min(errors[1:]) + 0.05, (
+                f"{key} at {t} is another frame: {errors}"
+            )
             ERRORS.append(errors[0])
 
 
@@ -100,7 +113,10 @@ def main(export: Path, shards: Path) -> None:
         "mjhab/check",
         root=export,
         video_backend="pyav",
-        delta_timestamps={"action": [0, 1 / FPS, 2 / FPS], "observation.state": [-1 / FPS, 0]},
+        delta_timestamps={
+            "action": [0, 1 / FPS, 2 / FPS],
+            "observation.state": [-1 / FPS, 0],
+        },
     )
     assert window[0]["action"].shape == (3, item["action"].shape[0])
     error = f", mean error of film pixels {np.mean(ERRORS):.2f} of 255" if ERRORS else ""
@@ -113,7 +129,10 @@ def episodes(data: LeRobotDataset, export: Path) -> list[tuple[int, int, str]]:
     """First row, number of rows and source of every episode."""
     version = json.loads((export / "meta/info.json").read_text())["codebase_version"]
     if version == "v3.0":
-        return [(e["dataset_from_index"], e["length"], e["source"]) for e in data.meta.episodes]
+        return [
+            (e["dataset_from_index"], e["length"], e["source"])
+            for e in data.meta.episodes
+        ]
     first = 0
     rows = []
     for entry in data.meta.episodes.values():

@@ -36,7 +36,9 @@ def main(folder: Path, episodes: int) -> None:
         path.unlink(missing_ok=True)
         with ShardWriter(path) as writer:
             recorder = Recorder(writer, env, {"name": "random"}, images=ImageFormat())
-            rollout(env, RandomPolicy(0), list(range(count)), 0, [recorder], max_steps=STEPS)
+            rollout(
+                env, RandomPolicy(0), list(range(count)), 0, [recorder], max_steps=STEPS
+            )
         print(f"{path}: {recorder.kept} episodes")
 
 

@@ -51,9 +51,20 @@ def check_examples(folder: Path) -> None:
     """The examples come with the wheel, and one of them runs as a plugin."""
     shutil.rmtree(folder, ignore_errors=True)
     told = run("examples", "--out", str(folder))
-    assert told["written"] > 10 and set(told["commands"]) == {p.name for p in folder.iterdir()}
+    assert told["written"] > 10 and set(told["commands"]) == {
+        p.name for p in folder.iterdir()
+    }
     plugin = {"MJHAB_PLUGINS": str(folder / "push")}
-    words = ("--task", "push_objects", "--subtask", "push", "--episodes", "1", "--films", "0")
+    words = (
+        "--task",
+        "push_objects",
+        "--subtask",
+        "push",
+        "--episodes",
+        "1",
+        "--films",
+        "0",
+    )
     out = str(folder.with_name("push"))
     assert run("eval", *words, "--out", out, "--overwrite", **plugin)["episodes"] == 1
 

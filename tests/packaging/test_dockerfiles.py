@@ -21,7 +21,14 @@ LOCAL_PROGRAMS = {"useradd", "mkdir", "chown"}
 OFFLINE_COMMANDS = {"warmup", "doctor", "--help"}
 """Commands of mjhab that never use the network."""
 PIP_COMMANDS = {"wheel", "install"}
-OTHER_INDEX = {"-i", "--index-url", "--extra-index-url", "-f", "--find-links", "--trusted-host"}
+OTHER_INDEX = {
+    "-i",
+    "--index-url",
+    "--extra-index-url",
+    "-f",
+    "--find-links",
+    "--trusted-host",
+}
 
 
 @dataclass
@@ -39,7 +46,9 @@ def instructions(text: str) -> list[tuple[str, str]]:
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     joined = re.sub(r"\\\n", " ", "\n".join(lines))
     pairs = [line.split(None, 1) for line in joined.splitlines() if line.strip()]
-    return [(pair[0].upper(), pair[1].strip() if len(pair) == 2 else "") for pair in pairs]
+    return [
+        (pair[0].upper(), pair[1].strip() if len(pair) == 2 else "") for pair in pairs
+    ]
 
 
 def stages(text: str) -> list[Stage]:
@@ -108,7 +117,9 @@ def copy_faults(stage: Stage) -> list[str]:
         names = [file.relative_to(ROOT).as_posix() for file in files]
         kept = [name for name in names if not any(word in name for word in made)]
         faults += [
-            f"COPY {name}: .dockerignore leaves it out" for name in kept if ignored(name, patterns)
+            f"COPY {name}: .dockerignore leaves it out"
+            for name in kept
+            if ignored(name, patterns)
         ]
     return faults
 
@@ -127,8 +138,12 @@ def pip_faults(words: list[str], stage: Stage, project: dict) -> list[str]:
     if words[1] not in PIP_COMMANDS:
         return [*faults, f"pip {words[1]}"]
     if words[1] == "wheel":
-        return faults if "--no-deps" in words else [*faults, "pip wheel without --no-deps"]
-    if not ({"-c", "--constraint"} & set(words)) or "constraints.txt" not in copied(stage):
+        return (
+            faults if "--no-deps" in words else [*faults, "pip wheel without --no-deps"]
+        )
+    if not ({"-c", "--constraint"} & set(words)) or "constraints.txt" not in copied(
+        stage
+    ):
         faults.append("pip install without constraints.txt")
     extras = re.findall(r"mjhab\[([^]]*)\]", " ".join(words))
     if not extras:
@@ -165,7 +180,11 @@ def run_faults(stage: Stage, project: dict) -> list[str]:
 
 def stage_faults(stage: Stage, earlier: set[str], project: dict) -> list[str]:
     """Faults of one stage; earlier: names of the stages before it."""
-    faults = [*copy_faults(stage), *wheel_faults(stage, project), *run_faults(stage, project)]
+    faults = [
+        *copy_faults(stage),
+        *wheel_faults(stage, project),
+        *run_faults(stage, project),
+    ]
     if not stage.base.startswith("python:") and stage.base not in earlier:
         faults.append(f"FROM {stage.base}: no Python image")
     for keyword, rest in stage.lines:
@@ -185,7 +204,9 @@ def find_faults(text: str) -> list[str]:
     built = stages(text)
     faults = []
     for number, stage in enumerate(built):
-        faults += stage_faults(stage, {earlier.name for earlier in built[:number]}, project)
+        faults += stage_faults(
+            stage, {earlier.name for earlier in built[:number]}, project
+        )
     last = dict(built[-1].lines)
     if json.loads(last.get("ENTRYPOINT", "[]")) != ["mjhab"]:
         faults.append("the entry point is not mjhab")
@@ -195,7 +216,9 @@ def find_faults(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", DOCKERFILES)
-def test_a_dockerfile_needs_the_repository_and_a_package_registry_alone(name: str) -> None:
+def test_a_dockerfile_needs_the_repository_and_a_package_registry_alone(
+    name: str,
+) -> None:
     assert find_faults((ROOT / name).read_text(encoding="utf-8")) == []
 
 
@@ -221,18 +244,24 @@ CHANGES = {
     "no extra": replace("ARG EXTRAS=", "ARG EXTRAS=colour,"),
     "pip install names no extras": replace("mjhab[${EXTRAS}]", "mjhab"),
     "pip install without constraints.txt": replace("-c /tmp/constraints.txt ", ""),
-    "pip uses --extra-index-url": replace("pip install", "pip install --extra-index-url here"),
+    "pip uses --extra-index-url": replace(
+        "pip install", "pip install --extra-index-url here"
+    ),
     "pip download": add("RUN pip download torch"),
     "RUN curl may use the network": add("RUN mkdir a && curl -O there"),
     "RUN git may use the network": add("RUN git clone there"),
     "RUN apt-get may use the network": add("RUN apt-get install -y git"),
     "RUN names an address": replace("file://", "https://"),
     "ADD may use the network": add("ADD https://example.com/a.zip /a.zip"),
-    "mjhab assets may use the network": replace("warmup --task set_table", "assets fetch ycb"),
+    "mjhab assets may use the network": replace(
+        "warmup --task set_table", "assets fetch ycb"
+    ),
     "no such command": replace("warmup --task", "warmup --tusk"),
     "no stage builder": replace("from=wheel", "from=builder"),
     "no Python image": replace("FROM python:", "FROM debian:"),
-    "the entry point is not mjhab": replace('ENTRYPOINT ["mjhab"]', 'ENTRYPOINT ["bash"]'),
+    "the entry point is not mjhab": replace(
+        'ENTRYPOINT ["mjhab"]', 'ENTRYPOINT ["bash"]'
+    ),
     "the container runs as root": replace("USER mjhab\n", ""),
 }
 """Words of a fault, and a change of each Dockerfile that has it."""
@@ -256,5 +285,7 @@ def test_a_fault_of_a_dockerfile_is_found(name: str, fault: str) -> None:
         (".venv-wheel/x", [".venv*"], True),
     ],
 )
-def test_dockerignore_is_read_as_docker_does(path: str, patterns: list[str], out: bool) -> None:
+def test_dockerignore_is_read_as_docker_does(
+    path: str, patterns: list[str], out: bool
+) -> None:
     assert ignored(path, patterns) is out

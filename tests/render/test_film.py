@@ -15,7 +15,9 @@ def decode(path):
     reader = imageio_ffmpeg.read_frames(str(path))
     meta = next(reader)
     width, height = meta["size"]
-    return np.array([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader]), meta
+    return np.array(
+        [np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader]
+    ), meta
 
 
 def frames(count, height, width):
@@ -50,7 +52,10 @@ def test_the_index_comes_first_so_that_browsers_can_start_early(tmp_path):
 
 
 def test_an_error_leaves_no_file(tmp_path):
-    with pytest.raises(RuntimeError, match="stop"), FilmWriter(tmp_path / "a.mp4") as film:
+    with (
+        pytest.raises(RuntimeError, match="stop"),
+        FilmWriter(tmp_path / "a.mp4") as film,
+    ):
         film.add(next(frames(1, 32, 32)))
         raise RuntimeError("stop")
     assert not list(tmp_path.iterdir())
@@ -65,7 +70,10 @@ def test_bad_frames_are_named(tmp_path):
     ):
         film.add(np.zeros((32, 32, 3), np.uint8))
         film.add(np.zeros((32, 34, 3), np.uint8))
-    with pytest.raises(UsageError, match="at least one frame"), FilmWriter(tmp_path / "a.mp4"):
+    with (
+        pytest.raises(UsageError, match="at least one frame"),
+        FilmWriter(tmp_path / "a.mp4"),
+    ):
         pass
     assert not list(tmp_path.iterdir())
 

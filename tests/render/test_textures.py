@@ -28,7 +28,11 @@ QUAD_UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
 def checks(count: int, texels: int) -> np.ndarray:
     """Black and white squares, ``count`` each way, of ``texels`` each way."""
     index = np.arange(count * texels) // texels
-    return (255 * ((index[:, None] + index) % 2)[..., None]).astype(np.uint8).repeat(3, axis=2)
+    return (
+        (255 * ((index[:, None] + index) % 2)[..., None])
+        .astype(np.uint8)
+        .repeat(3, axis=2)
+    )
 
 
 def wall(image: np.ndarray, repeat: float = 1.0) -> Mesh:
@@ -89,11 +93,13 @@ def test_a_picture_lies_where_its_corners_say_also_in_perspective(eye) -> None:
 
 
 def test_fine_detail_from_afar_is_its_mean_light() -> None:
-    fine = draw(wall(checks(64, 1), 4.0), (-3.0, 0.2, 0.1), (0.0, 0.0, 0.0))["rgb"].astype(int)
-    # sRGB 188 is half of the light of white.
-    grey = draw(wall(np.full((4, 4, 3), 188, np.uint8)), (-3.0, 0.2, 0.1), (0.0, 0.0, 0.0))[
+    fine = draw(wall(checks(64, 1), 4.0), (-3.0, 0.2, 0.1), (0.0, 0.0, 0.0))[
         "rgb"
     ].astype(int)
+    # sRGB 188 is half of the light of white.
+    grey = draw(
+        wall(np.full((4, 4, 3), 188, np.uint8)), (-3.0, 0.2, 0.1), (0.0, 0.0, 0.0)
+    )["rgb"].astype(int)
     assert np.abs(fine - grey).max() <= 3 and grey[48, 64, 0] > 60
 
 
@@ -110,7 +116,11 @@ def test_moving_a_little_changes_little() -> None:
 def test_sampling_blends_four_texels_and_repeats() -> None:
     image = np.random.default_rng(1).integers(0, 255, (8, 16, 3)).astype(np.uint8)
     pool = TexturePool()
-    assert [pool.add(image), pool.add(image.copy()), pool.add(image[::-1].copy())] == [0, 0, 1]
+    assert [pool.add(image), pool.add(image.copy()), pool.add(image[::-1].copy())] == [
+        0,
+        0,
+        1,
+    ]
     texels = pool.build()
     for u, v in np.random.default_rng(2).uniform(-2, 3, (50, 2)):
         x = u * 16 - 0.5
@@ -124,7 +134,9 @@ def test_sampling_blends_four_texels_and_repeats() -> None:
         np.testing.assert_allclose(sample(texels, 0, 0, u, v), want, atol=0.6)
     # The smallest copy is one texel of the mean light.
     light = np.where(
-        image / 255 <= 0.04045, image / 255 / 12.92, ((image / 255 + 0.055) / 1.055) ** 2.4
+        image / 255 <= 0.04045,
+        image / 255 / 12.92,
+        ((image / 255 + 0.055) / 1.055) ** 2.4,
     ).mean((0, 1))
     mean = 255 * (1.055 * light ** (1 / 2.4) - 0.055)
     np.testing.assert_allclose(sample(texels, 0, LEVELS - 1, 0.3, 0.9), mean, atol=2.5)
@@ -190,10 +202,14 @@ def test_a_mesh_survives_a_file(tmp_path) -> None:
 
 def ball(rings: int = 48) -> Mesh:
     """A unit sphere of about 2 rings^2 x 2 triangles; u is the longitude, v the latitude, cut along a meridian."""
-    lon, lat = np.meshgrid(np.linspace(0, 1, 2 * rings + 1), np.linspace(0.01, 0.99, rings + 1))
+    lon, lat = np.meshgrid(
+        np.linspace(0, 1, 2 * rings + 1), np.linspace(0.01, 0.99, rings + 1)
+    )
     t = 2 * np.pi * lon
     p = np.pi * lat
-    points = np.stack([np.sin(p) * np.cos(t), np.sin(p) * np.sin(t), np.cos(p)], -1).reshape(-1, 3)
+    points = np.stack(
+        [np.sin(p) * np.cos(t), np.sin(p) * np.sin(t), np.cos(p)], -1
+    ).reshape(-1, 3)
     k = (np.arange(rings)[:, None] * (2 * rings + 1) + np.arange(2 * rings)).ravel()
     below = k + 2 * rings + 1
     faces = np.concatenate(
@@ -202,7 +218,12 @@ def ball(rings: int = 48) -> Mesh:
     uv = np.stack([lon.ravel(), lat.ravel()], 1)[faces].astype(np.float32)
     image = np.zeros((64, 64, 3), np.uint8)
     return Mesh(
-        points.astype(np.float32), faces, None, uv, np.zeros(len(faces), np.int32), (image,)
+        points.astype(np.float32),
+        faces,
+        None,
+        uv,
+        np.zeros(len(faces), np.int32),
+        (image,),
     )
 
 
@@ -213,7 +234,9 @@ def test_levels_get_coarser_and_keep_shape_and_picture(tmp_path, monkeypatch) ->
     assert len(mesh.faces) >= MIN_FACES and len(levels) >= 3
     counts = [len(level.faces) for level in levels]
     errors = [float(level.error[0]) for level in levels]
-    assert counts[0] == len(mesh.faces) and all(b < 0.7 * a for a, b in itertools.pairwise(counts))
+    assert counts[0] == len(mesh.faces) and all(
+        b < 0.7 * a for a, b in itertools.pairwise(counts)
+    )
     assert errors[0] == 0.0 and all(a <= b < 0.5 for a, b in itertools.pairwise(errors))
     for level in levels:
         middle = level.vertices[level.faces].mean(axis=1).astype(float)
@@ -263,4 +286,7 @@ def test_a_coarser_mesh_is_drawn_only_where_nobody_sees_it(
         np.quantile(np.abs(image["depth"] - depth)[face_on], 0.95)
         < 1.5 * LEVEL_ERROR * pixel + 1e-3
     )
-    assert abs(int((image["seg"] > 0).sum()) - int((root > 0).sum())) <= 0.03 * (root > 0).sum() + 4
+    assert (
+        abs(int((image["seg"] > 0).sum()) - int((root > 0).sum()))
+        <= 0.03 * (root > 0).sum() + 4
+    )

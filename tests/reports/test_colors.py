@@ -75,10 +75,13 @@ def test_distances_are_those_of_cielab() -> None:
 
 def test_colors_of_labels_can_be_told_apart_in_one_chart() -> None:
     markers = label_markers()
-    assert len(markers) == len({label for kind in SUBTASKS for label in SUBTASKS[kind].labels})
+    assert len(markers) == len(
+        {label for kind in SUBTASKS for label in SUBTASKS[kind].labels}
+    )
     assert too_near(sorted({marker["color"] for marker in markers.values()})) == []
     looks = {
-        name: (m["color"], m.get("pattern", {}).get("shape", "")) for name, m in markers.items()
+        name: (m["color"], m.get("pattern", {}).get("shape", ""))
+        for name, m in markers.items()
     }
     assert len(set(looks.values())) == len(looks), "two labels look the same"
 
@@ -120,7 +123,9 @@ def test_kinds_can_be_told_apart_in_the_force_chart() -> None:
     record = SimpleNamespace(force=[1.0] * steps, subtasks=spans, steps=steps)
     figure = force_figure(cast(EpisodeRecord, record))
     named = {
-        trace.get("name", ""): trace["line"]["color"] for trace in figure["data"] if "name" in trace
+        trace.get("name", ""): trace["line"]["color"]
+        for trace in figure["data"]
+        if "name" in trace
     }
     assert set(named) == {*SUBTASKS, "unfinished", "limit of the sum"}
     assert too_near(named.values()) == []
@@ -132,7 +137,12 @@ def test_a_subtask_without_a_colour_looks_like_no_other() -> None:
 
 def test_the_step_that_is_shown_can_be_told_from_all_else_on_the_time_line() -> None:
     kinds = [kind_color(kind) for kind in SUBTASKS]
-    drawn = {*kinds, *timeline.TONE_COLORS.values(), *timeline.ACTOR_COLORS, timeline.GAUGE_COLOR}
+    drawn = {
+        *kinds,
+        *timeline.TONE_COLORS.values(),
+        *timeline.ACTOR_COLORS,
+        timeline.GAUGE_COLOR,
+    }
     assert too_near([timeline.NOW_COLOR, *timeline.TONE_COLORS.values()]) == []
     assert [color for color in drawn if distance(color, timeline.NOW_COLOR) < LEAST] == []
     script = files("mjhab.viewer.export").joinpath("page.js").read_text(encoding="utf-8")

@@ -30,7 +30,9 @@ from tests.data.make import record
 def test_every_published_row_adds_up() -> None:
     text = files("mjhab.reports").joinpath("paper_labels.csv").read_text()
     assert "Tables 6 to 13" in text.splitlines()[0] + text.splitlines()[1]
-    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    rows = list(
+        csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    )
     assert len(rows) == 292
     at_end = {
         "pick": {"success_then_drop", "success_then_excessive_collisions"},
@@ -45,14 +47,18 @@ def test_every_published_row_adds_up() -> None:
         once = {name: share for name, share in known.labels.items() if "success" in name}
         assert sum(known.labels.values()) == pytest.approx(100, abs=0.06), key
         assert sum(once.values()) == pytest.approx(known.success_once, abs=0.06), key
-        kept = sum(share for name, share in once.items() if name not in at_end[row["subtask"]])
+        kept = sum(
+            share for name, share in once.items() if name not in at_end[row["subtask"]]
+        )
         assert kept == pytest.approx(known.success_at_end, abs=0.06), key
 
 
 def test_the_paper_and_we_have_the_same_labels() -> None:
     for kind in ("pick", "place", "open", "close"):
         published = SUBTASKS[kind].published
-        assert published is not None and set(published.columns) == set(SUBTASKS[kind].labels)
+        assert published is not None and set(published.columns) == set(
+            SUBTASKS[kind].labels
+        )
 
 
 def test_targets_are_found_by_our_names() -> None:
@@ -72,11 +78,16 @@ def test_shares_of_labels_stand_in_the_table(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(8), FakeEnv(subtask="pick"))
     groups = grouped(records)
     table = label_table("pick", groups)
-    assert sum(map(len, groups.values())) == 8 and not any(group.target == ALL for group in groups)
+    assert sum(map(len, groups.values())) == 8 and not any(
+        group.target == ALL for group in groups
+    )
     for rules, which in (("published rules", "legacy_label"), ("own rules", "label")):
-        for label, count in Counter(getattr(r.subtasks[-1], which) for r in records).items():
+        for label, count in Counter(
+            getattr(r.subtasks[-1], which) for r in records
+        ).items():
             assert (
-                f'title="mjhab, {rules}, {label}: {count} of 8">{100 * count / 8:.1f}</td>' in table
+                f'title="mjhab, {rules}, {label}: {count} of 8">{100 * count / 8:.1f}</td>'
+                in table
             )
     assert any(r.subtasks[-1].label != r.subtasks[-1].legacy_label for r in records)
     columns = re.findall(r'<th class="n"[^>]*>([^<]*)</th>', table)
@@ -96,7 +107,9 @@ def test_shares_of_labels_stand_in_the_table(tmp_path: Path) -> None:
 
 def test_all_targets_come_last_and_chains_have_no_paper_rows(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(6), FakeEnv())
-    table = label_table("pick", {g: m for g, m in grouped(records).items() if g.kind == "pick"})
+    table = label_table(
+        "pick", {g: m for g, m in grouped(records).items() if g.kind == "pick"}
+    )
     assert "in chains" in table and "paper" not in table
 
 
@@ -111,8 +124,15 @@ def test_force_histograms_count_every_subtask(tmp_path: Path) -> None:
 
 
 def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:
-    record(tmp_path / "a.h5", range(5), FakeEnv(subtask="pick", images=True), images=ImageFormat())
-    members = [(tmp_path / "a.h5", episode.name) for episode in episodes(tmp_path / "a.h5")]
+    record(
+        tmp_path / "a.h5",
+        range(5),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
+    members = [
+        (tmp_path / "a.h5", episode.name) for episode in episodes(tmp_path / "a.h5")
+    ]
     shapes = []
 
     class Film:
@@ -140,11 +160,19 @@ def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:
         and shapes[0][0] == 2 * TILE + 4
     )
     record(tmp_path / "b.h5", range(1), FakeEnv())
-    assert mosaic([(tmp_path / "b.h5", next(episodes(tmp_path / "b.h5")).name)], Film) is None
+    assert (
+        mosaic([(tmp_path / "b.h5", next(episodes(tmp_path / "b.h5")).name)], Film)
+        is None
+    )
 
 
 def test_the_page_is_whole(tmp_path: Path) -> None:
-    record(tmp_path / "a.h5", range(6), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        tmp_path / "a.h5",
+        range(6),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
     page = render_data_report(tmp_path, FilmWriter)
     found = re.search(r'id="page-data">(.*?)</script>', page, re.S)
     assert found is not None

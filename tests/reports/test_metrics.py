@@ -39,7 +39,9 @@ KEYS += ["tainted", "errors", "seconds"]
 
 @pytest.fixture(scope="module")
 def records() -> list[EpisodeRecord]:
-    return rollout(FakeEnv(8, quality=0.9, taint_chance=0.3), ZeroPolicy(), range(30), seed=0)
+    return rollout(
+        FakeEnv(8, quality=0.9, taint_chance=0.3), ZeroPolicy(), range(30), seed=0
+    )
 
 
 def test_summary_has_exactly_the_keys_for_machines(records: list[EpisodeRecord]) -> None:
@@ -48,9 +50,13 @@ def test_summary_has_exactly_the_keys_for_machines(records: list[EpisodeRecord])
     assert summary["episodes"] == 30 and summary["seconds"] == 12.35
     assert 0 < summary["success_once"] == summary["success_at_end"] < 1
     assert summary["tainted"] == sum(1 for record in records if record.taint) > 0
-    assert sum(summary["labels"].values()) == sum(len(record.subtasks) for record in records)
+    assert sum(summary["labels"].values()) == sum(
+        len(record.subtasks) for record in records
+    )
     legacy = [subtask.legacy_label for record in records for subtask in record.subtasks]
-    assert summary["legacy_labels"] == {name: legacy.count(name) for name in set(legacy) - {None}}
+    assert summary["legacy_labels"] == {
+        name: legacy.count(name) for name in set(legacy) - {None}
+    }
     json.dumps(summary, allow_nan=False)
 
 
@@ -64,7 +70,9 @@ def test_summary_of_nothing() -> None:
     )
 
 
-def test_progressive_counts_episodes_that_got_so_far(records: list[EpisodeRecord]) -> None:
+def test_progressive_counts_episodes_that_got_so_far(
+    records: list[EpisodeRecord],
+) -> None:
     curve, bound = progress_curves(records)
     assert len(curve) == len(bound) == len(SET_TABLE)
     for k, value in enumerate(curve):
@@ -79,11 +87,22 @@ def test_progressive_counts_episodes_that_got_so_far(records: list[EpisodeRecord
     )
 
 
-def test_bound_multiplies_the_rates_of_subtasks_alone(records: list[EpisodeRecord]) -> None:
-    alone = {("pick", "024_bowl"): 0.5, ("pick", ""): 0.8, ("navigate", ""): 1.0, ("open", ""): 1.0}
+def test_bound_multiplies_the_rates_of_subtasks_alone(
+    records: list[EpisodeRecord],
+) -> None:
+    alone = {
+        ("pick", "024_bowl"): 0.5,
+        ("pick", ""): 0.8,
+        ("navigate", ""): 1.0,
+        ("open", ""): 1.0,
+    }
     alone |= {("place", ""): 1.0, ("close", ""): 1.0}
     bound = progress_curves(records, alone)[1]
-    assert bound[:3] == [1.0, 1.0, 1.0] and bound[3:11] == [0.5] * 8 and bound[11:] == [0.4] * 5
+    assert (
+        bound[:3] == [1.0, 1.0, 1.0]
+        and bound[3:11] == [0.5] * 8
+        and bound[11:] == [0.4] * 5
+    )
 
 
 def test_alone_rates_come_from_single_subtask_runs(records: list[EpisodeRecord]) -> None:
@@ -94,7 +113,10 @@ def test_alone_rates_come_from_single_subtask_runs(records: list[EpisodeRecord])
         seed=0,
     )
     rate = sum(record.success_once for record in runs) / 20
-    assert alone_rates([*runs, *records]) == {("pick", ""): rate, ("pick", "013_apple"): rate}
+    assert alone_rates([*runs, *records]) == {
+        ("pick", ""): rate,
+        ("pick", "013_apple"): rate,
+    }
 
 
 def test_rows_count_what_was_reached(records: list[EpisodeRecord]) -> None:
@@ -109,7 +131,9 @@ def test_rows_count_what_was_reached(records: list[EpisodeRecord]) -> None:
         assert row.interval[0] <= row.success_once <= row.interval[1]
     by_kind = rows_by_kind(records)
     assert sum(row.reached for row in by_kind) == sum(row.reached for row in rows)
-    assert {(row.kind, row.target) for row in by_kind} == {(row.kind, row.target) for row in rows}
+    assert {(row.kind, row.target) for row in by_kind} == {
+        (row.kind, row.target) for row in rows
+    }
 
 
 def test_rows_without_any_episode_reaching_them() -> None:
@@ -146,6 +170,8 @@ def test_wilson_known_values() -> None:
 def test_wilson_holds_the_rate_and_mirrors(case: tuple[int, int]) -> None:
     successes, total = case
     low, high = wilson(successes, total)
-    assert 0.0 <= low <= successes / total + 1e-4 and successes / total - 1e-4 <= high <= 1.0
+    assert (
+        0.0 <= low <= successes / total + 1e-4 and successes / total - 1e-4 <= high <= 1.0
+    )
     other = wilson(total - successes, total)
     assert (1 - high, 1 - low) == pytest.approx(other, abs=2e-4)

@@ -12,7 +12,13 @@ from typing import Any
 import pytest
 
 from mjhab.reports.metrics import labels_by_kind, progress_curves, rows_by_position
-from mjhab.reports.plots import force_figure, force_limits, labels_figure, progress_figure, tone
+from mjhab.reports.plots import (
+    force_figure,
+    force_limits,
+    labels_figure,
+    progress_figure,
+    tone,
+)
 from mjhab.reports.run import render_report
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy, ZeroPolicy
@@ -72,7 +78,9 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def records() -> list[EpisodeRecord]:
-    return rollout(FakeEnv(4, quality=0.9, taint_chance=0.5), RandomPolicy(0), range(8), seed=0)
+    return rollout(
+        FakeEnv(4, quality=0.9, taint_chance=0.5), RandomPolicy(0), range(8), seed=0
+    )
 
 
 def page_of(records: list[EpisodeRecord], **options: Any) -> Page:
@@ -98,7 +106,9 @@ def test_all_sections_are_there(records: list[EpisodeRecord]) -> None:
     assert len(data["force"]) == 8 and data["progress"]["data"] and data["labels"]["data"]
 
 
-def test_nothing_is_loaded_from_elsewhere(records: list[EpisodeRecord], tmp_path: Path) -> None:
+def test_nothing_is_loaded_from_elsewhere(
+    records: list[EpisodeRecord], tmp_path: Path
+) -> None:
     film = tmp_path / "0.mp4"
     film.write_bytes(b"film")
     html = render_report(records, CONFIG, 20.0, lambda index: tmp_path / f"{index}.mp4")
@@ -123,7 +133,9 @@ def test_film_is_inside_and_its_timeline_below(
     assert page.count("button", "span") == len(records[1].subtasks)
     assert page.count("button", "tick") == len(records[1].events)
     spans = [
-        attrs for tag, attrs in page.tags if tag == "button" and "span" in (attrs["class"] or "")
+        attrs
+        for tag, attrs in page.tags
+        if tag == "button" and "span" in (attrs["class"] or "")
     ]
     assert [int(span["data-step"] or -1) for span in spans] == [
         s.start_step for s in records[1].subtasks
@@ -149,7 +161,9 @@ def test_single_subtask_run_has_no_chain_sections() -> None:
     page = page_of(
         rollout(env, ZeroPolicy(), range(3), seed=0), config={**CONFIG, "subtask": "pick"}
     )
-    assert "Progressive completion" not in page.text and "Success per subtask" in page.text
+    assert (
+        "Progressive completion" not in page.text and "Success per subtask" in page.text
+    )
     assert "Pick, set table by expert" in page.text
 
 
@@ -166,7 +180,12 @@ def test_names_from_records_are_escaped(records: list[EpisodeRecord]) -> None:
 
 def test_flawed_success_is_not_green() -> None:
     assert tone("straightforward_success") == tone("placed_in_goal_success") == "good"
-    assert tone("winding_success") == tone("success_then_drop") == tone("dubious_success") == "fair"
+    assert (
+        tone("winding_success")
+        == tone("success_then_drop")
+        == tone("dubious_success")
+        == "fair"
+    )
     assert tone("too_slow_failure") == "bad" and tone(None) == "none"
     for spec in SUBTASKS.values():
         assert {tone(label) for label in spec.labels} == {"good", "fair", "bad"}
@@ -178,7 +197,9 @@ def test_label_bars_sum_to_one(records: list[EpisodeRecord]) -> None:
         assert sum(trace["x"][k] for trace in figure["data"]) == pytest.approx(1.0)
 
 
-def test_force_chart_sums_within_subtasks_up_to_the_record(records: list[EpisodeRecord]) -> None:
+def test_force_chart_sums_within_subtasks_up_to_the_record(
+    records: list[EpisodeRecord],
+) -> None:
     record = records[0]
     figure = force_figure(record)
     sums = [
@@ -190,16 +211,18 @@ def test_force_chart_sums_within_subtasks_up_to_the_record(records: list[Episode
     assert len(sums) == len(tops) == len(record.subtasks)
     assert [value for trace in tops for value in trace["y"]] == list(record.force)
     for trace, subtask in zip(sums, record.subtasks, strict=True):
-        assert trace["y"][-1] == pytest.approx(subtask.cumulative_force, abs=0.1 * len(trace["y"]))
+        assert trace["y"][-1] == pytest.approx(
+            subtask.cumulative_force, abs=0.1 * len(trace["y"])
+        )
     limits = {trace["y"][0] for trace in figure["data"] if trace["line"].get("dash")}
     assert limits <= {5000.0, 7500.0, 10000.0}
 
 
 def test_force_chart_of_a_cut_episode_shows_the_rest() -> None:
     (record,) = rollout(FakeEnv(1, quality=1.0), ZeroPolicy(), [0], seed=0, max_steps=3)
-    assert [trace["name"] for trace in force_figure(record)["data"] if "yaxis" not in trace] == [
-        "unfinished"
-    ]
+    assert [
+        trace["name"] for trace in force_figure(record)["data"] if "yaxis" not in trace
+    ] == ["unfinished"]
 
 
 def test_force_limits_are_those_of_the_tasks() -> None:
@@ -220,7 +243,9 @@ def test_progress_chart_has_a_point_per_subtask(records: list[EpisodeRecord]) ->
     )
 
 
-def test_episodes_that_the_policy_could_not_finish_are_shown(records: list[EpisodeRecord]) -> None:
+def test_episodes_that_the_policy_could_not_finish_are_shown(
+    records: list[EpisodeRecord],
+) -> None:
     assert "could not finish" not in render_report(records, CONFIG, 1.0)
     broken = [replace(records[0], error="no answer <in> 30 s"), *records[1:]]
     page = render_report(broken, CONFIG, 1.0)

@@ -16,7 +16,13 @@ from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.store import RunFolder
 from tests.rollout.fake_env import FakeEnv
 
-SUMMARY = {"steps": 10, "samples": 80, "seconds": 6.0, "cpu_seconds": 12.0, "demonstrations": 7}
+SUMMARY = {
+    "steps": 10,
+    "samples": 80,
+    "seconds": 6.0,
+    "cpu_seconds": 12.0,
+    "demonstrations": 7,
+}
 
 
 def make_run(folder: Path, size: int = 64) -> Path:
@@ -70,7 +76,11 @@ def test_a_row_joins_training_and_evaluation(
     (row,) = read_rows(file)
     assert (row["task"], row["target"], row["image_size"]) == ("tidy_house", "", 64)
     training = row["training"]
-    assert (training["episodes"], training["frames"], training["device"]) == (7, 900, "cuda:0")
+    assert (training["episodes"], training["frames"], training["device"]) == (
+        7,
+        900,
+        "cuda:0",
+    )
     assert training["commits"] == ["abc"] and training["cpu_minutes"] == 0.2
     assert training["success_once_on_the_way"] == [0.25]
     assert row["evaluation"]["episodes"] == 4
@@ -86,7 +96,14 @@ def test_a_row_of_another_image_size_stays(tmp_path: Path) -> None:
     for size, weights in ((32, b"weights"), (64, b"weights")):
         run = make_run(tmp_path / f"run{size}", size)
         assert (
-            main([str(file), str(run), str(make_evaluation(tmp_path / f"e{size}", weights))]) == 0
+            main(
+                [
+                    str(file),
+                    str(run),
+                    str(make_evaluation(tmp_path / f"e{size}", weights)),
+                ]
+            )
+            == 0
         )
     assert [row["image_size"] for row in read_rows(file)] == [32, 64]
 
@@ -109,12 +126,18 @@ def test_rows_of_other_seeds_and_packs_stay_and_name_no_folder(tmp_path: Path) -
 
 def test_students_that_act_together_are_one_row(tmp_path: Path) -> None:
     runs = [make_run(tmp_path / name) for name in ("one", "two")]
-    both = "".join(hashlib.sha256(weights).hexdigest() for weights in (b"small", b"weights"))
+    both = "".join(
+        hashlib.sha256(weights).hexdigest() for weights in (b"small", b"weights")
+    )
     judged = make_evaluation(tmp_path / "judged", both.encode())
     file = tmp_path / "students.json"
     assert main([str(file), "+".join(map(str, runs)), str(judged)]) == 0
     training = read_rows(file)[0]["training"]
-    assert (training["members"], training["episodes"], training["cpu_minutes"]) == (2, 14, 0.4)
+    assert (training["members"], training["episodes"], training["cpu_minutes"]) == (
+        2,
+        14,
+        0.4,
+    )
 
 
 def test_what_does_not_belong_together_is_refused(
@@ -124,7 +147,9 @@ def test_what_does_not_belong_together_is_refused(
     judged = make_evaluation(tmp_path / "judged", b"of another student")
     with pytest.raises(UsageError, match="not an evaluation of a checkpoint"):
         student_row(run, judged)
-    with pytest.raises(UsageError, match="0 rows are of tidy_house/pick//64/builtin/0, not one"):
+    with pytest.raises(
+        UsageError, match="0 rows are of tidy_house/pick//64/builtin/0, not one"
+    ):
         judged_row([], judged)
     assert main([str(tmp_path / "f.json"), str(run), str(tmp_path / "nothing")]) == 1
     assert "does not exist" in capsys.readouterr().err

@@ -54,7 +54,9 @@ def test_every_subtask_spawns_steps_draws_and_is_rewarded(subtask: str) -> None:
 
 
 @pytest.mark.parametrize("subtask", SUBTASKS)
-def test_the_expert_is_recorded_labelled_and_replayed(subtask: str, tmp_path: Path) -> None:
+def test_the_expert_is_recorded_labelled_and_replayed(
+    subtask: str, tmp_path: Path
+) -> None:
     mjhab.generate(
         out=tmp_path,
         task="set_table",

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 
 from mjhab.core.boxes import sphere_box_distance
 from mjhab.core.errors import UsageError
-from mjhab.core.rotations import frame_from_axes, quat_from_yaw, quat_rotate_inv, rotation_vector
+from mjhab.core.rotations import (
+    frame_from_axes,
+    quat_from_yaw,
+    quat_rotate_inv,
+    rotation_vector,
+)
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
@@ -32,14 +37,18 @@ def configurations(seed: int, count: int) -> np.ndarray:
 
 def test_rest_pose_puts_the_tcp_where_the_original_has_it():
     pos, rot = CHAIN.tip_pose(REST)
-    np.testing.assert_allclose(pos[0] - [0, 0, 0.02], [0.5104, -0.0046, 1.2493], atol=1e-3)
+    np.testing.assert_allclose(
+        pos[0] - [0, 0, 0.02], [0.5104, -0.0046, 1.2493], atol=1e-3
+    )
     np.testing.assert_allclose(rot[0, :, 0], [-0.363, 0.142, -0.921], atol=1e-3)
 
 
 def test_straight_arm_is_the_sum_of_its_lengths():
     pos, rot = FULL.tip_pose(np.zeros(15))
     x = -0.086875 + 0.119525 + 0.117 + 0.219 + 0.133 + 0.197 + 0.1245 + 0.1385 + 0.16645
-    np.testing.assert_allclose(pos[0], [x, 0.0, 0.02 + 0.37743 + 0.34858 + 0.06], atol=1e-12)
+    np.testing.assert_allclose(
+        pos[0], [x, 0.0, 0.02 + 0.37743 + 0.34858 + 0.06], atol=1e-12
+    )
     np.testing.assert_allclose(rot[0], np.eye(3), atol=1e-12)
 
 

@@ -29,7 +29,8 @@ from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, register_subtask
 HEAD = ROBOT.cameras[0]
 SOURCE = Path(mjhab.__file__).parent
 FETCH_WORDS = re.compile(
-    r"fetch|gripper_link|_flex_|_roll_joint|_pan_joint|_tilt_joint|torso_lift", re.IGNORECASE
+    r"fetch|gripper_link|_flex_|_roll_joint|_pan_joint|_tilt_joint|torso_lift",
+    re.IGNORECASE,
 )
 """What only the robot Fetch has: its name and its joints."""
 DATA_STRINGS = re.compile(
@@ -85,7 +86,9 @@ def changed(**groups: tuple[str, ...]) -> Robot:
     """Fetch with other groups of joints and the joints that are left."""
     own = {**ROBOT.groups, **groups}
     own = {group: joints for group, joints in own.items() if joints}
-    joints = tuple(joint for joint in ROBOT.joints if any(joint in row for row in own.values()))
+    joints = tuple(
+        joint for joint in ROBOT.joints if any(joint in row for row in own.values())
+    )
     rest = tuple(ROBOT.rest_qpos[ROBOT.joints.index(joint)] for joint in joints)
     return dataclasses.replace(
         ROBOT, name="changed", groups=own, joints=joints, rest_qpos=rest, fingers=()
@@ -95,7 +98,9 @@ def changed(**groups: tuple[str, ...]) -> Robot:
 def test_a_subtask_says_which_joint_groups_a_robot_lacks(removed: list[str]) -> None:
     register_robot(changed(fingers=(), head=()))
     removed.append("changed")
-    with pytest.raises(UsageError, match="no joint group 'fingers', which subtask 'pick' needs"):
+    with pytest.raises(
+        UsageError, match="no joint group 'fingers', which subtask 'pick' needs"
+    ):
         mjhab.make(robot="changed", task="set_table")
 
 
@@ -105,12 +110,16 @@ def test_a_subtask_may_need_other_joint_groups(removed: list[str]) -> None:
     EnvConfig(task="set_table", robot="changed")
     nod = dataclasses.replace(PICK, name="nod", joint_groups=("head",))
     place = (OPEN_SURFACE,)
-    rule = TargetRule(place, place, chain=lambda target: [Subtask(number_of("nod"), target.obj)])
+    rule = TargetRule(
+        place, place, chain=lambda target: [Subtask(number_of("nod"), target.obj)]
+    )
     register_subtask(nod)
     register_task(TaskSpec("look", ("look around",), (rule,)))
     try:
         EnvConfig(task="look")
-        with pytest.raises(UsageError, match="no joint group 'head', which subtask 'nod' needs"):
+        with pytest.raises(
+            UsageError, match="no joint group 'head', which subtask 'nod' needs"
+        ):
             EnvConfig(task="look", robot="changed")
         with pytest.raises(UsageError, match="subtask 'nod': unknown joint group 'legs'"):
             dataclasses.replace(nod, joint_groups=("legs",))
@@ -130,13 +139,25 @@ def test_a_subtask_may_need_other_joint_groups(removed: list[str]) -> None:
             "'fingers' must be the last",
         ),
         ({"rest_qpos": ROBOT.rest_qpos[:5]}, "rest_qpos needs 15 values"),
-        ({"gains": {}}, "gains lack group 'base' and 'torso' and 'head' and 'arm' and 'fingers'"),
-        ({"gains": {**ROBOT.gains, "arm": 1000.0}}, "gains of 'arm' must be a Gains, got float"),
+        (
+            {"gains": {}},
+            "gains lack group 'base' and 'torso' and 'head' and 'arm' and 'fingers'",
+        ),
+        (
+            {"gains": {**ROBOT.gains, "arm": 1000.0}},
+            "gains of 'arm' must be a Gains, got float",
+        ),
         ({"stiff_gains": None}, "gains of 'stiff_gains' must be a Gains"),
-        ({"elbow": "elbow_flex"}, "elbow: unknown joint of the arm 'elbow_flex'. Did you mean"),
+        (
+            {"elbow": "elbow_flex"},
+            "elbow: unknown joint of the arm 'elbow_flex'. Did you mean",
+        ),
         ({"cameras": ("fetch_head",)}, r"cameras\[0\] must be a CameraMount, got str"),
         ({"cameras": (HEAD, HEAD)}, "two cameras are called 'fetch_head'"),
-        ({"cameras": (dataclasses.replace(HEAD, fovy=90.0),)}, "fovy of camera 'fetch_head'"),
+        (
+            {"cameras": (dataclasses.replace(HEAD, fovy=90.0),)},
+            "fovy of camera 'fetch_head'",
+        ),
     ],
 )
 def test_a_robot_that_cannot_be_is_refused(change: dict, message: str) -> None:
@@ -144,7 +165,9 @@ def test_a_robot_that_cannot_be_is_refused(change: dict, message: str) -> None:
         dataclasses.replace(ROBOT, **change)
 
 
-def with_tree(change: Callable[[tuple[TreeLink, ...]], tuple[TreeLink, ...]]) -> dict[str, Any]:
+def with_tree(
+    change: Callable[[tuple[TreeLink, ...]], tuple[TreeLink, ...]],
+) -> dict[str, Any]:
     """Fetch's body with another tree."""
     body = dataclasses.replace(ROBOT.body, tree=change(ROBOT.body.tree))
     return {"load_body": lambda: body}
@@ -155,14 +178,20 @@ def with_tree(change: Callable[[tuple[TreeLink, ...]], tuple[TreeLink, ...]]) ->
     [
         ({"tcp": "gripper"}, "tcp: unknown link 'gripper'. Did you mean 'gripper_link'"),
         ({"base_link": "bas"}, "hangs on 'base_link', which is neither base_link"),
-        ({"base_link": "torso_lift_link"}, "base_link 'torso_lift_link' has a parent in the tree"),
+        (
+            {"base_link": "torso_lift_link"},
+            "base_link 'torso_lift_link' has a parent in the tree",
+        ),
         ({"arm_root": "torso"}, "arm_root: unknown link 'torso'"),
         ({"force_links": ("hand",)}, "force_links: unknown link 'hand'"),
         ({"trunk_links": ("hand",)}, "trunk_links: unknown link 'hand'"),
         ({"distal_links": ("hand",)}, "distal_links: unknown link 'hand'"),
         ({"arm_links": ("hand",)}, "arm_links: unknown link 'hand'"),
         ({"wrist_links": ("hand",)}, "wrist_links: unknown link 'hand'"),
-        ({"fingers": (Finger("thumb", (0.0, 1.0, 0.0)),) * 2}, "fingers: unknown link 'thumb'"),
+        (
+            {"fingers": (Finger("thumb", (0.0, 1.0, 0.0)),) * 2},
+            "fingers: unknown link 'thumb'",
+        ),
         (
             {"cameras": (dataclasses.replace(HEAD, body="haed_camera_link"),)},
             "body of camera 'fetch_head': unknown link 'haed_camera_link'. Did you mean 'head",
@@ -239,7 +268,9 @@ def code_lines() -> Iterator[tuple[str, int, str]]:
     for file in sorted(SOURCE.rglob("*.py")):
         name = file.relative_to(SOURCE).as_posix()
         if not name.startswith(("robots/", "examples/")):
-            for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
+            for number, line in enumerate(
+                file.read_text(encoding="utf-8").splitlines(), 1
+            ):
                 yield name, number, line
 
 

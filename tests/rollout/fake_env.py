@@ -78,10 +78,16 @@ class FakeEnv:
         self.interrupt: Callable[[], object] = _ctrl_c
         self.closed = False
 
-    def reset(self, seed: int, options: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
+    def reset(
+        self, seed: int, options: dict[str, Any]
+    ) -> tuple[np.ndarray, dict[str, Any]]:
         mask = options["reset_mask"]
         indices = options["episode"]
-        assert mask.shape == (self.num_envs,) and mask.dtype == bool and len(indices) == mask.sum()
+        assert (
+            mask.shape == (self.num_envs,)
+            and mask.dtype == bool
+            and len(indices) == mask.sum()
+        )
         for w, index in zip(np.flatnonzero(mask), indices, strict=True):
             self.worlds[w] = _World(self, seed, int(index))
         self.resets.append([int(index) for index in indices])
@@ -116,7 +122,11 @@ class FakeEnv:
         assert world is not None
         image = np.full((height, width, 3), (235, 232, 226), np.uint8)
         x = int((world.t * 3) % max(width - 40, 1))
-        image[height // 3 : height // 3 + 40, x : x + 40] = (40 + 12 * world.pointer, 90, 160)
+        image[height // 3 : height // 3 + 40, x : x + 40] = (
+            40 + 12 * world.pointer,
+            90,
+            160,
+        )
         return image
 
     def state_digest(self, world: int) -> str:
@@ -143,7 +153,9 @@ class FakeEnv:
             "taint": np.array([world.taint for world in worlds], np.uint8),
             "events": [list(world.events) for world in worlds],
             "ended": [world.ended for world in worlds],
-            "episode_spec": [None if world is None else world.episode for world in self.worlds],
+            "episode_spec": [
+                None if world is None else world.episode for world in self.worlds
+            ],
         }
 
 
@@ -167,7 +179,8 @@ class _World:
         self.seen: list[list[Any]] = []
         self.ended: dict[str, Any] | None = None
         entries = [
-            {"kind": kind, "target": target, "goal": np.zeros(3)} for kind, target in self.plan
+            {"kind": kind, "target": target, "goal": np.zeros(3)}
+            for kind, target in self.plan
         ]
         self.episode = {
             "seed": seed,

@@ -42,12 +42,16 @@ class Studio:
         return self.films.setdefault(path.name, FakeFilm(path, fps, self.broken))
 
     def sink(self, *indices: int, every: int = 2) -> FilmSink:
-        return FilmSink(indices, lambda index: Path(f"{index}.mp4"), self.open, every=every)
+        return FilmSink(
+            indices, lambda index: Path(f"{index}.mp4"), self.open, every=every
+        )
 
 
 def test_wanted_episodes_are_filmed_every_second_step() -> None:
     studio = Studio()
-    records = rollout(FakeEnv(3), ZeroPolicy(), range(6), seed=0, sinks=[studio.sink(0, 4)])
+    records = rollout(
+        FakeEnv(3), ZeroPolicy(), range(6), seed=0, sinks=[studio.sink(0, 4)]
+    )
     assert sorted(studio.films) == ["0.mp4", "4.mp4"]
     for index in (0, 4):
         film = studio.films[f"{index}.mp4"]
@@ -64,7 +68,9 @@ def test_a_step_is_shown_at_its_second_of_the_film() -> None:
 def test_broken_camera_stops_films_and_not_episodes() -> None:
     studio = Studio()
     sink = studio.sink(0, 1, 2)
-    records = rollout(FakeEnv(2, broken_camera=True), ZeroPolicy(), range(4), seed=0, sinks=[sink])
+    records = rollout(
+        FakeEnv(2, broken_camera=True), ZeroPolicy(), range(4), seed=0, sinks=[sink]
+    )
     assert records == rollout(FakeEnv(2), ZeroPolicy(), range(4), seed=0)
     assert sink.problem == "RuntimeError: no renderer works here"
     assert {film.state for film in studio.films.values()} == {"aborted"}

@@ -53,7 +53,10 @@ class Log(Sink):
 def test_records_do_not_depend_on_the_number_of_worlds(policy: str) -> None:
     def run(worlds: int) -> list[EpisodeRecord]:
         return rollout(
-            FakeEnv(worlds), ZeroPolicy() if policy == "zero" else RandomPolicy(3), range(9), seed=3
+            FakeEnv(worlds),
+            ZeroPolicy() if policy == "zero" else RandomPolicy(3),
+            range(9),
+            seed=3,
         )
 
     one = run(1)
@@ -86,7 +89,9 @@ def test_sinks_hear_every_step_of_every_episode_once() -> None:
 
 
 def test_record_holds_what_happened() -> None:
-    (record,) = rollout(FakeEnv(1, quality=1.0, taint_chance=1.0), RandomPolicy(0), [4], seed=5)
+    (record,) = rollout(
+        FakeEnv(1, quality=1.0, taint_chance=1.0), RandomPolicy(0), [4], seed=5
+    )
     assert (record.seed, record.index, record.home, record.task) == (
         5,
         4,
@@ -97,10 +102,17 @@ def test_record_holds_what_happened() -> None:
     assert record.completed == len(record.plan) == len(record.subtasks) == 16
     assert record.steps == len(record.force) == record.subtasks[-1].end_step
     assert record.peak_force == pytest.approx(max(record.force), abs=0.05)
-    assert record.cumulative_force == pytest.approx(sum(record.force), abs=0.05 * record.steps)
+    assert record.cumulative_force == pytest.approx(
+        sum(record.force), abs=0.05 * record.steps
+    )
     assert record.taint == ("contact_overflow", "deep_penetration")
-    assert record.events[0] == (3, "contact") and record.events[-1] == (record.steps, "success")
-    assert list(record.events) == [event for subtask in record.subtasks for event in subtask.events]
+    assert record.events[0] == (3, "contact") and record.events[-1] == (
+        record.steps,
+        "success",
+    )
+    assert list(record.events) == [
+        event for subtask in record.subtasks for event in subtask.events
+    ]
 
 
 def test_failed_episode_lists_only_the_subtasks_it_reached() -> None:
@@ -120,7 +132,9 @@ def test_no_episodes_no_reset() -> None:
 
 
 def test_max_steps_cuts_episodes() -> None:
-    records = rollout(FakeEnv(2, quality=1.0), ZeroPolicy(), range(3), seed=0, max_steps=4)
+    records = rollout(
+        FakeEnv(2, quality=1.0), ZeroPolicy(), range(3), seed=0, max_steps=4
+    )
     assert [record.steps for record in records] == [4, 4, 4]
     assert not any(record.success_once or record.fail for record in records)
 
@@ -146,7 +160,8 @@ def test_an_env_that_resets_by_itself_is_refused(mode: AutoresetMode) -> None:
     log = Log()
     env.metadata = {"autoreset_mode": mode}
     with pytest.raises(
-        UsageError, match=f"autoreset='{mode.name.lower()}'.*autoreset=\"disabled\".*mjhab.evaluate"
+        UsageError,
+        match=f"autoreset='{mode.name.lower()}'.*autoreset=\"disabled\".*mjhab.evaluate",
     ):
         rollout(env, ZeroPolicy(), [0], seed=0, sinks=[log])
     assert env.resets == [] and log.begun == []
@@ -176,7 +191,9 @@ def test_actions_must_have_a_row_per_world(shape: tuple[int, ...]) -> None:
 
 def test_env_that_resets_to_another_episode_is_caught() -> None:
     class Wrong(FakeEnv):
-        def reset(self, seed: int, options: dict[str, Any]) -> tuple[np.ndarray, dict[str, Any]]:
+        def reset(
+            self, seed: int, options: dict[str, Any]
+        ) -> tuple[np.ndarray, dict[str, Any]]:
             return super().reset(seed, {**options, "episode": options["episode"] + 1})
 
     with pytest.raises(RuntimeError, match="asked for episode 3"):
@@ -192,7 +209,10 @@ class Careful(ZeroPolicy):
 
 def test_the_style_of_a_policy_is_recorded() -> None:
     (record,) = rollout(FakeEnv(1), Careful(), [3], seed=0)
-    assert record.style == {"speed": 0.5} and EpisodeRecord.from_dict(record.to_dict()) == record
+    assert (
+        record.style == {"speed": 0.5}
+        and EpisodeRecord.from_dict(record.to_dict()) == record
+    )
     (plain,) = rollout(FakeEnv(1), ZeroPolicy(), [3], seed=0)
     assert (
         plain.style == {}
@@ -259,7 +279,10 @@ def test_records_keep_sentences_and_refuse_what_is_none() -> None:
     assert "instruction" not in data
     told = {**data, "instruction": "set the table", "instructions": ["go to the fridge"]}
     record = EpisodeRecord.from_dict(told)
-    assert (record.instruction, record.instructions) == ("set the table", ("go to the fridge",))
+    assert (record.instruction, record.instructions) == (
+        "set the table",
+        ("go to the fridge",),
+    )
     for bad in ("two\nlines", "x" * 2000, 7):
         with pytest.raises(ValueError, match="an instruction or an error is"):
             EpisodeRecord.from_dict({**data, "instruction": bad})

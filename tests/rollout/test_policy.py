@@ -8,7 +8,9 @@ from mjhab.rollout.policy import RandomPolicy, ZeroPolicy
 
 
 def info_of(*indices: int | None) -> dict[str, list[dict[str, int] | None]]:
-    return {"episode_spec": [None if index is None else {"index": index} for index in indices]}
+    return {
+        "episode_spec": [None if index is None else {"index": index} for index in indices]
+    }
 
 
 def test_zero_policy_is_zero_for_every_world() -> None:
@@ -27,7 +29,11 @@ def test_random_actions_follow_the_episode_not_the_world() -> None:
         first = a.act(None, info_of(5, 6))
         swapped = b.act(None, info_of(6, 5))
         np.testing.assert_array_equal(first, swapped[::-1])
-    assert first.dtype == np.float32 and np.abs(first).max() <= 1.0 and len(np.unique(first)) == 26
+    assert (
+        first.dtype == np.float32
+        and np.abs(first).max() <= 1.0
+        and len(np.unique(first)) == 26
+    )
 
 
 def test_a_reset_world_starts_its_stream_again_and_others_go_on() -> None:

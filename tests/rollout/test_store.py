@@ -12,13 +12,21 @@ from mjhab.core.errors import UsageError
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.rollout.store import RunFolder, StoreSink, config_hash, read_records, write_text
+from mjhab.rollout.store import (
+    RunFolder,
+    StoreSink,
+    config_hash,
+    read_records,
+    write_text,
+)
 from tests.rollout.fake_env import FakeEnv
 
 CONFIG = {"task": "set_table", "policy": "zero", "seed": 0, "episodes": 6, "worlds": 2}
 
 
-def run(folder: RunFolder, episodes: int = 6, env: FakeEnv | None = None) -> list[EpisodeRecord]:
+def run(
+    folder: RunFolder, episodes: int = 6, env: FakeEnv | None = None
+) -> list[EpisodeRecord]:
     with folder:
         return rollout(
             env or FakeEnv(2),
@@ -30,7 +38,9 @@ def run(folder: RunFolder, episodes: int = 6, env: FakeEnv | None = None) -> lis
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (path / "episodes.jsonl").read_text().splitlines()]
+    return [
+        json.loads(line) for line in (path / "episodes.jsonl").read_text().splitlines()
+    ]
 
 
 def test_a_run_is_stored_and_read_back(tmp_path: Path) -> None:
@@ -128,7 +138,10 @@ def test_resume_of_a_folder_that_is_no_run(tmp_path: Path) -> None:
 
 
 def test_resume_of_nothing_starts(tmp_path: Path) -> None:
-    assert list(RunFolder.open(tmp_path / "new", CONFIG, resume=True).missing(2)) == [0, 1]
+    assert list(RunFolder.open(tmp_path / "new", CONFIG, resume=True).missing(2)) == [
+        0,
+        1,
+    ]
 
 
 def test_both_switches_or_a_file_are_refused(tmp_path: Path) -> None:
@@ -142,7 +155,9 @@ def test_both_switches_or_a_file_are_refused(tmp_path: Path) -> None:
 def test_atomic_write_replaces_and_leaves_no_rest(tmp_path: Path) -> None:
     write_text(tmp_path / "a.txt", "old")
     write_text(tmp_path / "a.txt", "new")
-    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("a.txt", "new")]
+    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [
+        ("a.txt", "new")
+    ]
 
 
 def test_a_folder_has_one_writer(tmp_path: Path) -> None:
@@ -152,7 +167,10 @@ def test_a_folder_has_one_writer(tmp_path: Path) -> None:
             RunFolder.open(tmp_path, CONFIG, **switch)
     run(folder)
     folder.close()
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["config.json", "episodes.jsonl"]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [
+        "config.json",
+        "episodes.jsonl",
+    ]
     with RunFolder.open(tmp_path, CONFIG, resume=True) as again:
         assert not again.missing(6)
 
@@ -190,7 +208,9 @@ def test_records_name_their_config_and_foreign_ones_are_refused(tmp_path: Path) 
     other = {**CONFIG, "policy": "random"}
     run(RunFolder.open(tmp_path / "a", CONFIG))
     run(RunFolder.open(tmp_path / "b", other), 8)
-    assert {entry["config_hash"] for entry in lines(tmp_path / "a")} == {config_hash(CONFIG)}
+    assert {entry["config_hash"] for entry in lines(tmp_path / "a")} == {
+        config_hash(CONFIG)
+    }
     assert config_hash(CONFIG) != config_hash(other)
     with open(tmp_path / "a" / "episodes.jsonl", "a") as file:
         file.write((tmp_path / "b" / "episodes.jsonl").read_text())
@@ -260,7 +280,8 @@ def test_names_that_are_none_are_an_error_wherever_they_stand(
     file.write_text("".join(json.dumps(row) + "\n" for row in rows))
     before = file.read_bytes()
     with pytest.raises(
-        UsageError, match=rf"line \d of .*field '{field}' of the record: '\.\./\.\./x' is no name"
+        UsageError,
+        match=rf"line \d of .*field '{field}' of the record: '\.\./\.\./x' is no name",
     ):
         RunFolder.open(tmp_path, CONFIG, resume=True)
     assert file.read_bytes() == before

@@ -16,7 +16,9 @@ from mjhab.scenes.spec import Geom, Home, Pack, Placement, Prop, Receptacle
 def _room(
     walls: tuple[Geom, ...] = (), props: tuple[Placement, ...] = (), size: float = 4.0
 ) -> Home:
-    return Home("room", "toy", "train", 0, 0, walls, (0.0, 0.0, size, size), "oak", props, ())
+    return Home(
+        "room", "toy", "train", 0, 0, walls, (0.0, 0.0, size, size), "oak", props, ()
+    )
 
 
 def _pack(*props: Prop) -> Pack:
@@ -43,7 +45,9 @@ def test_clearance_of_a_turned_box_is_its_distance(
     x: float, y: float, yaw: float, px: float, py: float
 ) -> None:
     home = _room(props=(Placement("block", (x, y, 0.0), yaw),))
-    free = free_map(home, _pack(Prop("block", (box((0.0, 0.0, 0.5), (0.6, 0.3, 1.0), "oak"),))))
+    free = free_map(
+        home, _pack(Prop("block", (box((0.0, 0.0, 0.5), (0.6, 0.3, 1.0), "oak"),)))
+    )
     c = np.cos(yaw)
     s = np.sin(yaw)
     local = np.array([[c, s], [-s, c]]) @ (np.array([px, py]) - (x, y))
@@ -63,11 +67,15 @@ def test_every_blocked_point_is_marked() -> None:
 
 def test_only_what_stands_in_the_way_blocks() -> None:
     high = Prop("lamp", (box((0.0, 0.0, 2.0), (1.0, 1.0, 0.2), "oak"),))
-    rug = Prop("rug", (box((0.0, 0.0, 0.01), (1.0, 1.0, 0.02), "oak"),), blocks_base=False)
+    rug = Prop(
+        "rug", (box((0.0, 0.0, 0.01), (1.0, 1.0, 0.02), "oak"),), blocks_base=False
+    )
     look = Prop("ghost", (box((0.0, 0.0, 0.5), (1.0, 1.0, 1.0), "oak", collide=False),))
     for prop in (high, rug, look):
         assert (
-            blocking_polygons(_room(props=(Placement(prop.name, (2.0, 2.0, 0.0)),)), _pack(prop))
+            blocking_polygons(
+                _room(props=(Placement(prop.name, (2.0, 2.0, 0.0)),)), _pack(prop)
+            )
             == []
         )
 
@@ -132,7 +140,9 @@ def test_ways_in_an_empty_room_are_straight() -> None:
 
 def test_ways_lead_around_a_wall() -> None:
     # From one side of a wall of 3 m to the other, past its end at (2, 3).
-    free = free_map(_room((span((1.95, 2.05), (0.0, 3.0), (0.0, 2.0), "oak"),), size=5.0), _pack())
+    free = free_map(
+        _room((span((1.95, 2.05), (0.0, 3.0), (0.0, 2.0), "oak"),), size=5.0), _pack()
+    )
     here = np.array([1.0, 1.0])
     there = np.array([3.0, 1.0])
     # Around a circle of 0.3 m about each corner of the wall's end.

@@ -43,7 +43,12 @@ def test_a_room_is_a_pack(tmp_path: Path) -> None:
     path = room(tmp_path)
     pack = open_pack(str(path))
     (home,) = pack.homes
-    assert (pack.name, home.name, home.split, len(home.walls)) == ("room", "room", "train", 4)
+    assert (pack.name, home.name, home.split, len(home.walls)) == (
+        "room",
+        "room",
+        "train",
+        4,
+    )
     assert open_pack(str(path)) is pack
     assert roles_in(pack, home) == {DINING_TABLE, OPEN_SURFACE}
     assert not home.articulations
@@ -78,9 +83,16 @@ def test_roles_and_receptacles_of_a_file(tmp_path: Path) -> None:
         ]
 
     pack = home_pack(room(tmp_path, change))
-    assert roles_in(pack, pack.homes[0]) == {DINING_TABLE, OPEN_SURFACE, FRIDGE_SHELF, "altar"}
+    assert roles_in(pack, pack.homes[0]) == {
+        DINING_TABLE,
+        OPEN_SURFACE,
+        FRIDGE_SHELF,
+        "altar",
+    }
     assert pack.props["chest_of_drawers"].receptacles[-1].name == "top"
-    own = home_pack(room(tmp_path, lambda body: (change(body), body.update(default_roles=False))))
+    own = home_pack(
+        room(tmp_path, lambda body: (change(body), body.update(default_roles=False)))
+    )
     assert roles_in(own, own.homes[0]) == {OPEN_SURFACE, FRIDGE_SHELF, "altar"}
 
 
@@ -94,8 +106,13 @@ def test_several_files_make_one_pack(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     other = room(tmp_path / "b", lambda body: body.update(name="hut"))
     pack = home_pack(room(tmp_path), other, name="village")
-    assert [home.name for home in pack.homes] == ["room", "hut"] and pack.name == "village"
-    with pytest.raises(UsageError, match="another home of the pack is called 'room', too"):
+    assert [home.name for home in pack.homes] == [
+        "room",
+        "hut",
+    ] and pack.name == "village"
+    with pytest.raises(
+        UsageError, match="another home of the pack is called 'room', too"
+    ):
         home_pack(room(tmp_path), room(tmp_path))
 
 
@@ -128,10 +145,15 @@ BAD: dict[str, tuple[Change, str]] = {
         "'sofa' at .* overlaps walls.outer",
     ),
     "in an inner wall": (
-        lambda body: body["walls"].update(inner=[{"start": [2.0, 0.0], "end": [2.0, 5.0]}]),
+        lambda body: body["walls"].update(
+            inner=[{"start": [2.0, 0.0], "end": [2.0, 5.0]}]
+        ),
         "'table_01' at .* overlaps a wall of walls.inner",
     ),
-    "no walls": (lambda body: body.pop("walls"), "field 'walls' is missing: a home has walls"),
+    "no walls": (
+        lambda body: body.pop("walls"),
+        "field 'walls' is missing: a home has walls",
+    ),
     "no outer walls": (
         lambda body: body["walls"].pop("outer"),
         r"home\.walls: field 'outer' is missing",
@@ -148,9 +170,18 @@ BAD: dict[str, tuple[Change, str]] = {
         setting("floor", material="floor_oaks"),
         r"floor\.material: unknown material 'floor_oaks'\. Did you mean 'floor_oak'",
     ),
-    "small floor": (setting("floor", size=[0.5, 5.0]), r"floor\.size: 0\.5 is out of the range"),
-    "huge floor": (setting("floor", size=[6.0, 1e9]), r"floor\.size: 1e\+09 is out of the range"),
-    "thick walls": (setting("walls", thickness=3.0), r"walls\.thickness: 3 is out of the range"),
+    "small floor": (
+        setting("floor", size=[0.5, 5.0]),
+        r"floor\.size: 0\.5 is out of the range",
+    ),
+    "huge floor": (
+        setting("floor", size=[6.0, 1e9]),
+        r"floor\.size: 1e\+09 is out of the range",
+    ),
+    "thick walls": (
+        setting("walls", thickness=3.0),
+        r"walls\.thickness: 3 is out of the range",
+    ),
     "outside": (
         furniture({"kind": "sofa", "at": [9.0, 2.0]}),
         "furniture 'sofa', x of at: 9 is out of the range 0 to 6",
@@ -168,7 +199,9 @@ BAD: dict[str, tuple[Change, str]] = {
         r"home\.furniture\[2\]: unknown field 'color'; fields are kind, at, yaw_degrees",
     ),
     "two fridges": (
-        furniture({"kind": "fridge", "at": [4.0, 0.4]}, {"kind": "fridge", "at": [4.0, 4.6]}),
+        furniture(
+            {"kind": "fridge", "at": [4.0, 0.4]}, {"kind": "fridge", "at": [4.0, 4.6]}
+        ),
         "'fridge' stands 2 times; a home may have one of each kind",
     ),
     "doorway beyond the wall": (
@@ -182,13 +215,20 @@ BAD: dict[str, tuple[Change, str]] = {
         r"receptacles\[0\]\.furniture: 'sofa' is no furniture of this home; it has chest_of_drawers, ",
     ),
     "receptacle that is not there": (
-        lambda body: body.update(receptacles=[{"furniture": "table_01", "name": "drawer"}]),
+        lambda body: body.update(
+            receptacles=[{"furniture": "table_01", "name": "drawer"}]
+        ),
         r"'table_01' has no receptacle 'drawer' \(it has: top\); a new one needs center and half",
     ),
     "receptacle of another shape": (
         lambda body: body.update(
             receptacles=[
-                {"furniture": "table_01", "name": "top", "center": [0, 0, 1], "half": [0.1, 0.1]}
+                {
+                    "furniture": "table_01",
+                    "name": "top",
+                    "center": [0, 0, 1],
+                    "half": [0.1, 0.1],
+                }
             ]
         ),
         "'table_01' has another receptacle 'top' already",
@@ -196,7 +236,12 @@ BAD: dict[str, tuple[Change, str]] = {
     "receptacle without end": (
         lambda body: body.update(
             receptacles=[
-                {"furniture": "table_01", "name": "x", "center": [0, 0, 1], "half": [1e6, 0.1]}
+                {
+                    "furniture": "table_01",
+                    "name": "x",
+                    "center": [0, 0, 1],
+                    "half": [1e6, 0.1],
+                }
             ]
         ),
         r"half: 1e\+06 is out of the range",
@@ -217,7 +262,10 @@ BAD: dict[str, tuple[Change, str]] = {
         "furniture 'table_01', x of at: 2 is out of the range 0 to 1.9",
     ),
     "another format": (lambda body: body.update(format="home"), "field 'format' must be"),
-    "bad name": (lambda body: body.update(name="../room"), r"home\.name: '\.\./room' is no name"),
+    "bad name": (
+        lambda body: body.update(name="../room"),
+        r"home\.name: '\.\./room' is no name",
+    ),
 }
 
 
@@ -247,20 +295,27 @@ def test_home_of_an_environment_may_be_a_file(tmp_path: Path) -> None:
     path = str(room(tmp_path))
     config = EnvConfig(task="tidy_house", home=path)
     assert (config.assets, config.home) == (path, "*")
-    with pytest.raises(UsageError, match="is a file, which is a pack of its own: leave out assets"):
+    with pytest.raises(
+        UsageError, match="is a file, which is a pack of its own: leave out assets"
+    ):
         EnvConfig(task="tidy_house", home=path, assets="data")
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("HOME = {}\n1 / 0", r"raised ZeroDivisionError: division by zero \(.*hut\.py, line 2\)"),
+        (
+            "HOME = {}\n1 / 0",
+            r"raised ZeroDivisionError: division by zero \(.*hut\.py, line 2\)",
+        ),
         ("HOME = (", r"raised SyntaxError: '\(' was never closed"),
         ("import sys\nsys.exit(3)", "raised SystemExit: 3"),
         ("HOUSE = {}", "has no variable HOME"),
     ],
 )
-def test_a_python_file_that_cannot_be_run_is_named(text: str, told: str, tmp_path: Path) -> None:
+def test_a_python_file_that_cannot_be_run_is_named(
+    text: str, told: str, tmp_path: Path
+) -> None:
     file = tmp_path / "hut.py"
     file.write_text(text)
     with pytest.raises(UsageError, match=rf"hut\.py: .*{told}"):

@@ -15,7 +15,12 @@ from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import PluginWarning, load_plugin
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.object_glb import object_from_glb
-from mjhab.scenes.objects import OBJECTS, ObjectModel, register_object, with_registered_objects
+from mjhab.scenes.objects import (
+    OBJECTS,
+    ObjectModel,
+    register_object,
+    with_registered_objects,
+)
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Geom, ObjectType
 
@@ -59,7 +64,9 @@ def test_collision_meshes_collide_and_the_others_are_seen(tmp_path: Path) -> Non
     np.testing.assert_allclose(np.ptp(seen, axis=0), (0.1, 0.05, 0.2), atol=1e-6)
 
 
-def test_without_collision_meshes_the_hulls_of_what_is_seen_collide(tmp_path: Path) -> None:
+def test_without_collision_meshes_the_hulls_of_what_is_seen_collide(
+    tmp_path: Path,
+) -> None:
     file = glb(tmp_path / "a.glb", body=box((100.0, 100.0, 100.0)))
     model = object_from_glb("cube", file, mass=0.3, scale=0.001)
     assert model.kind.half == pytest.approx((0.05, 0.05, 0.05))
@@ -76,7 +83,9 @@ def test_without_collision_meshes_the_hulls_of_what_is_seen_collide(tmp_path: Pa
         ({"mass": 0.1, "name": "a mug"}, "name of the object: 'a mug' is no name"),
     ],
 )
-def test_bad_numbers_and_names(tmp_path: Path, options: dict[str, object], message: str) -> None:
+def test_bad_numbers_and_names(
+    tmp_path: Path, options: dict[str, object], message: str
+) -> None:
     file = glb(tmp_path / "a.glb", body=box((0.1, 0.1, 0.1)))
     with pytest.raises(UsageError, match=message):
         object_from_glb(**{"name": "thing", "path": file, **options})  # type: ignore[arg-type]
@@ -100,7 +109,9 @@ def test_registered_objects_join_every_pack(tmp_path: Path) -> None:
     )
     pack = open_pack()
     assert pack.objects["cube"] is model.kind and "cube/look" in pack.meshes
-    assert {**pack.objects, "cube": None}.keys() - {"cube"} == builtin_pack().objects.keys()
+    assert {**pack.objects, "cube": None}.keys() - {
+        "cube"
+    } == builtin_pack().objects.keys()
     # What is derived from a pack is kept for the object that open_pack gives.
     assert open_pack() is pack
     with pytest.raises(UsageError, match="object 'cube' is registered twice"):
@@ -113,14 +124,18 @@ def test_a_plugin_with_an_object_of_a_built_in_name_is_left_out_and_the_rest_wor
     tmp_path: Path,
 ) -> None:
     kind = builtin_pack().objects["003_cracker_box"]
-    with pytest.raises(UsageError, match="object '003_cracker_box': the built-in packs have"):
+    with pytest.raises(
+        UsageError, match="object '003_cracker_box': the built-in packs have"
+    ):
         register_object(ObjectModel(kind))
     file = tmp_path / "twice.py"
     file.write_text(
         "import mjhab\nbox = mjhab.open_pack().objects['003_cracker_box']\n"
         "mjhab.register_object(mjhab.ObjectModel(box))\n"
     )
-    with pytest.warns(PluginWarning, match=r"twice\.py.*object '003_cracker_box': the built-in"):
+    with pytest.warns(
+        PluginWarning, match=r"twice\.py.*object '003_cracker_box': the built-in"
+    ):
         load_plugin(file)
     assert open_pack() is builtin_pack()
 
@@ -129,18 +144,26 @@ def test_an_object_of_the_name_of_one_of_another_pack_is_refused() -> None:
     kind = builtin_pack().objects["003_cracker_box"]
     theirs = dataclasses.replace(kind, name="their_box")
     register_object(ObjectModel(theirs))
-    pack = dataclasses.replace(builtin_pack(), name="theirs", objects={"their_box": theirs})
+    pack = dataclasses.replace(
+        builtin_pack(), name="theirs", objects={"their_box": theirs}
+    )
     with pytest.raises(UsageError, match="pack 'theirs' both have 'their_box'"):
         with_registered_objects(pack)
 
 
 def test_objects_that_cannot_be_made() -> None:
-    ball = ObjectType("ball", 0.1, (0.03, 0.03, 0.03), (Geom("sphere", (0.03, 0.0, 0.0)),), ())
+    ball = ObjectType(
+        "ball", 0.1, (0.03, 0.03, 0.03), (Geom("sphere", (0.03, 0.0, 0.0)),), ()
+    )
     with pytest.raises(UsageError, match="a geom names the mesh 'skin'; given are: none"):
         register_object(
-            ObjectModel(dataclasses.replace(ball, visuals=(Geom("mesh", (1, 1, 1), mesh="skin"),)))
+            ObjectModel(
+                dataclasses.replace(ball, visuals=(Geom("mesh", (1, 1, 1), mesh="skin"),))
+            )
         )
     with pytest.raises(UsageError, match="has no collision geom"):
         register_object(ObjectModel(dataclasses.replace(ball, collision=())))
-    with pytest.raises(UsageError, match=r"ball: objects\[0\]\.mass: 1e\+09 is out of the range"):
+    with pytest.raises(
+        UsageError, match=r"ball: objects\[0\]\.mass: 1e\+09 is out of the range"
+    ):
         register_object(ObjectModel(dataclasses.replace(ball, mass=1e9)))

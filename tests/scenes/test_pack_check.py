@@ -30,7 +30,9 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     home = replace(
         home,
         props=tuple(place for place in home.props if place.template in props),
-        articulations=tuple(place for place in home.articulations if place.template in fridge),
+        articulations=tuple(
+            place for place in home.articulations if place.template in fridge
+        ),
         open_limits=(),
     )
     text = repr((props, fridge, can, home))
@@ -107,7 +109,9 @@ NUMBERS = [
 
 
 @pytest.mark.parametrize(
-    ("place", "value"), NUMBERS, ids=[f"{place}={str(value)[:12]}" for place, value in NUMBERS]
+    ("place", "value"),
+    NUMBERS,
+    ids=[f"{place}={str(value)[:12]}" for place, value in NUMBERS],
 )
 def test_numbers(saved: tuple[Path, str], place: str, value: Any) -> None:
     field = place.rstrip("0123456789.").rpartition(".")[2]
@@ -133,14 +137,18 @@ NAMES = [
 @pytest.mark.parametrize("value", ["../../x", "/abs/x", "a b", "x" * 1000, ""])
 @pytest.mark.parametrize("place", NAMES)
 def test_names(saved: tuple[Path, str], place: str, value: str) -> None:
-    with pytest.raises(UsageError, match=r"pack\.json: .*(is no name|is not in the pack)"):
+    with pytest.raises(
+        UsageError, match=r"pack\.json: .*(is no name|is not in the pack)"
+    ):
         load_pack(write(saved, place, value))
 
 
 @pytest.mark.parametrize("what", ["nan", "far", "index", "shape"])
 def test_meshes(what: str) -> None:
     pack = builtin_pack()
-    used = next(g.mesh for o in pack.objects.values() for g in o.visuals if g.shape == "mesh")
+    used = next(
+        g.mesh for o in pack.objects.values() for g in o.visuals if g.shape == "mesh"
+    )
     mesh: Any = pack.meshes[used]
     vertices = mesh.vertices.copy()
     faces = mesh.faces.copy()

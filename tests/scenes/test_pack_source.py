@@ -23,7 +23,10 @@ def refused(request: Any) -> Any:
 @pytest.mark.parametrize(
     ("open_it", "told"),
     [
-        (broken, r"asset pack 'mine' cannot open mine: its open raised KeyError: 'walls' \(.*line"),
+        (
+            broken,
+            r"asset pack 'mine' cannot open mine: its open raised KeyError: 'walls' \(.*line",
+        ),
         (refused, r"asset pack 'mine' cannot open mine: no walls\."),
         (lambda request: None, "asset pack 'mine' .* must return a .*Pack, got NoneType"),
     ],
@@ -39,5 +42,7 @@ def test_a_source_that_fails_is_named(open_it: Callable[[Any], Any], told: str) 
 
 def test_an_option_that_does_not_exist_is_told() -> None:
     source = mjhab.PackSource("mine", broken, options=frozenset({"articulated"}))
-    with pytest.raises(UsageError, match=r"pack 'mine': unknown option 'articulated'\. Did you"):
+    with pytest.raises(
+        UsageError, match=r"pack 'mine': unknown option 'articulated'\. Did you"
+    ):
         mjhab.register_pack(source)

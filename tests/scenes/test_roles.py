@@ -69,7 +69,9 @@ def test_homes_that_lack_a_role_are_named() -> None:
         UsageError, match=rf"role 'sink', which these homes .* lack: '{bare.name}'\."
     ):
         roles.require_roles(pack, [pack.homes[0], bare], [roles.SINK], "task 'x'")
-    with pytest.raises(UsageError, match=r"'flower_bed', .*roles of the pack: counter_top, "):
+    with pytest.raises(
+        UsageError, match=r"'flower_bed', .*roles of the pack: counter_top, "
+    ):
         roles.require_roles(pack, pack.homes, ["flower_bed"], "task 'x'")
     with pytest.raises(UsageError, match="no link plays the role 'flap'"):
         roles.link_with_role(pack.roles, "flap")
@@ -80,10 +82,15 @@ def test_homes_that_lack_a_role_are_named() -> None:
     [
         (Roles({"sink": ("fridge/basin",)}), "role 'sink' names 'fridge/basin'"),
         (Roles(links={"fridge_door": "fridge/flap"}), "'fridge/flap', which is no link"),
-        (Roles(closed_by={"fridge/top": "fridge/flap"}), "'fridge/flap', which is no link"),
+        (
+            Roles(closed_by={"fridge/top": "fridge/flap"}),
+            "'fridge/flap', which is no link",
+        ),
     ],
 )
-def test_roles_that_name_nothing_are_refused(tmp_path: Path, stated: Roles, message: str) -> None:
+def test_roles_that_name_nothing_are_refused(
+    tmp_path: Path, stated: Roles, message: str
+) -> None:
     save_pack(pack_with(), tmp_path)
     body = json.loads((tmp_path / "pack.json").read_text())
     body["roles"] = dataclasses.asdict(stated)
@@ -102,11 +109,15 @@ def test_a_registered_pack_is_opened_by_its_name() -> None:
     register_pack(PackSource("two_homes", lambda request: pack))
     try:
         assert open_pack("two_homes") is pack
-        with pytest.raises(UsageError, match="asset pack 'two_homes' is registered twice"):
+        with pytest.raises(
+            UsageError, match="asset pack 'two_homes' is registered twice"
+        ):
             register_pack(PackSource("two_homes", lambda request: pack))
         with pytest.raises(UsageError, match="Did you mean 'two_homes'"):
             open_pack("two_home")
     finally:
         PACK_SOURCES.remove("two_homes")
     with pytest.raises(UsageError, match="pack 'odd': unknown option 'stage'"):
-        register_pack(PackSource("odd", lambda request: pack, options=frozenset({"stage"})))
+        register_pack(
+            PackSource("odd", lambda request: pack, options=frozenset({"stage"}))
+        )

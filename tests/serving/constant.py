@@ -57,7 +57,9 @@ def serving(
     policy: Any, dialect: str = "openpi", options: ServerOptions | None = None
 ) -> Iterator[PolicyServer]:
     """A server in a thread of its own."""
-    server = PolicyServer(policy, dialect_named(dialect), options or ServerOptions(port=0))
+    server = PolicyServer(
+        policy, dialect_named(dialect), options or ServerOptions(port=0)
+    )
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     try:

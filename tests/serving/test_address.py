@@ -12,7 +12,9 @@ from mjhab.serving.address import Address, with_options, without_password
 
 
 def test_options_stand_behind_the_address() -> None:
-    spec = with_options("ws://host:8000?execute=2", {"dialect": "behavior", "batch": "yes"})
+    spec = with_options(
+        "ws://host:8000?execute=2", {"dialect": "behavior", "batch": "yes"}
+    )
     address = Address.parse(spec)
     assert address == Address("ws://host:8000", "behavior", execute=2, batch=True)
     assert Address.parse("wss://host:1/path").uri == "wss://host:1/path"

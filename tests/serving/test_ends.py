@@ -56,7 +56,9 @@ def test_an_answer_is_what_was_sent(dialect: str) -> None:
     assert len(connection.latency_ms) == len(policy.seen) == 2
     assert policy.resets == (1 if DIALECTS[dialect].remembers else 0)
     assert policy.seen[0]["prompt"] == "pick up the bowl"
-    images = [v for v in policy.seen[0].values() if isinstance(v, np.ndarray) and v.ndim == 3]
+    images = [
+        v for v in policy.seen[0].values() if isinstance(v, np.ndarray) and v.ndim == 3
+    ]
     assert len(images) == 2 and all((image == 7).all() for image in images)
 
 
@@ -96,7 +98,10 @@ def test_a_dialect_is_known_by_its_answers(answer: object, spoken: str) -> None:
         connection.recv()
         connection.send(pack(answer))
 
-    with scripted(handle) as port, pytest.raises(UsageError, match=f"speaks {spoken}, not openpi"):
+    with (
+        scripted(handle) as port,
+        pytest.raises(UsageError, match=f"speaks {spoken}, not openpi"),
+    ):
         Connection(address(port)).ask([an_ask()], True)
 
 
@@ -129,9 +134,16 @@ def test_late_answers_errors_and_odd_answers_are_faults() -> None:
             connection.ask([an_ask()], True)
     with serving(Constant(error=RuntimeError("out of memory"))) as server:
         connection = Connection(address(server.port))
-        with pytest.raises(PolicyFault, match="reports an error: RuntimeError: out of memory"):
+        with pytest.raises(
+            PolicyFault, match="reports an error: RuntimeError: out of memory"
+        ):
             connection.ask([an_ask()], True)
-    for answer in (b"\xc1", pack([1]), pack({"actions": "left"}), pack({"actions": np.zeros(0)})):
+    for answer in (
+        b"\xc1",
+        pack([1]),
+        pack({"actions": "left"}),
+        pack({"actions": np.zeros(0)}),
+    ):
 
         def handle(connection: ServerConnection, answer: bytes = answer) -> None:
             connection.send(pack({}))
@@ -188,7 +200,9 @@ def test_a_port_in_use_gives_way_to_the_next() -> None:
 
 def malformed(random: np.random.Generator) -> bytes | str:
     """A message that is broken in one of many ways."""
-    good = bytearray(pack({"observation/state": np.zeros(42, np.float32), "endpoint": "infer"}))
+    good = bytearray(
+        pack({"observation/state": np.zeros(42, np.float32), "endpoint": "infer"})
+    )
     choice = int(random.integers(6))
     if choice == 0:
         return random.bytes(int(random.integers(0, 300)))
@@ -209,10 +223,14 @@ def malformed(random: np.random.Generator) -> bytes | str:
 @pytest.mark.parametrize("dialect", sorted(DIALECTS))
 def test_no_malformed_message_stops_the_server(dialect: str) -> None:
     random = np.random.default_rng(1)
-    with serving(Constant(), dialect, ServerOptions(port=0, max_message_bytes=1 << 16)) as server:
+    with serving(
+        Constant(), dialect, ServerOptions(port=0, max_message_bytes=1 << 16)
+    ) as server:
         uri = f"ws://127.0.0.1:{server.port}"
         for _ in range(200):
-            with connect(uri, compression=None, proxy=None, close_timeout=0.1) as stranger:
+            with connect(
+                uri, compression=None, proxy=None, close_timeout=0.1
+            ) as stranger:
                 stranger.recv(5.0)
                 with suppress(TimeoutError, ConnectionClosed):
                     stranger.send(malformed(random))
@@ -222,7 +240,9 @@ def test_no_malformed_message_stops_the_server(dialect: str) -> None:
             stranger.send(b"\0" * (1 << 17))
             with pytest.raises(ConnectionClosed):
                 stranger.recv(5.0)
-        connection = Connection(address(server.port, dialect, timeout=5.0, first_timeout=5.0))
+        connection = Connection(
+            address(server.port, dialect, timeout=5.0, first_timeout=5.0)
+        )
         assert connection.ask([an_ask(image=False)], True).shape == (1, 4, 13)
         connection.close()
 

@@ -42,7 +42,12 @@ def test_scalars_nested_maps_and_torch_tensors() -> None:
 
 @pytest.mark.parametrize(
     "array",
-    [np.array([object()]), np.zeros(2, complex), np.zeros(2, "f4,i4"), np.array(["text"])],
+    [
+        np.array([object()]),
+        np.zeros(2, complex),
+        np.zeros(2, "f4,i4"),
+        np.array(["text"]),
+    ],
     ids=["objects", "complex", "structure", "text"],
 )
 def test_arrays_without_numbers_are_refused(array: np.ndarray) -> None:

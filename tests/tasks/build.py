@@ -15,13 +15,31 @@ from mjhab.tasks.plan import PlanArrays, Subtask, SubtaskKind, TaskPlan, stack_p
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.thresholds import TaskConfig
 
-REST = (0, 0, 0, 0.386, 0, -0.370, 0.562, -1.032, 0.695, 0.955, -0.1, 2.077, 0, 0.015, 0.015)
+REST = (
+    0,
+    0,
+    0,
+    0.386,
+    0,
+    -0.370,
+    0.562,
+    -1.032,
+    0.695,
+    0.955,
+    -0.1,
+    2.077,
+    0,
+    0.015,
+    0.015,
+)
 
 
 def config_of(rest: tuple[float, ...] = REST, **changes: Any) -> TaskConfig:
     """Thresholds for a robot like Fetch, with another rest pose and other changes."""
     joints = JointColumns(count=15, fingers=slice(13, 15), torso=3)
-    return TaskConfig(rest, joints, ee_rest_pos=(0.5, 0.0, 1.25), base_height=0.02, **changes)
+    return TaskConfig(
+        rest, joints, ee_rest_pos=(0.5, 0.0, 1.25), base_height=0.02, **changes
+    )
 
 
 CONFIG = config_of()
@@ -29,7 +47,10 @@ HISTORY_FIELDS = tuple(f.name for f in dataclasses.fields(History))
 
 
 def plan_of(
-    *kinds: int, config: TaskConfig = CONFIG, link: str = "kitchen_counter/drawer3", **more: Any
+    *kinds: int,
+    config: TaskConfig = CONFIG,
+    link: str = "kitchen_counter/drawer3",
+    **more: Any,
 ) -> PlanArrays:
     """One world that does the given kinds in order; place and navigation goals at (1, 0, 0.5)."""
     subtasks = tuple(
@@ -79,9 +100,13 @@ def signals(worlds: int = 1, **over: Any) -> Signals:
         f.name: np.zeros(worlds, dtype=bool) for f in dataclasses.fields(Signals)
     }
     values |= {
-        name: np.zeros(worlds) for name in ("robot_force", "target_force", "cumulative_force")
+        name: np.zeros(worlds)
+        for name in ("robot_force", "target_force", "cumulative_force")
     }
-    values |= {"force_ok": np.ones(worlds, dtype=bool), "placed_ok": np.ones(worlds, dtype=bool)}
+    values |= {
+        "force_ok": np.ones(worlds, dtype=bool),
+        "placed_ok": np.ones(worlds, dtype=bool),
+    }
     values["kind"] = np.zeros(worlds, dtype=np.int64)
     for name, value in over.items():
         values[name] = np.broadcast_to(
@@ -104,7 +129,9 @@ def history(steps: int | None = None, **rows: str | bool) -> History:
     return History(**values)
 
 
-def random_history(rng: np.random.Generator, kind: int, steps: int, worlds: int) -> History:
+def random_history(
+    rng: np.random.Generator, kind: int, steps: int, worlds: int
+) -> History:
     """Histories that physics and success rules allow: grasp implies contact, success its conditions, and so on."""
 
     def flips(p_one: float) -> np.ndarray:
@@ -134,7 +161,9 @@ def random_history(rng: np.random.Generator, kind: int, steps: int, worlds: int)
         touch=ee_contact | flips(0.3),
         ee_contact=ee_contact,
         force_ok=force_ok,
-        success=goal & force_ok & (rng.random((steps, worlds)) < rng.random(worlds) * 0.7),
+        success=goal
+        & force_ok
+        & (rng.random((steps, worlds)) < rng.random(worlds) * 0.7),
         must_hold=np.broadcast_to(rng.random(worlds) < 0.5, (steps, worlds)).copy(),
     )
 
@@ -149,10 +178,14 @@ def assert_same(
 ) -> None:
     """The two agree in shape, dtype and value."""
     assert str(torch_value.dtype).removeprefix("torch.") == str(numpy_value.dtype), name
-    np.testing.assert_allclose(torch_value.numpy(), numpy_value, rtol=tol, atol=tol, err_msg=name)
+    np.testing.assert_allclose(
+        torch_value.numpy(), numpy_value, rtol=tol, atol=tol, err_msg=name
+    )
 
 
 def assert_same_record(numpy_record: Any, torch_record: Any, tol: float = 0.0) -> None:
     """All fields of two records agree in shape, dtype and value."""
     for f in dataclasses.fields(numpy_record):
-        assert_same(getattr(numpy_record, f.name), getattr(torch_record, f.name), f.name, tol)
+        assert_same(
+            getattr(numpy_record, f.name), getattr(torch_record, f.name), f.name, tol
+        )

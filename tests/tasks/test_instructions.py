@@ -34,9 +34,15 @@ FRIDGE = Spot("fridge", inside=True)
         (Request("place", CAN), "put the soup can at its goal"),
         (Request("navigate", CAN, TABLE), "go to the soup can on the coffee table"),
         (Request("navigate", "fridge/top_door"), "go to the fridge"),
-        (Request("navigate", GOAL_OF + CAN, TABLE, FRIDGE), "carry the soup can to the fridge"),
+        (
+            Request("navigate", GOAL_OF + CAN, TABLE, FRIDGE),
+            "carry the soup can to the fridge",
+        ),
         (Request("navigate", GOAL_OF + CAN), "carry the soup can to its goal"),
-        (Request("open", "kitchen_counter/drawer3"), "open drawer 3 of the kitchen counter"),
+        (
+            Request("open", "kitchen_counter/drawer3"),
+            "open drawer 3 of the kitchen counter",
+        ),
         (Request("close", "fridge/top_door"), "close the fridge"),
     ],
 )
@@ -57,17 +63,25 @@ def test_a_chain_says_what_goes_where_in_order() -> None:
         Request("place", "024_bowl_:0000", FRIDGE, Spot("sofa")),
     ]
     sentence = task_instruction("tidy_house", requests)
-    expected = "tidy up the house: put the soup can in the fridge, then put the bowl on the sofa"
+    expected = (
+        "tidy up the house: put the soup can in the fridge, then put the bowl on the sofa"
+    )
     assert sentence == expected
     drawn = [
-        instructions("tidy_house", requests, False, seeded_draw(np.random.default_rng(seed)))
+        instructions(
+            "tidy_house", requests, False, seeded_draw(np.random.default_rng(seed))
+        )
         for seed in range(40)
     ]
     assert len({one.task for one in drawn}) > 3
     assert len({one.subtasks for one in drawn}) > 3
     assert all("{" not in text for one in drawn for text in (one.task, *one.subtasks))
     alone = instructions("tidy_house", requests[:1], True, lambda count: count - 1)
-    assert alone.task == alone.subtasks[0] == "grab the tomato soup can from the coffee table"
+    assert (
+        alone.task
+        == alone.subtasks[0]
+        == "grab the tomato soup can from the coffee table"
+    )
 
 
 def test_things_without_words_of_their_own_are_called_by_their_id() -> None:

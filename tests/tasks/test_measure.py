@@ -34,13 +34,18 @@ HALF = replace(ZERO_REST, nav_bearing=math.atan2(1.0, 2.0), ignore_arm=False)
 
 
 def look(
-    kind: int, config: TaskConfig = ZERO_REST, link: str = "kitchen_counter/drawer3", **over: Any
+    kind: int,
+    config: TaskConfig = ZERO_REST,
+    link: str = "kitchen_counter/drawer3",
+    **over: Any,
 ) -> Signals:
     """Measure one world that does one subtask."""
     force = over.pop("cumulative", 0.0)
     plan = plan_of(kind, config=config, link=link, must_hold=over.pop("must_hold", False))
     if "box" in over:
-        plan = replace(plan, box=np.asarray(over.pop("box"), dtype=float).reshape(1, 1, 4))
+        plan = replace(
+            plan, box=np.asarray(over.pop("box"), dtype=float).reshape(1, 1, 4)
+        )
     progress = replace(start(plan, config), cumulative_force=np.array([force]))
     return measure(resting(rest=config.rest_qpos, **over), plan, progress, config)
 
@@ -57,11 +62,21 @@ def beyond(value: float) -> float:
 
 
 def at_and_beyond(
-    kind: int, signal: str, make: Any, limit: float, config: TaskConfig = ZERO_REST, **more: Any
+    kind: int,
+    signal: str,
+    make: Any,
+    limit: float,
+    config: TaskConfig = ZERO_REST,
+    **more: Any,
 ) -> None:
     """The signal holds at the limit and not one float beyond."""
-    assert bool(getattr(look(kind, config, **make(limit), **more), signal)[0]), (signal, limit)
-    assert not bool(getattr(look(kind, config, **make(beyond(limit)), **more), signal)[0]), (
+    assert bool(getattr(look(kind, config, **make(limit), **more), signal)[0]), (
+        signal,
+        limit,
+    )
+    assert not bool(
+        getattr(look(kind, config, **make(beyond(limit)), **more), signal)[0]
+    ), (
         signal,
         limit,
     )
@@ -71,14 +86,24 @@ def at_and_beyond(
 def test_thresholds_of_the_robot_include_equality_on_both_sides(sign: int) -> None:
     at_and_beyond(PICK, "ee_rest", lambda v: {"tcp_pos": [0.5, v, 1.27]}, sign * 0.05)
     for joint in range(4, 13):
-        at_and_beyond(PLACE, "robot_rest", lambda v, j=joint: {"robot_q": joints(j, v)}, sign * 0.2)
-        at_and_beyond(PICK, "robot_rest", lambda v, j=joint: {"robot_q": joints(j, v)}, sign * 0.6)
-        at_and_beyond(OPEN, "is_static", lambda v, j=joint: {"robot_qd": joints(j, v)}, sign * 0.2)
+        at_and_beyond(
+            PLACE, "robot_rest", lambda v, j=joint: {"robot_q": joints(j, v)}, sign * 0.2
+        )
+        at_and_beyond(
+            PICK, "robot_rest", lambda v, j=joint: {"robot_q": joints(j, v)}, sign * 0.6
+        )
+        at_and_beyond(
+            OPEN, "is_static", lambda v, j=joint: {"robot_qd": joints(j, v)}, sign * 0.2
+        )
     at_and_beyond(PLACE, "robot_rest", lambda v: {"robot_q": joints(3, v)}, sign * 0.01)
     at_and_beyond(PICK, "robot_rest", lambda v: {"robot_q": joints(3, v)}, sign * 0.6)
     for joint in range(3):
-        at_and_beyond(OPEN, "is_static", lambda v, j=joint: {"robot_qd": joints(j, v)}, sign * 0.05)
-    assert look(OPEN, robot_qd=joints(13, 9.0), robot_q=joints(14, 9.0)).success.shape == (1,)
+        at_and_beyond(
+            OPEN, "is_static", lambda v, j=joint: {"robot_qd": joints(j, v)}, sign * 0.05
+        )
+    assert look(
+        OPEN, robot_qd=joints(13, 9.0), robot_q=joints(14, 9.0)
+    ).success.shape == (1,)
     assert look(PICK, robot_qd=joints(13, 9.0)).is_static[0], "fingers may move"
 
 
@@ -95,11 +120,20 @@ def test_grasp_needs_force_and_direction_on_both_fingers() -> None:
     one = squeeze()
     one[0, 1] = 0
     weak = look(PICK, finger_force=one)
-    assert not weak.is_grasped[0] and weak.contact[0] and weak.touch[0] and weak.ee_contact[0]
+    assert (
+        not weak.is_grasped[0]
+        and weak.contact[0]
+        and weak.touch[0]
+        and weak.ee_contact[0]
+    )
     assert not look(PICK, finger_force=-squeeze()).is_grasped[0], "pushed shut"
     for degrees, grasped in ((29.99, True), (30.01, False)):
         tilt = squeeze()
-        tilt[0, 0] = [5 * math.sin(math.radians(degrees)), -5 * math.cos(math.radians(degrees)), 0]
+        tilt[0, 0] = [
+            5 * math.sin(math.radians(degrees)),
+            -5 * math.cos(math.radians(degrees)),
+            0,
+        ]
         assert bool(look(PICK, finger_force=tilt).is_grasped[0]) is grasped
     assert look(PICK, finger_force=squeeze(5.0)).target_force[0] == 10.0
 
@@ -130,7 +164,11 @@ def test_place_goal_types() -> None:
     assert at((0.12, 0, 0.12), can) and at((0, 0.15, -0.15), can)
     assert not at((0, 0.15, beyond(0.15)), can) and not at((0.12, 0.12, 0), can)
     assert at((0.5, 0.2, 0.15), zone) and at((-0.5, -0.2, 0), zone)
-    assert not at((0.51, 0, 0), zone) and not at((0, -0.21, 0), zone) and not at((0, 0, 0.16), zone)
+    assert (
+        not at((0.51, 0, 0), zone)
+        and not at((0, -0.21, 0), zone)
+        and not at((0, 0, 0.16), zone)
+    )
     plan = plan_of(PLACE)
     with pytest.raises(UsageError, match="goal_rect"):
         measure(resting(), plan, start(plan, zone), zone)
@@ -138,7 +176,10 @@ def test_place_goal_types() -> None:
 
 def test_joint_thresholds_include_equality() -> None:
     def joint(
-        q: float, kind: int = OPEN, link: str = "kitchen_counter/drawer3", top: float = 1.0
+        q: float,
+        kind: int = OPEN,
+        link: str = "kitchen_counter/drawer3",
+        top: float = 1.0,
     ) -> Signals:
         return look(kind, link=link, joint_q=q, joint_max=top, joint_start=1.0)
 
@@ -151,13 +192,21 @@ def test_joint_thresholds_include_equality() -> None:
         and not joint(1.72, OPEN, "fridge/top_door", 2.3).opened[0]
     )
     assert joint(0.01, CLOSE).closed[0] and not joint(beyond(0.01), CLOSE).closed[0]
-    assert joint(0.1).slightly_opened[0] and not joint(math.nextafter(0.1, 0)).slightly_opened[0]
+    assert (
+        joint(0.1).slightly_opened[0]
+        and not joint(math.nextafter(0.1, 0)).slightly_opened[0]
+    )
     near = math.nextafter(1 - 0.05, 2)
-    assert joint(0.9499, CLOSE).slightly_closed[0] and not joint(near, CLOSE).slightly_closed[0]
+    assert (
+        joint(0.9499, CLOSE).slightly_closed[0]
+        and not joint(near, CLOSE).slightly_closed[0]
+    )
     shifted = look(OPEN, joint_min=-0.5, joint_max=0.5, joint_q=0.4)
     assert shifted.opened[0], "fractions count from the lower end of the range"
     other = look(PICK, joint_q=0.0, joint_min=0.0, joint_max=0.0, joint_start=0.0)
-    assert not (other.opened | other.closed | other.slightly_opened | other.slightly_closed)[0]
+    assert not (
+        other.opened | other.closed | other.slightly_opened | other.slightly_closed
+    )[0]
 
 
 def test_navigation_distance_bearing_and_area() -> None:
@@ -198,9 +247,9 @@ def test_navigate_judges_arm_and_grasp_unless_ignored() -> None:
         and carrying.must_hold[0]
     )
     assert not look(NAVIGATE, strict, must_hold=True).success[0], "the object is gone"
-    assert not look(NAVIGATE, strict, must_hold=True, finger_force=squeeze()).is_grasped[0], (
-        "another object"
-    )
+    assert not look(NAVIGATE, strict, must_hold=True, finger_force=squeeze()).is_grasped[
+        0
+    ], "another object"
     assert look(NAVIGATE, must_hold=True).success[0]
     assert not look(NAVIGATE, robot_qd=joints(0, 0.1)).success[0], "still driving"
 
@@ -236,11 +285,14 @@ def test_success_needs_every_condition(kind: int) -> None:
     for spoiler in [*spoilers, wrong[kind]]:
         assert not look(kind, strict, **(good | spoiler)).success[0], spoiler
     if kind == PLACE:
-        assert not look(kind, strict, **good, finger_force=squeeze()).success[0], "still held"
+        assert not look(kind, strict, **good, finger_force=squeeze()).success[0], (
+            "still held"
+        )
 
 
 @pytest.mark.parametrize(
-    ("kind", "limit"), [(PICK, 5000.0), (PLACE, 7500.0), (OPEN, 10000.0), (CLOSE, 10000.0)]
+    ("kind", "limit"),
+    [(PICK, 5000.0), (PLACE, 7500.0), (OPEN, 10000.0), (CLOSE, 10000.0)],
 )
 def test_force_limit_includes_equality(kind: int, limit: float) -> None:
     at_and_beyond(kind, "force_ok", lambda v: {"cumulative": v}, limit)
@@ -285,7 +337,9 @@ def _mixed(worlds: int, seed: int) -> tuple[Any, Any, Any, TaskConfig]:
 
     def around(x: Any, scale: float) -> np.ndarray:
         x = np.asarray(x, dtype=float)
-        return x + scale * near.reshape((worlds,) + (1,) * (x.ndim - 1)) * rng.normal(size=x.shape)
+        return x + scale * near.reshape((worlds,) + (1,) * (x.ndim - 1)) * rng.normal(
+            size=x.shape
+        )
 
     calm = resting(16, worlds)
     state = replace(
@@ -314,7 +368,9 @@ def test_torch_measures_the_same_in_value_and_dtype(seed: int) -> None:
     state, plan, progress, config = _mixed(400, seed)
     here = measure(state, plan, progress, config)
     assert_same_record(
-        here, measure(to_torch(state), to_torch(plan), to_torch(progress), config), tol=1e-12
+        here,
+        measure(to_torch(state), to_torch(plan), to_torch(progress), config),
+        tol=1e-12,
     )
     assert here.success.any() and not here.success.all()
     assert here.success.dtype == bool and here.kind.dtype == np.int64
@@ -336,7 +392,11 @@ def test_single_precision_stays_single() -> None:
         return type(record)(**names)
 
     here = measure(single(state), single(plan), single(progress), config)
-    assert str(here.target_force.dtype) == str(here.cumulative_force.dtype) == "torch.float32"
+    assert (
+        str(here.target_force.dtype)
+        == str(here.cumulative_force.dtype)
+        == "torch.float32"
+    )
     assert (
         str(accumulate(single(progress), single(state).robot_force).peak_force.dtype)
         == "torch.float32"
@@ -353,7 +413,10 @@ def test_measuring_changes_nothing() -> None:
     ]
     measure(state, plan, progress, config)
     after = [
-        v for record in (state, plan, progress) for v in vars(record).values() if v is not None
+        v
+        for record in (state, plan, progress)
+        for v in vars(record).values()
+        if v is not None
     ]
     for a, b in zip(before, after, strict=True):
         np.testing.assert_array_equal(a, b)
@@ -374,6 +437,8 @@ def test_checks_that_no_world_has_are_left_out_without_a_difference(kind: int) -
     lean = measure(state, plan, progress, ZERO_REST, active)
     full = measure(state, plan, progress, ZERO_REST, everything)
     for field in fields(Signals):
-        np.testing.assert_array_equal(getattr(lean, field.name), getattr(full, field.name))
+        np.testing.assert_array_equal(
+            getattr(lean, field.name), getattr(full, field.name)
+        )
     asked = (active.has_goals, active.has_joints, active.has_ways)
     assert asked == (kind == PLACE, kind in (OPEN, CLOSE), kind == NAVIGATE)

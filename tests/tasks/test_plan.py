@@ -21,10 +21,18 @@ from mjhab.tasks.subtasks.registry import force_limits, horizons
 from tests.tasks.build import CONFIG, config_of
 
 BOWL = Target(
-    "bowl", (4, 1, 0.8), (1, 0, 0.9), start_link="kitchen_counter/drawer3", handle_pos=(1.3, 0, 0.9)
+    "bowl",
+    (4, 1, 0.8),
+    (1, 0, 0.9),
+    start_link="kitchen_counter/drawer3",
+    handle_pos=(1.3, 0, 0.9),
 )
 APPLE = Target(
-    "apple", (4, 2, 0.8), (0, 3, 1.2), start_link="fridge/top_door", handle_pos=(0.4, 3, 1.2)
+    "apple",
+    (4, 2, 0.8),
+    (0, 3, 1.2),
+    start_link="fridge/top_door",
+    handle_pos=(0.4, 3, 1.2),
 )
 
 
@@ -34,18 +42,39 @@ def kinds(plan: TaskPlan) -> list[str]:
 
 def test_set_table_opens_fetches_places_and_closes_for_both_objects() -> None:
     plan = chain("set_table", [BOWL, APPLE], home="builtin_m0_00")
-    once = ["navigate", "open", "navigate", "pick", "navigate", "place", "navigate", "close"]
+    once = [
+        "navigate",
+        "open",
+        "navigate",
+        "pick",
+        "navigate",
+        "place",
+        "navigate",
+        "close",
+    ]
     assert kinds(plan) == once * 2
     assert plan.home == "builtin_m0_00"
     targets = [s.target for s in plan.subtasks[:8]]
     drawer = "kitchen_counter/drawer3"
-    assert targets == [drawer, drawer, "bowl", "bowl", "goal of bowl", "bowl", drawer, drawer]
+    assert targets == [
+        drawer,
+        drawer,
+        "bowl",
+        "bowl",
+        "goal of bowl",
+        "bowl",
+        drawer,
+        drawer,
+    ]
     assert plan.subtasks[1].goal_pos == BOWL.handle_pos and plan.subtasks[1].obj == "bowl"
     assert plan.subtasks[7].obj == ""
     assert [s.must_hold for s in plan.subtasks[:8]] == [False] * 4 + [True] + [False] * 3
     assert plan.subtasks[4].goal_pos == plan.subtasks[5].goal_pos == BOWL.goal_pos
     assert plan.indices(SubtaskKind.CLOSE) == (7, 15)
-    assert kinds(plan.only(9)) == ["open"] and plan.only(9).subtasks[0].link == "fridge/top_door"
+    assert (
+        kinds(plan.only(9)) == ["open"]
+        and plan.only(9).subtasks[0].link == "fridge/top_door"
+    )
 
 
 @pytest.mark.parametrize(("task", "count"), [("tidy_house", 5), ("prepare_groceries", 3)])
@@ -81,7 +110,9 @@ def test_stacked_plans_are_padded_to_the_longest() -> None:
     short = TaskPlan("x", (Subtask(SubtaskKind.PICK, "bowl"),))
     box = (0.0, 1.0, -1.0, 1.0)
     boxes = [{"fridge/top_door": box}, {}]
-    plan = stack_plans([long, short], CONFIG, boxes, min_subtasks=20, doors={"fridge/top_door"})
+    plan = stack_plans(
+        [long, short], CONFIG, boxes, min_subtasks=20, doors={"fridge/top_door"}
+    )
     assert plan.kind.shape == (2, 20) and plan.kind.dtype == np.int64
     assert plan.length.tolist() == [16, 1]
     assert (plan.kind[0, 16:] == PADDING).all() and (plan.kind[1, 1:] == PADDING).all()

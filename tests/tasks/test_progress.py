@@ -37,7 +37,9 @@ def step(
     **holds: Any,
 ) -> Any:
     """One control step of one world with hand-made signals."""
-    return advance(accumulate(progress, np.array([force])), signals(**holds), plan, config)
+    return advance(
+        accumulate(progress, np.array([force])), signals(**holds), plan, config
+    )
 
 
 def true_fields(outcome: Outcome) -> set[str]:
@@ -49,14 +51,22 @@ def test_a_plan_runs_through() -> None:
     assert progress.steps_left[0] == 500 and progress.pointer[0] == 0
     progress, outcome = step(progress, PLAN, force=10.0)
     assert true_fields(outcome) == set()
-    assert (progress.steps_left[0], progress.subtask_step[0], progress.cumulative_force[0]) == (
+    assert (
+        progress.steps_left[0],
+        progress.subtask_step[0],
+        progress.cumulative_force[0],
+    ) == (
         499,
         1,
         10.0,
     )
     progress, outcome = step(progress, PLAN, force=4.0, success=True)
     assert true_fields(outcome) == {"advanced", "ended", "success_once", "success_at_end"}
-    assert (progress.pointer[0], progress.steps_left[0], progress.subtask_step[0]) == (1, 200, 0)
+    assert (progress.pointer[0], progress.steps_left[0], progress.subtask_step[0]) == (
+        1,
+        200,
+        0,
+    )
     assert progress.cumulative_force[0] == progress.peak_force[0] == 0.0
     assert progress.episode_step[0] == 2
     progress, outcome = step(progress, PLAN, success=True)
@@ -116,18 +126,27 @@ def test_a_done_world_stands_still_until_its_reset() -> None:
     for name, value in vars(progress).items():
         np.testing.assert_array_equal(getattr(after, name), value, err_msg=name)
     fresh = reset_rows(after, np.array([True]), plan_of(OPEN, CLOSE, PICK), CONFIG)
-    assert not fresh.done[0] and fresh.steps_left[0] == 200 and fresh.cumulative_force[0] == 0.0
+    assert (
+        not fresh.done[0]
+        and fresh.steps_left[0] == 200
+        and fresh.cumulative_force[0] == 0.0
+    )
 
 
 def test_partial_reset_leaves_other_rows_bit_identical() -> None:
     plan = map_record(lambda x: np.repeat(x, 4, axis=0), PLAN)
     rng = np.random.default_rng(0)
     progress = replace(
-        start(plan, CONFIG), cumulative_force=rng.random(4), pointer=np.array([0, 1, 2, 3])
+        start(plan, CONFIG),
+        cumulative_force=rng.random(4),
+        pointer=np.array([0, 1, 2, 3]),
     )
     new = reset_rows(progress, np.array([False, True, False, True]), plan, CONFIG)
     assert new.pointer.tolist() == [0, 0, 2, 0]
-    assert new.cumulative_force[[0, 2]].tobytes() == progress.cumulative_force[[0, 2]].tobytes()
+    assert (
+        new.cumulative_force[[0, 2]].tobytes()
+        == progress.cumulative_force[[0, 2]].tobytes()
+    )
     assert progress.pointer.tolist() == [0, 1, 2, 3], "nothing is changed in place"
 
 
@@ -164,7 +183,8 @@ def test_continuous_force_marks_the_failure_without_ending() -> None:
 
 
 @pytest.mark.parametrize(
-    ("at_end", "once", "fail"), [(True, True, False), (False, True, False), (False, False, True)]
+    ("at_end", "once", "fail"),
+    [(True, True, False), (False, True, False), (False, False, True)],
 )
 def test_continuous_success_once_and_at_end(at_end: bool, once: bool, fail: bool) -> None:
     plan = plan_of(CLOSE)
@@ -180,7 +200,9 @@ def test_continuous_success_once_and_at_end(at_end: bool, once: bool, fail: bool
 
 
 @pytest.mark.parametrize("outcome_in_step", [{"success": True}, {"force_ok": False}])
-def test_an_episode_ends_some_steps_after_its_outcome(outcome_in_step: dict[str, bool]) -> None:
+def test_an_episode_ends_some_steps_after_its_outcome(
+    outcome_in_step: dict[str, bool],
+) -> None:
     plan = plan_of(PICK)
     config = replace(CONTINUOUS, hold_steps=2)
     progress, outcome = step(start(plan, config), plan, config)
@@ -204,7 +226,9 @@ def test_the_horizon_ends_an_episode_before_what_is_held() -> None:
     assert outcome.done[0] and outcome.success_at_end[0]
 
 
-@pytest.mark.parametrize("config", [CONFIG, CONTINUOUS, replace(CONTINUOUS, hold_steps=1)])
+@pytest.mark.parametrize(
+    "config", [CONFIG, CONTINUOUS, replace(CONTINUOUS, hold_steps=1)]
+)
 def test_torch_advances_the_same_in_value_and_dtype(config: TaskConfig) -> None:
     rng = np.random.default_rng(3)
     worlds = 300

@@ -24,7 +24,16 @@ from mjhab.tasks.progress import start
 from mjhab.tasks.rewards.scoring import DenseReward, RewardOptions
 from mjhab.tasks.rewards.table import RewardView
 from tests.tasks.build import CONFIG, REST, plan_of, resting, to_torch
-from tests.tasks.rewards.states import BEST, CLOSE, NAVIGATE, OPEN, PICK, PLACE, RANDOM, view_of
+from tests.tasks.rewards.states import (
+    BEST,
+    CLOSE,
+    NAVIGATE,
+    OPEN,
+    PICK,
+    PLACE,
+    RANDOM,
+    view_of,
+)
 
 PUBLISHED = replace(CONFIG, stillness="published")
 OPTIONS = RewardOptions(formula="published", normaliser="published")
@@ -115,7 +124,9 @@ def drawn(kind: int, seed: int) -> tuple[State, RewardView]:
     if rng.random() < 0.5:
         over["robot_qd"] = -np.abs(over["robot_qd"])
     over["joint_q"] = (
-        rng.uniform(-0.05, 0.55) if rng.random() < 0.6 else {OPEN: 0.47, CLOSE: 0.002}[kind]
+        rng.uniform(-0.05, 0.55)
+        if rng.random() < 0.6
+        else {OPEN: 0.47, CLOSE: 0.002}[kind]
     )
     over["joint_qd"] = rng.normal(0, 1.5)
     over["torso_up"] = rng.uniform(-0.1, 1.1)
@@ -147,13 +158,17 @@ def drawn(kind: int, seed: int) -> tuple[State, RewardView]:
 
 def as_torch(record: Any) -> Any:
     return map_record(
-        lambda x: as_torch(x) if dataclasses.is_dataclass(x) else torch.from_numpy(np.array(x)),
+        lambda x: (
+            as_torch(x) if dataclasses.is_dataclass(x) else torch.from_numpy(np.array(x))
+        ),
         record,
     )
 
 
 @pytest.mark.parametrize("cast", [lambda view: view, as_torch], ids=["numpy", "torch"])
-@pytest.mark.parametrize(("kind", "original"), [(OPEN, original_open), (CLOSE, original_close)])
+@pytest.mark.parametrize(
+    ("kind", "original"), [(OPEN, original_open), (CLOSE, original_close)]
+)
 @settings(max_examples=80, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_open_and_close_earn_what_the_original_gives(
@@ -175,20 +190,30 @@ def test_the_states_reach_what_differs() -> None:
             _, view = drawn(kind, seed)
             one = ours[kind].score(view).terms[:, 0]
             two = theirs.score(view).terms[:, 0]
-            differ |= {name for name, a, b in zip(theirs.names, one, two, strict=True) if a != b}
+            differ |= {
+                name for name, a, b in zip(theirs.names, one, two, strict=True) if a != b
+            }
         assert differ == wanted
     backwards = [drawn(OPEN, seed) for seed in range(300)]
-    assert any(state.still and np.abs(state.qvel[:13]).max() > 0.2 for state, _ in backwards)
+    assert any(
+        state.still and np.abs(state.qvel[:13]).max() > 0.2 for state, _ in backwards
+    )
     assert any(float(view.signals.success[0]) for _, view in backwards)
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 2**32), kind=st.sampled_from([PICK, PLACE, NAVIGATE, OPEN, CLOSE]))
+@given(
+    seed=st.integers(0, 2**32), kind=st.sampled_from([PICK, PLACE, NAVIGATE, OPEN, CLOSE])
+)
 def test_stillness_is_one_sided_where_published(seed: int, kind: int) -> None:
-    qvel = np.random.default_rng(seed).normal(0, 0.12, 15) * np.array([0.3] * 3 + [1.0] * 12)
+    qvel = np.random.default_rng(seed).normal(0, 0.12, 15) * np.array(
+        [0.3] * 3 + [1.0] * 12
+    )
     wanted = {
         "published": bool((qvel[3:13] <= 0.2).all() and (qvel[:3] <= 0.05).all()),
-        "absolute": bool((np.abs(qvel[3:13]) <= 0.2).all() and (np.abs(qvel[:3]) <= 0.05).all()),
+        "absolute": bool(
+            (np.abs(qvel[3:13]) <= 0.2).all() and (np.abs(qvel[:3]) <= 0.05).all()
+        ),
     }
     for stillness, still in wanted.items():
         view = view_of([kind], replace(CONFIG, stillness=stillness), robot_qd=qvel)
@@ -207,14 +232,22 @@ def test_torch_measures_the_same_stillness(stillness: str) -> None:
         world = resting(robot_qd=qvel)
         ours = measure(world, plan, progress, config)
         theirs = measure(to_torch(world), to_torch(plan), to_torch(progress), config)
-        assert bool(ours.is_static[0]) is bool(theirs.is_static[0]) is (stillness == "published")
+        assert (
+            bool(ours.is_static[0])
+            is bool(theirs.is_static[0])
+            is (stillness == "published")
+        )
 
 
 def test_normalisers_are_those_of_the_original() -> None:
     for kind, whole in WHOLE.items():
-        assert DenseReward(PUBLISHED, OPTIONS).score(view_of([kind])).normaliser.tolist() == [whole]
+        assert DenseReward(PUBLISHED, OPTIONS).score(
+            view_of([kind])
+        ).normaliser.tolist() == [whole]
     scaled = RewardOptions({"pick": {"reach": 50.0}}, normaliser="published")
-    assert DenseReward(CONFIG, scaled).score(view_of([PICK])).normaliser.tolist() == [28.0]
+    assert DenseReward(CONFIG, scaled).score(view_of([PICK])).normaliser.tolist() == [
+        28.0
+    ]
 
 
 @pytest.mark.parametrize("bad", [{"formula": "publisht"}, {"normaliser": "largest"}])

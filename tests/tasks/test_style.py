@@ -9,7 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
-from mjhab.tasks.style import NAMES, PLAIN, Style, Styles, descriptions, recorded, value_of
+from mjhab.tasks.style import (
+    NAMES,
+    PLAIN,
+    Style,
+    Styles,
+    descriptions,
+    recorded,
+    value_of,
+)
 
 WORDS = ("release=place,drop", "speed=0.5..0.9", "hold=3..6", "noise=0.05")
 
@@ -17,9 +25,9 @@ WORDS = ("release=place,drop", "speed=0.5..0.9", "hold=3..6", "noise=0.05")
 def test_a_value_holds_for_every_episode_and_a_range_is_drawn_from():
     styles = Styles.parse(WORDS)
     drawn = [styles.draw(4, index) for index in range(200)]
-    assert {style.noise for style in drawn} == {0.05} and {style.grasp for style in drawn} == {
-        "any"
-    }
+    assert {style.noise for style in drawn} == {0.05} and {
+        style.grasp for style in drawn
+    } == {"any"}
     assert {style.release for style in drawn} == {"place", "drop"} and {
         style.hold for style in drawn
     } == {3, 4, 5, 6}
@@ -29,7 +37,9 @@ def test_a_value_holds_for_every_episode_and_a_range_is_drawn_from():
 
 @given(st.integers(0, 2**31), st.integers(0, 10_000))
 def test_a_draw_depends_on_seed_and_index_alone(seed: int, index: int):
-    assert Styles.parse(WORDS).draw(seed, index) == Styles.parse(WORDS[::-1]).draw(seed, index)
+    assert Styles.parse(WORDS).draw(seed, index) == Styles.parse(WORDS[::-1]).draw(
+        seed, index
+    )
     # Another field that is asked for changes nothing in the others.
     assert (
         Styles.parse(("speed=0.5..0.9",)).draw(seed, index).speed

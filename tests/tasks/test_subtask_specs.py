@@ -70,16 +70,31 @@ def test_numbers_are_those_of_the_original() -> None:
         ({"conditions": ()}, "has no conditions;"),
         ({"conditions": (), "label_rules": ()}, "has no conditions and no label_rules;"),
         ({"words": (), "start": None}, "has no words and no start; give words=("),
-        ({"start": None}, "give start=, an object of a subclass of mjhab.episodes.starts.Sub"),
+        (
+            {"start": None},
+            "give start=, an object of a subclass of mjhab.episodes.starts.Sub",
+        ),
         ({"words": "stare at {object}"}, "words must be a tuple of texts, got the text"),
-        ({"conditions": "is_static"}, "conditions must be a tuple of texts, got the text"),
+        (
+            {"conditions": "is_static"},
+            "conditions must be a tuple of texts, got the text",
+        ),
         ({"words": ("grab {thing}",)}, "of the wording 'grab {thing}': 'thing'. "),
         ({"words": ("grab {}",)}, "of the wording 'grab {}': ''. "),
         ({"words": ("grab {object",)}, "the wording 'grab {object' cannot be read"),
-        (rules(lambda s: s.ever("sucess")), "label rule 'a': unknown signal 'sucess'. Did you"),
-        (rules(lambda s: s.holds("released")), "label rule 'a': unknown signal 'released'."),
+        (
+            rules(lambda s: s.ever("sucess")),
+            "label rule 'a': unknown signal 'sucess'. Did you",
+        ),
+        (
+            rules(lambda s: s.holds("released")),
+            "label rule 'a': unknown signal 'released'.",
+        ),
         (rules(lambda s: s.nothing), "label rule 'a' raised AttributeError"),
-        (rules(lambda s: True), "must give one bool per world, shape (W,), as LabelState.ever"),
+        (
+            rules(lambda s: True),
+            "must give one bool per world, shape (W,), as LabelState.ever",
+        ),
         (rules(lambda s: 1.0 * s.ever("success")), "got float64 of shape (2,)"),
         ({"conditions": ("is_statik",)}, "Did you mean 'is_static'"),
         ({"events": ("sucess",)}, "Did you mean 'success'"),
@@ -95,11 +110,16 @@ def test_numbers_are_those_of_the_original() -> None:
         ({"about": "thing"}, "subtask 'stare': unknown about 'thing'"),
         ({"label_rules": SPARE["label_rules"][:1]}, "must be without a condition"),
         ({"label_rules": SPARE["label_rules"][::-1]}, "must be without a condition"),
-        ({"label_rules": (SPARE["label_rules"][0], LabelRule("stare_success"))}, "a label twice"),
+        (
+            {"label_rules": (SPARE["label_rules"][0], LabelRule("stare_success"))},
+            "a label twice",
+        ),
         ({"name": "Stare!"}, "lower-case"),
     ],
 )
-def test_a_subtask_that_lacks_something_is_refused(changes: dict[str, Any], said: str) -> None:
+def test_a_subtask_that_lacks_something_is_refused(
+    changes: dict[str, Any], said: str
+) -> None:
     with pytest.raises(UsageError) as error:
         SubtaskSpec(**{"name": "stare", **SPARE, **changes})
     assert said in str(error.value)
@@ -126,7 +146,9 @@ def test_what_a_spec_leaves_out_is_told_when_it_is_asked_for(stare: SubtaskSpec)
     with pytest.raises(UsageError, match="'stare' belongs to: no task"):
         mjhab.make(task="set_table", subtask="stare")
     kinds = np.array([kind, -1, 2])
-    assert properties(kinds, "navigates", "may_hold").tolist() == [[False, False, True]] * 2
+    assert (
+        properties(kinds, "navigates", "may_hold").tolist() == [[False, False, True]] * 2
+    )
 
 
 def test_tables_grow_and_shrink_with_the_registry() -> None:
@@ -160,14 +182,19 @@ def test_an_unknown_kind_is_an_error(where: str) -> None:
     ("changes", "said"),
     [
         ({"targets": ()}, "task 'idle' has no targets; give targets="),
-        ({"words": "idle"}, "task 'idle': words must be a tuple of texts, got the text 'idle'"),
+        (
+            {"words": "idle"},
+            "task 'idle': words must be a tuple of texts, got the text 'idle'",
+        ),
         ({"objects": "024_bowl"}, "task 'idle': objects must be a tuple of texts"),
         ({"targets": ({"start": ()},)}, r"targets\[0\] must be a TargetRule, got dict"),
         ({"words": (), "targets": ()}, "has no words and no targets;"),
         ({"name": "no name"}, "lower-case"),
     ],
 )
-def test_a_task_that_lacks_something_is_refused(changes: dict[str, Any], said: str) -> None:
+def test_a_task_that_lacks_something_is_refused(
+    changes: dict[str, Any], said: str
+) -> None:
     rule = TargetRule(start=("sink",), goal=("sink",))
     with pytest.raises(UsageError, match=said):
         TaskSpec(**{"name": "idle", "words": ("idle",), "targets": (rule,), **changes})
@@ -182,7 +209,9 @@ def test_a_rule_that_opens_names_the_link() -> None:
 
 
 def test_a_plan_with_an_unknown_subtask_is_refused_when_it_is_registered() -> None:
-    rule = TargetRule(("sink",), ("sink",), chain=lambda target: [Subtask(number_of("hop"))])
+    rule = TargetRule(
+        ("sink",), ("sink",), chain=lambda target: [Subtask(number_of("hop"))]
+    )
     with pytest.raises(UsageError, match="unknown subtask 'hop'"):
         mjhab.register_task(TaskSpec(name="hopping", words=("hop",), targets=(rule,)))
     assert "hopping" not in TASKS

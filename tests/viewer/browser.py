@@ -54,7 +54,9 @@ class Browser:
             "--remote-debugging-port=0",
             url,
         )
-        self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        self._process = subprocess.Popen(
+            words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        )
         # A browser that draws on a busy processor answers no pings for longer than they are waited for.
         self._socket = connect(
             self._page_address(), max_size=1 << 28, compression=None, ping_interval=None
@@ -66,7 +68,9 @@ class Browser:
 
     def _page_address(self) -> str:
         port_file = Path(self._folder.name) / "DevToolsActivePort"
-        wait_for(lambda: port_file.is_file() and port_file.read_text().strip(), START_SECONDS)
+        wait_for(
+            lambda: port_file.is_file() and port_file.read_text().strip(), START_SECONDS
+        )
         port = port_file.read_text().splitlines()[0]
 
         def pages() -> list[dict[str, Any]]:
@@ -92,7 +96,8 @@ class Browser:
             self.console.append(json.dumps(message["params"])[:2000])
         elif message.get("method") == "Runtime.consoleAPICalled":
             words = [
-                str(arg.get("value", arg.get("description"))) for arg in message["params"]["args"]
+                str(arg.get("value", arg.get("description")))
+                for arg in message["params"]["args"]
             ]
             self.console.append(" ".join(words))
 

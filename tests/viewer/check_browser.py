@@ -58,7 +58,12 @@ def main(out: Path, parts: Sequence[str] = PARTS) -> int:
     shards = out / "shards"
     if not shards.is_dir():
         mjhab.generate(
-            "expert", out=shards, subtask="pick", episodes=1, worlds=1, reward_mode="dense"
+            "expert",
+            out=shards,
+            subtask="pick",
+            episodes=1,
+            worlds=1,
+            reward_mode="dense",
         )
     told: dict[str, Any] = {}
     for part in parts:
@@ -105,11 +110,18 @@ def check_export(shards: Path, out: Path) -> dict[str, Any]:
         )
         first = shoot(browser, out / "page_first.png")
         before = browser.run("episode.robot()")
-        box = browser.run("(b => [b.left, b.top, b.width, b.height])(line.getBoundingClientRect())")
+        box = browser.run(
+            "(b => [b.left, b.top, b.width, b.height])(line.getBoundingClientRect())"
+        )
         x, y = box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]
         for kind in ("mousePressed", "mouseReleased"):
             browser.call(
-                "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x,
+                y=y,
+                button="left",
+                clickCount=1,
             )
         time.sleep(1.0)
         moved = math.dist(before, browser.run("episode.robot()"))
@@ -206,7 +218,9 @@ def check_site() -> None:
         return
     for name in ("index.html", "reference/mjhab.html"):
         with Browser(f"file://{(SITE / name).resolve()}") as browser:
-            wait_for(lambda: browser.run("document.readyState") == "complete", PATIENCE_SECONDS)
+            wait_for(
+                lambda: browser.run("document.readyState") == "complete", PATIENCE_SECONDS
+            )
             assert browser.run(SEARCH), "the page has no field to search"
             links = wait_for(lambda: browser.run(FOUND), PATIENCE_SECONDS)
             assert any("score.html" in link for link in links), links

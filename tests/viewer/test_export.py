@@ -74,9 +74,14 @@ def test_the_page_tells_what_the_shard_tells(page: Page, shard: Path) -> None:
     track = replay.load(replay.choices[0])
     replay.close()
     assert page.head["plan"][0]["name"] == track.describe(0)
-    assert (page.head["home"], page.head["instruction"]) == (track.home, track.instruction)
+    assert (page.head["home"], page.head["instruction"]) == (
+        track.home,
+        track.instruction,
+    )
     assert [actor["name"] for actor in page.head["actors"]] == ["random"]
-    assert [event["step"] for event in page.head["events"]] == [step for step, _ in track.events]
+    assert [event["step"] for event in page.head["events"]] == [
+        step for step, _ in track.events
+    ]
     reward = page.array(page.head["series"]["reward"])
     np.testing.assert_allclose(reward, [m.reward for m in track.moments], rtol=1e-6)
     terms = page.array(page.head["term"]).reshape(STEPS + 1, -1)
@@ -92,8 +97,12 @@ def test_pictures_are_those_of_both_cameras(page: Page) -> None:
 
 
 def test_the_page_needs_no_network(page: Page) -> None:
-    assert not re.findall(r"(?:src|href)=|https?://|@import", page.text.split("<script id=")[0])
-    assert not re.findall(r"https?://|\bfetch\(|import\(", page.text.rsplit("<script>", 1)[1])
+    assert not re.findall(
+        r"(?:src|href)=|https?://|@import", page.text.split("<script id=")[0]
+    )
+    assert not re.findall(
+        r"https?://|\bfetch\(|import\(", page.text.rsplit("<script>", 1)[1]
+    )
 
 
 def test_coarser_meshes_make_it_smaller(
@@ -103,11 +112,16 @@ def test_coarser_meshes_make_it_smaller(
     sizes = []
     for detail in ((None, 0), (120, 0)):
         monkeypatch.setattr(export, "DETAILS", (detail,))
-        sizes.append(export.export_page(replay, replay.choices[0], tmp_path / "a.html").bytes)
+        sizes.append(
+            export.export_page(replay, replay.choices[0], tmp_path / "a.html").bytes
+        )
     assert sizes[1] < 0.9 * sizes[0]
     monkeypatch.setattr(export, "DETAILS", ((None, 0), (120, 0)))
     monkeypatch.setattr(export, "MAX_BYTES", sizes[1])
-    assert export.export_page(replay, replay.choices[0], tmp_path / "b.html").bytes == sizes[1]
+    assert (
+        export.export_page(replay, replay.choices[0], tmp_path / "b.html").bytes
+        == sizes[1]
+    )
     monkeypatch.setattr(export, "MAX_BYTES", 1000)
     with pytest.raises(MjhabError, match="more than 1,000"):
         export.export_page(replay, replay.choices[0], tmp_path / "c.html")
@@ -116,7 +130,10 @@ def test_coarser_meshes_make_it_smaller(
 
 
 def test_the_command_writes_a_page(
-    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    shard: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(export, "DETAILS", ((120, 0),))
     out = tmp_path / "one.html"
@@ -142,7 +159,10 @@ def test_the_command_writes_a_page(
         (["view", str(shard), "--worlds", "4"], "--worlds is for running worlds"),
         (["view", str(shard), "--policies", "zero"], "--policies is for running worlds"),
         (["view", str(shard), "--export", str(file)], "shard_000.h5 must end with .html"),
-        (["view", str(shard), "--export", str(evaluation)], "is a folder; give a file such as"),
+        (
+            ["view", str(shard), "--export", str(evaluation)],
+            "is a folder; give a file such as",
+        ),
         (["view", "--record", str(tmp_path / "mine.txt")], "must end with .h5"),
         (["view", str(shard), "--record", "a.h5"], "running worlds"),
         (["view", str(tmp_path)], "no shards"),

@@ -34,7 +34,9 @@ def test_keys_and_sticks_say_the_same() -> None:
     assert read_input(keys("KeyW", "KeyS")) == HandInput()
     pad = json.dumps({"keys": [], "axes": [0.0, -1.0], "buttons": []})
     assert read_input(pad) == HandInput({"forward": 1.0})
-    resting = json.dumps({"keys": [], "axes": [0.05, -0.1, 0.1, 0.0], "buttons": [0] * 17})
+    resting = json.dumps(
+        {"keys": [], "axes": [0.05, -0.1, 0.1, 0.0], "buttons": [0] * 17}
+    )
     assert read_input(resting) == HandInput()
     buttons = [0.0] * 17
     buttons[7] = 0.5
@@ -44,7 +46,10 @@ def test_keys_and_sticks_say_the_same() -> None:
     assert {motion for motion, _ in (*KEYS.values(), *BUTTONS.values())} <= set(MOTIONS)
 
 
-@given(st.text(max_size=60) | st.recursive(st.none() | st.floats() | st.text(max_size=5), st.lists))
+@given(
+    st.text(max_size=60)
+    | st.recursive(st.none() | st.floats() | st.text(max_size=5), st.lists)
+)
 def test_no_message_breaks_it(value: Any) -> None:
     hand = HandControl()
     hand.hear(value if isinstance(value, str) else json.dumps(value))
@@ -72,7 +77,9 @@ def drive(env: Any, *held: str, steps: int = 15) -> tuple[np.ndarray, np.ndarray
     for _ in range(steps):
         hand.hear(keys(*held))
         env.step(hand.action(env, 0)[None])
-    turn = np.array([[np.cos(base[2]), np.sin(base[2])], [-np.sin(base[2]), np.cos(base[2])]])
+    turn = np.array(
+        [[np.cos(base[2]), np.sin(base[2])], [-np.sin(base[2]), np.cos(base[2])]]
+    )
     moved = view.tcp_pose[:3] - start
     return np.append(turn @ moved[:2], moved[2]), np.append(
         turn @ (view.q[:2] - base[:2]), view.q[2] - base[2]
@@ -87,7 +94,9 @@ def test_nothing_held_stands_still(running: Any) -> None:
 @pytest.mark.parametrize(
     ("key", "axis", "sign"), [("KeyS", 0, -1), ("KeyA", 2, 1), ("KeyD", 2, -1)]
 )
-def test_the_base_goes_where_the_keys_say(running: Any, key: str, axis: int, sign: int) -> None:
+def test_the_base_goes_where_the_keys_say(
+    running: Any, key: str, axis: int, sign: int
+) -> None:
     _, base = drive(running, key)
     assert sign * base[axis] > 0.1
 
@@ -96,7 +105,9 @@ def test_the_base_goes_where_the_keys_say(running: Any, key: str, axis: int, sig
     ("key", "axis", "sign"),
     [("KeyI", 0, 1), ("KeyJ", 1, 1), ("KeyL", 1, -1), ("KeyU", 2, 1)],
 )
-def test_the_gripper_goes_where_the_keys_say(running: Any, key: str, axis: int, sign: int) -> None:
+def test_the_gripper_goes_where_the_keys_say(
+    running: Any, key: str, axis: int, sign: int
+) -> None:
     hand, base = drive(running, key, steps=6)
     assert sign * hand[axis] > 0.03
     others = np.delete(hand, axis)

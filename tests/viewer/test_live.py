@@ -127,7 +127,9 @@ def test_a_person_takes_over_and_gives_back(tmp_path: Path) -> None:
         assert episode.run.policy == HUMAN and not episode_problems(episode)
         who = [episode.actors[k] for k in episode.array("actor")]
         assert who == ["zero"] * 2 + [HUMAN] * 3 + ["zero"] * 3
-        np.testing.assert_array_equal(episode.array("actions"), episode.array("actions_intended"))
+        np.testing.assert_array_equal(
+            episode.array("actions"), episode.array("actions_intended")
+        )
 
 
 def test_human_from_the_first_step_and_an_early_end(tmp_path: Path) -> None:
@@ -265,7 +267,10 @@ def test_a_policy_that_sees_gets_a_world_with_cameras(tmp_path: Path) -> None:
     with session("zero") as made:
         until(lambda: steps(made) == HORIZON, 20.0)
         made.set_policy(f"{sees}:Sees")
-        until(lambda: made.track is not None and made.track.moments[-1].actor == "sees", 60.0)
+        until(
+            lambda: made.track is not None and made.track.moments[-1].actor == "sees",
+            60.0,
+        )
 
 
 def test_the_expert_tells_its_plan() -> None:

@@ -35,7 +35,9 @@ def faces_of(model: Model) -> int:
     return sum(len(part.faces) for part in model.parts)
 
 
-def test_every_face_is_drawn_once(models: HomeModels, scene: RenderScene, home: int) -> None:
+def test_every_face_is_drawn_once(
+    models: HomeModels, scene: RenderScene, home: int
+) -> None:
     shown = (scene.home_scale[home] != 0.0).all(axis=1)
     drawn = int(scene.mesh_face_count[scene.instance_mesh[shown]].sum())
     moving = sum(faces_of(model) * len(model.bodies) for model in models.movable)
@@ -57,7 +59,9 @@ def test_equal_objects_share_their_mesh(models: HomeModels, env: Any) -> None:
 def test_geometry_is_where_the_rasterizer_draws_it(
     models: HomeModels, scene: RenderScene, home: int
 ) -> None:
-    still = np.flatnonzero((scene.instance_body == 0) & (scene.home_scale[home] != 0).all(axis=1))
+    still = np.flatnonzero(
+        (scene.instance_body == 0) & (scene.home_scale[home] != 0).all(axis=1)
+    )
     lowest = np.full(3, np.inf)
     highest = -lowest
     for i in still:
@@ -78,7 +82,9 @@ def test_parts_are_fit_to_draw(models: HomeModels) -> None:
         for part in model.parts:
             assert part.faces.max() < len(part.vertices)
             assert np.isfinite(part.uv).all()
-            np.testing.assert_allclose(np.linalg.norm(part.normals, axis=1), 1.0, atol=1e-3)
+            np.testing.assert_allclose(
+                np.linalg.norm(part.normals, axis=1), 1.0, atol=1e-3
+            )
     textures = [look.texture for look in models.looks if look.texture is not None]
     assert textures and all(max(t.shape) <= MAX_TEXTURE_SIDE for t in textures)
     assert any(np.ptp(t) > 20 for t in textures)
@@ -96,9 +102,13 @@ def test_files_are_kept_on_disk(
     models: HomeModels, env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
-    small = HomeModels(models.movable[0], models.movable[1:3], models.looks, *np.ones((2, 1, 3)))
+    small = HomeModels(
+        models.movable[0], models.movable[1:3], models.looks, *np.ones((2, 1, 3))
+    )
     made = glb_file.home_files(env.layout, env.homes[0], lambda: small)
-    kept = glb_file.home_files(env.layout, env.homes[0], lambda: pytest.fail("it is on the disk"))
+    kept = glb_file.home_files(
+        env.layout, env.homes[0], lambda: pytest.fail("it is on the disk")
+    )
     assert (kept.home, kept.movable) == (made.home, made.movable)
     next((tmp_path / "viewer").glob("*.npz")).write_bytes(b"broken")
     assert glb_file.home_files(env.layout, env.homes[0], lambda: small).home == made.home

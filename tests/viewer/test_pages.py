@@ -144,7 +144,10 @@ def test_the_time_line_ends_where_the_episode_does(viewer: Viewer) -> None:
     shorter = dataclasses.replace(track, moments=track.moments[:4])
     for shown in (track, shorter, track):
         viewer.panels.show(shown, shown.last)
-        assert (viewer.panels._slider.max, viewer.panels._slider.value) == (shown.last, shown.last)
+        assert (viewer.panels._slider.max, viewer.panels._slider.value) == (
+            shown.last,
+            shown.last,
+        )
 
 
 def test_the_expert_plans_in_recorded_states(viewer: Viewer) -> None:
@@ -156,7 +159,9 @@ def test_the_expert_plans_in_recorded_states(viewer: Viewer) -> None:
     plan = source.plan_at(0)
     assert plan is not None, source.problem
     base = source.sim.addresses.robot_q[:2]
-    np.testing.assert_allclose(plan.path[0], source.track.moments[0].qpos[base], atol=0.05)
+    np.testing.assert_allclose(
+        plan.path[0], source.track.moments[0].qpos[base], atol=0.05
+    )
     assert plan.stance is not None and len(plan.hands)
     source.show_expert_plan(False)
     assert source.plan_at(0) is None
@@ -223,7 +228,9 @@ def test_policies_can_be_typed_in(panels: tuple[Panels, list[tuple[Any, ...]]]) 
     assert page._policy.options == ("expert", "ws://localhost:8000")
 
 
-def test_cameras_are_those_of_the_pictures(panels: tuple[Panels, list[tuple[Any, ...]]]) -> None:
+def test_cameras_are_those_of_the_pictures(
+    panels: tuple[Panels, list[tuple[Any, ...]]],
+) -> None:
     page, _ = panels
     picture = np.zeros((8, 8, 3), np.uint8)
     page.show_images({"eye": picture})
@@ -258,7 +265,10 @@ def test_checks_in_a_browser_are_skipped_with_a_reason(
 ) -> None:
     monkeypatch.setattr("shutil.which", lambda name: None)
     assert check_browser.main(tmp_path / "out") == 0
-    assert capsys.readouterr().out == "skipped: no Chromium is installed (apt install chromium)\n"
+    assert (
+        capsys.readouterr().out
+        == "skipped: no Chromium is installed (apt install chromium)\n"
+    )
 
 
 def get(viewer: Viewer, path: str) -> bytes:
@@ -283,7 +293,9 @@ def until(holds: Callable[[], Any], seconds: float = 5.0) -> None:
 def test_messages_of_viser_pass(viewer: Viewer) -> None:
     url = f"ws://localhost:{viewer.port}/"
     protocol: Any = f"viser-v{viser.__version__}"
-    with connect(url, subprotocols=[protocol], compression=None, max_size=1 << 26) as page:
+    with connect(
+        url, subprotocols=[protocol], compression=None, max_size=1 << 26
+    ) as page:
         assert page.subprotocol == protocol
         assert len(page.recv(timeout=5.0)) > 100
 
@@ -296,7 +308,9 @@ def test_pages_of_other_sites_cannot_connect(viewer: Viewer) -> None:
         assert isinstance(json.loads(page.recv(timeout=5.0)), dict)
 
 
-def test_a_shard_that_is_being_written_shows_what_it_has(shard: Path, tmp_path: Path) -> None:
+def test_a_shard_that_is_being_written_shows_what_it_has(
+    shard: Path, tmp_path: Path
+) -> None:
     (found,) = shard.glob("*.h5")
     copy = tmp_path / "copy.h5"
     shutil.copy(found, copy)

@@ -45,7 +45,9 @@ class MjhabEnvConfig(EnvConfig):
         shape = (self.image_size, self.image_size, 3)
         self.features = {
             ACTION: PolicyFeature(type=FeatureType.ACTION, shape=(width,)),
-            "agent_pos": PolicyFeature(type=FeatureType.STATE, shape=(state_dim(robot, own=True),)),
+            "agent_pos": PolicyFeature(
+                type=FeatureType.STATE, shape=(state_dim(robot, own=True),)
+            ),
             "environment_state": PolicyFeature(type=FeatureType.ENV, shape=(unsensed,)),
         }
         self.features_map = {

@@ -32,7 +32,13 @@ def safe_path(path: str, where: str) -> str:
         UsageError: it is absolute, climbs out with ``..``, or uses what some system takes for a drive or separator.
     """
     parts = [part for part in PurePosixPath(path).parts if part != "."]
-    bad = path.startswith("/") or ".." in parts or "\\" in path or ":" in path or "\0" in path
+    bad = (
+        path.startswith("/")
+        or ".." in parts
+        or "\\" in path
+        or ":" in path
+        or "\0" in path
+    )
     if bad or not parts:
         raise UsageError(
             f"{where}: the path {path!r} leads out of the folder; nothing was installed."
@@ -40,7 +46,9 @@ def safe_path(path: str, where: str) -> str:
     return "/".join(parts)
 
 
-def unpack(archive: Path, folder: Path, tell: Callable[[int], object] = lambda count: None) -> None:
+def unpack(
+    archive: Path, folder: Path, tell: Callable[[int], object] = lambda count: None
+) -> None:
     """Write the files of a zip or tar archive into ``folder``.
 
     Args:
@@ -67,7 +75,9 @@ def unpack(archive: Path, folder: Path, tell: Callable[[int], object] = lambda c
         NotImplementedError,
         ValueError,
     ) as error:
-        raise UsageError(f"{archive}: damaged ({error}); nothing was installed.") from error
+        raise UsageError(
+            f"{archive}: damaged ({error}); nothing was installed."
+        ) from error
 
 
 def _opened_tar(archive: Path, content: IO[bytes]) -> tarfile.TarFile:
@@ -136,9 +146,13 @@ Member = tuple[str, int, Callable[[], IO[bytes]]]
 def _zip_members(file: zipfile.ZipFile, archive: Path) -> Iterator[Member]:
     for info in file.infolist():
         if (info.external_attr >> 16) & 0o170000 == _LINK:
-            raise UsageError(f"{archive}: {info.filename!r} is a link; nothing was installed.")
+            raise UsageError(
+                f"{archive}: {info.filename!r} is a link; nothing was installed."
+            )
         if info.flag_bits & 1:
-            raise UsageError(f"{archive}: {info.filename!r} is encrypted; nothing was installed.")
+            raise UsageError(
+                f"{archive}: {info.filename!r} is encrypted; nothing was installed."
+            )
         if not info.is_dir():
             yield info.filename, info.file_size, lambda info=info: file.open(info)
 
@@ -162,7 +176,9 @@ def _open(file: tarfile.TarFile, info: tarfile.TarInfo) -> IO[bytes]:
 
 def _most_bytes(archive: Path) -> float:
     """Most bytes that an archive may hold: a small file can hold any number."""
-    return min(MAX_UNPACKED_BYTES, LEAST_UNPACKED_BYTES + MAX_RATIO * archive.stat().st_size)
+    return min(
+        MAX_UNPACKED_BYTES, LEAST_UNPACKED_BYTES + MAX_RATIO * archive.stat().st_size
+    )
 
 
 def _write(

@@ -90,7 +90,9 @@ def _remote(row: dict[str, Any], base: str, page: str) -> RemoteFile:
 def _field(row: Any, name: str, kind: type, where: str) -> Any:
     value = row.get(name) if isinstance(row, dict) else None
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise TransferError(f"{where}: field {name!r} must be {kind.__name__}, got {shown(value)}.")
+        raise TransferError(
+            f"{where}: field {name!r} must be {kind.__name__}, got {shown(value)}."
+        )
     return value
 
 

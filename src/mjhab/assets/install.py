@@ -72,7 +72,9 @@ def fetch(
     """
     progress = progress or Progress()
     _refuse_installed(root / source.name, overwrite)
-    commit, listed = list_files(hub_endpoint(), source.repo, source.revision, progress.sleep)
+    commit, listed = list_files(
+        hub_endpoint(), source.repo, source.revision, progress.sleep
+    )
     wanted = _wanted(source, listed)
     staging = root / PARTIAL / f"{source.name}-{commit[:12]}"
     staging.mkdir(parents=True, exist_ok=True)
@@ -80,7 +82,12 @@ def fetch(
     _room(staging, total)
     progress.total(total)
     hashes = _download_all(wanted, staging, progress)
-    told = {"origin": source.repo, "revision": source.revision, "commit": commit, "trust": "hub"}
+    told = {
+        "origin": source.repo,
+        "revision": source.revision,
+        "commit": commit,
+        "trust": "hub",
+    }
     if source.archive:
         content = staging.with_name(staging.name + "-unpacked")
         shutil.rmtree(content, ignore_errors=True)
@@ -97,7 +104,9 @@ def fetch(
     return root / source.name
 
 
-def install_bundle(source: Source, bundle: Path, root: Path, overwrite: bool = False) -> Path:
+def install_bundle(
+    source: Source, bundle: Path, root: Path, overwrite: bool = False
+) -> Path:
     """Install a data set from an archive on this machine; no network is used.
 
     Raises:
@@ -122,7 +131,9 @@ def verify(folder: Path) -> Verification:
         UsageError: there is no such folder, or its record cannot be read.
     """
     if not folder.is_dir():
-        raise UsageError(f"{folder} does not exist; `mjhab assets fetch {folder.name}` gets it.")
+        raise UsageError(
+            f"{folder} does not exist; `mjhab assets fetch {folder.name}` gets it."
+        )
     record = read_record(folder)
     if record is None:
         files = _digests(folder)
@@ -184,9 +195,13 @@ def _wanted(source: Source, listed: list[RemoteFile]) -> list[tuple[str, RemoteF
         UsageError: the repository has none of them.
     """
     if source.archive:
-        placed = [(source.archive, file) for file in listed if file.path == source.archive]
+        placed = [
+            (source.archive, file) for file in listed if file.path == source.archive
+        ]
     else:
-        placed = [(to, file) for file in listed if (to := source.place(file.path)) is not None]
+        placed = [
+            (to, file) for file in listed if (to := source.place(file.path)) is not None
+        ]
     if not placed:
         raise UsageError(
             f"{source.repo} at {source.revision} has {len(listed)} files, but none that {source.name} is made of; "
@@ -207,7 +222,9 @@ def _download_all(
         if target.is_file() and target.stat().st_size == file.expected.size:
             progress.step(target.stat().st_size)
             return to, _sha256(target)
-        return to, download(file.url, target, file.expected, progress.step, stop, progress.sleep)
+        return to, download(
+            file.url, target, file.expected, progress.step, stop, progress.sleep
+        )
 
     pool = ThreadPoolExecutor(CONNECTIONS)
     try:
@@ -245,7 +262,12 @@ def _find(source: Source, content: Path) -> Path | None:
             found = folder if source.complete(folder) else _arranged(source, folder)
             if found is not None:
                 return found
-        level = [child for folder in level for child in sorted(folder.iterdir()) if child.is_dir()]
+        level = [
+            child
+            for folder in level
+            for child in sorted(folder.iterdir())
+            if child.is_dir()
+        ]
     return None
 
 
@@ -259,7 +281,9 @@ def _arranged(source: Source, folder: Path) -> Path | None:
         if path.is_file()
     }
     moves = {path: to for path, to in paths.items() if to is not None}
-    if not all(any(fnmatch(to, pattern) for to in moves.values()) for pattern in source.expects):
+    if not all(
+        any(fnmatch(to, pattern) for to in moves.values()) for pattern in source.expects
+    ):
         return None
     placed = folder / PARTIAL
     for path, to in moves.items():
@@ -285,16 +309,27 @@ def _swap(new: Path, target: Path, partial: Path) -> None:
 
 
 def _digests(folder: Path) -> dict[str, dict[str, Any]]:
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != RECORD]
+    files = [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != RECORD
+    ]
     return {
-        path.relative_to(folder).as_posix(): {"size": path.stat().st_size, "sha256": _sha256(path)}
+        path.relative_to(folder).as_posix(): {
+            "size": path.stat().st_size,
+            "sha256": _sha256(path),
+        }
         for path in files
     }
 
 
-def _write_record(folder: Path, told: dict[str, str], files: dict[str, dict[str, Any]]) -> None:
+def _write_record(
+    folder: Path, told: dict[str, str], files: dict[str, dict[str, Any]]
+) -> None:
     body = json.dumps({"format": FORMAT, **told, "files": files}, indent=1)
-    write_atomic(folder / RECORD, lambda temporary: temporary.write_text(body, encoding="utf-8"))
+    write_atomic(
+        folder / RECORD, lambda temporary: temporary.write_text(body, encoding="utf-8")
+    )
 
 
 def _sha256(path: Path) -> str:

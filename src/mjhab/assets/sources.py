@@ -114,7 +114,9 @@ def hub_endpoint() -> str:
     given = os.environ.get("HF_ENDPOINT", "").strip() or ENDPOINT
     parts = urlsplit(given)
     if parts.scheme not in ("http", "https") or not parts.netloc:
-        raise UsageError(f"HF_ENDPOINT must be an address such as {ENDPOINT}, got {given!r}.")
+        raise UsageError(
+            f"HF_ENDPOINT must be an address such as {ENDPOINT}, got {given!r}."
+        )
     return given.rstrip("/")
 
 
@@ -126,7 +128,11 @@ def licence_of(assets: str) -> str:
     """
     folder = Path(assets)
     parts = (folder, folder / "replica_cad", folder.parent, folder.parent / "replica_cad")
-    if assets == "builtin" or not any(SOURCES["replica_cad"].complete(part) for part in parts):
+    if assets == "builtin" or not any(
+        SOURCES["replica_cad"].complete(part) for part in parts
+    ):
         return ""
     named = [SOURCES[name] for name in ("replica_cad", "ycb")]
-    return "; ".join(f"{source.title.partition(':')[0]}: {source.licence}" for source in named)
+    return "; ".join(
+        f"{source.title.partition(':')[0]}: {source.licence}" for source in named
+    )

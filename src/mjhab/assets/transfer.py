@@ -83,7 +83,9 @@ def get(
                 return _document(url, answer), answer.headers.get("Link", "")
         except (OSError, http.client.HTTPException, ValueError) as error:
             problem = _worth_another_try(url, error)
-            if _is_unreached(error) and (_is_silent(error) or attempt + 1 >= UNREACHED_TRIES):
+            if _is_unreached(error) and (
+                _is_silent(error) or attempt + 1 >= UNREACHED_TRIES
+            ):
                 raise TransferError(
                     f"{url}: {problem}. No server can be reached: is there a network? A proxy is named by https_proxy. "
                     "What was fetched before stays, and the same command continues."
@@ -112,7 +114,9 @@ def _document(url: str, answer: http.client.HTTPResponse) -> bytes:
         if len(body) > MAX_DOCUMENT_MB * 2**20:
             raise TransferError(f"{url}: the answer is larger than {MAX_DOCUMENT_MB} MB.")
         if time.monotonic() - began > MAX_DOCUMENT_S:
-            raise TransferError(f"{url}: the answer took longer than {MAX_DOCUMENT_S:g} s.")
+            raise TransferError(
+                f"{url}: the answer took longer than {MAX_DOCUMENT_S:g} s."
+            )
     return bytes(body)
 
 
@@ -198,13 +202,22 @@ def _append(
     except (OSError, http.client.HTTPException, ValueError) as error:
         return _worth_another_try(url, error)
     wanted = (
-        expected.size if expected.size is not None else (have + int(length) if length else total)
+        expected.size
+        if expected.size is not None
+        else (have + int(length) if length else total)
     )
-    return "" if total >= wanted else f"the connection broke off at {total} of {wanted} bytes"
+    return (
+        ""
+        if total >= wanted
+        else f"the connection broke off at {total} of {wanted} bytes"
+    )
 
 
 def _copy(
-    answer: IO[bytes], file: IO[bytes], tell: Callable[[int], object], stop: threading.Event | None
+    answer: IO[bytes],
+    file: IO[bytes],
+    tell: Callable[[int], object],
+    stop: threading.Event | None,
 ) -> int:
     count = 0
     while chunk := answer.read(CHUNK):
@@ -245,7 +258,9 @@ def _wrong(part: Path, expected: Expected) -> tuple[str, str]:
     return "", sha256.hexdigest()
 
 
-def _open(url: str, start: int = 0, timeout: float | None = None) -> http.client.HTTPResponse:
+def _open(
+    url: str, start: int = 0, timeout: float | None = None
+) -> http.client.HTTPResponse:
     """Ask for a file from byte ``start`` on. A fresh opener, since urllib's own keeps the proxies it saw first."""
     headers = {"User-Agent": f"mjhab/{__version__}", "Accept-Encoding": "identity"}
     if start:
@@ -270,9 +285,11 @@ def _worth_another_try(url: str, error: Exception) -> str:
         TransferError: it will not.
     """
     if isinstance(error, HTTPError) and error.code not in _PASSING:
-        hint = {401: "it needs an account", 403: "it is not public", 404: "it is not there"}.get(
-            error.code, ""
-        )
+        hint = {
+            401: "it needs an account",
+            403: "it is not public",
+            404: "it is not there",
+        }.get(error.code, "")
         raise TransferError(f"{url}: {_refusal(error)}" + (f": {hint}." if hint else "."))
     if isinstance(error, HTTPError):
         return _refusal(error)

@@ -80,7 +80,8 @@ def interact_results(has_gpu: bool) -> dict[str, Any]:
     ]
     return {
         "points": [
-            attempt(lambda plan=plan: measure_interact(plan)[0], _words(plan)) for plan in plans
+            attempt(lambda plan=plan: measure_interact(plan)[0], _words(plan))
+            for plan in plans
         ]
     }
 
@@ -121,7 +122,11 @@ def sleep_results(has_gpu: bool) -> dict[str, Any]:
 def parity_results(has_gpu: bool) -> dict[str, Any]:
     """The parity report over all subtasks with 200 expert episodes."""
     options = ParitySpec(
-        worlds=16 if has_gpu else 10, episodes=200, task="all", subtask="all", log=PARITY_LOG
+        worlds=16 if has_gpu else 10,
+        episodes=200,
+        task="all",
+        subtask="all",
+        log=PARITY_LOG,
     )
     return attempt(lambda: measure_parity(options), "parity")
 
@@ -164,7 +169,9 @@ def main(words: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: the words are no such command.
     """
-    parser = argparse.ArgumentParser("python -m mjhab.bench.gpu_report", description=__doc__)
+    parser = argparse.ArgumentParser(
+        "python -m mjhab.bench.gpu_report", description=__doc__
+    )
     parser.add_argument(
         "out", type=Path, metavar="FOLDER", help="for gpu-NAME.json, one per measure"
     )
@@ -197,7 +204,8 @@ def report(out: Path, names: Sequence[str] = ()) -> None:
         text = json.dumps(head | MEASURES[name](has_gpu), indent=1) + "\n"
         path = out / f"gpu-{name}.json"
         write_atomic(
-            path, lambda temporary, text=text: temporary.write_text(text, encoding="utf-8")
+            path,
+            lambda temporary, text=text: temporary.write_text(text, encoding="utf-8"),
         )
         print(path, flush=True)
     if not has_gpu:

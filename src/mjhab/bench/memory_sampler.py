@@ -30,7 +30,9 @@ class MemorySampler:
         self.peak_device_mb: float | None = None
         self.samples = 0
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="memory sampler", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, name="memory sampler", daemon=True
+        )
 
     def __enter__(self) -> MemorySampler:
         self._sample()

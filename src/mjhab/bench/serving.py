@@ -82,10 +82,10 @@ class StillServer:
         self._process.wait()
 
     def _start(self, port: int) -> subprocess.Popen[str]:
-        code = (
-            f"from mjhab.bench.serving import serve_still; serve_still({self._dialect!r}, {port})"
+        code = f"from mjhab.bench.serving import serve_still; serve_still({self._dialect!r}, {port})"
+        return subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
         )
-        return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
 
 
 class Killer(Sink[RolloutEnv]):
@@ -120,7 +120,12 @@ def measure_serving(spec: ServingSpec) -> dict[str, Any]:
         slowest = max(slowest, requests[f"{dialect}, 1 world"]["p50"])
     restarted = measure_restarts(spec)
     lost = restarted["episodes"] - restarted["finished"] - restarted["marked"]
-    return {"requests": requests, "restarted": restarted, "slowest_ms": slowest, "lost": lost}
+    return {
+        "requests": requests,
+        "restarted": restarted,
+        "slowest_ms": slowest,
+        "lost": lost,
+    }
 
 
 def measure_requests(dialect: str, worlds: int, requests: int) -> dict[str, float]:
@@ -135,7 +140,9 @@ def measure_requests(dialect: str, worlds: int, requests: int) -> dict[str, floa
         with ThreadPoolExecutor(worlds) as pool:
 
             def step() -> None:
-                list(pool.map(lambda connection: connection.ask([ask], False), connections))
+                list(
+                    pool.map(lambda connection: connection.ask([ask], False), connections)
+                )
 
             for connection in connections:
                 connection.ask([ask], True)
@@ -182,7 +189,9 @@ def measure_restarts(spec: ServingSpec) -> dict[str, Any]:
     """Roll out in many worlds against one server that is killed now and then; what became of the episodes."""
     from mjhab.envs import make
 
-    env = make(task="set_table", subtask="close", num_envs=spec.worlds, autoreset="disabled")
+    env = make(
+        task="set_table", subtask="close", num_envs=spec.worlds, autoreset="disabled"
+    )
     server = StillServer("openpi")
     every = spec.steps // (spec.restarts + 1)
     killer = Killer(server, [every * (k + 1) for k in range(spec.restarts)])

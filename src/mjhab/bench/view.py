@@ -109,6 +109,8 @@ def _rates(
         "frames_per_s": round((viewer.frames - frames) / spent, 1),
         "kb_per_frame": round((page.bytes - sent) / shown / 1e3, 2),
         "frame_cpu_ms": round(1e3 * (viewer.frame_cpu_s - frame_cpu) / shown, 2),
-        "control_steps_per_s": round((session.steps - steps) * len(session.tracks) / spent, 1),
+        "control_steps_per_s": round(
+            (session.steps - steps) * len(session.tracks) / spent, 1
+        ),
         "cores": round((time.process_time() - cpu) / spent, 2),
     }

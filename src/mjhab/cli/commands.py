@@ -5,7 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from mjhab.cli.options import assets, engine, env, episodes, expert, gpu, homes, machine, spawn
+from mjhab.cli.options import (
+    assets,
+    engine,
+    env,
+    episodes,
+    expert,
+    gpu,
+    homes,
+    machine,
+    spawn,
+)
 from mjhab.cli.options import view as look
 from mjhab.cli.options.common import Sub
 from mjhab.cli.options.datasets import data, export

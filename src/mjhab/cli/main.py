@@ -60,7 +60,10 @@ def main(args: Sequence[str] | None = None) -> int:
     except MjhabError as error:
         return _end(FAILED, f"failed: {error}")
     except MemoryError as error:
-        return _end(FAILED, f"failed: not enough memory ({reason(error)}). Ask for less at a time.")
+        return _end(
+            FAILED,
+            f"failed: not enough memory ({reason(error)}). Ask for less at a time.",
+        )
     except BrokenPipeError:
         # The reader has closed the pipe, as in `mjhab homes list | head`.
         drop_unwritable_stdout()
@@ -113,7 +116,9 @@ def with_pack_request(options: Any) -> Any:
         articulate=tuple(furniture.split(",")) if furniture else (),
         stage_mesh=str(stage) if stage else "",
     )
-    return dataclasses.replace(options, assets=request.as_json(), stage_mesh=None, articulate=None)
+    return dataclasses.replace(
+        options, assets=request.as_json(), stage_mesh=None, articulate=None
+    )
 
 
 def run(command: Any) -> int:
@@ -126,7 +131,9 @@ def run(command: Any) -> int:
     limit = getattr(chosen, "cache_mb", None)
     if limit is not None:
         set_memory_limit(limit)
-    module, function = commands.RUNNERS.get(type(chosen)) or commands.RUNNERS[type(command)]
+    module, function = (
+        commands.RUNNERS.get(type(chosen)) or commands.RUNNERS[type(command)]
+    )
     return getattr(importlib.import_module(f"mjhab.{module}"), function)(chosen)
 
 

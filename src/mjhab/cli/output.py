@@ -25,7 +25,9 @@ def print_json(value: Mapping[str, Any]) -> None:
     print(json.dumps(value, allow_nan=False), flush=True)
 
 
-def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
+) -> None:
     """Print a table on stdout; numbers are right-aligned.
 
     In a terminal cells wrap between words. Where the terminal is too narrow for that, every row is a list of its cells.
@@ -42,7 +44,8 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
     table = Table(title=title, title_justify="left", title_style="bold")
     for i, name in enumerate(columns):
         numeric = bool(rows) and all(
-            isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in rows
+            isinstance(row[i], int | float) and not isinstance(row[i], bool)
+            for row in rows
         )
         table.add_column(
             name, justify="right" if numeric else "left", width=widths[i], overflow="fold"
@@ -56,7 +59,8 @@ def _widths(rows: Sequence[Sequence[object]], room: int) -> list[int] | None:
     """Width of every column so that no word is broken, at most ``room`` together; None if there is no room."""
     cells = [[str(row[i]) for row in rows] for i in range(len(rows[0]))]
     widths = [
-        max(cell_len(word) for cell in column for word in [*cell.split(), ""]) for column in cells
+        max(cell_len(word) for cell in column for word in [*cell.split(), ""])
+        for column in cells
     ]
     wanted = [
         max(cell_len(line) for cell in column for line in [*cell.splitlines(), ""])

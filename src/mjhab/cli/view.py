@@ -100,7 +100,9 @@ def _source(options: ViewOptions) -> Source:
     if options.places:
         from mjhab.viewer.sources.replay import Replay
 
-        return Replay(options.places, read_filter(options.where, options.preset), options.episode)
+        return Replay(
+            options.places, read_filter(options.where, options.preset), options.episode
+        )
     from mjhab.viewer.sources.live import LiveSession
     from mjhab.viewer.sources.pace import Pace
 
@@ -128,7 +130,9 @@ def _source(options: ViewOptions) -> Source:
     )
     # Nobody drives before a page is open, and time would run out: the page begins with a pause.
     pace = Pace(playing=options.policy != HUMAN)
-    return LiveSession(spec, options.episode, pace, policies=options.policies, shard=options.record)
+    return LiveSession(
+        spec, options.episode, pace, policies=options.policies, shard=options.record
+    )
 
 
 def _reward_with_terms(options: ViewOptions) -> str:

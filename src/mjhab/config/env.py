@@ -202,13 +202,18 @@ class EnvConfig:
             UsageError: one was given a value that contradicts a binding profile.
         """
         values = profile.options(self.subtask, trains=self.trains)
-        values["cameras"] = robot.camera_names if profile.cameras is None else profile.cameras
+        values["cameras"] = (
+            robot.camera_names if profile.cameras is None else profile.cameras
+        )
         for name, value in values.items():
             given = getattr(self, name)
             missing = given is OF_PROFILE or (name == "horizon" and given == 0)
             if missing:
                 object.__setattr__(self, name, value)
-            elif profile.binding and (tuple(given) if isinstance(given, list) else given) != value:
+            elif (
+                profile.binding
+                and (tuple(given) if isinstance(given, list) else given) != value
+            ):
                 raise _contradiction(profile, name, value, given)
         if profile.binding:
             for name, value in self.overrides.items():
@@ -252,7 +257,9 @@ class EnvConfig:
     @property
     def reward_options(self) -> RewardOptions:
         """How dense rewards are computed."""
-        return RewardOptions(self.reward_scales, self.reward_formula, self.reward_normaliser)
+        return RewardOptions(
+            self.reward_scales, self.reward_formula, self.reward_normaliser
+        )
 
     @property
     def teleports(self) -> bool:
@@ -288,7 +295,9 @@ class TrainConfig(EnvConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.subtask:
-            raise UsageError(f"a SubtaskTrain environment needs a subtask: {', '.join(SUBTASKS)}")
+            raise UsageError(
+                f"a SubtaskTrain environment needs a subtask: {', '.join(SUBTASKS)}"
+            )
 
 
 def task_config(config: EnvConfig, robot: Robot) -> TaskConfig:

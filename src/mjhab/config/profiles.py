@@ -129,5 +129,7 @@ def unbound(options: Mapping[str, Any], subtask: str, *, trains: bool) -> dict[s
     Args:
         options: environment options. subtask: "" for a whole task. trains: for an environment of training.
     """
-    values = profile_named(options.get("profile", DEFAULT_PROFILE)).options(subtask, trains=trains)
+    values = profile_named(options.get("profile", DEFAULT_PROFILE)).options(
+        subtask, trains=trains
+    )
     return {**values, **options, "profile": DEFAULT_PROFILE}

@@ -62,6 +62,8 @@ def whole_number(name: str, value: Any, least: int | None = None) -> int:
     low, most = range_of(name)
     low = low if least is None else least
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise UsageError(f"{name} must be a whole number of at least {low:,}, got {value!r}.")
+        raise UsageError(
+            f"{name} must be a whole number of at least {low:,}, got {value!r}."
+        )
     check_range(name, int(value), low, most)
     return int(value)

@@ -31,7 +31,9 @@ class ActionNotes:
                 f"got {self.actor.shape} {self.actor.dtype}"
             )
         if self.actor.size and int(self.actor.max()) >= len(self.actors):
-            raise ValueError(f"actor {int(self.actor.max())} has no name among {self.actors}")
+            raise ValueError(
+                f"actor {int(self.actor.max())} has no name among {self.actors}"
+            )
 
     @classmethod
     def plain(cls, actions: np.ndarray, name: str) -> ActionNotes:

@@ -65,7 +65,9 @@ class Table:
 
 
 @lru_cache(maxsize=256)
-def _constant(values: tuple[Any, ...] | Table, xp: ModuleType, device: Any, dtype: Any) -> Array:
+def _constant(
+    values: tuple[Any, ...] | Table, xp: ModuleType, device: Any, dtype: Any
+) -> Array:
     return xp.asarray(
         values.values if isinstance(values, Table) else values, dtype=dtype, device=device
     )
@@ -183,7 +185,11 @@ def where_rows(mask: Array, new: Record, old: Record) -> Record:
         if b is None:
             chosen[field.name] = a
             continue
-        wide = mask if b.ndim == 1 else xp.reshape(mask, (mask.shape[0],) + (1,) * (b.ndim - 1))
+        wide = (
+            mask
+            if b.ndim == 1
+            else xp.reshape(mask, (mask.shape[0],) + (1,) * (b.ndim - 1))
+        )
         chosen[field.name] = xp.where(wide, a, b)
     return type(old)(**chosen)
 
@@ -208,7 +214,9 @@ def with_row(record: Record, row: int, values: dict[str, Any]) -> Record:
 def map_record(function: Any, record: Record) -> Record:
     """Return a copy of a dataclass of arrays with ``function`` applied to every field that is not None."""
     values = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}  # type: ignore[arg-type]
-    return type(record)(**{k: None if v is None else function(v) for k, v in values.items()})
+    return type(record)(
+        **{k: None if v is None else function(v) for k, v in values.items()}
+    )
 
 
 def norm3(vector: Array) -> Array:

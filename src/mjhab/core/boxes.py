@@ -37,7 +37,10 @@ class Boxes:
         if not sets:
             return Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
         return Boxes(
-            *(np.concatenate([getattr(s, k) for s in sets]) for k in ("center", "half", "rot"))
+            *(
+                np.concatenate([getattr(s, k) for s in sets])
+                for k in ("center", "half", "rot")
+            )
         )
 
     def contiguous(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -80,4 +83,6 @@ def nearest_box_distance(points: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Signed distance (P,) of each of ``points`` (P, 3) to the box nearest to it; infinite without boxes."""
     from mjhab.core.kernels.box_gaps import least_box_gaps  # loads numba
 
-    return least_box_gaps(np.ascontiguousarray(points, dtype=np.float64), *boxes.contiguous())
+    return least_box_gaps(
+        np.ascontiguousarray(points, dtype=np.float64), *boxes.contiguous()
+    )

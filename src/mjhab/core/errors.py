@@ -35,7 +35,11 @@ def unknown_name(kind: str, given: object, valid: Iterable[str]) -> UsageError:
     names = sorted(valid)
     if not isinstance(given, str):
         told = f"{shown(given)} ({type(given).__name__})"
-        return UsageError(f"{kind} must be a name, got {told}. Valid names: {', '.join(names)}.")
+        return UsageError(
+            f"{kind} must be a name, got {told}. Valid names: {', '.join(names)}."
+        )
     near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    return UsageError(f"unknown {kind} {shown(given)}.{hint} Valid names: {', '.join(names)}.")
+    return UsageError(
+        f"unknown {kind} {shown(given)}.{hint} Valid names: {', '.join(names)}."
+    )

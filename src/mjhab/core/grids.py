@@ -15,7 +15,10 @@ SIXTEEN: tuple[Move, ...] = (*EIGHT, (1, 2), (2, 1), (1, -2), (2, -1))
 
 
 def grid_graph(
-    free: np.ndarray, cell: float, moves: Sequence[Move] = EIGHT, price: np.ndarray | None = None
+    free: np.ndarray,
+    cell: float,
+    moves: Sequence[Move] = EIGHT,
+    price: np.ndarray | None = None,
 ) -> csr_matrix:
     """The graph of a raster; node i * Y + j is cell (i, j). Every edge is there once: use it undirected.
 
@@ -37,7 +40,9 @@ def grid_graph(
             step = (int(np.sign(dx)), int(np.sign(dy)))
             straight = (step[0], 0) if abs(dx) == 2 else (0, step[1])
             both = (
-                both & free[_window(free, (dx, dy), straight)] & free[_window(free, (dx, dy), step)]
+                both
+                & free[_window(free, (dx, dy), straight)]
+                & free[_window(free, (dx, dy), step)]
             )
         length = np.full(int(both.sum()), np.hypot(dx, dy) * cell)
         if price is not None:

@@ -51,7 +51,9 @@ class MemoryCache:
         size: bytes that a value takes; its arrays (`array_bytes`) if not given.
     """
 
-    def __init__(self, kind: str, most: int = 0, size: Callable[[Any], int] | None = None) -> None:
+    def __init__(
+        self, kind: str, most: int = 0, size: Callable[[Any], int] | None = None
+    ) -> None:
         self.kind = kind
         self.most = most
         self._size = size or array_bytes
@@ -158,7 +160,9 @@ class _Limit:
     def mb(self) -> float:
         if self._mb is None:
             given = os.environ.get(LIMIT_VARIABLE, "")
-            self._mb = _checked(given, f"${LIMIT_VARIABLE}") if given else DEFAULT_LIMIT_MB
+            self._mb = (
+                _checked(given, f"${LIMIT_VARIABLE}") if given else DEFAULT_LIMIT_MB
+            )
         return self._mb
 
     def set(self, mb: float) -> None:

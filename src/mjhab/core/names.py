@@ -83,7 +83,9 @@ def check_texts(what: str, texts: Any) -> None:
         raise UsageError(
             f"{what} must be a tuple of texts, got the text {texts!r}; write ({texts!r},)."
         )
-    if not isinstance(texts, Collection) or not all(isinstance(text, str) for text in texts):
+    if not isinstance(texts, Collection) or not all(
+        isinstance(text, str) for text in texts
+    ):
         raise UsageError(f"{what} must be a tuple of texts, got {texts!r}.")
 
 
@@ -98,5 +100,7 @@ def below(root: Path, *parts: str | Path) -> Path:
     inside = Path(os.path.normpath(path))
     if inside == top or not inside.is_relative_to(top):
         given = "/".join(map(str, parts))
-        raise UsageError(f"{given!r} would be written outside of {root}; nothing was written.")
+        raise UsageError(
+            f"{given!r} would be written outside of {root}; nothing was written."
+        )
     return path

@@ -38,7 +38,9 @@ def env_ids() -> dict[str, dict[str, Any]]:
     The ``task`` of a training environment defaults to the first one that has the subtask; an option overrides it.
     """
     chains = {f"mjhab/{_title(task)}-v1": {"task": task} for task in TASKS}
-    trained = [name for name in SUBTASKS if any(name in TASKS[task].subtasks for task in TASKS)]
+    trained = [
+        name for name in SUBTASKS if any(name in TASKS[task].subtasks for task in TASKS)
+    ]
     trained.sort(key=lambda name: (*SUBTASK_ID_ORDER, name).index(name))
     trains = {
         f"mjhab/{_title(name)}SubtaskTrain-v1": {"task": task_with(name), "subtask": name}

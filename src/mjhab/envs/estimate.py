@@ -7,7 +7,13 @@ import subprocess
 from dataclasses import dataclass
 from typing import Any
 
-from mjhab.envs.parts.memory import Need, WorldPictures, available_mb, device_need, host_need
+from mjhab.envs.parts.memory import (
+    Need,
+    WorldPictures,
+    available_mb,
+    device_need,
+    host_need,
+)
 
 
 @dataclass(frozen=True)
@@ -74,7 +80,9 @@ def gpu_free_mb() -> float | None:
         return None
     command = [tool, "--query-gpu=memory.free", "--format=csv,noheader,nounits", "--id=0"]
     try:
-        answer = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+        answer = subprocess.run(
+            command, capture_output=True, text=True, timeout=20, check=True
+        )
         return float(answer.stdout.strip().splitlines()[0])
     except (subprocess.SubprocessError, OSError, ValueError, IndexError):
         return None

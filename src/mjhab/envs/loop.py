@@ -21,7 +21,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from mjhab.config.env import EnvConfig, task_config
-from mjhab.core.arrays import Array, as_like, count, device_of, may_hold, namespace, where_rows
+from mjhab.core.arrays import (
+    Array,
+    as_like,
+    count,
+    device_of,
+    may_hold,
+    namespace,
+    where_rows,
+)
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
 from mjhab.envs.parts.reporting import CHECKERS
@@ -106,7 +114,11 @@ class TaskLoop(VectorEnv, ABC):
         config = self.config
         self.layout = self.sim.layout
         self.sensing = Sensing(
-            self.layout, self.sim.addresses, self.num_envs, self._like, config.handle_points
+            self.layout,
+            self.sim.addresses,
+            self.num_envs,
+            self._like,
+            config.handle_points,
         )
         alone = config.subtask
         rules = RewardRules(
@@ -116,7 +128,9 @@ class TaskLoop(VectorEnv, ABC):
             nav_distance,
             [alone] if alone else TASKS[config.task].subtasks,
         )
-        self.rewarder = Rewarder(self.num_envs, rules, self.layout, self.sensing, self._like)
+        self.rewarder = Rewarder(
+            self.num_envs, rules, self.layout, self.sensing, self._like
+        )
 
     def _set_spaces(self, observation: spaces.Dict, **metadata: Any) -> None:
         """Set the attributes of Gymnasium's interface; ``observation``: space of one world, with flat keys."""
@@ -222,7 +236,9 @@ class TaskLoop(VectorEnv, ABC):
         """Notes of a step without events and without ended subtasks."""
 
     @abstractmethod
-    def _observe(self, known: dict[str, Array] | None = None, changed: Array | None = None) -> dict:
+    def _observe(
+        self, known: dict[str, Array] | None = None, changed: Array | None = None
+    ) -> dict:
         """Observations of the present state.
 
         Args:
@@ -249,7 +265,9 @@ class TaskLoop(VectorEnv, ABC):
         mask = self._array(options.pop("reset_mask", ~self._no))
         wanted = options.pop("episode", None)
         if options:
-            raise unknown_name("reset option", next(iter(options)), ("reset_mask", "episode"))
+            raise unknown_name(
+                "reset option", next(iter(options)), ("reset_mask", "episode")
+            )
         if tuple(mask.shape) != (self.num_envs,) or mask.dtype != self._no.dtype:
             raise UsageError(
                 f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
@@ -296,7 +314,9 @@ class TaskLoop(VectorEnv, ABC):
         self._adopt(fresh, episodes)
         self.count = self.count + fresh
         tables = self.tables.arrays
-        self.follow(progress_rules.reset_rows(self.progress, fresh, tables, self.task_config))
+        self.follow(
+            progress_rules.reset_rows(self.progress, fresh, tables, self.task_config)
+        )
         self.success = self.success & ~fresh
         self.fail = self.fail & ~fresh
         self.due = self.due & ~fresh
@@ -311,7 +331,9 @@ class TaskLoop(VectorEnv, ABC):
         self.joint_start = self._xp.where(mask, now, self.joint_start)
         world = self._sense()
         signals = self._measure(world, self.progress)
-        self.signals = signals if self.signals is None else where_rows(mask, signals, self.signals)
+        self.signals = (
+            signals if self.signals is None else where_rows(mask, signals, self.signals)
+        )
         self.judged = self.signals if self.judged is None else self.judged
         self.tracker.begin(mask, self.signals, self.progress)
         self.rewarder.begin(mask, self._reward_inputs(world, signals, self.progress))
@@ -331,7 +353,9 @@ class TaskLoop(VectorEnv, ABC):
             UsageError: wrong shape or type, or ``reset`` was not called before.
         """
         if self.signals is None:
-            raise UsageError("step() came before reset(): call env.reset(seed=...) first.")
+            raise UsageError(
+                "step() came before reset(): call env.reset(seed=...) first."
+            )
         broken = self._advance_physics(self._checked(actions))
         world = self._sense()
         progress = progress_rules.accumulate(self.progress, world.robot_force)
@@ -372,10 +396,14 @@ class TaskLoop(VectorEnv, ABC):
         return self._xp.where(teleporting[:, None], still, actions)
 
     def _sense(self) -> WorldState:
-        return self.sensing.world_state(self.state, self.tables, self.focus, self.joint_start)
+        return self.sensing.world_state(
+            self.state, self.tables, self.focus, self.joint_start
+        )
 
     def _measure(self, world: WorldState, progress: Progress) -> Signals:
-        return measure(world, self.tables.arrays, progress, self.task_config, self.focus.active)
+        return measure(
+            world, self.tables.arrays, progress, self.task_config, self.focus.active
+        )
 
     def _reward_inputs(
         self, world: WorldState, signals: Signals, progress: Progress
@@ -451,7 +479,9 @@ class TaskLoop(VectorEnv, ABC):
         return info
 
 
-def _give_up(broken: Array, progress: Progress, signals: Signals) -> tuple[Progress, Signals]:
+def _give_up(
+    broken: Array, progress: Progress, signals: Signals
+) -> tuple[Progress, Signals]:
     """Set the remaining steps of the worlds in ``broken`` to 0 and their success to False."""
     left = namespace(broken).where(broken, 0, progress.steps_left)
     success = signals.success & ~broken

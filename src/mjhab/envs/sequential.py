@@ -86,7 +86,9 @@ class SequentialTaskEnv(TaskLoop):
     def _reseed(self, seed: Any, mask: np.ndarray) -> None:
         if seed is None:
             return
-        seeds = [seed] * self.num_envs if isinstance(seed, int | np.integer) else list(seed)
+        seeds = (
+            [seed] * self.num_envs if isinstance(seed, int | np.integer) else list(seed)
+        )
         if len(seeds) != self.num_envs or any(s is not None and s < 0 for s in seeds):
             raise UsageError(
                 f"seed must be a number >= 0 or {self.num_envs} of them, one per world; got {seed!r}"
@@ -118,7 +120,9 @@ class SequentialTaskEnv(TaskLoop):
             start = self.adopt(world, episode)
             self.fallback[world] = start.fallback
             starts.append(start)
-        self.sim.reset(worlds, [s.home for s in starts], np.stack([s.qpos for s in starts]))
+        self.sim.reset(
+            worlds, [s.home for s in starts], np.stack([s.qpos for s in starts])
+        )
         self.state = self.sim.state()
 
     def make_episode(self, seed: int, index: int) -> Episode:
@@ -133,7 +137,9 @@ class SequentialTaskEnv(TaskLoop):
 
     def episode_spec(self, world: int) -> Mapping[str, Any] | None:
         """Read-only description of a world's episode, see `describe_episode`; None before the first reset."""
-        return self.reporter.describe(world, self.episodes_now[world], self.tables.plans[world])
+        return self.reporter.describe(
+            world, self.episodes_now[world], self.tables.plans[world]
+        )
 
     def adopt(self, world: int, episode: Episode) -> Start:
         """Set home and plan of a world to those of an episode; returns the start state, which is not applied yet."""
@@ -202,14 +208,18 @@ class SequentialTaskEnv(TaskLoop):
     def _nothing(self) -> StepNotes:
         return StepNotes([[] for _ in range(self.num_envs)], [None] * self.num_envs)
 
-    def _observe(self, known: dict[str, Array] | None = None, changed: Array | None = None) -> dict:
+    def _observe(
+        self, known: dict[str, Array] | None = None, changed: Array | None = None
+    ) -> dict:
         assert self.signals is not None
         return self.observer.observe(
             self.state, self.focus, self.signals, self.homes, known, changed
         )
 
     def _info(self, told: StepNotes) -> dict[str, Any]:
-        about = self.reporter.entries(self.episodes_now, self.tables.plans, self.progress.pointer)
+        about = self.reporter.entries(
+            self.episodes_now, self.tables.plans, self.progress.pointer
+        )
         return super()._info(told) | about
 
     def timed_methods(self) -> dict[str, list[tuple[Any, str]]]:
@@ -284,11 +294,15 @@ class SequentialTaskEnv(TaskLoop):
     ) -> np.ndarray:
         """Human views (n, H, W, 3) uint8 of n worlds, drawn by several threads."""
         homes = [self.homes[world] for world in worlds]
-        return self.observer.renderer.follow_views(self.state, homes, worlds, width, height)
+        return self.observer.renderer.follow_views(
+            self.state, homes, worlds, width, height
+        )
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Human views (H, W, 3) uint8 of all worlds, or None without a render mode."""
-        return tuple(self.render_worlds(range(self.num_envs))) if self.render_mode else None
+        return (
+            tuple(self.render_worlds(range(self.num_envs))) if self.render_mode else None
+        )
 
     def view(self, world: int) -> WorldView:
         """Privileged live view of one world, for scripted experts."""

@@ -52,7 +52,10 @@ class SingleEnv(gymnasium.Env):
         robot = robot_named(config.robot)
         rows = ObservedRows(robot, config.obs_mode, config.cameras, config.camera_size)
         controller = make_controller(
-            config.control_mode, robot=robot, base=config.base, stationary=config.stationary
+            config.control_mode,
+            robot=robot,
+            base=config.base,
+            stationary=config.stationary,
         )
         self.observation_space = keyed_space(rows.single_space, config)
         self.action_space = action_space(controller)
@@ -99,8 +102,16 @@ class SingleEnv(gymnasium.Env):
         Raises:
             UsageError: wrong shape or type, or ``reset`` was not called.
         """
-        obs, reward, terminated, truncated, info = self.worlds.step(np.asarray(action)[None])
-        return _first(obs), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _first(info)
+        obs, reward, terminated, truncated, info = self.worlds.step(
+            np.asarray(action)[None]
+        )
+        return (
+            _first(obs),
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            _first(info),
+        )
 
     def render(self) -> np.ndarray | None:
         """Human view (H, W, 3) uint8, or None without a render mode."""

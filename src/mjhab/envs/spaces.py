@@ -25,7 +25,9 @@ def ordered_dict(parts: Mapping[str, spaces.Space]) -> spaces.Dict:
 def batched(space: spaces.Space, count: int) -> spaces.Space:
     """The space of ``count`` worlds, keys in the order of ``space``."""
     if isinstance(space, spaces.Dict):
-        return ordered_dict({key: batched(part, count) for key, part in space.spaces.items()})
+        return ordered_dict(
+            {key: batched(part, count) for key, part in space.spaces.items()}
+        )
     return batch_space(space, count)
 
 
@@ -50,6 +52,8 @@ def keyed_space(flat: spaces.Dict, config: EnvConfig) -> spaces.Dict:
     """Convert a Dict space with flat keys to the key style of ``config.obs_keys``: flat or nested."""
 
     def box(tree: Mapping[str, Any]) -> spaces.Dict:
-        return ordered_dict({k: box(v) if isinstance(v, dict) else v for k, v in tree.items()})
+        return ordered_dict(
+            {k: box(v) if isinstance(v, dict) else v for k, v in tree.items()}
+        )
 
     return flat if config.has_flat_keys else box(nested(flat.spaces))

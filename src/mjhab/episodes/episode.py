@@ -66,7 +66,9 @@ def read_episode(path: Path, task: str, split: str, seed: int, index: int) -> Ep
 
 def _target(entry: dict[str, Any]) -> Target:
     """Make a target from an entry of a cached episode."""
-    points = {name: _point(entry[name]) for name in ("goal_pos", "start_pos", "handle_pos")}
+    points = {
+        name: _point(entry[name]) for name in ("goal_pos", "start_pos", "handle_pos")
+    }
     return Target(**{**entry, **points})
 
 

@@ -76,7 +76,9 @@ def partial_path(out: Path) -> Path:
 
 def manifest_path(out: Path) -> Path:
     """Return the path of a file's manifest, which lists its episodes; it is in the same folder."""
-    return out.with_name(out.name.removesuffix(".gz").removesuffix(".json") + ".manifest.json")
+    return out.with_name(
+        out.name.removesuffix(".gz").removesuffix(".json") + ".manifest.json"
+    )
 
 
 class Factory:
@@ -158,10 +160,13 @@ def make_file(
 
 def _write_manifest(out: Path, header: dict[str, Any], rows: list[Row]) -> None:
     listed = [
-        {"index": r.index, "home": r.home, "rejected": r.rejected, "hash": r.digest} for r in rows
+        {"index": r.index, "home": r.home, "rejected": r.rejected, "hash": r.digest}
+        for r in rows
     ]
     text = json.dumps({**header, "episodes": listed}, indent=1)
-    write_atomic(manifest_path(out), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomic(
+        manifest_path(out), lambda temporary: temporary.write_text(text, encoding="utf-8")
+    )
 
 
 def _resume(partial: Path, header: dict[str, Any], overwrite: bool) -> list[Row]:
@@ -186,7 +191,8 @@ def _resume(partial: Path, header: dict[str, Any], overwrite: bool) -> list[Row]
         )
     kept = [json.dumps(header), *(json.dumps(asdict(row)) for row in rows)]
     write_atomic(
-        partial, lambda temporary: temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
+        partial,
+        lambda temporary: temporary.write_text("\n".join(kept) + "\n", encoding="utf-8"),
     )
     return rows
 

@@ -103,7 +103,9 @@ class EpisodeMaker:
         self.target = target
         self.layout: Layout = sim.layout
         self.homes = (
-            homes_named(self.layout.pack, home) if home else homes_of(self.layout.pack, split)
+            homes_named(self.layout.pack, home)
+            if home
+            else homes_of(self.layout.pack, split)
         )
         self._in_turn = bool(home)
         require_furniture(self.layout.pack, self.homes, task)
@@ -179,14 +181,25 @@ class EpisodeMaker:
         ):
             return None
         return Episode(
-            self.task, self.split, seed, index, home.name, pose, settled[a.link_q], targets
+            self.task,
+            self.split,
+            seed,
+            index,
+            home.name,
+            pose,
+            settled[a.link_q],
+            targets,
         )
 
     def _home(self, seed: int, index: int) -> Home:
         if self._in_turn:
             return self.homes[index % len(self.homes)]
         return self.homes[
-            int(stream(seed, "home", self.task, self.split, index).integers(len(self.homes)))
+            int(
+                stream(seed, "home", self.task, self.split, index).integers(
+                    len(self.homes)
+                )
+            )
         ]
 
     # -- placement -------------------------------------------------------------------------------------------------
@@ -194,7 +207,9 @@ class EpisodeMaker:
     def _slot(self, name: str) -> int:
         return self.layout.object_names.index(name)
 
-    def _place_targets(self, rng: np.random.Generator, draw: _Draw) -> tuple[Target, ...] | None:
+    def _place_targets(
+        self, rng: np.random.Generator, draw: _Draw
+    ) -> tuple[Target, ...] | None:
         wanted = [
             (slot, rule, draw.places(*rule.start), draw.places(*rule.goal))
             for rule, slot in zip(self.spec.targets, self._slots(rng), strict=True)
@@ -223,7 +238,9 @@ class EpisodeMaker:
         self,
         rng: np.random.Generator,
         draw: _Draw,
-        wanted: list[tuple[int, TargetRule, list[PlacedReceptacle], list[PlacedReceptacle]]],
+        wanted: list[
+            tuple[int, TargetRule, list[PlacedReceptacle], list[PlacedReceptacle]]
+        ],
     ) -> tuple[Target, ...] | None:
         starts: list[PlacedReceptacle] = []
         for slot, _, places, _ in wanted:
@@ -261,7 +278,9 @@ class EpisodeMaker:
             start_pos=tuple(draw.placed[slot][0].tolist()),
             start_link=start_link,
             goal_link=goal_link,
-            handle_pos=self.layout.closed_handle(draw.home, link) if link else (0.0, 0.0, 0.0),
+            handle_pos=self.layout.closed_handle(draw.home, link)
+            if link
+            else (0.0, 0.0, 0.0),
         )
 
     def _radius(self, slot: int) -> float:
@@ -321,7 +340,10 @@ class EpisodeMaker:
         for _ in range(100):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
             pos = self._sample(rng, draw, place, radius, half_z)
-            if pos is None or not distance_m[0] <= np.linalg.norm(pos - start) <= distance_m[1]:
+            if (
+                pos is None
+                or not distance_m[0] <= np.linalg.norm(pos - start) <= distance_m[1]
+            ):
                 continue
             if self._is_free(draw, pos, radius, draw.target_gap(place)):
                 return place, pos
@@ -334,7 +356,9 @@ class EpisodeMaker:
             for p, r in draw.placed.values()
         )
 
-    def _place_clutter(self, rng: np.random.Generator, draw: _Draw, targets: set[int]) -> bool:
+    def _place_clutter(
+        self, rng: np.random.Generator, draw: _Draw, targets: set[int]
+    ) -> bool:
         in_shelf = 0
         for slot in range(self.layout.num_objects):
             if slot in targets:
@@ -355,7 +379,9 @@ class EpisodeMaker:
         parts: tuple[object, ...] = (_VERSION, shared, self.homes, self._in_turn)
         # A plugin can change the rules of its task while the code of mjhab stays the same.
         own = source_digest(TASKS.source(self.task))
-        return hashlib.sha256(repr((*parts, own) if own else parts).encode()).hexdigest()[:16]
+        return hashlib.sha256(repr((*parts, own) if own else parts).encode()).hexdigest()[
+            :16
+        ]
 
     def _path(self, seed: int, index: int) -> Path:
         scene = f"{self.task}-{self.target}" if self.target else self.task

@@ -13,7 +13,13 @@ from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.objects import object_words
 from mjhab.scenes.spec import Vec3
-from mjhab.tasks.instructions import Instructions, Request, Spot, instructions, seeded_draw
+from mjhab.tasks.instructions import (
+    Instructions,
+    Request,
+    Spot,
+    instructions,
+    seeded_draw,
+)
 from mjhab.tasks.plan import GOAL_OF, Subtask, TaskPlan
 
 

@@ -100,7 +100,10 @@ class EpisodeSource:
         """
         if not self._pool_size:
             return (self.starts.spawn_set or self._arrangements).episode(seed, index)
-        key = (self.config.seed, int(stream(seed, "pool", index).integers(self._pool_size)))
+        key = (
+            self.config.seed,
+            int(stream(seed, "pool", index).integers(self._pool_size)),
+        )
         found = self._pool.get(key, lambda: self._arrangements.episode(*key))
         return dataclasses.replace(found, seed=seed, index=index)
 

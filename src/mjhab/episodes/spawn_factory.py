@@ -63,7 +63,9 @@ class SpawnFactory:
         self.layout = open_setting(config).layout
         self.sim = CpuSimulator(self.layout, 1, 1)
         wanted = recipe.target if recipe.target in self.layout.roster else ""
-        self.episodes = EpisodeMaker(self.sim, recipe.task, recipe.split, config.home, wanted)
+        self.episodes = EpisodeMaker(
+            self.sim, recipe.task, recipe.split, config.home, wanted
+        )
         self.starts = StartMaker(
             self.sim, config, task_config(config, self.layout.robot), recipe.harvested
         )
@@ -95,7 +97,9 @@ class SpawnFactory:
         """Return the header of the file, see `spawn_sets.header_of`."""
         kinds = sorted(set(self.layout.roster)) if self._may_hold else []
         library = self.starts.arms if self.starts.published else self.starts.held
-        return header_of(self.recipe, self.layout, {kind: library.digest(kind) for kind in kinds})
+        return header_of(
+            self.recipe, self.layout, {kind: library.digest(kind) for kind in kinds}
+        )
 
 
 def partial_folder(out: Path) -> Path:
@@ -139,7 +143,9 @@ def make_set(
         for first in range(0, recipe.count, CHUNK):
             path = folder / f"{first:08d}{SUFFIX}"
             if not path.exists():
-                rows = list(pool.map(factory.row, range(first, min(first + CHUNK, recipe.count))))
+                rows = list(
+                    pool.map(factory.row, range(first, min(first + CHUNK, recipe.count)))
+                )
                 write(path, header, pack_rows(rows))
             parts.append(SpawnSet.read(path).columns)
             done = done + len(parts[-1]["home"])

@@ -135,12 +135,19 @@ class SpawnRow:
 def layout_digest(layout: Layout) -> str:
     """Return the hash of a layout's homes, objects, robot and compiling code; starts are valid where it is equal."""
     homes = layout.pack.homes
-    return hashlib.sha256(repr((home_hash(layout, homes[0]), homes)).encode()).hexdigest()[:16]
+    return hashlib.sha256(
+        repr((home_hash(layout, homes[0]), homes)).encode()
+    ).hexdigest()[:16]
 
 
-def header_of(recipe: SpawnRecipe, layout: Layout, grasps: dict[str, str]) -> dict[str, Any]:
+def header_of(
+    recipe: SpawnRecipe, layout: Layout, grasps: dict[str, str]
+) -> dict[str, Any]:
     """Return the header of a file. ``grasps``: hash of the grasps that starts were drawn from, by object type."""
-    made_by = {"mjhab": __version__, **{name: version(name) for name in ("mujoco", "numpy")}}
+    made_by = {
+        "mjhab": __version__,
+        **{name: version(name) for name in ("mujoco", "numpy")},
+    }
     return {
         "format": FORMAT,
         "recipe": asdict(recipe),
@@ -162,7 +169,9 @@ def pack_rows(rows: Sequence[SpawnRow]) -> dict[str, np.ndarray]:
         "position": np.array([row.position for row in rows]),
         "fallback": np.array([row.fallback for row in rows]),
         "tries": np.array([row.tries for row in rows]),
-        "targets": np.array([[(t.obj, t.start_link, t.goal_link) for t in own] for own in targets]),
+        "targets": np.array(
+            [[(t.obj, t.start_link, t.goal_link) for t in own] for own in targets]
+        ),
         "points": np.array(
             [[(t.goal_pos, t.start_pos, t.handle_pos) for t in own] for own in targets]
         ),
@@ -218,7 +227,9 @@ def content_digest(header: dict[str, Any], columns: dict[str, np.ndarray]) -> st
     The path of the assets is left out; the header has a hash of their content.
     """
     recipe = {name: value for name, value in header["recipe"].items() if name != "assets"}
-    digest = hashlib.sha256(json.dumps({**header, "recipe": recipe}, sort_keys=True).encode())
+    digest = hashlib.sha256(
+        json.dumps({**header, "recipe": recipe}, sort_keys=True).encode()
+    )
     for name in _COLUMNS:
         digest.update(
             repr((name, columns[name].dtype.str, columns[name].shape)).encode()
@@ -248,7 +259,9 @@ def _read_header(text: str) -> dict[str, Any]:
     if not isinstance(recipe.get("assets", ""), str | dict):
         raise ValueError("header.recipe.assets: expected a name or an object.")
     if recipe["seed"] < 0:
-        raise ValueError(f"header.recipe.seed: expected a number from 0, got {recipe['seed']}.")
+        raise ValueError(
+            f"header.recipe.seed: expected a number from 0, got {recipe['seed']}."
+        )
     for name in ("task", "split"):
         check_name(f"recipe, {name}", recipe[name])
     for name in ("subtask", "target"):
@@ -284,10 +297,16 @@ def _check_content(columns: dict[str, np.ndarray]) -> None:
     for name in set(columns["targets"].ravel().tolist()):
         check_name("column 'targets'", name, empty=True)
     if columns["targets"].shape[1] != columns["points"].shape[1]:
-        raise ValueError("columns 'targets' and 'points' are of different numbers of targets.")
+        raise ValueError(
+            "columns 'targets' and 'points' are of different numbers of targets."
+        )
     for name in ("object_pose", "points"):
         check_range(
-            f"column {name!r}", columns[name][..., :3], -MAX_POSITION_M, MAX_POSITION_M, "m"
+            f"column {name!r}",
+            columns[name][..., :3],
+            -MAX_POSITION_M,
+            MAX_POSITION_M,
+            "m",
         )
 
 
@@ -319,7 +338,9 @@ def _misfit(columns: dict[str, np.ndarray], layout: Layout) -> str:
 class SpawnSet:
     """A spawn set. ``header``: fields of `header_of`, and ``digest``; ``columns``: arrays by name, see the module."""
 
-    def __init__(self, path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) -> None:
+    def __init__(
+        self, path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]
+    ) -> None:
         self.path = path
         self.header = header
         self.columns = columns
@@ -365,7 +386,9 @@ class SpawnSet:
         here = layout_digest(layout)
         if found.header["layout"] != here:
             versions = found.header["versions"]
-            made = f"pack {found.header['pack']!r}, mjhab {versions.get('mjhab', 'unknown')}"
+            made = (
+                f"pack {found.header['pack']!r}, mjhab {versions.get('mjhab', 'unknown')}"
+            )
             theirs = f"{found.header['layout']} ({made})"
             raise UsageError(
                 f"{path} was made for layout {theirs}; this is layout {here} (pack {layout.pack.name!r}, mjhab "
@@ -390,7 +413,11 @@ class SpawnSet:
         """The recipe that the set was made from."""
         known = {field.name for field in fields(SpawnRecipe)}
         return SpawnRecipe(
-            **{name: value for name, value in self.header["recipe"].items() if name in known}
+            **{
+                name: value
+                for name, value in self.header["recipe"].items()
+                if name in known
+            }
         )
 
     @property
@@ -470,7 +497,12 @@ class SpawnSet:
     def _targets(self, k: int) -> tuple[Target, ...]:
         return tuple(
             Target(
-                str(obj), _point(goal), _point(start_pos), str(start), str(where), _point(handle)
+                str(obj),
+                _point(goal),
+                _point(start_pos),
+                str(start),
+                str(where),
+                _point(handle),
             )
             for (obj, start, where), (goal, start_pos, handle) in zip(
                 self.columns["targets"][k], self.columns["points"][k], strict=True

@@ -81,7 +81,8 @@ class SpawnGoal:
         if self.center is None:
             return np.ones(xy.shape[:-1], bool)
         return (
-            np.hypot(xy[..., 0] - self.center[0], xy[..., 1] - self.center[1]) <= self.reach + slack
+            np.hypot(xy[..., 0] - self.center[0], xy[..., 1] - self.center[1])
+            <= self.reach + slack
         )
 
 
@@ -167,17 +168,28 @@ class SpawnSampler:
             arm_noise = np.clip(
                 rng.normal(0, ARM_NOISE[0], len(self._arm)), -ARM_NOISE[1], ARM_NOISE[1]
             )
-            found = None if base is None else self._apply(home, qpos, base, arm_noise, held)
+            found = (
+                None if base is None else self._apply(home, qpos, base, arm_noise, held)
+            )
             if found is not None:
                 return found, tries
         return None, tries
 
     def at(
-        self, home: str, qpos: np.ndarray, xy: np.ndarray, goal: SpawnGoal, held: Held | None = None
+        self,
+        home: str,
+        qpos: np.ndarray,
+        xy: np.ndarray,
+        goal: SpawnGoal,
+        held: Held | None = None,
     ) -> np.ndarray | None:
         """Return the state (nq,) with the robot at ``xy`` (2,) [m], facing the goal; None if it collides."""
         return self._apply(
-            home, qpos, np.array([*xy, self._heading(xy, goal)]), np.zeros(len(self._arm)), held
+            home,
+            qpos,
+            np.array([*xy, self._heading(xy, goal)]),
+            np.zeros(len(self._arm)),
+            held,
         )
 
     def fallback(
@@ -201,7 +213,11 @@ class SpawnSampler:
                 return found
         best = self._roomiest(home, cells)
         return self._pose(
-            home, qpos, np.array([*best, self._heading(best, goal)]), np.zeros(len(self._arm)), held
+            home,
+            qpos,
+            np.array([*best, self._heading(best, goal)]),
+            np.zeros(len(self._arm)),
+            held,
         )
 
     # -- one try ---------------------------------------------------------------------------------------------------
@@ -225,13 +241,17 @@ class SpawnSampler:
     ) -> np.ndarray | None:
         noise = np.clip(rng.normal(0, XY_NOISE[0], 2), -XY_NOISE[1], XY_NOISE[1])
         turn = float(
-            np.clip(rng.normal(0, goal.yaw_noise[0]), -goal.yaw_noise[1], goal.yaw_noise[1])
+            np.clip(
+                rng.normal(0, goal.yaw_noise[0]), -goal.yaw_noise[1], goal.yaw_noise[1]
+            )
         )
         if not len(candidates):
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
         xy = cell + noise
-        if self.map(home).clearance_at(xy) < self._radius - 0.02 or not goal.allows(xy, goal.slack):
+        if self.map(home).clearance_at(xy) < self._radius - 0.02 or not goal.allows(
+            xy, goal.slack
+        ):
             return None
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])
@@ -251,7 +271,9 @@ class SpawnSampler:
         if home not in self._walls:
             walls = [g for g in self._homes[home].walls if g.collide and g.shape == "box"]
             rot = mat_from_quat(np.array([g.quat for g in walls]).reshape(-1, 4))
-            self._walls[home] = Boxes.of([g.pos for g in walls], [g.size for g in walls], rot)
+            self._walls[home] = Boxes.of(
+                [g.pos for g in walls], [g.size for g in walls], rot
+            )
         share = np.linspace(0.0, 1.0, 60)[:, None]
         line = np.full((60, 3), EYE_HEIGHT)
         line[:, :2] = xy + share * (face - xy)

@@ -37,7 +37,9 @@ def with_zones(plan: TaskPlan, layout: Layout, home: Home, tolerance: float) -> 
 
 
 def zone(
-    goal: tuple[float, float, float], receptacles: Sequence[PlacedReceptacle], tolerance: float
+    goal: tuple[float, float, float],
+    receptacles: Sequence[PlacedReceptacle],
+    tolerance: float,
 ) -> tuple[tuple[float, float], ...]:
     """Return the zone of a goal: the rectangle of the receptacle below it.
 

@@ -36,7 +36,13 @@ from mjhab.evaluation.resolve import (
     no_instruction,
     resolve_policy,
 )
-from mjhab.reports.metrics import AloneRates, alone_rates, rows_by_kind, rows_by_position, summarize
+from mjhab.reports.metrics import (
+    AloneRates,
+    alone_rates,
+    rows_by_kind,
+    rows_by_position,
+    summarize,
+)
 from mjhab.reports.run import render_report
 from mjhab.rollout.films import Film, FilmSink
 from mjhab.rollout.loop import plain, rollout
@@ -62,11 +68,15 @@ NOT_IN_CONFIG = frozenset(
     {"policy", "style", "instruction", "env", "out", "resume", "overwrite", "alone"}
 )
 """Fields of `EvalSpec` that a run's configuration stores in another form, or not at all."""
-FIXED_ENV_OPTIONS = frozenset({"num_envs", "autoreset", "backend", "device", "starts", "buffers"})
+FIXED_ENV_OPTIONS = frozenset(
+    {"num_envs", "autoreset", "backend", "device", "starts", "buffers"}
+)
 """Environment options that an evaluation sets itself."""
 
 
-CHECKED_APART = frozenset({"policy", "assets", "episodes", "worlds", "seed", "threads", "films"})
+CHECKED_APART = frozenset(
+    {"policy", "assets", "episodes", "worlds", "seed", "threads", "films"}
+)
 """Fields of `EvalSpec` and `GenerateSpec` whose types other functions check."""
 
 
@@ -128,18 +138,24 @@ class EvalSpec:
                 raise unknown_name(kind, given, valid)
         check_style(self.policy, self.style)
         if self.target and not self.subtask:
-            raise UsageError("a target needs a subtask: a whole task has its targets in its plan.")
+            raise UsageError(
+                "a target needs a subtask: a whole task has its targets in its plan."
+            )
         if self.instruction and not self.subtask:
             raise UsageError(
                 "an instruction needs a subtask: in a whole task every subtask has a sentence of its own."
             )
         for name in ("worlds", "seed", "threads", "films"):
             object.__setattr__(self, name, whole_number(name, getattr(self, name)))
-        object.__setattr__(self, "episodes", whole_number("episodes", self.episodes, least=1))
+        object.__setattr__(
+            self, "episodes", whole_number("episodes", self.episodes, least=1)
+        )
         check_env_options(self.env)
         if isinstance(self.policy, str):
             object.__setattr__(
-                self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
+                self,
+                "policy",
+                full_spec(self.policy, self.task, self.subtask, self.target),
             )
 
 
@@ -242,7 +258,9 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     policy = None
     try:
         policy = make_policy(spec, env)
-        with RunFolder.open(path, config, resume=spec.resume, overwrite=spec.overwrite) as folder:
+        with RunFolder.open(
+            path, config, resume=spec.resume, overwrite=spec.overwrite
+        ) as folder:
             return _run(spec, env, policy, folder, sinks, alone)
     finally:
         close_policy(policy)
@@ -273,7 +291,11 @@ def _run(
     except KeyboardInterrupt:
         interrupted = True
     run = finish(
-        folder, earlier + time.perf_counter() - started, films.problem, alone, latency(policy)
+        folder,
+        earlier + time.perf_counter() - started,
+        films.problem,
+        alone,
+        latency(policy),
     )
     if interrupted:
         raise EvaluationInterrupted(run)
@@ -404,7 +426,9 @@ def default_out(spec: EvalSpec, policy: str) -> Path:
     """Default run folder; ``policy`` is the policy's name."""
     driven = "drive" if spec.navigate == "drive" and not spec.subtask else None
     words = (spec.task, spec.subtask, spec.target, driven, policy, f"seed{spec.seed}")
-    return Path("runs") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words if word)
+    return Path("runs") / "_".join(
+        re.sub(r"[^\w.-]+", "-", word) for word in words if word
+    )
 
 
 def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
@@ -417,7 +441,9 @@ def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
     for folder in folders:
         found = read_records(folder)
         if not any(record.subtask for record in found):
-            raise UsageError(f"--alone {folder}: this folder holds no run with --subtask.")
+            raise UsageError(
+                f"--alone {folder}: this folder holds no run with --subtask."
+            )
         records += found
     return alone_rates(records)
 
@@ -431,15 +457,23 @@ def finish(
 ) -> Run:
     """Write summary.json and report.html from the records in the folder; ``latency_ms``: see `latency`."""
     records = folder.records
-    summary = {"profile": folder.config.get("profile"), **summarize(records, seconds, alone)}
+    summary = {
+        "profile": folder.config.get("profile"),
+        **summarize(records, seconds, alone),
+    }
     if latency_ms is not None:
         summary["latency_ms"] = dict(latency_ms)
     rows = {"along_the_plan": rows_by_position(records), "by_kind": rows_by_kind(records)}
     folder.write_summary(
-        {**summary, **{name: [asdict(row) for row in table] for name, table in rows.items()}}
+        {
+            **summary,
+            **{name: [asdict(row) for row in table] for name, table in rows.items()},
+        }
     )
     folder.write_report(
-        render_report(records, folder.config, seconds, folder.film_path, film_problem, alone)
+        render_report(
+            records, folder.config, seconds, folder.film_path, film_problem, alone
+        )
     )
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)
 

@@ -136,11 +136,15 @@ class GenerateSpec:
     resume: bool = False
 
     def __post_init__(self) -> None:
-        take_types(self, CHECKED_APART | {"per_target", "per_label", "workers", "camera_size"})
+        take_types(
+            self, CHECKED_APART | {"per_target", "per_label", "workers", "camera_size"}
+        )
         object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         if isinstance(self.policy, str):
             object.__setattr__(
-                self, "policy", full_spec(self.policy, self.task, self.subtask, self.target)
+                self,
+                "policy",
+                full_spec(self.policy, self.task, self.subtask, self.target),
             )
         if self.navigate is None:
             # A single subtask ignores this option; it keeps the value that older data sets have.
@@ -158,7 +162,9 @@ class GenerateSpec:
                 "(episodes to try)."
             )
         if self.episodes is not None:
-            object.__setattr__(self, "episodes", whole_number("episodes", self.episodes, least=1))
+            object.__setattr__(
+                self, "episodes", whole_number("episodes", self.episodes, least=1)
+            )
         self.as_evaluation()
         self.filter()
         if self.stores_images:
@@ -242,7 +248,9 @@ class GeneratedData:
         return recorded_episodes(self.path)
 
 
-def generate(policy: PolicyLike = "expert", *, out: Path | str, **options: Any) -> GeneratedData:
+def generate(
+    policy: PolicyLike = "expert", *, out: Path | str, **options: Any
+) -> GeneratedData:
     """Record the episodes of a policy in a folder of shards, as ``mjhab generate`` does.
 
     >>> import mjhab
@@ -268,7 +276,9 @@ def generate(policy: PolicyLike = "expert", *, out: Path | str, **options: Any) 
         MjhabError: a worker failed.
         KeyboardInterrupt: Ctrl-C was pressed; finished episodes are kept, and ``resume=True`` continues.
     """
-    return run_generation(spec_of_options(GenerateSpec, {"policy": policy, "out": out, **options}))
+    return run_generation(
+        spec_of_options(GenerateSpec, {"policy": policy, "out": out, **options})
+    )
 
 
 def run_generation(
@@ -349,10 +359,18 @@ def build_stage(spec: GenerateSpec) -> Stage:
     env = make_env(evaluation, recorded_env_options(spec, facts))
     targets = (ALL,)
     if spec.subtask and not SUBTASKS[spec.subtask].navigates:
-        targets = (spec.target,) if spec.target else tuple(valid_targets(env.config, env.layout))
+        targets = (
+            (spec.target,)
+            if spec.target
+            else tuple(valid_targets(env.config, env.layout))
+        )
     policy = make_policy(evaluation, env)
     return Stage(
-        env, policy, about_policy(spec, facts), targets, licence_of(pack_request(spec.assets).place)
+        env,
+        policy,
+        about_policy(spec, facts),
+        targets,
+        licence_of(pack_request(spec.assets).place),
     )
 
 
@@ -418,7 +436,9 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
     if spec.style:
         config["style"] = Styles.parse(spec.style).words
     options = {**recorded_env_options(spec, facts), "cameras": spec.cameras}
-    config |= EnvConfig(task=spec.task, subtask=spec.subtask or "", **options).of_profile()
+    config |= EnvConfig(
+        task=spec.task, subtask=spec.subtask or "", **options
+    ).of_profile()
     further = {name: value for name, value in spec.env.items() if name not in config}
     if further:
         config["env"] = further

@@ -25,7 +25,9 @@ def construct_policy(factory: Callable[..., Policy], env: RolloutEnv) -> Policy:
         for parameter in inspect.signature(factory).parameters.values()
         if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     ]
-    required = [parameter for parameter in parameters if parameter.default is parameter.empty]
+    required = [
+        parameter for parameter in parameters if parameter.default is parameter.empty
+    ]
     if len(required) > 1:
         raise UsageError(
             f"{name} needs {len(required)} arguments ({', '.join(p.name for p in required)}), but it is called with "
@@ -45,7 +47,9 @@ def check_policy(policy: Any, called: str) -> None:
     """
     check_methods(policy, called)
     if not isinstance(getattr(policy, "name", None), str):
-        raise UsageError(f"the policy {called} has no name; give it one, as in: name = {called!r}.")
+        raise UsageError(
+            f"the policy {called} has no name; give it one, as in: name = {called!r}."
+        )
 
 
 def env_options_of(policy: Any) -> Mapping[str, Any]:
@@ -68,7 +72,9 @@ def check_methods(policy: Any, called: str) -> None:
     Raises:
         UsageError: a method is missing.
     """
-    lacking = [method for method in METHODS if not callable(getattr(policy, method, None))]
+    lacking = [
+        method for method in METHODS if not callable(getattr(policy, method, None))
+    ]
     if lacking:
         raise UsageError(
             f"the policy {called} has no {' and no '.join(lacking)}; it needs reset(mask) and act(obs, info), see "

@@ -31,7 +31,9 @@ def inspect_policy(spec: str) -> PolicyFacts:
     path, _ = _split(spec)
     policy_class = _load_class(spec)
     name = f"{path.name}:{policy_class.__name__}"
-    return PolicyFacts(name, {"policy_sha256": _file_hash(path)}, env_options_of(policy_class))
+    return PolicyFacts(
+        name, {"policy_sha256": _file_hash(path)}, env_options_of(policy_class)
+    )
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
@@ -58,7 +60,9 @@ def _load_class(spec: str) -> type:
     if not path.is_file():
         raise UsageError(f"--policy {spec}: there is no file {path}.")
     module = _load_module(path)
-    classes = {key: value for key, value in vars(module).items() if inspect.isclass(value)}
+    classes = {
+        key: value for key, value in vars(module).items() if inspect.isclass(value)
+    }
     own = [
         key
         for key, value in classes.items()
@@ -70,7 +74,9 @@ def _load_class(spec: str) -> type:
     if name not in classes:
         if not own:
             raise UsageError(f"{path} has no class {name!r}; it defines no class at all.")
-        raise UsageError(f"{path} has no class {name!r}. {unknown_name('class', name, own)}")
+        raise UsageError(
+            f"{path} has no class {name!r}. {unknown_name('class', name, own)}"
+        )
     check_methods(classes[name], name)
     return classes[name]
 

@@ -149,7 +149,9 @@ def inspect_policy(spec: str) -> PolicyFacts:
     return _kind_of(spec).load().inspect_policy(spec)
 
 
-def resolve_policy(spec: str, env: RolloutEnv, options: PolicyOptions | None = None) -> Policy:
+def resolve_policy(
+    spec: str, env: RolloutEnv, options: PolicyOptions | None = None
+) -> Policy:
     """Build the policy that a specification names.
 
     Args:

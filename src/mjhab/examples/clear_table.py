@@ -14,7 +14,9 @@ CLEAR_TABLE = TaskSpec(
     name="clear_table",
     words=("clear the table", "clear away the dishes"),
     targets=(
-        TargetRule(start=("dining_table",), goal=("sink", "counter_top"), object="024_bowl"),
+        TargetRule(
+            start=("dining_table",), goal=("sink", "counter_top"), object="024_bowl"
+        ),
         TargetRule(
             start=("dining_table",),
             goal=("fridge_shelf",),

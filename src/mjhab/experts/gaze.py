@@ -62,7 +62,11 @@ def neck_of(robot: Robot) -> Neck | None:
         return None
     pan = links[head[0]]
     tilt = links[head[1]]
-    if pan.axis != (0.0, 0.0, 1.0) or tilt.axis != (0.0, 1.0, 0.0) or tilt.parent != pan.link:
+    if (
+        pan.axis != (0.0, 0.0, 1.0)
+        or tilt.axis != (0.0, 1.0, 0.0)
+        or tilt.parent != pan.link
+    ):
         return None
     return Neck(_origin(robot, pan), tilt.origin)
 
@@ -94,7 +98,11 @@ def focus(view: WorldView) -> np.ndarray | None:
         return None
     if spec.jointed and subtask.link in view.home.links:
         return view.home.links[subtask.link].handle_pose(view.link_q(subtask.link))[0]
-    if "object" in spec.shows and subtask.obj and not (spec.brings_to_goal or spec.navigates):
+    if (
+        "object" in spec.shows
+        and subtask.obj
+        and not (spec.brings_to_goal or spec.navigates)
+    ):
         return view.object_pose(subtask.obj)[:3]
     return np.array(subtask.goal_pos, float)
 
@@ -120,7 +128,9 @@ class Gaze:
         if self._neck is None:
             return action
         goal = self._wanted(self._neck, view)
-        wish = (goal - view.q[list(self._robot.head_columns)]) / self._robot.limits.joint_delta
+        wish = (
+            goal - view.q[list(self._robot.head_columns)]
+        ) / self._robot.limits.joint_delta
         turned = action.copy()
         turned[list(self._robot.action.head)] = np.clip(wish, -1.0, 1.0)
         return turned
@@ -134,7 +144,9 @@ class Gaze:
         c = math.cos(base[BASE_YAW])
         s = math.sin(base[BASE_YAW])
         x, y = point[:2] - base[BASE_XY]
-        here = np.array([c * x + s * y, c * y - s * x, point[2] - self._robot.base_height])
+        here = np.array(
+            [c * x + s * y, c * y - s * x, point[2] - self._robot.base_height]
+        )
         torso = self._robot.torso_columns
         lift = float(view.q[list(torso)].sum())
         angles = neck.angles(here, lift)

@@ -82,7 +82,9 @@ def _kinds_in(env: Worlds) -> tuple[str, ...]:
     """Names of the subtasks that an environment asks its expert for; without those that it does by teleports."""
     config = env.config
     kinds = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
-    return tuple(name for name in kinds if not (config.teleports and SUBTASKS[name].navigates))
+    return tuple(
+        name for name in kinds if not (config.teleports and SUBTASKS[name].navigates)
+    )
 
 
 class ExpertPolicy:
@@ -206,6 +208,8 @@ class ExpertPolicy:
             return next(script)
         except StopIteration:
             # After the end of its script the robot stays at rest with the gripper command unchanged.
-            rest = motion.stay_at_rest(view, gripper=float(self._last[w, self._columns.gripper]))
+            rest = motion.stay_at_rest(
+                view, gripper=float(self._last[w, self._columns.gripper])
+            )
             self._scripts[w] = rest
             return next(rest)

@@ -56,7 +56,11 @@ def wait_for(view: WorldView, condition: motion.Until) -> motion.Until:
 
 def of_kind(grasps: Grasps, kind: str) -> Grasps:
     """Grasps with one approach direction: "top", "tilted", "side" or "any", see `candidates.KINDS`."""
-    return grasps if kind == ANY else grasps.take(np.flatnonzero(grasps.kind == KINDS.index(kind)))
+    return (
+        grasps
+        if kind == ANY
+        else grasps.take(np.flatnonzero(grasps.kind == KINDS.index(kind)))
+    )
 
 
 class Manner:
@@ -66,7 +70,9 @@ class Manner:
         style: how. columns: of the robot's actions. random: source of the noise, one stream per episode.
     """
 
-    def __init__(self, style: Style, columns: ActionColumns, random: np.random.Generator) -> None:
+    def __init__(
+        self, style: Style, columns: ActionColumns, random: np.random.Generator
+    ) -> None:
         self.style = style
         self._columns = columns
         self._base = [columns.base_forward, columns.base_yaw]
@@ -138,7 +144,9 @@ class Manner:
     def _disturbed(self, action: np.ndarray, scale: np.ndarray) -> np.ndarray:
         fresh = self._random.standard_normal(self._columns.dim)
         if self.style.noise_kind == SMOOTH:
-            self._noise = NOISE_MEMORY * self._noise + np.sqrt(1.0 - NOISE_MEMORY**2) * fresh
+            self._noise = (
+                NOISE_MEMORY * self._noise + np.sqrt(1.0 - NOISE_MEMORY**2) * fresh
+            )
         else:
             self._noise = fresh
         return np.clip(action + scale * self._noise, -1.0, 1.0).astype(np.float32)

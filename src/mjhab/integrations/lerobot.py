@@ -52,7 +52,10 @@ class LeRobotEnv(gymnasium.Env):
         UsageError: an unknown name among the options.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FPS}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": FPS,
+    }  # type: ignore[misc]
 
     def __init__(self, options: LeRobotOptions | None = None) -> None:
         options = options or LeRobotOptions()
@@ -76,7 +79,9 @@ class LeRobotEnv(gymnasium.Env):
         self._reader = ActionReader(options.actions, self._env.action_table)
         self._index = -1
         self._success = False
-        self._max_episode_steps = MAX_SUBTASK_STEPS if options.subtask else MAX_CHAIN_STEPS
+        self._max_episode_steps = (
+            MAX_SUBTASK_STEPS if options.subtask else MAX_CHAIN_STEPS
+        )
         self.task_description = ""
         self.task = f"{options.task} {options.subtask}".strip()
         shape = (options.image_size, options.image_size, 3)
@@ -88,7 +93,9 @@ class LeRobotEnv(gymnasium.Env):
                 "environment_state": _box(self._unsensed),
             }
         )
-        self.action_space = spaces.Box(-np.inf, np.inf, (len(self._reader.names),), np.float32)
+        self.action_space = spaces.Box(
+            -np.inf, np.inf, (len(self._reader.names),), np.float32
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -101,7 +108,9 @@ class LeRobotEnv(gymnasium.Env):
         self._success = False
         return self._told(obs, info)
 
-    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """One control step of 50 ms.
 
         Raises:
@@ -128,7 +137,9 @@ class LeRobotEnv(gymnasium.Env):
         self.task_description = info["instruction"][0]
         images = {
             name: obs[camera_key(camera, "rgb")][0]
-            for name, camera in zip(CAMERAS, self._env.layout.robot.camera_names, strict=True)
+            for name, camera in zip(
+                CAMERAS, self._env.layout.robot.camera_names, strict=True
+            )
         }
         env = self._env
         context = env.sensing.context(env.state, env.focus, env.signals)

@@ -29,7 +29,9 @@ def to_rsl_rl(env: VectorEnv) -> Any:
         from rsl_rl.env import VecEnv  # pyright: ignore[reportMissingImports]
         from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise UsageError(f"to_rsl_rl needs rsl_rl: {pip_install('rsl-rl-lib')}") from error
+        raise UsageError(
+            f"to_rsl_rl needs rsl_rl: {pip_install('rsl-rl-lib')}"
+        ) from error
     _require_own_resets(env)
     numpy = not env.metadata.get("tensors", False)
 
@@ -51,7 +53,9 @@ def to_rsl_rl(env: VectorEnv) -> Any:
         def get_observations(self) -> Any:
             return self._obs
 
-        def step(self, actions: torch.Tensor) -> tuple[Any, torch.Tensor, torch.Tensor, dict]:
+        def step(
+            self, actions: torch.Tensor
+        ) -> tuple[Any, torch.Tensor, torch.Tensor, dict]:
             given = actions.detach().cpu().numpy() if numpy else actions
             obs, reward, terminated, truncated, info = env.step(given)
             self._obs = self._grouped(obs)

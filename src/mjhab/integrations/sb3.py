@@ -59,7 +59,9 @@ class _Worlds:
         known: Any = env.single_observation_space
         self._env = env
         self._keys = keys
-        self._actions = np.zeros((env.num_envs, *(env.single_action_space.shape or ())), np.float32)
+        self._actions = np.zeros(
+            (env.num_envs, *(env.single_action_space.shape or ())), np.float32
+        )
         self._succeeded = np.zeros(env.num_envs, bool)
         several = spaces.Dict({key: known[key] for key in keys})
         base: Any = super()
@@ -106,12 +108,16 @@ class _Worlds:
         return [getattr(self._env, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        raise UsageError("attributes of single worlds cannot be set; make another environment.")
+        raise UsageError(
+            "attributes of single worlds cannot be set; make another environment."
+        )
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        raise UsageError("worlds have no methods of their own; call those of the environment.")
+        raise UsageError(
+            "worlds have no methods of their own; call those of the environment."
+        )
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         return [False] * self._count(indices)

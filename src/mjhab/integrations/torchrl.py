@@ -76,7 +76,9 @@ class _Worlds:
         actions: Any = self._env.action_space
         low = torch.as_tensor(actions.low, device=self.device)
         high = torch.as_tensor(actions.high, device=self.device)
-        self.action_spec = Bounded(low, high, shape=low.shape, dtype=low.dtype, device=self.device)
+        self.action_spec = Bounded(
+            low, high, shape=low.shape, dtype=low.dtype, device=self.device
+        )
         self.reward_spec = Unbounded(shape=(*self.batch_size, 1), device=self.device)
         ends = {key: flag.clone() for key in ("done", "terminated", "truncated")}
         self.done_spec = Composite(ends, shape=self.batch_size)
@@ -110,7 +112,11 @@ class _Worlds:
 
 
 def _ends(terminated: torch.Tensor, truncated: torch.Tensor) -> dict[str, torch.Tensor]:
-    return {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
+    return {
+        "done": terminated | truncated,
+        "terminated": terminated,
+        "truncated": truncated,
+    }
 
 
 def _shown(obs: dict[str, Any], info: dict[str, Any]) -> dict[str, torch.Tensor]:

@@ -83,7 +83,9 @@ class MjhabBenchmark(StepBenchmark):
 
     def get_tasks(self) -> list[dict[str, Any]]:
         """One per row."""
-        return [{"name": name, "suite": f"mjhab_{self._asked.track}"} for name in self._rows]
+        return [
+            {"name": name, "suite": f"mjhab_{self._asked.track}"} for name in self._rows
+        ]
 
     def reset(self, task: dict[str, Any]) -> Any:
         """Begin the episode with index ``task["episode_idx"]`` of the row of this name."""

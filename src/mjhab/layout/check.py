@@ -59,12 +59,16 @@ def layout_hash(model: mujoco.MjModel) -> str:
         model.sensor_type,
     ):
         digest.update(array.tobytes())
-    digest.update(repr((model.nq, model.nv, model.nu, model.ngeom, model.nsensordata)).encode())
+    digest.update(
+        repr((model.nq, model.nv, model.nu, model.ngeom, model.nsensordata)).encode()
+    )
     return digest.hexdigest()[:16]
 
 
 def check_homes(
-    layout: Layout, homes: Sequence[Home], tell: Callable[[Home], object] = lambda home: None
+    layout: Layout,
+    homes: Sequence[Home],
+    tell: Callable[[Home], object] = lambda home: None,
 ) -> HomesReport:
     """Compile and check homes of a layout.
 
@@ -122,7 +126,9 @@ def remarks(layout: Layout, home: Home) -> list[str]:
     free = free_map(home, layout.pack)
     share = free.navigable().sum() / (free.clearance >= NAVMESH_BASE_RADIUS_M).sum()
     found = (
-        [] if share >= MIN_CONNECTED_SHARE else [f"only {share:.0%} of the free floor is connected"]
+        []
+        if share >= MIN_CONNECTED_SHARE
+        else [f"only {share:.0%} of the free floor is connected"]
     )
     for r in reach(home, layout.pack, free):
         if r.center > MAX_REACH_TO_CENTER_M:

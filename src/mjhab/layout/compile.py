@@ -24,10 +24,16 @@ def home_hash(layout: Layout, home: Home) -> str:
         mujoco.__version__.encode() + code_digest("scenes", "robots.model", "layout")
     )
     digest.update(layout.robot.digest)
-    digest.update(repr((home, layout.roster, layout.prop_slots, layout.num_walls)).encode())
+    digest.update(
+        repr((home, layout.roster, layout.prop_slots, layout.num_walls)).encode()
+    )
     digest.update(
         repr(
-            (sorted(pack.props.items()), sorted(pack.articulations.items()), layout.objects)
+            (
+                sorted(pack.props.items()),
+                sorted(pack.articulations.items()),
+                layout.objects,
+            )
         ).encode()
     )
     for name in sorted(pack.meshes):
@@ -55,7 +61,9 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
             reason = ", ".join(str(error).splitlines())
             raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
         # Saving drops the signature of a freshly compiled model: loading from the file makes all models equal.
-        found = _load(write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None)))
+        found = _load(
+            write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None))
+        )
     return found
 
 

@@ -61,7 +61,9 @@ def add_touch_sensor(spec: mujoco.MjSpec, name: str, subtree: str, body: str) ->
 
 def add_depth_sensor(spec: mujoco.MjSpec, name: str, subtree: str) -> None:
     """Add a sensor of one number: the least contact distance [m] of ``subtree`` and its descendants."""
-    _add_sensor(spec, name, subtree, "", _Readings((_DIST,), _MINDIST), whole_subtree=True)
+    _add_sensor(
+        spec, name, subtree, "", _Readings((_DIST,), _MINDIST), whole_subtree=True
+    )
 
 
 def _add_sensor(
@@ -97,7 +99,9 @@ def normal_force(readings: np.ndarray) -> np.ndarray:
     return _normals(_slots(readings, _FORCE_SLOT)).sum(axis=-2)
 
 
-def pair_force(readings: np.ndarray, touches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pair_force(
+    readings: np.ndarray, touches: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the net normal force over the contacts that a force sensor and a touch sensor both list.
 
     Contacts are matched by position, which is bitwise the same in every sensor that lists a contact.

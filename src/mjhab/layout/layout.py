@@ -18,7 +18,11 @@ from scipy.spatial import ConvexHull
 from mjhab.core.errors import unknown_name
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import copy_names
-from mjhab.layout.contact_sensors import add_depth_sensor, add_force_sensor, add_touch_sensor
+from mjhab.layout.contact_sensors import (
+    add_depth_sensor,
+    add_force_sensor,
+    add_touch_sensor,
+)
 from mjhab.robots.model import add_robot, physics_options
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
@@ -131,7 +135,9 @@ class Layout:
         objects: (N,) their object types.
     """
 
-    def __init__(self, pack: Pack, roster: tuple[str, ...], robot: Robot | None = None) -> None:
+    def __init__(
+        self, pack: Pack, roster: tuple[str, ...], robot: Robot | None = None
+    ) -> None:
         self.pack = pack
         self.roster = roster
         self.robot = robot or robot_named()
@@ -139,14 +145,18 @@ class Layout:
         for home in pack.homes:
             copies |= Counter(p.template for p in home.props)
         self.prop_slots = tuple(
-            PropSlot(f"{name}_{k}", name, k) for name in sorted(copies) for k in range(copies[name])
+            PropSlot(f"{name}_{k}", name, k)
+            for name in sorted(copies)
+            for k in range(copies[name])
         )
         self.num_walls = max(len(home.walls) for home in pack.homes)
         self.articulations: tuple[Articulation, ...] = tuple(
             pack.articulations[n] for n in sorted(pack.articulations)
         )
         self.links = tuple(
-            LinkRef(f"{a.name}/{k.name}", a.name, k) for a in self.articulations for k in a.links
+            LinkRef(f"{a.name}/{k.name}", a.name, k)
+            for a in self.articulations
+            for k in a.links
         )
         self.link_ids = tuple(ref.id for ref in self.links)
         self.doors = frozenset(ref.id for ref in self.links if ref.link.joint == "hinge")
@@ -154,8 +164,12 @@ class Layout:
         self.object_names = copy_names(roster)
         for kind in roster:
             if kind not in pack.objects:
-                raise unknown_name(f"object type of pack {pack.name!r}", kind, pack.objects)
-        self.objects: tuple[ObjectType, ...] = tuple(pack.objects[kind] for kind in roster)
+                raise unknown_name(
+                    f"object type of pack {pack.name!r}", kind, pack.objects
+                )
+        self.objects: tuple[ObjectType, ...] = tuple(
+            pack.objects[kind] for kind in roster
+        )
         self.derived = MemoryCache("maps")
         """Cache of data computed from the homes, by key."""
 
@@ -186,7 +200,9 @@ class Layout:
 
     def articulation_placement(self, home: Home, name: str) -> Placement:
         """Return the placement of an articulation in a home; parked below the floor if the home lacks it."""
-        return next((p for p in home.articulations if p.template == name), Placement(name, PARKED))
+        return next(
+            (p for p in home.articulations if p.template == name), Placement(name, PARKED)
+        )
 
     def closed_link_origin(self, home: Home, link_id: str) -> Vec3:
         """Return the world position [m] of the origin of a moving link in its closed position."""
@@ -213,14 +229,24 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     world = spec.worldbody
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     world.add_geom(
-        name="floor", type=plane, size=[0, 0, 1], contype=contact_bits.STATIC, conaffinity=0
+        name="floor",
+        type=plane,
+        size=[0, 0, 1],
+        contype=contact_bits.STATIC,
+        conaffinity=0,
     )
     _add_meshes(spec, layout)
     add_robot(spec, layout.robot)
     for k in range(layout.num_walls):
-        wall = home.walls[k] if k < len(home.walls) else Geom("box", (0.01, 0.01, 0.01), PARKED)
+        wall = (
+            home.walls[k]
+            if k < len(home.walls)
+            else Geom("box", (0.01, 0.01, 0.01), PARKED)
+        )
         _add_geom(world, wall, f"wall_{k}", contact_bits.STATIC)
-    for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
+    for slot, placement in zip(
+        layout.prop_slots, layout.slot_placements(home), strict=True
+    ):
         prop = layout.pack.props[slot.template]
         bit = contact_bits.STATIC if prop.blocks_base else contact_bits.RUG
         _add_static(world, prop.geoms, slot.name, placement, bit)
@@ -237,7 +263,10 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
 
 def _add_meshes(spec: mujoco.MjSpec, layout: Layout) -> None:
     used = {
-        g.mesh for kind in layout.pack.objects.values() for g in kind.collision if g.shape == "mesh"
+        g.mesh
+        for kind in layout.pack.objects.values()
+        for g in kind.collision
+        if g.shape == "mesh"
     }
     used |= {
         g.mesh
@@ -276,20 +305,31 @@ def _add_geom(
 
 
 def _add_static(
-    world: mujoco.MjsBody, geoms: tuple[Geom, ...], name: str, at: Placement | None, bit: int
+    world: mujoco.MjsBody,
+    geoms: tuple[Geom, ...],
+    name: str,
+    at: Placement | None,
+    bit: int,
 ) -> None:
     for i, geom in enumerate(g for g in geoms if g.collide):
         pos, quat = (
-            (PARKED, IDENTITY) if at is None else compose(at.pos, at.rotation, geom.pos, geom.quat)
+            (PARKED, IDENTITY)
+            if at is None
+            else compose(at.pos, at.rotation, geom.pos, geom.quat)
         )
         moved = Geom(geom.shape, geom.size, pos, quat, mesh=geom.mesh)
         _add_geom(world, moved, f"{name}/{i}", bit)
 
 
 def _add_articulation(
-    spec: mujoco.MjSpec, articulation: Articulation, at: Placement, limits: dict[str, float]
+    spec: mujoco.MjSpec,
+    articulation: Articulation,
+    at: Placement,
+    limits: dict[str, float],
 ) -> None:
-    _add_static(spec.worldbody, articulation.geoms, articulation.name, at, contact_bits.STATIC)
+    _add_static(
+        spec.worldbody, articulation.geoms, articulation.name, at, contact_bits.STATIC
+    )
     for link in articulation.links:
         pos, quat = compose(at.pos, at.rotation, link.pos)
         name = f"{articulation.name}/{link.name}"
@@ -312,14 +352,21 @@ def _add_articulation(
             _add_geom(body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density)
 
 
-def _add_object(spec: mujoco.MjSpec, name: str, kind: ObjectType, pose: np.ndarray) -> None:
+def _add_object(
+    spec: mujoco.MjSpec, name: str, kind: ObjectType, pose: np.ndarray
+) -> None:
     body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:])
     body.add_freejoint(name=name)
     affinity = contact_bits.OBJECT_AFFINITY
     density = kind.mass / sum(volume(g, spec) for g in kind.collision)
     for i, geom in enumerate(kind.collision):
         added = _add_geom(
-            body, geom, f"{name}/{i}", contact_bits.OBJECT, conaffinity=affinity, density=density
+            body,
+            geom,
+            f"{name}/{i}",
+            contact_bits.OBJECT,
+            conaffinity=affinity,
+            density=density,
         )
         added.condim = 6
         added.friction = OBJECT_FRICTION
@@ -345,8 +392,12 @@ def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
     if geom.shape == "capsule":
         return np.pi * x * x * (2 * y + 4 / 3 * x)
     if spec is None:
-        raise ValueError(f"links of articulations are made of primitives, got mesh {geom.mesh!r}")
-    return float(ConvexHull(np.asarray(spec.mesh(geom.mesh).uservert).reshape(-1, 3)).volume)
+        raise ValueError(
+            f"links of articulations are made of primitives, got mesh {geom.mesh!r}"
+        )
+    return float(
+        ConvexHull(np.asarray(spec.mesh(geom.mesh).uservert).reshape(-1, 3)).volume
+    )
 
 
 def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:

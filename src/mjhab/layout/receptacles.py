@@ -45,7 +45,9 @@ class PlacedReceptacle:
         """Return the world position (3,) [m] of the point at (u, v) [m] from the centre along the rectangle's axes."""
         c = np.cos(self.yaw)
         s = np.sin(self.yaw)
-        return np.array([self.pos[0] + c * u - s * v, self.pos[1] + s * u + c * v, self.pos[2]])
+        return np.array(
+            [self.pos[0] + c * u - s * v, self.pos[1] + s * u + c * v, self.pos[2]]
+        )
 
     def holds(self, x: float, y: float) -> bool:
         """Return whether the world point (x, y) [m] lies within the rectangle seen from above."""
@@ -53,20 +55,26 @@ class PlacedReceptacle:
         s = math.sin(self.yaw)
         dx = x - self.pos[0]
         dy = y - self.pos[1]
-        return abs(c * dx + s * dy) <= self.half[0] and abs(c * dy - s * dx) <= self.half[1]
+        return (
+            abs(c * dx + s * dy) <= self.half[0] and abs(c * dy - s * dx) <= self.half[1]
+        )
 
     def local(self, xy: np.ndarray) -> np.ndarray:
         """Return coordinates (..., 2) [m] along the rectangle's axes of world points (..., 2) [m]."""
         d = np.asarray(xy) - np.asarray(self.pos[:2])
         c = np.cos(self.yaw)
         s = np.sin(self.yaw)
-        return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1]], axis=-1)
+        return np.stack(
+            [c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1]], axis=-1
+        )
 
 
 def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ...]:
     """Return every receptacle of a home, in the order of the layout's prop slots, then articulations."""
     out: list[PlacedReceptacle] = []
-    for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
+    for slot, placement in zip(
+        layout.prop_slots, layout.slot_placements(home), strict=True
+    ):
         if placement is not None:
             prop = layout.pack.props[slot.template]
             out += [
@@ -99,7 +107,9 @@ def with_role(
     return [
         r
         for r in receptacles
-        if any(plays(roles, name, r.template, r.name, first=r.rank == 0) for name in names)
+        if any(
+            plays(roles, name, r.template, r.name, first=r.rank == 0) for name in names
+        )
     ]
 
 
@@ -115,5 +125,14 @@ def _place(
     pos, _ = compose(at.pos, at.rotation, local)
     link = f"{thing}/{r.link}" if r.link else ""
     return PlacedReceptacle(
-        f"{thing}/{r.name}", r.name, template, r.kind, link, pos, at.yaw, r.half, r.height, rank
+        f"{thing}/{r.name}",
+        r.name,
+        template,
+        r.kind,
+        link,
+        pos,
+        at.yaw,
+        r.half,
+        r.height,
+        rank,
     )

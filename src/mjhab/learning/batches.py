@@ -27,7 +27,9 @@ class Chunks:
     valid: Array
 
 
-def take_chunks(data: Demonstrations, rows: np.ndarray, chunk: int, history: int = 1) -> Chunks:
+def take_chunks(
+    data: Demonstrations, rows: np.ndarray, chunk: int, history: int = 1
+) -> Chunks:
     """The samples that start at the given rows (B,)."""
     xp = namespace(data.first)
     rows = as_like(rows, data.first)
@@ -83,7 +85,9 @@ class BatchSampler:
 
     def batch(self, step: int, chunk: int, history: int, shift: int) -> Chunks:
         """Batch ``step``, with images shifted randomly by up to ``shift`` pixels."""
-        parts = [take_chunks(source, rows, chunk, history) for source, rows in self.rows(step)]
+        parts = [
+            take_chunks(source, rows, chunk, history) for source, rows in self.rows(step)
+        ]
         xp = namespace(parts[0].vector)
         images = xp.concat([part.images for part in parts])
         if shift and math.prod(images.shape):

@@ -66,8 +66,12 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
             f"{path} does not exist; give a JSON file that names one checkpoint per subtask."
         )
     try:
-        rows = read_record(tuple[Entry, ...], read_json_object(path).get("policies"), "policies")
-        entries = tuple(replace(row, checkpoint=_beside(path, row.checkpoint)) for row in rows)
+        rows = read_record(
+            tuple[Entry, ...], read_json_object(path).get("policies"), "policies"
+        )
+        entries = tuple(
+            replace(row, checkpoint=_beside(path, row.checkpoint)) for row in rows
+        )
     except ValueError as error:
         raise UsageError(
             f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}. {error}'
@@ -87,7 +91,9 @@ def _beside(path: Path, spec: str) -> str:
     if spec == STUDENT:
         raise UsageError(f"{path}: say which student: {STUDENT}:TASK/SUBTASK/TARGET.")
     if spec.endswith(SUFFIX):
-        raise UsageError(f"{path}: an entry names one policy, not another policies file ({spec}).")
+        raise UsageError(
+            f"{path}: an entry names one policy, not another policies file ({spec})."
+        )
     if spec in NAMED_POLICIES or spec.startswith(WITHOUT_FILE):
         return spec
     prefix = MS_HAB if spec.startswith(MS_HAB) else ""
@@ -187,7 +193,9 @@ def _build(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     if spec.endswith(policy_kind.SUFFIX):
         return policy_kind.build_policy(spec, env, options, pools=True)
     # Only the expert has a style.
-    return resolve_policy(spec, env, options if spec == EXPERT else replace(options, style=()))
+    return resolve_policy(
+        spec, env, options if spec == EXPERT else replace(options, style=())
+    )
 
 
 class PoliciesBySubtask:
@@ -218,7 +226,9 @@ class PoliciesBySubtask:
         """Actions (W, A) float32 in [-1, 1]; zero where the active subtask has no policy."""
         episodes = info["episode_spec"]
         pointer = np.asarray(info["pointer"])
-        chosen = np.array([self._choose(episodes[w], int(p)) for w, p in enumerate(pointer)])
+        chosen = np.array(
+            [self._choose(episodes[w], int(p)) for w, p in enumerate(pointer)]
+        )
         entering = pointer != self._pointer
         self._pointer = pointer.copy()
         actions = np.zeros((len(pointer), self._width), np.float32)
@@ -227,7 +237,10 @@ class PoliciesBySubtask:
             policy = self._policies[number]
             if (mine & entering).any():
                 policy.reset(mine & entering)
-            shown = [episode if own else None for episode, own in zip(episodes, mine, strict=True)]
+            shown = [
+                episode if own else None
+                for episode, own in zip(episodes, mine, strict=True)
+            ]
             told = {**info, "episode_spec": shown}
             if isinstance(policy, Selective):
                 actions[mine] = policy.act_in(obs, told, mine)[mine]

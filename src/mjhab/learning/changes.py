@@ -95,7 +95,9 @@ def settable(config: TrainConfig) -> dict[str, Any]:
     """The fields of an imitation run that can be set, with their values in ``config``, by name."""
     found = fields_of(config.student)
     if config.dagger is not None:
-        found |= {f"{DAGGER}.{name}": value for name, value in fields_of(config.dagger).items()}
+        found |= {
+            f"{DAGGER}.{name}": value for name, value in fields_of(config.dagger).items()
+        }
     return found
 
 
@@ -151,12 +153,16 @@ def _read(name: str, text: str, like: Any) -> Any:
     try:
         value = type(like)(text)
     except ValueError as error:
-        raise UsageError(f"--set {name}: {text!r} is no {type(like).__name__}.") from error
+        raise UsageError(
+            f"--set {name}: {text!r} is no {type(like).__name__}."
+        ) from error
     least = LEAST.get(name, 1) if isinstance(value, int) else 0
     if name in NO_LEAST:
         least = -sys.float_info.max
     if not isinstance(value, str) and not least <= value < math.inf:
-        raise UsageError(f"--set {name} must be at least {least}, and finite; got {text}.")
+        raise UsageError(
+            f"--set {name} must be at least {least}, and finite; got {text}."
+        )
     known = _words(name)
     if known and value not in known:
         raise unknown_name(name, text, known)

@@ -50,7 +50,9 @@ def save_student(path: Path, student: Student, about: Mapping[str, Any]) -> None
     save_tensors(path, student, student.state_dict(), about)
 
 
-def save_compact(source: Path, target: Path, about: Mapping[str, Any] | None = None) -> None:
+def save_compact(
+    source: Path, target: Path, about: Mapping[str, Any] | None = None
+) -> None:
     """Write a student file in about half of its size, see `compacted`.
 
     Args:
@@ -68,7 +70,9 @@ def save_compact(source: Path, target: Path, about: Mapping[str, Any] | None = N
 
 def save_training(path: Path, trainer: Trainer, about: Mapping[str, Any]) -> None:
     """Write the state needed to continue training atomically."""
-    save_tensors(path, trainer.student, trainer.tensors(), {**about, "step": trainer.step})
+    save_tensors(
+        path, trainer.student, trainer.tensors(), {**about, "step": trainer.step}
+    )
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -78,16 +82,22 @@ def load_checkpoint(path: Path) -> Checkpoint:
         UsageError: the file does not exist, is not such a checkpoint, or holds numbers that are not finite.
     """
     if not is_file(path):
-        raise UsageError(f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`.")
+        raise UsageError(
+            f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`."
+        )
     try:
         with safe_open(path, "pt") as file:
             head = parse_json((file.metadata() or {}).get(_HEAD, "{}"))
             if not isinstance(head, dict) or head.get("format") != FORMAT:
-                raise UsageError(f"{path} is not a checkpoint of `mjhab train` (format {FORMAT}).")
+                raise UsageError(
+                    f"{path} is not a checkpoint of `mjhab train` (format {FORMAT})."
+                )
             stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             tensors = expanded(stored)
     except (SafetensorError, ValueError, OSError, RuntimeError) as error:
-        raise UsageError(f"{path} cannot be read as a checkpoint: {reason(error)}.") from error
+        raise UsageError(
+            f"{path} cannot be read as a checkpoint: {reason(error)}."
+        ) from error
     try:
         described = {
             name: read_record(dict[str, Any], head.get(name), name)
@@ -99,7 +109,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     except ValueError as error:
-        raise UsageError(f"{path} is damaged: its header is no student's ({error})") from error
+        raise UsageError(
+            f"{path} is damaged: its header is no student's ({error})"
+        ) from error
     check_finite(path, tensors)
     return Checkpoint(config, layout, about, tensors)
 
@@ -112,7 +124,9 @@ def load_student(path: Path) -> Student:
     """
     saved = load_checkpoint(path)
     if _described_shapes(path, saved) != _shapes(saved.tensors):
-        raise UsageError(f"{path} does not hold the weights of a student alone. {_remedy(path)}")
+        raise UsageError(
+            f"{path} does not hold the weights of a student alone. {_remedy(path)}"
+        )
     student = make_student(saved.config, saved.layout)
     student.load_state_dict(dict(saved.tensors))
     return student.eval().requires_grad_(False)
@@ -128,7 +142,13 @@ def _described_shapes(path: Path, saved: Checkpoint) -> dict[str, tuple[int, ...
         with torch.device("meta"):
             return _shapes(make_student(saved.config, saved.layout).state_dict())
     # The file chooses the sizes; what torch says about those that do not fit together differs from layer to layer.
-    except (RuntimeError, ValueError, TypeError, AssertionError, ArithmeticError) as error:
+    except (
+        RuntimeError,
+        ValueError,
+        TypeError,
+        AssertionError,
+        ArithmeticError,
+    ) as error:
         raise UsageError(
             f"{path} is damaged: it describes no network ({reason(error)})."
         ) from error
@@ -154,7 +174,9 @@ def saved_state(path: Path, about: Mapping[str, Any], kind: type[State]) -> Stat
     """
     known = {field.name for field in fields(cast(Any, kind))}
     try:
-        return read_record(kind, {name: about[name] for name in known & set(about)}, "about")
+        return read_record(
+            kind, {name: about[name] for name in known & set(about)}, "about"
+        )
     except ValueError as error:
         raise UsageError(f"{path} is damaged: {error}") from error
 
@@ -195,7 +217,9 @@ def save_tensors(
         "layout": student.layout.to_plain(),
         "about": dict(about),
     }
-    kept = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
+    kept = {
+        name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()
+    }
     # Not save_file: it makes files that nobody else can read, whatever the umask.
     content = save(kept, {_HEAD: json.dumps(head)})
     write_atomic(path, lambda temporary: temporary.write_bytes(content))

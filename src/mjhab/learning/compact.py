@@ -29,7 +29,9 @@ def compacted(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
         else:
             rows = tensor.detach().flatten(1)
             scale = (rows.abs().amax(dim=1) / LARGEST).clamp_min(LEAST_SCALE)
-            found[name] = (rows / scale[:, None]).round().to(torch.int8).view(tensor.shape)
+            found[name] = (
+                (rows / scale[:, None]).round().to(torch.int8).view(tensor.shape)
+            )
             found[SCALE + name] = scale
     return found
 

@@ -138,7 +138,9 @@ class StudentConfig:
         if self.algorithm not in HEADS:
             raise unknown_name("algorithm", self.algorithm, HEADS)
         if not 1 <= self.execute <= self.chunk:
-            raise UsageError(f"execute must be from 1 to chunk ({self.chunk}), got {self.execute}.")
+            raise UsageError(
+                f"execute must be from 1 to chunk ({self.chunk}), got {self.execute}."
+            )
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,9 @@ class DaggerConfig:
         """Largest number of control steps for which the student acts in a round; 0 in round 0."""
         if round_number == 0:
             return 0
-        return min(self.max_prefix, self.first_prefix + (round_number - 1) * self.prefix_growth)
+        return min(
+            self.max_prefix, self.first_prefix + (round_number - 1) * self.prefix_growth
+        )
 
 
 @dataclass(frozen=True)
@@ -244,7 +248,9 @@ PAPER_DP = StudentConfig(
     demos=1000,
 )
 
-FLOW_SMALL = dataclasses.replace(SMALL, algorithm=FLOW, preset="flow", huber=0.0, sampling_steps=6)
+FLOW_SMALL = dataclasses.replace(
+    SMALL, algorithm=FLOW, preset="flow", huber=0.0, sampling_steps=6
+)
 
 ACT_SMALL = dataclasses.replace(
     SMALL, algorithm=ACT, preset="act", network=NetworkConfig(hidden=128, layers=2)
@@ -309,8 +315,12 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
                 final_updates=20_000,
             ),
         ),
-        "flow": TrainConfig(FLOW_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
-        "act": TrainConfig(ACT_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
+        "flow": TrainConfig(
+            FLOW_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)
+        ),
+        "act": TrainConfig(
+            ACT_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)
+        ),
     },
 }
 """Presets by algorithm and name; the first preset of an algorithm is its default."""
@@ -378,7 +388,9 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
         UsageError: a field is unknown to this version, is of another type, or is out of `SIZES`.
     """
     try:
-        config: StudentConfig = read_record(StudentConfig, _with_log_std(values), "student")
+        config: StudentConfig = read_record(
+            StudentConfig, _with_log_std(values), "student"
+        )
         least, most = config.network.log_std
         if not least < most:
             raise ValueError(
@@ -399,7 +411,11 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
 def _with_log_std(values: Mapping[str, Any]) -> Mapping[str, Any]:
     """The values of a file; one without ``log_std`` is older than this field, and its encoder told the limits."""
     network = values.get("network")
-    if not isinstance(network, dict) or "log_std" in network or network.get("encoder") != "strided":
+    if (
+        not isinstance(network, dict)
+        or "log_std" in network
+        or network.get("encoder") != "strided"
+    ):
         return values
     return {**values, "network": {**network, "log_std": list(PAPER_LOG_STD)}}
 
@@ -407,4 +423,6 @@ def _with_log_std(values: Mapping[str, Any]) -> Mapping[str, Any]:
 def _check_size(name: str, value: int | tuple[int, ...], most: int) -> None:
     sizes = value if isinstance(value, tuple) else (value,)
     if len(sizes) > MAX_STAGES or not all(0 <= size <= most for size in sizes):
-        raise ValueError(f"{name}: expected whole numbers from 0 to {most:,}, got {shown(value)}.")
+        raise ValueError(
+            f"{name}: expected whole numbers from 0 to {most:,}, got {shown(value)}."
+        )

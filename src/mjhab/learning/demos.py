@@ -78,9 +78,15 @@ class Demonstrations:
             np.concatenate([part.vector for part in parts]),
             np.concatenate([part.images for part in parts]),
             np.concatenate([part.actions for part in parts]),
-            np.concatenate([part.first + at for part, at in zip(parts, offsets, strict=True)]),
-            np.concatenate([part.last + at for part, at in zip(parts, offsets, strict=True)]),
-            np.concatenate([part.usable + at for part, at in zip(parts, offsets, strict=True)]),
+            np.concatenate(
+                [part.first + at for part, at in zip(parts, offsets, strict=True)]
+            ),
+            np.concatenate(
+                [part.last + at for part, at in zip(parts, offsets, strict=True)]
+            ),
+            np.concatenate(
+                [part.usable + at for part, at in zip(parts, offsets, strict=True)]
+            ),
             sum(part.episodes for part in parts),
         )
 
@@ -88,7 +94,11 @@ class Demonstrations:
         """Copy as tensors on a device, from which `batches.take_chunks` then takes batches without the host."""
         arrays = ("vector", "images", "actions", "first", "last")
         return dataclasses.replace(
-            self, **{name: torch.as_tensor(getattr(self, name), device=device) for name in arrays}
+            self,
+            **{
+                name: torch.as_tensor(getattr(self, name), device=device)
+                for name in arrays
+            },
         )
 
     @property
@@ -147,7 +157,9 @@ def _read_shard(
 ) -> dict[str, Demonstrations]:
     """The named episodes of a shard."""
     with open_shard(path) as shard:
-        return {name: read_episode(shard.episode(name), layout, hold_steps) for name in names}
+        return {
+            name: read_episode(shard.episode(name), layout, hold_steps) for name in names
+        }
 
 
 def layout_of_data(
@@ -188,7 +200,9 @@ def goals_of_data(
 
 
 def _goals(records: Iterable[EpisodeRecord]) -> set[tuple[str, str]]:
-    return {(entry.kind, kind_of(entry.target)) for record in records for entry in record.plan}
+    return {
+        (entry.kind, kind_of(entry.target)) for record in records for entry in record.plan
+    }
 
 
 def entries_of(
@@ -226,7 +240,9 @@ def nothing_to_learn() -> UsageError:
     )
 
 
-def read_episode(episode: RecordedEpisode, layout: Layout, hold_steps: int) -> Demonstrations:
+def read_episode(
+    episode: RecordedEpisode, layout: Layout, hold_steps: int
+) -> Demonstrations:
     """Read one episode as Demonstrations.
 
     Raises:
@@ -261,7 +277,9 @@ def _check_layout(episode: RecordedEpisode, layout: Layout) -> None:
         )
 
 
-def _vectors(episode: RecordedEpisode, layout: Layout, executed: np.ndarray) -> np.ndarray:
+def _vectors(
+    episode: RecordedEpisode, layout: Layout, executed: np.ndarray
+) -> np.ndarray:
     """The student's inputs except images in every step, (N, D) float32."""
     steps = len(executed)
     parts = [episode.array("obs/state")[:steps]]
@@ -351,11 +369,16 @@ def _images(episode: RecordedEpisode, layout: Layout, steps: int) -> np.ndarray:
         files = episode.array(f"images/{camera}/depth/bytes").tobytes()
         ends = episode.array(f"images/{camera}/depth/ends").tolist()
         starts = [0, *ends]
-        frames = [decode(files[starts[t] : ends[t]], "depth")[..., 0] for t in range(steps)]
+        frames = [
+            decode(files[starts[t] : ends[t]], "depth")[..., 0] for t in range(steps)
+        ]
         if frames[0].shape != (size, size):
             height, width = frames[0].shape
             raise _no_images(
-                episode, layout, f"has depth images of {width}x{height} px", (height, width)
+                episode,
+                layout,
+                f"has depth images of {width}x{height} px",
+                (height, width),
             )
         cameras.append(nearness(np.stack(frames)))
     return np.stack(cameras, axis=1)
@@ -375,8 +398,12 @@ def _no_images(
         )
     told += "It was imported from data without states, so its images cannot be rendered again; "
     if have and have[0] == have[1]:
-        return UsageError(f"{told}train with images of its size: --set inputs.image_size={have[0]}")
-    with_depth = sorted({camera for camera, output in episode.images if output == "depth"})
+        return UsageError(
+            f"{told}train with images of its size: --set inputs.image_size={have[0]}"
+        )
+    with_depth = sorted(
+        {camera for camera, output in episode.images if output == "depth"}
+    )
     return UsageError(
         f"{told}train with the cameras it has depth of ({', '.join(with_depth) or 'none'}): --set inputs.cameras=..."
     )

@@ -31,11 +31,15 @@ def training_device(name: str) -> torch.device:
     return torch.device(full)
 
 
-def normal(shape: torch.Size | tuple[int, ...], random: torch.Generator, like: Tensor) -> Tensor:
+def normal(
+    shape: torch.Size | tuple[int, ...], random: torch.Generator, like: Tensor
+) -> Tensor:
     """Standard normal numbers on the device of ``like``, drawn on the CPU by ``random``."""
     return torch.randn(shape, generator=random).to(like.device)
 
 
-def uniform(shape: torch.Size | tuple[int, ...], random: torch.Generator, like: Tensor) -> Tensor:
+def uniform(
+    shape: torch.Size | tuple[int, ...], random: torch.Generator, like: Tensor
+) -> Tensor:
     """Uniform numbers in [0, 1) on the device of ``like``, drawn on the CPU by ``random``."""
     return torch.rand(shape, generator=random).to(like.device)

@@ -152,7 +152,9 @@ class Layout:
         """Keys of the images in the observation."""
         if not self.inputs.image_size:
             return ()
-        return tuple(f"{STATE_IMAGE_PREFIX}{camera}/depth" for camera in self.inputs.cameras)
+        return tuple(
+            f"{STATE_IMAGE_PREFIX}{camera}/depth" for camera in self.inputs.cameras
+        )
 
     def to_plain(self) -> dict[str, Any]:
         """The layout as JSON data, without the inputs, which are part of the student's config."""
@@ -170,7 +172,9 @@ class Layout:
         layout: Layout = read_record(cls, {**values, "inputs": asdict(inputs)}, "layout")
         widths = [width for _, width in layout.state]
         if min(widths, default=1) < 1 or sum(widths) > MAX_STATE_WIDTH:
-            raise ValueError(f"layout.state: widths {shown(widths)} are none of a state vector.")
+            raise ValueError(
+                f"layout.state: widths {shown(widths)} are none of a state vector."
+            )
         if not 1 <= len(layout.actions) <= MAX_ACTIONS:
             raise ValueError(f"layout.actions: {len(layout.actions)} names of actions.")
         if len(layout.control) < 2:
@@ -248,7 +252,11 @@ class Layout:
     def env_options(self) -> dict[str, Any]:
         """Options of an environment with the observations, actions and profile that the student was trained with."""
         mode, base = self.control[:2]
-        options: dict[str, Any] = {"profile": self.profile, "control_mode": mode, "base": base}
+        options: dict[str, Any] = {
+            "profile": self.profile,
+            "control_mode": mode,
+            "base": base,
+        }
         if self.robot:
             options["robot"] = self.robot
         if tuple(self.control[2:]) != profile_named(self.profile).stationary:
@@ -340,7 +348,10 @@ def _plain(value: Any) -> Any:
 
 
 def compare_layouts(
-    layout: Layout, state: Sequence[Entry], actions: Sequence[str], control: tuple[str, ...]
+    layout: Layout,
+    state: Sequence[Entry],
+    actions: Sequence[str],
+    control: tuple[str, ...],
 ) -> list[str]:
     """Describe how state, actions and control differ from a layout; empty if they match."""
     wrong = compare_entries("state", layout.state, state)
@@ -348,11 +359,15 @@ def compare_layouts(
         "action", [(name, 1) for name in layout.actions], [(name, 1) for name in actions]
     )
     if layout.control != control:
-        wrong.append(f"control {', '.join(control)} instead of {', '.join(layout.control)}")
+        wrong.append(
+            f"control {', '.join(control)} instead of {', '.join(layout.control)}"
+        )
     return wrong
 
 
-def compare_entries(what: str, wanted: Sequence[Entry], found: Sequence[Entry]) -> list[str]:
+def compare_entries(
+    what: str, wanted: Sequence[Entry], found: Sequence[Entry]
+) -> list[str]:
     """Describe how two lists of entries differ; empty if they match."""
     if tuple(wanted) == tuple(found):
         return []
@@ -360,7 +375,9 @@ def compare_entries(what: str, wanted: Sequence[Entry], found: Sequence[Entry]) 
     now = dict(found)
     wrong = [f"{what} has no {name}" for name in before if name not in now]
     wrong += [
-        f"{what} has {name}, which the student does not know" for name in now if name not in before
+        f"{what} has {name}, which the student does not know"
+        for name in now
+        if name not in before
     ]
     wrong += [
         f"{what} {name} has {now[name]} numbers instead of {width}"

@@ -73,7 +73,9 @@ class CameraEncoder(nn.Module):
     time of stride 2 throughout.
     """
 
-    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+    def __init__(
+        self, frames: int, size: int, channels: Sequence[int], features: int
+    ) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         before = frames
@@ -94,7 +96,9 @@ class CameraEncoder(nn.Module):
 class PaperCamera(nn.Module):
     """Image encoder of MS-HAB's BC: k5 s2 three times, k3 s1 twice, a linear layer (mshab/agents/bc/agent.py)."""
 
-    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+    def __init__(
+        self, frames: int, size: int, channels: Sequence[int], features: int
+    ) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         before = frames
@@ -115,11 +119,15 @@ class NatureCamera(nn.Module):
 
     KERNELS_AND_STRIDES = ((8, 4), (4, 2), (3, 1))
 
-    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+    def __init__(
+        self, frames: int, size: int, channels: Sequence[int], features: int
+    ) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         before = frames
-        for (kernel, stride), after in zip(self.KERNELS_AND_STRIDES, channels, strict=True):
+        for (kernel, stride), after in zip(
+            self.KERNELS_AND_STRIDES, channels, strict=True
+        ):
             layers += [nn.Conv2d(before, after, kernel, stride), nn.ReLU()]
             before = after
             size = (size - kernel) // stride + 1
@@ -133,7 +141,9 @@ class NatureCamera(nn.Module):
 class StridedCamera(nn.Module):
     """Image encoder of MS-HAB's SAC: k3 s2 throughout, a linear layer, layer norm, tanh (mshab/agents/sac)."""
 
-    def __init__(self, frames: int, size: int, channels: Sequence[int], features: int) -> None:
+    def __init__(
+        self, frames: int, size: int, channels: Sequence[int], features: int
+    ) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         before = frames
@@ -169,7 +179,12 @@ class PoolingEncoder(nn.Module):
         for after in channels:
             layers += [nn.Conv2d(before, after, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)]
             before = after
-        layers += [nn.Conv2d(before, before, 1), nn.ReLU(), nn.AdaptiveMaxPool2d(1), nn.Flatten()]
+        layers += [
+            nn.Conv2d(before, before, 1),
+            nn.ReLU(),
+            nn.AdaptiveMaxPool2d(1),
+            nn.Flatten(),
+        ]
         self.layers = nn.Sequential(*layers, nn.Linear(before, features), nn.ReLU())
 
     def forward(self, images: Tensor) -> Tensor:
@@ -189,10 +204,17 @@ class Encoder(nn.Module):
         network = config.network
         self.history = inputs.history
         self.cameras = len(layout.image_keys)
-        self.normalizer = Normalizer(layout.width, MOST_SPREADS if inputs.normalize else math.inf)
+        self.normalizer = Normalizer(
+            layout.width, MOST_SPREADS if inputs.normalize else math.inf
+        )
         build = CAMERA_ENCODERS.get(network.encoder, CameraEncoder)
         self.encoders = nn.ModuleList(
-            build(inputs.history, inputs.image_size, network.channels, network.image_features)
+            build(
+                inputs.history,
+                inputs.image_size,
+                network.channels,
+                network.image_features,
+            )
             for _ in range(self.cameras)
         )
         self.stack_state = inputs.stack_state
@@ -203,7 +225,9 @@ class Encoder(nn.Module):
             state_width = network.state_features
             self.state = nn.Linear(self.vector_width, state_width)
             if network.encoder == "strided":
-                self.state = nn.Sequential(self.state, nn.LayerNorm(state_width), nn.Tanh())
+                self.state = nn.Sequential(
+                    self.state, nn.LayerNorm(state_width), nn.Tanh()
+                )
         self.width = self.cameras * network.image_features + state_width
 
     def joined(self, vector: Tensor, images: Tensor) -> Tensor:
@@ -219,7 +243,9 @@ class Encoder(nn.Module):
         if not self.cameras:
             return [], normalized
         seen = images.float().div_(255.0).unflatten(1, (self.history, self.cameras))
-        features = [encoder(seen[:, :, camera]) for camera, encoder in enumerate(self.encoders)]
+        features = [
+            encoder(seen[:, :, camera]) for camera, encoder in enumerate(self.encoders)
+        ]
         return features, normalized
 
 

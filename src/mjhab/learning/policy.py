@@ -56,7 +56,9 @@ class StudentPolicy:
         self._last = np.zeros((worlds, width), np.float32)
         self._chunks = np.zeros((worlds, config.chunk, width), np.float32)
         self._step = np.zeros(worlds, np.int64)
-        self._vectors = np.zeros((worlds, config.inputs.history, layout.width), np.float32)
+        self._vectors = np.zeros(
+            (worlds, config.inputs.history, layout.width), np.float32
+        )
         size = config.inputs.image_size
         shape = (len(layout.image_keys), size, size) if layout.image_keys else (0, 0, 0)
         self._images = np.zeros((worlds, config.inputs.history, *shape), np.uint8)
@@ -102,9 +104,14 @@ class StudentPolicy:
         if layout.condition_width:
             parts.append(self._conditions(info))
         images = [
-            pooled(nearness(np.asarray(obs[key])[..., 0]), self._pool) for key in layout.image_keys
+            pooled(nearness(np.asarray(obs[key])[..., 0]), self._pool)
+            for key in layout.image_keys
         ]
-        seen = np.stack(images, axis=1) if images else np.zeros((len(parts[0]), 0, 0, 0), np.uint8)
+        seen = (
+            np.stack(images, axis=1)
+            if images
+            else np.zeros((len(parts[0]), 0, 0, 0), np.uint8)
+        )
         return np.concatenate(parts, axis=1), seen
 
     def _conditions(self, info: Mapping[str, Any]) -> np.ndarray:
@@ -118,7 +125,9 @@ class StudentPolicy:
             if episode is not None:
                 plan = episode["plan"]
                 entry = plan[min(int(info["pointer"][w]), len(plan) - 1)]
-                codes[w] = layout.condition(entry["kind"], kind_of(entry["target"]), sentences[w])
+                codes[w] = layout.condition(
+                    entry["kind"], kind_of(entry["target"]), sentences[w]
+                )
         return codes
 
     def _plan(self, worlds: np.ndarray, info: Mapping[str, Any]) -> None:

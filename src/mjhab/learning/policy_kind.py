@@ -75,13 +75,17 @@ def inspect_policy(spec: str) -> PolicyFacts:
     digest = digests[0]
     if len(digests) > 1:
         digest = hashlib.sha256("".join(digests).encode()).hexdigest()
-    named = zip(map(str, paths), (layout.env_options() for layout in layouts), strict=True)
+    named = zip(
+        map(str, paths), (layout.env_options() for layout in layouts), strict=True
+    )
     identity = {"policy_sha256": digest, "policy_profile": layouts[0].profile}
     name = AND.join(path.stem for path in paths)
     return PolicyFacts(name, identity, joined(spec, named), layouts[0].robot_name, reads)
 
 
-def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool = False) -> Policy:
+def build_policy(
+    spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool = False
+) -> Policy:
     """Build the policy of a checkpoint, or that of several together.
 
     Args:
@@ -102,7 +106,9 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool
 
     acting = cast("ActingEnv", env)
     students = [load_student(path) for path in members(spec)]
-    if options.instruction and not any(student.config.inputs.sentence for student in students):
+    if options.instruction and not any(
+        student.config.inputs.sentence for student in students
+    ):
         raise no_instruction(spec)
     several = len(students) > 1
     policies = [

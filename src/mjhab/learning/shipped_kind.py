@@ -35,9 +35,13 @@ def shipped() -> dict[str, str]:
     index = FOLDER / INDEX
     together = read_json_object(index) if index.is_file() else {}
     listed = {member for members in together.values() for member in members}
-    alone = {path.name.removesuffix(SUFFIX) for path in FOLDER.glob(f"*{SUFFIX}")} - listed
+    alone = {
+        path.name.removesuffix(SUFFIX) for path in FOLDER.glob(f"*{SUFFIX}")
+    } - listed
     return {
-        name: AND.join(str(FOLDER / f"{member}{SUFFIX}") for member in together.get(name, [name]))
+        name: AND.join(
+            str(FOLDER / f"{member}{SUFFIX}") for member in together.get(name, [name])
+        )
         for name in sorted(alone | set(together))
     }
 
@@ -123,7 +127,9 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
         entries = shipped_entries(task)
         if cast(Any, env).config.navigate != "teleport":
             entries += tuple(
-                Entry(name, "", EXPERT) for name in TASKS[task].subtasks if SUBTASKS[name].navigates
+                Entry(name, "", EXPERT)
+                for name in TASKS[task].subtasks
+                if SUBTASKS[name].navigates
             )
         return build_entries(STUDENT, entries, env, options)
     return policy_kind.build_policy(shipped_path(task, subtask, target), env, options)

@@ -52,7 +52,9 @@ class SceneBuilder:
         materials: materials by name, for `material`.
     """
 
-    def __init__(self, num_homes: int, materials: Mapping[str, Material] = MATERIALS) -> None:
+    def __init__(
+        self, num_homes: int, materials: Mapping[str, Material] = MATERIALS
+    ) -> None:
         self.num_homes = num_homes
         self._named = dict(materials)
         self._materials: dict[tuple[Material, int], int] = {}
@@ -123,7 +125,11 @@ class SceneBuilder:
         count = len(mesh.faces)
         if mesh.face_color is None and not mesh.textures:
             return np.full(count, PLAIN_FACE, np.int32)
-        color = np.ones((count, 3)) if mesh.face_color is None else np.round(mesh.face_color, 2)
+        color = (
+            np.ones((count, 3))
+            if mesh.face_color is None
+            else np.round(mesh.face_color, 2)
+        )
         number = np.full(count, -1) if mesh.face_texture is None else mesh.face_texture
         looks, index = np.unique(np.c_[color, number], axis=0, return_inverse=True)
         ids = [
@@ -157,7 +163,9 @@ class SceneBuilder:
                 raise unknown_name("mesh", geom.mesh, meshes or {})
             return self.add_mesh(("mesh", geom.mesh), found), geom.size
         if geom.shape == "capsule":
-            return self.add_mesh(("capsule", round(b / a, 3)), capsule_mesh(1.0, b / a)), (a, a, a)
+            return self.add_mesh(
+                ("capsule", round(b / a, 3)), capsule_mesh(1.0, b / a)
+            ), (a, a, a)
         unit = Geom(geom.shape, UNIT)
         return self.add_mesh(geom.shape, primitive_mesh(unit)), {
             "box": (a, b, c),
@@ -191,8 +199,12 @@ class SceneBuilder:
                 f"add_body_instance: body_id must be above 0 (the world); got {body_id}."
             )
         pos, quat = pose
-        self._local.append((np.asarray(pos, float), mat_from_quat(np.asarray(quat, float))))
-        return self._add(mesh, body_id, seg, _HomeLook(np.zeros(3), np.eye(3), scale, material))
+        self._local.append(
+            (np.asarray(pos, float), mat_from_quat(np.asarray(quat, float)))
+        )
+        return self._add(
+            mesh, body_id, seg, _HomeLook(np.zeros(3), np.eye(3), scale, material)
+        )
 
     def add_world_instance(
         self,
@@ -231,7 +243,9 @@ class SceneBuilder:
                 np.broadcast_to(np.asarray(look.scale, float), (h, 3)),
             )
         )
-        self._home_material.append(np.broadcast_to(np.asarray(look.material, np.int32), (h,)))
+        self._home_material.append(
+            np.broadcast_to(np.asarray(look.material, np.int32), (h,))
+        )
         self._instances.append((mesh, body, self.segment(seg)))
         return len(self._instances) - 1
 
@@ -257,7 +271,9 @@ class SceneBuilder:
         """
         mesh, scale = self.add_geom_mesh(geom, meshes)
         material = -1 if self._colored(mesh) else self.material(geom.material)
-        return self.add_body_instance(mesh, body_id, (geom.pos, geom.quat), material, seg, scale)
+        return self.add_body_instance(
+            mesh, body_id, (geom.pos, geom.quat), material, seg, scale
+        )
 
     def add_world_geom(
         self,
@@ -306,12 +322,15 @@ class SceneBuilder:
             UsageError: no instance was added.
         """
         if not self._instances:
-            raise UsageError("SceneBuilder.build: nothing was added; add an instance first.")
+            raise UsageError(
+                "SceneBuilder.build: nothing was added; add an instance first."
+            )
         mesh, body, seg = (
             np.array(column, np.int32) for column in zip(*self._instances, strict=True)
         )
         pos, mat, scale = (
-            np.ascontiguousarray(np.stack(part, 1)) for part in zip(*self._home_pose, strict=True)
+            np.ascontiguousarray(np.stack(part, 1))
+            for part in zip(*self._home_pose, strict=True)
         )
         return RenderScene(
             **self._mesh_arrays(),
@@ -357,7 +376,9 @@ class SceneBuilder:
         return {
             "mat_color": srgb_to_linear([m.color for m in looks]),
             "mat_color2": srgb_to_linear(second),
-            "mat_texture": np.array([texture for _, texture in self._materials], np.int32),
+            "mat_texture": np.array(
+                [texture for _, texture in self._materials], np.int32
+            ),
             "mat_pattern": pattern,
             "mat_size": np.array(
                 [np.multiply(m.scale, PERIODS.get(m.pattern, (1.0, 1.0))) for m in looks]

@@ -71,9 +71,13 @@ class FilmWriter:
             self._shape = size
             self._process = self._start(size[0] + size[0] % 2, size[1] + size[1] % 2)
         if size != self._shape:
-            raise UsageError(f"all frames of {self.path.name} must be {self._shape}; got {size}.")
+            raise UsageError(
+                f"all frames of {self.path.name} must be {self._shape}; got {size}."
+            )
         if size[0] % 2 or size[1] % 2:
-            frame = np.pad(frame, ((0, size[0] % 2), (0, size[1] % 2), (0, 0)), mode="edge")
+            frame = np.pad(
+                frame, ((0, size[0] % 2), (0, size[1] % 2), (0, 0)), mode="edge"
+            )
         assert self._process is not None and self._process.stdin is not None
         try:
             self._process.stdin.write(np.ascontiguousarray(frame).data)
@@ -118,7 +122,9 @@ class FilmWriter:
         self._log.seek(0)
         tail = self._log.read().decode(errors="replace").strip()[-400:]
         self.abort()
-        return MjhabError(f"ffmpeg could not write {self.path}: {tail or 'it ended early'}.")
+        return MjhabError(
+            f"ffmpeg could not write {self.path}: {tail or 'it ended early'}."
+        )
 
     def _start(self, height: int, width: int) -> subprocess.Popen[bytes]:
         import imageio_ffmpeg
@@ -172,7 +178,16 @@ def join_films(parts: Sequence[Path], path: Path) -> None:
     quoted = (f"file:{part.resolve()}".replace("'", r"'\''") for part in parts)
     listed = "".join(f"file '{name}'\n" for name in quoted)
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
-    command += ["-f", "concat", "-safe", "0", "-protocol_whitelist", "file,pipe", "-i", "pipe:0"]
+    command += [
+        "-f",
+        "concat",
+        "-safe",
+        "0",
+        "-protocol_whitelist",
+        "file,pipe",
+        "-i",
+        "pipe:0",
+    ]
     command += ["-c", "copy", "-movflags", "+faststart", str(path)]
     done = subprocess.run(command, input=listed.encode(), capture_output=True)
     if done.returncode != 0:

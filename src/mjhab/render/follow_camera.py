@@ -58,7 +58,9 @@ class FollowCamera:
         """Whether the first 3/4 of the line from ``eye`` to ``target``, both (3,) [m], are clear of tall furniture."""
         share = np.linspace(0.0, 0.75, 12)[:, None]
         return bool(
-            (sphere_box_distance(eye + share * (target - eye), self.tall(home)) > 0.05).all()
+            (
+                sphere_box_distance(eye + share * (target - eye), self.tall(home)) > 0.05
+            ).all()
         )
 
     def tall(self, home: str) -> Boxes:

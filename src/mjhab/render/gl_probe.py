@@ -41,7 +41,10 @@ def _works(backend: str) -> bool:
 
 @functools.cache
 def _probe() -> tuple[tuple[str, bool], ...]:
-    return (("rasterizer", True), *((backend, _works(backend)) for backend in GL_BACKENDS))
+    return (
+        ("rasterizer", True),
+        *((backend, _works(backend)) for backend in GL_BACKENDS),
+    )
 
 
 def renderer_probe() -> dict[str, bool]:

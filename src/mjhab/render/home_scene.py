@@ -78,7 +78,9 @@ def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
     _add_shell(builder, layout)
     for i, slot in enumerate(layout.prop_slots):
         at = [layout.slot_placements(home)[i] for home in homes]
-        _add_standing(builder, layout.pack.props[slot.template].geoms, at, slot.name, meshes)
+        _add_standing(
+            builder, layout.pack.props[slot.template].geoms, at, slot.name, meshes
+        )
     for articulation in layout.articulations:
         at = [layout.articulation_placement(home, articulation.name) for home in homes]
         _add_standing(builder, articulation.geoms, at, articulation.name, meshes)
@@ -93,7 +95,9 @@ def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
     for k, (link, mesh, material) in enumerate(layout.robot.visuals()):
         mesh_id = builder.add_mesh(("robot", k), mesh)
         look = builder.material(material)
-        builder.add_body_instance(mesh_id, model.body(link).id, material=look, seg=f"robot/{link}")
+        builder.add_body_instance(
+            mesh_id, model.body(link).id, material=look, seg=f"robot/{link}"
+        )
     for h, home in enumerate(homes):
         for light in home.lights:
             builder.add_light(h, light)
@@ -233,7 +237,9 @@ class HomeRenderer:
         """
         mounts = self._mounts_of(cameras)
         mat = state.body_mat[:, mounts.bodies]
-        pos = state.body_pos[:, mounts.bodies] + np.einsum("wcij,cj->wci", mat, mounts.pos)
+        pos = state.body_pos[:, mounts.bodies] + np.einsum(
+            "wcij,cj->wci", mat, mounts.pos
+        )
         return pos, mat @ mounts.mat
 
     def _mounts_of(self, names: Sequence[str] | None) -> _Mounts:
@@ -257,7 +263,12 @@ class HomeRenderer:
         return self.follow_views(state, [home], [world], width, height)[0]
 
     def follow_views(
-        self, state: SimState, homes: Sequence[str], worlds: Sequence[int], width: int, height: int
+        self,
+        state: SimState,
+        homes: Sequence[str],
+        worlds: Sequence[int],
+        width: int,
+        height: int,
     ) -> np.ndarray:
         """Render the follow camera, which looks from behind the robot over its shoulder, in n worlds.
 
@@ -280,9 +291,9 @@ class HomeRenderer:
             state.body_mat[list(worlds)],
             Cameras(
                 np.stack([eye for eye, _ in looks])[:, None],
-                np.stack([look_at(eye.tolist(), target.tolist()) for eye, target in looks])[
-                    :, None
-                ],
+                np.stack(
+                    [look_at(eye.tolist(), target.tolist()) for eye, target in looks]
+                )[:, None],
                 FOLLOW_FOVY,
                 width,
                 height,
@@ -311,7 +322,9 @@ class HomeRenderer:
             raise unknown_name("home", home, self._home_index)
         spec = self.layout.pack.homes[self._home_index[home]]
         eye, target, fovy = (
-            self._from_top(spec, width, height) if view == "top" else self._from_inside(spec)
+            self._from_top(spec, width, height)
+            if view == "top"
+            else self._from_inside(spec)
         )
         model = self._sim.model(home)
         data = mujoco.MjData(model)
@@ -329,7 +342,9 @@ class HomeRenderer:
         return images["rgb"][0, 0]
 
     @staticmethod
-    def _from_top(home: Home, width: int, height: int) -> tuple[np.ndarray, np.ndarray, float]:
+    def _from_top(
+        home: Home, width: int, height: int
+    ) -> tuple[np.ndarray, np.ndarray, float]:
         """Camera position (3,), target (3,) [m] and vertical field of view [rad] that show a whole floor.
 
         The image is rotated by 90 deg if that makes the long side of the floor the long side of the image.

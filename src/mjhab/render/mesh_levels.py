@@ -72,15 +72,21 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
         found = _make(mesh)
         names = [f.name for f in fields(Level)]
         arrays = {
-            f"{k}/{name}": getattr(level, name) for k, level in enumerate(found) for name in names
+            f"{k}/{name}": getattr(level, name)
+            for k, level in enumerate(found)
+            for name in names
         }
-        write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        write_cached(
+            path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
+        )
     return found
 
 
 def _digest(mesh: Mesh) -> str:
     digest = hashlib.sha256(
-        code_digest("render.mesh_levels", "scenes.shapes.collapse", "scenes.shapes.simplify")
+        code_digest(
+            "render.mesh_levels", "scenes.shapes.collapse", "scenes.shapes.simplify"
+        )
     )
     for part in (mesh.vertices, mesh.faces, mesh.uv):
         digest.update(b"" if part is None else part.tobytes())
@@ -93,15 +99,23 @@ def _load(path: Path) -> list[Level] | None:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             count = len(arrays.files) // len(names)
-            return [Level(*(arrays[f"{k}/{name}"] for name in names)) for k in range(count)]
+            return [
+                Level(*(arrays[f"{k}/{name}"] for name in names)) for k in range(count)
+            ]
     except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
         return None
 
 
 def _make(mesh: Mesh) -> list[Level]:
-    vertices, index = np.unique(np.asarray(mesh.vertices, np.float64), axis=0, return_inverse=True)
+    vertices, index = np.unique(
+        np.asarray(mesh.vertices, np.float64), axis=0, return_inverse=True
+    )
     faces = index.reshape(-1)[mesh.faces].reshape(-1, 3)
-    uv = np.zeros((len(faces), 3, 2)) if mesh.uv is None else np.asarray(mesh.uv, np.float64)
+    uv = (
+        np.zeros((len(faces), 3, 2))
+        if mesh.uv is None
+        else np.asarray(mesh.uv, np.float64)
+    )
     normals = corner_normals(vertices, faces).astype(np.float64)
     levels = [_level(vertices, faces, np.arange(len(faces)), normals, uv, 0.0)]
     for few, error in _coarser(vertices, faces):
@@ -113,7 +127,9 @@ def _make(mesh: Mesh) -> list[Level]:
     return levels
 
 
-def _coarser(vertices: np.ndarray, faces: np.ndarray) -> Iterator[tuple[Simplified, float]]:
+def _coarser(
+    vertices: np.ndarray, faces: np.ndarray
+) -> Iterator[tuple[Simplified, float]]:
     """Simplified meshes, from fine to coarse, each with its ``error`` [m] as in `Level`."""
     if len(faces) < MIN_FACES:
         return
@@ -165,7 +181,9 @@ def _slip(old: np.ndarray, new: np.ndarray, uv: np.ndarray) -> np.ndarray:
     slope = _slopes(old, uv)
     size = np.linalg.norm(slope, axis=(1, 2))
     # The gradients of slivers are unreliable: limit them, else their corners get distant texture coordinates.
-    slope *= np.minimum(1.0, 2.0 * np.median(size) / np.maximum(size, 1e-12))[:, None, None]
+    slope *= np.minimum(1.0, 2.0 * np.median(size) / np.maximum(size, 1e-12))[
+        :, None, None
+    ]
     return np.einsum("fuc,fkc->fku", slope, new - old)
 
 
@@ -244,14 +262,16 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     points = np.asarray(vertices, np.float64)[faces]
     away = np.roll(points, -1, 1) - points
     back = np.roll(points, 1, 1) - points
-    angle = np.arctan2(np.linalg.norm(np.cross(away, back), axis=2), (away * back).sum(2)).reshape(
-        -1, 1
-    )
+    angle = np.arctan2(
+        np.linalg.norm(np.cross(away, back), axis=2), (away * back).sum(2)
+    ).reshape(-1, 1)
     area = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
     size = np.linalg.norm(area, axis=1, keepdims=True)
     unit = np.where(size > 1e-14, area / np.maximum(size, 1e-14), (0.0, 0.0, 1.0))
     grid = np.round(
-        np.asarray(vertices, np.float64) / max(float(np.ptp(vertices, axis=0).max()), 1e-9) * 1e5
+        np.asarray(vertices, np.float64)
+        / max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+        * 1e5
     )
     weld = np.unique(grid.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
     corner = weld[faces].reshape(-1)

@@ -43,17 +43,26 @@ def pattern_tile(kind: str) -> np.ndarray:
     }[kind]()
     shade = np.broadcast_to(shade, mix.shape)
     levels = np.stack(
-        [np.clip(mix, 0.0, 1.0), np.clip(shade / SHADE_TOP, 0.0, 1.0), np.zeros_like(mix)], axis=-1
+        [
+            np.clip(mix, 0.0, 1.0),
+            np.clip(shade / SHADE_TOP, 0.0, 1.0),
+            np.zeros_like(mix),
+        ],
+        axis=-1,
     )
     return np.round(255.0 * levels).astype(np.uint8)
 
 
 def _grid(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates u, v (h, w) of pixel centres in 0..1."""
-    return np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    return np.meshgrid(
+        (np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height
+    )
 
 
-def _noise(seed: int, u: np.ndarray, v: np.ndarray, cells_u: int, cells_v: int) -> np.ndarray:
+def _noise(
+    seed: int, u: np.ndarray, v: np.ndarray, cells_u: int, cells_v: int
+) -> np.ndarray:
     """Smooth value noise in 0..1 with period 1 in u and v, and the given number of cells in each direction."""
     values = np.random.default_rng(seed).random((cells_v, cells_u))
     x = u * cells_u
@@ -73,12 +82,20 @@ def _noise(seed: int, u: np.ndarray, v: np.ndarray, cells_u: int, cells_v: int) 
     return low * (1.0 - b) + high * b
 
 
-def _grain(seed: int, u: np.ndarray, v: np.ndarray, length: float, width: float) -> np.ndarray:
+def _grain(
+    seed: int, u: np.ndarray, v: np.ndarray, length: float, width: float
+) -> np.ndarray:
     """Wood grain along u on ``length`` x ``width`` units: stretched noise of two octaves, bent by slow noise."""
-    bend = 0.6 * _noise(seed, u, v, max(1, round(0.25 * length)), max(1, round(0.5 * width)))
+    bend = 0.6 * _noise(
+        seed, u, v, max(1, round(0.25 * length)), max(1, round(0.5 * width))
+    )
     ring = v + bend / width
-    coarse = _noise(seed + 1, u, ring, max(1, round(0.22 * length)), max(1, round(3.4 * width)))
-    fine = _noise(seed + 2, u, ring, max(1, round(0.9 * length)), max(1, round(18.0 * width)))
+    coarse = _noise(
+        seed + 1, u, ring, max(1, round(0.22 * length)), max(1, round(3.4 * width))
+    )
+    fine = _noise(
+        seed + 2, u, ring, max(1, round(0.9 * length)), max(1, round(18.0 * width))
+    )
     return 0.45 + 0.75 * (coarse - 0.5) + 0.35 * (fine - 0.5)
 
 
@@ -112,7 +129,9 @@ def _seam(distance: np.ndarray, width: float, pixel: float) -> np.ndarray:
 
     ``pixel`` is the size of a pixel; all lengths are in the same units.
     """
-    return np.clip((0.5 * width - distance) / pixel + 0.5, 0.0, 1.0) * min(1.0, width / pixel)
+    return np.clip((0.5 * width - distance) / pixel + 0.5, 0.0, 1.0) * min(
+        1.0, width / pixel
+    )
 
 
 def _tiles() -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +150,9 @@ def _tiles() -> tuple[np.ndarray, np.ndarray]:
 def _fabric() -> tuple[np.ndarray, np.ndarray]:
     """Random threads 1/8 unit wide, with blotches of low-frequency noise."""
     u, v = _grid(256, 256)
-    thread = np.random.default_rng(3).random((64, 64))[(v * 64).astype(int), (u * 64).astype(int)]
+    thread = np.random.default_rng(3).random((64, 64))[
+        (v * 64).astype(int), (u * 64).astype(int)
+    ]
     return 0.4 + 0.5 * (thread - 0.5) + 0.6 * (_noise(4, u, v, 12, 12) - 0.5), np.ones(1)
 
 

@@ -15,7 +15,9 @@ SEGMENTS = 24
 
 
 def _mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    return Mesh(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32))
+    return Mesh(
+        np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
+    )
 
 
 def box_mesh(half: Sequence[float]) -> Mesh:
@@ -23,8 +25,17 @@ def box_mesh(half: Sequence[float]) -> Mesh:
     corners = np.array(
         [[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float
     ) * np.asarray(half)
-    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    return _mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+    quads = [
+        (0, 2, 3, 1),
+        (4, 5, 7, 6),
+        (0, 1, 5, 4),
+        (2, 6, 7, 3),
+        (0, 4, 6, 2),
+        (1, 3, 7, 5),
+    ]
+    return _mesh(
+        corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    )
 
 
 def _lathe(profile: Sequence[tuple[float, float]], segments: int = SEGMENTS) -> Mesh:
@@ -51,13 +62,20 @@ def _lathe(profile: Sequence[tuple[float, float]], segments: int = SEGMENTS) -> 
 def cylinder_mesh(radius: float, half_length: float) -> Mesh:
     """Make a closed cylinder about z, centred at the origin [m]."""
     return _lathe(
-        [(0.0, -half_length), (radius, -half_length), (radius, half_length), (0.0, half_length)]
+        [
+            (0.0, -half_length),
+            (radius, -half_length),
+            (radius, half_length),
+            (0.0, half_length),
+        ]
     )
 
 
 def capsule_mesh(radius: float, half_length: float) -> Mesh:
     """Make a cylinder about z with half-spheres at its ends [m]; ``half_length``, without them, is 0 for a sphere."""
-    arc = [(radius * np.cos(a), radius * np.sin(a)) for a in np.linspace(-np.pi / 2, 0.0, 7)]
+    arc = [
+        (radius * np.cos(a), radius * np.sin(a)) for a in np.linspace(-np.pi / 2, 0.0, 7)
+    ]
     lower = [(r, z - half_length) for r, z in arc]
     upper = [(r, half_length - z) for r, z in reversed(arc)]
     return _lathe(lower + (upper if half_length > 0.0 else upper[1:]))

@@ -46,21 +46,27 @@ class TexturePool:
             UsageError: the image has other sides or another type.
         """
         height, width = image.shape[:2]
-        odd = any(side & (side - 1) or not 0 < side <= MAX_TEXTURE for side in (height, width))
+        odd = any(
+            side & (side - 1) or not 0 < side <= MAX_TEXTURE for side in (height, width)
+        )
         if odd or image.dtype != np.uint8 or image.shape[2:] != (3,):
             raise UsageError(
                 f"texture must be (h, w, 3) uint8 with sides that are powers of two up to {MAX_TEXTURE}; "
                 f"got {image.shape} {image.dtype}."
             )
         return self._add(
-            hashlib.sha256(image.tobytes() + repr(image.shape).encode()).digest(), image, False
+            hashlib.sha256(image.tobytes() + repr(image.shape).encode()).digest(),
+            image,
+            False,
         )
 
     def add_pattern(self, kind: str) -> int:
         """Add the image of a pattern (see `patterns.pattern_tile`); returns its number."""
         key = kind.encode()
         return (
-            self._numbers[key] if key in self._numbers else self._add(key, pattern_tile(kind), True)
+            self._numbers[key]
+            if key in self._numbers
+            else self._add(key, pattern_tile(kind), True)
         )
 
     def _add(self, key: bytes, image: np.ndarray, linear: bool) -> int:
@@ -72,7 +78,10 @@ class TexturePool:
     def build(self) -> Texels:
         """Compute the mip levels of all textures."""
         bits = np.array(
-            [(i.shape[1].bit_length() - 1, i.shape[0].bit_length() - 1) for i, _ in self._images],
+            [
+                (i.shape[1].bit_length() - 1, i.shape[0].bit_length() - 1)
+                for i, _ in self._images
+            ],
             np.int32,
         )
         bits = bits.reshape(-1, 2)
@@ -138,7 +147,9 @@ def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
             for shift in range(0, 24, 8):
                 total = 0.0
                 for corner in range(4):
-                    texel = pixels[at + (corner & 1) * step_x + (corner >> 1) * step_y * width]
+                    texel = pixels[
+                        at + (corner & 1) * step_x + (corner >> 1) * step_y * width
+                    ]
                     total += decode[(texel >> np.uint32(shift)) & np.uint32(255)]
                 out |= encode[int(0.25 * total + 0.5)] << np.uint32(shift)
             pixels[target + y * columns + x] = out
@@ -185,7 +196,10 @@ def sample(texels, texture, level, u, v):
     m = 0xFF00FF
     outer = (p00 & m) * w00 + (p01 & m) * w01 + (p10 & m) * w10 + (p11 & m) * w11
     middle = (
-        (p00 & 0xFF00) * w00 + (p01 & 0xFF00) * w01 + (p10 & 0xFF00) * w10 + (p11 & 0xFF00) * w11
+        (p00 & 0xFF00) * w00
+        + (p01 & 0xFF00) * w01
+        + (p10 & 0xFF00) * w10
+        + (p11 & 0xFF00) * w11
     )
     return (
         (outer & 0xFFFF) * (1.0 / 256.0),

@@ -33,7 +33,11 @@ def render_home(
 
 
 def render_homes(
-    pack: Pack, homes: Sequence[str], view: str = "top", width: int = 960, height: int = 720
+    pack: Pack,
+    homes: Sequence[str],
+    view: str = "top",
+    width: int = 960,
+    height: int = 720,
 ) -> Iterator[np.ndarray]:
     """Render several homes one after the other, building the scene once; arguments and errors as `render_home`."""
     renderer = HomeRenderer(CpuSimulator(Layout(pack, ()), 1, 1))

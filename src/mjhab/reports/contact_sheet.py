@@ -57,7 +57,9 @@ def save_png(path: Path, title: str, tiles: Sequence[Tile]) -> None:
     head = 3 * size
     rows = cells[-1][0] + 1
     sheet = Image.new(
-        "RGB", (gap + columns * (width + gap), head + rows * (height + caption) + gap), PAPER
+        "RGB",
+        (gap + columns * (width + gap), head + rows * (height + caption) + gap),
+        PAPER,
     )
     draw = ImageDraw.Draw(sheet)
     draw.text((gap, gap), title, INK, ImageFont.load_default(1.6 * size))
@@ -88,7 +90,9 @@ def _cells(tiles: Sequence[Tile], columns: int) -> list[tuple[int, int]]:
     return cells
 
 
-def _fit(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: float) -> str:
+def _fit(
+    text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: float
+) -> str:
     """The text, shortened to fit into ``width`` pixels."""
     if font.getlength(text) <= width:
         return text
@@ -106,7 +110,9 @@ def save_html(path: Path, title: str, tiles: Sequence[Tile]) -> None:
         parts.append(
             f'<h2>{html.escape(group)}: {len(members)}</h2>\n<div class="sheet">\n{figures}\n</div>'
         )
-    path.write_text(_PAGE.format(title=html.escape(title), body="\n".join(parts)), encoding="utf-8")
+    path.write_text(
+        _PAGE.format(title=html.escape(title), body="\n".join(parts)), encoding="utf-8"
+    )
 
 
 def _figure(tile: Tile) -> str:

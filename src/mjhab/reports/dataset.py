@@ -77,8 +77,12 @@ def render_data_report(
     body = [
         _header(records, policies, rules, text),
         _cards(records, size / found.of),
-        parts.section("Labels", f"{_LABEL_HINT} {beside_the_paper(rules)}", _labels(records)),
-        parts.section("Films", _FILM_HINT, _films(found.matched, records, open_film, begin)),
+        parts.section(
+            "Labels", f"{_LABEL_HINT} {beside_the_paper(rules)}", _labels(records)
+        ),
+        parts.section(
+            "Films", _FILM_HINT, _films(found.matched, records, open_film, begin)
+        ),
         parts.section("Forces", _FORCE_HINT, _pairs(list(plots))),
         parts.section(
             "Homes and targets",
@@ -103,10 +107,16 @@ def _runs(members: Sequence[Place]) -> list[RunInfo]:
 
 
 def _header(
-    records: Sequence[EpisodeRecord], policies: Sequence[str], rules: str, where: str | None
+    records: Sequence[EpisodeRecord],
+    policies: Sequence[str],
+    rules: str,
+    where: str | None,
 ) -> str:
     tasks = sorted({record.task.replace("_", " ") for record in records})
-    shown: list[tuple[str, Any]] = [("task", ", ".join(tasks)), ("policy", ", ".join(policies))]
+    shown: list[tuple[str, Any]] = [
+        ("task", ", ".join(tasks)),
+        ("policy", ", ".join(policies)),
+    ]
     shown += [
         ("rules", rules),
         ("split", ", ".join(sorted({r.split for r in records}))),
@@ -127,10 +137,16 @@ def _cards(records: Sequence[EpisodeRecord], size: float) -> str:
     count = len(records)
     steps = sum(record.steps for record in records)
     once = sum(record.success_once for record in records)
-    gentle = sum(record.success_once and record.peak_force < SAFE_FORCE_N for record in records)
+    gentle = sum(
+        record.success_once and record.peak_force < SAFE_FORCE_N for record in records
+    )
     low, high = wilson(once, count)
     values = [
-        ("episodes", f"{count:,}", f"{steps * STEP_SECONDS / 60:,.1f} minutes of robot time"),
+        (
+            "episodes",
+            f"{count:,}",
+            f"{steps * STEP_SECONDS / 60:,.1f} minutes of robot time",
+        ),
         (
             "success once",
             parts.percent(once / count),
@@ -156,7 +172,9 @@ def _labels(records: Sequence[EpisodeRecord]) -> str:
     groups = grouped(records)
     tables = []
     for kind in SUBTASKS:
-        members = {group: subtasks for group, subtasks in groups.items() if group.kind == kind}
+        members = {
+            group: subtasks for group, subtasks in groups.items() if group.kind == kind
+        }
         if members:
             tables.append(
                 f'<h3 style="margin:18px 0 4px;font-size:16px">{kind}</h3>{label_table(kind, members)}'
@@ -181,15 +199,15 @@ def _films(
         made = mosaic(places, open_film)
         if made is not None:
             figures.append(
-                _figure(kind, label, made, f"{made.episodes} of {len(places)}, {made.camera}")
+                _figure(
+                    kind, label, made, f"{made.episodes} of {len(places)}, {made.camera}"
+                )
             )
         if after is not None:
             after()
     if not figures:
         return parts.empty(_NO_IMAGES)
-    columns = (
-        "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,300px),1fr));gap:20px"
-    )
+    columns = "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,300px),1fr));gap:20px"
     return f'<div style="{columns}">{"".join(figures)}</div>'
 
 
@@ -213,21 +231,24 @@ def _pairs(names: Sequence[str]) -> str:
     if not names:
         return parts.empty("No subtask ended.")
     columns = "display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,420px),1fr));gap:14px 24px"
-    return (
-        f'<div style="{columns}">{"".join(f"""<div id="{name}"></div>""" for name in names)}</div>'
-    )
+    return f'<div style="{columns}">{"".join(f"""<div id="{name}"></div>""" for name in names)}</div>'
 
 
 def _counts(records: Sequence[EpisodeRecord]) -> str:
-    targets = Counter((s.kind, kind_of(s.target)) for record in records for s in record.subtasks)
+    targets = Counter(
+        (s.kind, kind_of(s.target)) for record in records for s in record.subtasks
+    )
     homes = Counter(record.home for record in records)
-    rows = [(f"{kind} {target}", count) for (kind, target), count in sorted(targets.items())]
+    rows = [
+        (f"{kind} {target}", count) for (kind, target), count in sorted(targets.items())
+    ]
     return _list("subtask", rows) + _list("home", sorted(homes.items()))
 
 
 def _list(name: str, rows: Sequence[tuple[str, int]]) -> str:
     body = "".join(
-        f'<tr><td>{escape(text)}</td><td class="n">{count}</td></tr>' for text, count in rows
+        f'<tr><td>{escape(text)}</td><td class="n">{count}</td></tr>'
+        for text, count in rows
     )
     head = f'<tr><th>{escape(name)}</th><th class="n">number</th></tr>'
     table = f'<table class="sortable"><thead>{head}</thead><tbody>{body}</tbody></table>'

@@ -38,7 +38,9 @@ def force_plots(subtasks: Sequence[SubtaskRecord]) -> dict[str, Figure]:
         limit = limits[kind]
         lines = {f"limit {limit:,.0f}": limit} if np.isfinite(limit) else {}
         name = f"{kind}: sum of forces [N x steps]"
-        figures[f"sum-{kind}"] = _histogram(members, lambda s: s.cumulative_force, name, lines)
+        figures[f"sum-{kind}"] = _histogram(
+            members, lambda s: s.cumulative_force, name, lines
+        )
     return figures
 
 
@@ -51,12 +53,17 @@ def _histogram(
     """Stacked histogram on a logarithmic axis; the first bin holds all values up to 1 N."""
     values = np.log10(np.maximum([value(member) for member in members], 1.0))
     good = np.array([member.success_once for member in members])
-    top = max(float(values.max()), *(np.log10(line) for line in lines.values()), 1.0) * 1.02
+    top = (
+        max(float(values.max()), *(np.log10(line) for line in lines.values()), 1.0) * 1.02
+    )
     edges = np.linspace(0.0, top, _BINS + 1)
     data = []
     for name, mask in (("success", good), ("failure", ~good)):
         counts = np.histogram(values[mask], edges)[0]
-        hover = [f"{10**low:,.0f} to {10**high:,.0f}" for low, high in itertools.pairwise(edges)]
+        hover = [
+            f"{10**low:,.0f} to {10**high:,.0f}"
+            for low, high in itertools.pairwise(edges)
+        ]
         data.append(
             {
                 "type": "bar",
@@ -89,7 +96,15 @@ def _layout(title: str, top: float, lines: Mapping[str, float]) -> dict[str, Any
         "yaxis": {"title": {"text": "subtasks"}, "rangemode": "tozero"},
         "legend": {"orientation": "h", "y": 1.16, "traceorder": "normal"},
         "shapes": [
-            {"type": "line", "x0": x, "x1": x, "yref": "paper", "y0": 0, "y1": 1, "line": dash}
+            {
+                "type": "line",
+                "x0": x,
+                "x1": x,
+                "yref": "paper",
+                "y0": 0,
+                "y1": 1,
+                "line": dash,
+            }
             for x in marks.values()
         ],
         "annotations": [

@@ -38,7 +38,9 @@ def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]
         for subtask in record.subtasks:
             way = "" if record.subtask else CHAINS
             groups[
-                Group(subtask.kind, record.task, record.split, way, kind_of(subtask.target))
+                Group(
+                    subtask.kind, record.task, record.split, way, kind_of(subtask.target)
+                )
             ].append(subtask)
     together: dict[Group, list[SubtaskRecord]] = defaultdict(list)
     several: Counter[Group] = Counter()
@@ -55,7 +57,14 @@ def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]
 
 def _place(group: Group) -> tuple[str | bool, ...]:
     """Sort key of a group; ALL comes after the targets that it sums up."""
-    return group.kind, group.task, group.split, group.way, group.target == ALL, group.target
+    return (
+        group.kind,
+        group.task,
+        group.split,
+        group.way,
+        group.target == ALL,
+        group.target,
+    )
 
 
 def label_order(kind: str) -> tuple[str, ...]:
@@ -63,7 +72,9 @@ def label_order(kind: str) -> tuple[str, ...]:
     spec = SUBTASKS[kind]
     columns = spec.published.columns if spec.published else ()
     return columns or tuple(
-        sorted(spec.labels, key=lambda name: (name.endswith("_failure"), "_then_" in name))
+        sorted(
+            spec.labels, key=lambda name: (name.endswith("_failure"), "_then_" in name)
+        )
     )
 
 
@@ -131,10 +142,13 @@ def _group_table(group: Group, columns: Sequence[_Column], labels: Sequence[str]
     way = f" {group.way}" if group.way else ""
     title = f"{group.task.replace('_', ' ')}, {group.split}{way}: <b>{escape(group.target)}</b>"
     heads = "".join(
-        f'<th class="n" style="white-space:normal">{escape(column.name)}</th>' for column in columns
+        f'<th class="n" style="white-space:normal">{escape(column.name)}</th>'
+        for column in columns
     )
     rows = [
-        _row("episodes", [f'<td class="n">{column.episodes:,}</td>' for column in columns]),
+        _row(
+            "episodes", [f'<td class="n">{column.episodes:,}</td>' for column in columns]
+        ),
         _row("success once", [_once(column) for column in columns]),
         _row(
             "success at end",
@@ -154,7 +168,9 @@ def _row(name: str, cells: Sequence[str]) -> str:
 
 
 def _once(column: _Column) -> str:
-    low, high = wilson(round(column.success_once / 100 * column.episodes), column.episodes)
+    low, high = wilson(
+        round(column.success_once / 100 * column.episodes), column.episodes
+    )
     title = f"95 %: {100 * low:.0f} to {100 * high:.0f}"
     return f'<td class="n" title="{title}">{column.success_once:.1f}</td>'
 

@@ -61,7 +61,9 @@ def alone_rates(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float
         if record.subtask is not None:
             for subtask in record.subtasks:
                 for target in ("", kind_of(subtask.target)):
-                    outcomes.setdefault((subtask.kind, target), []).append(subtask.success_once)
+                    outcomes.setdefault((subtask.kind, target), []).append(
+                        subtask.success_once
+                    )
     return {key: float(np.mean(values)) for key, values in outcomes.items()}
 
 
@@ -81,9 +83,13 @@ def progress_curves(
     rates = []
     for row in rows:
         in_chain = row.successes / row.reached if row.reached else 1.0
-        rates.append(known.get((row.kind, row.target), known.get((row.kind, ""), in_chain)))
+        rates.append(
+            known.get((row.kind, row.target), known.get((row.kind, ""), in_chain))
+        )
     curve = progressive([record.completed for record in records], len(rows))
-    return [round(float(v), 4) for v in curve], [round(float(v), 4) for v in upper_bound(rates)]
+    return [round(float(v), 4) for v in curve], [
+        round(float(v), 4) for v in upper_bound(rates)
+    ]
 
 
 def summarize(
@@ -135,7 +141,9 @@ def rows_by_position(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
     """Return one row per position of the plan, also for positions that no episode reached."""
     rows = []
     for position in range(max((len(record.plan) for record in records), default=0)):
-        entries = [record.plan[position] for record in records if position < len(record.plan)]
+        entries = [
+            record.plan[position] for record in records if position < len(record.plan)
+        ]
         ended = [
             subtask
             for record in records
@@ -155,7 +163,9 @@ def rows_by_kind(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
     for record in records:
         for subtask in record.subtasks:
             groups.setdefault((subtask.kind, kind_of(subtask.target)), []).append(subtask)
-    return [_row(None, kind, target, groups[kind, target]) for kind, target in sorted(groups)]
+    return [
+        _row(None, kind, target, groups[kind, target]) for kind, target in sorted(groups)
+    ]
 
 
 def _row(
@@ -171,8 +181,12 @@ def _row(
         success_once=mean(subtask.success_once for subtask in ended),
         success_at_end=mean(subtask.success_at_end for subtask in ended),
         interval=wilson(once, len(ended)),
-        steps=float(np.median([s.end_step - s.start_step for s in ended])) if ended else None,
-        peak_force=round(float(np.median([s.peak_force for s in ended])), 1) if ended else None,
+        steps=float(np.median([s.end_step - s.start_step for s in ended]))
+        if ended
+        else None,
+        peak_force=round(float(np.median([s.peak_force for s in ended])), 1)
+        if ended
+        else None,
     )
 
 

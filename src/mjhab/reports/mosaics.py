@@ -58,7 +58,12 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
         try:
             for t in range(0, max(episode.steps for episode, _, _ in shown) + 1, EVERY):
                 film.add(
-                    _grid([_tile(episode, camera, output, t) for episode, camera, output in shown])
+                    _grid(
+                        [
+                            _tile(episode, camera, output, t)
+                            for episode, camera, output in shown
+                        ]
+                    )
                 )
             film.close()
         except BaseException:
@@ -66,14 +71,21 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
             raise
         width = _columns(len(shown)) * (TILE + _GAP) - _GAP
         return Mosaic(
-            (folder / "mosaic.mp4").read_bytes(), width, len(shown), f"{shown[0][1]} {shown[0][2]}"
+            (folder / "mosaic.mp4").read_bytes(),
+            width,
+            len(shown),
+            f"{shown[0][1]} {shown[0][2]}",
         )
 
 
 def _best(episode: RecordedEpisode) -> tuple[str, str] | None:
     """Camera and output to show: colour before depth; follow camera before head camera before hand camera."""
     shown = [image for image in episode.images if image[1] in ("rgb", "depth")]
-    return min(shown, key=lambda image: (image[1] != "rgb", _place(image[0]), image), default=None)
+    return min(
+        shown,
+        key=lambda image: (image[1] != "rgb", _place(image[0]), image),
+        default=None,
+    )
 
 
 def _place(camera: str) -> int:
@@ -90,7 +102,9 @@ def _tile(episode: RecordedEpisode, camera: str, output: str, t: int) -> np.ndar
     side = min(image.shape[:2])
     top = (image.shape[0] - side) // 2
     left = (image.shape[1] - side) // 2
-    square = Image.fromarray(np.ascontiguousarray(image[top : top + side, left : left + side]))
+    square = Image.fromarray(
+        np.ascontiguousarray(image[top : top + side, left : left + side])
+    )
     return np.asarray(square.resize((TILE, TILE), Image.Resampling.BILINEAR))
 
 

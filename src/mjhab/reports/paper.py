@@ -78,7 +78,10 @@ def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
     for row in _lines("paper_labels.csv"):
         published = SUBTASKS[row["subtask"]].published
         names = published.columns if published else ()
-        labels = {name: float(row[column]) for name, column in zip(names, _COLUMNS, strict=False)}
+        labels = {
+            name: float(row[column])
+            for name, column in zip(names, _COLUMNS, strict=False)
+        }
         key = (row["task"], row["subtask"], row["split"], row["target"], row["policy"])
         rows[key] = PaperRow(
             int(row["paper_table"]),
@@ -89,7 +92,9 @@ def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
     return rows
 
 
-def paper_row(task: str, subtask: str, split: str, target: str, policy: str) -> PaperRow | None:
+def paper_row(
+    task: str, subtask: str, split: str, target: str, policy: str
+) -> PaperRow | None:
     """A row of the tables; None if the paper has no such row.
 
     Args:

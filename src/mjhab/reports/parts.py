@@ -16,7 +16,15 @@ from mjhab.rollout.films import FILM_EVERY, FILM_FPS
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
 
 _GOOD_EVENTS = frozenset(
-    {"success", "grasped", "at_goal", "released_at_goal", "navigated_close", "opened", "closed"}
+    {
+        "success",
+        "grasped",
+        "at_goal",
+        "released_at_goal",
+        "navigated_close",
+        "opened",
+        "closed",
+    }
 )
 _BAD_EVENTS = frozenset(
     {
@@ -68,14 +76,22 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
             percent(summary["success_once"]),
             f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI)" if total else "",
         ),
-        ("success at end", percent(summary["success_at_end"]), "still true in the last step"),
+        (
+            "success at end",
+            percent(summary["success_at_end"]),
+            "still true in the last step",
+        ),
         ("subtasks completed", f"{completed:.1f}", f"of {length}, mean per episode"),
         ("tainted episodes", f"{summary['tainted']}", "flagged by the simulation"),
         ("wall time", f"{seconds:,.0f} s", speed),
     ]
     if summary["errors"]:
         values.append(
-            ("errors", f"{summary['errors']}", "episodes that the policy could not finish")
+            (
+                "errors",
+                f"{summary['errors']}",
+                "episodes that the policy could not finish",
+            )
         )
     tiles = (
         f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'
@@ -86,7 +102,9 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
 
 
 def _kind(kind: str) -> str:
-    return f'<span class="kind" style="background:{kind_color(kind)}"></span>{escape(kind)}'
+    return (
+        f'<span class="kind" style="background:{kind_color(kind)}"></span>{escape(kind)}'
+    )
 
 
 def _rate_bar(row: SubtaskRow) -> str:
@@ -112,13 +130,17 @@ def success_table(rows: Sequence[SubtaskRow]) -> str:
     head = "".join(f'<th class="{css}">{escape(name)}</th>' for name, css in heads)
     body = []
     for row in rows:
-        cells = [f'<td class="n">{row.position + 1}</td>' if row.position is not None else ""]
+        cells = [
+            f'<td class="n">{row.position + 1}</td>' if row.position is not None else ""
+        ]
         cells += [
             f"<td>{_kind(row.kind)}</td><td>{escape(row.target)}</td>",
             f'<td class="n">{row.reached}</td>',
         ]
         if row.reached:
-            cells += [f'<td class="n">{percent(row.success_once)}</td><td>{_rate_bar(row)}</td>']
+            cells += [
+                f'<td class="n">{percent(row.success_once)}</td><td>{_rate_bar(row)}</td>'
+            ]
             cells += [
                 f'<td class="n">{percent(row.success_at_end)}</td><td class="n">{row.steps:.0f}</td>'
             ]
@@ -144,7 +166,9 @@ def film(record: EpisodeRecord, path: Path | None) -> str:
         view = '<div class="nofilm">no film of this episode</div>'
         hint = "Click a stretch or a mark of the timeline to read what it is."
     outcome = (
-        "success" if record.success_once else f"{record.completed} of {len(record.plan)} subtasks"
+        "success"
+        if record.success_once
+        else f"{record.completed} of {len(record.plan)} subtasks"
     )
     flags = f", tainted: {escape(', '.join(record.taint))}" if record.taint else ""
     return (
@@ -173,14 +197,18 @@ def _span(subtask: SubtaskRecord, steps: int) -> str:
     left = 100 * subtask.start_step / steps
     width = 100 * (subtask.end_step - subtask.start_step) / steps
     title = f"{subtask.index + 1}. {subtask.kind} {kind_of(subtask.target)}"
-    label = (subtask.label or ("success" if subtask.success_once else "no success")).replace(
-        "_", " "
-    )
+    label = (
+        subtask.label or ("success" if subtask.success_once else "no success")
+    ).replace("_", " ")
     more = (
         f"{label}; {(subtask.end_step - subtask.start_step) * STEP_SECONDS:.1f} s, peak {subtask.peak_force:.0f} N, "
         f"sum {subtask.cumulative_force:,.0f} N x steps"
     )
-    css = tone(subtask.label) if subtask.label else ("good" if subtask.success_once else "bad")
+    css = (
+        tone(subtask.label)
+        if subtask.label
+        else ("good" if subtask.success_once else "bad")
+    )
     return (
         f'<button type="button" class="span {css}" style="left:{left:.2f}%;width:{width:.2f}%" '
         f'data-step="{subtask.start_step}" data-name="{escape(title)}" data-more="{escape(more)}" '
@@ -191,7 +219,9 @@ def _span(subtask: SubtaskRecord, steps: int) -> str:
 def _event_list(record: EpisodeRecord) -> str:
     rows = []
     for step, name in record.events:
-        owner = next((s for s in record.subtasks if s.start_step < step <= s.end_step), None)
+        owner = next(
+            (s for s in record.subtasks if s.start_step < step <= s.end_step), None
+        )
         where = f"{owner.kind} {kind_of(owner.target)}" if owner else ""
         rows.append(
             f'<tr data-step="{step}"><td class="n">{step * STEP_SECONDS:.1f} s</td><td class="n">{step}</td>'
@@ -201,9 +231,7 @@ def _event_list(record: EpisodeRecord) -> str:
         return ""
     head = '<tr><th class="n">time</th><th class="n">step</th><th>subtask</th><th>event</th></tr>'
     table = f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
-    return (
-        f'<details><summary>{len(rows)} events</summary><div class="scroll">{table}</div></details>'
-    )
+    return f'<details><summary>{len(rows)} events</summary><div class="scroll">{table}</div></details>'
 
 
 def episode_table(records: Sequence[EpisodeRecord]) -> str:
@@ -230,7 +258,9 @@ def episode_table(records: Sequence[EpisodeRecord]) -> str:
 def _episode_row(record: EpisodeRecord) -> str:
     last = record.subtasks[-1] if record.subtasks else None
     label = (last.label or "") if last else ""
-    success = "at end" if record.success_at_end else "once" if record.success_once else "no"
+    success = (
+        "at end" if record.success_at_end else "once" if record.success_once else "no"
+    )
     css = "good" if record.success_at_end else "fair" if record.success_once else "bad"
     return (
         f'<tr><td class="n">{record.index}</td><td>{escape(record.home)}</td>'

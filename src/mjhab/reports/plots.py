@@ -92,14 +92,20 @@ def progress_figure(
         ],
         "layout": {
             "height": 340,
-            "yaxis": {"range": [0, 1.04], "tickformat": ".0%", "title": {"text": "episodes"}},
+            "yaxis": {
+                "range": [0, 1.04],
+                "tickformat": ".0%",
+                "title": {"text": "episodes"},
+            },
             "xaxis": {"type": "category", "tickangle": -40},
             "legend": {"orientation": "h", "y": 1.14},
         },
     }
 
 
-def labels_figure(counts: Mapping[str, Counter[str]], order: Sequence[str] = ()) -> Figure:
+def labels_figure(
+    counts: Mapping[str, Counter[str]], order: Sequence[str] = ()
+) -> Figure:
     """Stacked bars with the fraction of every trajectory label, per kind of subtask or per name in ``order``."""
     kinds = [kind for kind in order or SUBTASKS if kind in counts]
     totals = {kind: sum(counts[kind].values()) for kind in kinds}
@@ -179,7 +185,9 @@ def force_figure(record: EpisodeRecord) -> Figure:
             "yaxis": "y2",
             "line": {"color": color, "width": 2},
         }
-        low["hovertemplate"] = f"{name}<br>sum up to step %{{x}}: %{{y:.0f}}<extra></extra>"
+        low["hovertemplate"] = (
+            f"{name}<br>sum up to step %{{x}}: %{{y:.0f}}<extra></extra>"
+        )
         data += [{**common, **top}, {**common, **low}]
         drawn.add(kind)
         limit = limits.get(kind, math.inf)
@@ -193,7 +201,8 @@ def force_figure(record: EpisodeRecord) -> Figure:
 def _spans(record: EpisodeRecord) -> list[tuple[str, str, int, int]]:
     """Kind, target, start and end step of every span; steps after the last finished subtask form the last span."""
     spans = [
-        (s.kind, s.target, s.start_step, min(s.end_step, record.steps)) for s in record.subtasks
+        (s.kind, s.target, s.start_step, min(s.end_step, record.steps))
+        for s in record.subtasks
     ]
     last = max((end for *_, end in spans), default=0)
     if last < record.steps:
@@ -224,7 +233,11 @@ def _force_layout(steps: int, highest: float) -> dict[str, Any]:
             "range": [0, max(steps, 1)],
             "anchor": "y2",
         },
-        "yaxis": {"title": {"text": "force [N]"}, "domain": [0.56, 1.0], "rangemode": "tozero"},
+        "yaxis": {
+            "title": {"text": "force [N]"},
+            "domain": [0.56, 1.0],
+            "rangemode": "tozero",
+        },
         "yaxis2": {
             "title": {"text": "sum [N x steps]"},
             "domain": [0.0, 0.46],

@@ -52,17 +52,25 @@ def render_report(
         body.append(_films(records, film_path, film_problem))
         body += _results(records, alone)
         body.append(
-            parts.section("Episodes", "Click a column head to sort.", parts.episode_table(records))
+            parts.section(
+                "Episodes", "Click a column head to sort.", parts.episode_table(records)
+            )
         )
-        body.append(parts.section("Simulation flags", _TAINT_HINT, parts.taint_table(records)))
+        body.append(
+            parts.section("Simulation flags", _TAINT_HINT, parts.taint_table(records))
+        )
     else:
         body.append(
             parts.section(
-                "No episode finished", "", parts.empty("Resume the run to fill this report.")
+                "No episode finished",
+                "",
+                parts.empty("Resume the run to fill this report."),
             )
         )
     body.append(
-        parts.section("Run", "The resolved options of this run.", parts.config_list(config))
+        parts.section(
+            "Run", "The resolved options of this run.", parts.config_list(config)
+        )
     )
     return render_page(_title(config), "\n".join(body), _figures(records, alone))
 
@@ -117,13 +125,25 @@ def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list
             else "The dotted line multiplies the success rates of the subtasks among the episodes that reached "
             "them. Give --alone with runs of single subtasks to bound the chain by those instead."
         )
-        hint = f"Fraction of episodes that completed at least this much of the plan. {bound}"
-        out.append(parts.section("Progressive completion", hint, '<div id="progress-plot"></div>'))
+        hint = (
+            f"Fraction of episodes that completed at least this much of the plan. {bound}"
+        )
+        out.append(
+            parts.section(
+                "Progressive completion", hint, '<div id="progress-plot"></div>'
+            )
+        )
         hint = "In plan order. A subtask counts only where an episode reached it; whiskers are Wilson 95 % intervals."
-        out.append(parts.section("Success along the plan", hint, parts.success_table(rows)))
-    hint = "All subtasks that ended, by kind and target; whiskers are Wilson 95 % intervals."
+        out.append(
+            parts.section("Success along the plan", hint, parts.success_table(rows))
+        )
+    hint = (
+        "All subtasks that ended, by kind and target; whiskers are Wilson 95 % intervals."
+    )
     out.append(
-        parts.section("Success per subtask", hint, parts.success_table(rows_by_kind(records)))
+        parts.section(
+            "Success per subtask", hint, parts.success_table(rows_by_kind(records))
+        )
     )
     hint = f"Outcomes of subtasks: {LABEL_COLORS}."
     labels = (
@@ -145,11 +165,17 @@ def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list
 
 
 def _films(
-    records: Sequence[EpisodeRecord], film_path: Callable[[int], Path] | None, problem: str | None
+    records: Sequence[EpisodeRecord],
+    film_path: Callable[[int], Path] | None,
+    problem: str | None,
 ) -> str:
-    paths = {record.index: film_path(record.index) for record in records} if film_path else {}
+    paths = (
+        {record.index: film_path(record.index) for record in records} if film_path else {}
+    )
     filmed = [
-        record for record in records if record.index in paths and paths[record.index].is_file()
+        record
+        for record in records
+        if record.index in paths and paths[record.index].is_file()
     ]
     shown = filmed or list(records[:TIMELINES_WITHOUT_FILM])
     figures = "".join(parts.film(record, paths.get(record.index)) for record in shown)
@@ -157,16 +183,26 @@ def _films(
         "Films run at twice real time. Below each: the subtasks in the colours of their labels, and events as small "
         "marks (green: progress, red: setback, grey: other)."
     )
-    note = f'<div class="banner">Films stopped: {escape(problem)}</div><br>' if problem else ""
-    return parts.section("Films and timelines", hint, f'{note}<div class="films">{figures}</div>')
+    note = (
+        f'<div class="banner">Films stopped: {escape(problem)}</div><br>'
+        if problem
+        else ""
+    )
+    return parts.section(
+        "Films and timelines", hint, f'{note}<div class="films">{figures}</div>'
+    )
 
 
-def _figures(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> dict[str, Any]:
+def _figures(
+    records: Sequence[EpisodeRecord], alone: AloneRates | None
+) -> dict[str, Any]:
     if not records:
         return {"progress": None, "labels": None, "force": []}
     counts = labels_by_kind(records)
     return {
-        "progress": progress_figure(rows_by_position(records), *progress_curves(records, alone)),
+        "progress": progress_figure(
+            rows_by_position(records), *progress_curves(records, alone)
+        ),
         "labels": labels_figure(counts) if counts else None,
         "force": [force_figure(record) for record in records[:FORCE_EPISODES]],
     }
@@ -178,9 +214,12 @@ def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
 
     here = files("mjhab.reports")
     style, script = (
-        here.joinpath(name).read_text(encoding="utf-8") for name in ("report.css", "report.js")
+        here.joinpath(name).read_text(encoding="utf-8")
+        for name in ("report.css", "report.js")
     )
-    data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace(
+        "</", "<\\/"
+    )
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>

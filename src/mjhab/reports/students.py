@@ -121,7 +121,10 @@ def read_json(path: Path) -> dict[str, Any]:
 def _digests(runs: Sequence[Path]) -> set[str]:
     """Hashes of the policies that the checkpoints of runs can be, one of each together."""
     files = [
-        [hashlib.sha256(file.read_bytes()).hexdigest() for file in run.glob("*.safetensors")]
+        [
+            hashlib.sha256(file.read_bytes()).hexdigest()
+            for file in run.glob("*.safetensors")
+        ]
         for run in runs
     ]
     if len(runs) == 1:
@@ -149,7 +152,9 @@ def training(run: Path) -> dict[str, Any]:
     for folder in sorted((run / "data").glob("round_*")):
         found = list(episodes(folder))
         commits |= {episode.run.commit for episode in found}
-        data.append({"episodes": len(found), "frames": sum(episode.steps for episode in found)})
+        data.append(
+            {"episodes": len(found), "frames": sum(episode.steps for episode in found)}
+        )
     metrics = [
         json.loads(line)
         for line in (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
@@ -175,7 +180,9 @@ def training(run: Path) -> dict[str, Any]:
 
 def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write rows to the file; rows of the same students are replaced."""
-    table = {tuple(row[name] for name in IDENTITY): row for row in [*read_rows(path), *rows]}
+    table = {
+        tuple(row[name] for name in IDENTITY): row for row in [*read_rows(path), *rows]
+    }
     content = {
         "what": "students: policies that act from depth images and state",
         "rows": list(table.values()),
@@ -194,16 +201,24 @@ def main(words: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: the words are no such command.
     """
-    parser = argparse.ArgumentParser("python -m mjhab.reports.students", description=__doc__)
-    parser.add_argument("file", type=Path, metavar="FILE.json", help="the table; made or added to")
-    parser.add_argument("places", type=Path, nargs="+", metavar="RUN EVALUATION", help="see above")
+    parser = argparse.ArgumentParser(
+        "python -m mjhab.reports.students", description=__doc__
+    )
+    parser.add_argument(
+        "file", type=Path, metavar="FILE.json", help="the table; made or added to"
+    )
+    parser.add_argument(
+        "places", type=Path, nargs="+", metavar="RUN EVALUATION", help="see above"
+    )
     options = parser.parse_args(words)
     path, places = options.file, options.places
     if len(places) % 2:
         parser.error(f"every RUN needs its EVALUATION; got {len(places)} folders.")
     try:
         rows = [
-            student_row(run, judged) if run != KEEP else judged_row(read_rows(path), judged)
+            student_row(run, judged)
+            if run != KEEP
+            else judged_row(read_rows(path), judged)
             for run, judged in zip(places[::2], places[1::2], strict=True)
         ]
     except MjhabError as error:

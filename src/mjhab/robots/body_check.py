@@ -41,7 +41,9 @@ def check_body(body: Body, needs: BodyNeeds) -> Body:
     """
     robot = f"robot {needs.robot!r}"
     if not isinstance(body, Body):
-        raise UsageError(f"{robot}: load_body must return a Body, got {type(body).__name__}.")
+        raise UsageError(
+            f"{robot}: load_body must return a Body, got {type(body).__name__}."
+        )
     links = _links(body, needs.base_link, robot)
     _check_names("load_body: Body.collision", body.collision, links, robot)
     for link in links:
@@ -78,12 +80,16 @@ def _links(body: Body, base_link: str, robot: str) -> tuple[str, ...]:
                 f"({base_link!r}) nor a link before it."
             )
         if row.link in found:
-            raise UsageError(f"{robot}: load_body: link {row.link!r} is in the tree twice.")
+            raise UsageError(
+                f"{robot}: load_body: link {row.link!r} is in the tree twice."
+            )
         found.append(row.link)
     return tuple(found)
 
 
-def _check_names(field: str, names: Iterable[str], links: tuple[str, ...], robot: str) -> None:
+def _check_names(
+    field: str, names: Iterable[str], links: tuple[str, ...], robot: str
+) -> None:
     for name in names:
         if name not in links:
             raise UsageError(f"{robot}: {field}: {unknown_name('link', name, links)}")

@@ -17,7 +17,8 @@ DAMPING = 1e-4
 DAMPING_PER_ERROR = 0.03
 """Damping added per squared norm of the error; the squared norm is clipped at 1."""
 _EYES = {
-    n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n))) for n in range(1, 7)
+    n: Table(tuple(tuple(float(i == k) for k in range(n)) for i in range(n)))
+    for n in range(1, 7)
 }
 
 
@@ -101,7 +102,8 @@ def limited_step(
     for last in (False, False, True):
         remaining = error - xp.einsum("nij,nj->ni", jac, stopped)
         step = _bounded(
-            stopped + damped_step(remaining, jac * free[:, None], pull * free, damping) * free,
+            stopped
+            + damped_step(remaining, jac * free[:, None], pull * free, damping) * free,
             bounds.largest,
         )
         over = (free > 0) & ((step < low) | (step > high))

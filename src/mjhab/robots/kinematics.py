@@ -165,7 +165,9 @@ class Chain:
         links = [wanted[0].parent, *(j.child for j in wanted)]
         column = tuple(_column(joint, order) for joint in wanted)
         limits = {row.joint: row.limits for row in tree if row.joint}
-        bounds = np.array([limits.get(name, (-np.inf, np.inf)) for name in order], dtype=np.float64)
+        bounds = np.array(
+            [limits.get(name, (-np.inf, np.inf)) for name in order], dtype=np.float64
+        )
         parent = tuple(links.index(j.parent) for j in wanted)
         return cls(
             tuple(wanted),
@@ -227,7 +229,9 @@ class Chain:
         count = len(q)
         n_links = len(self.links)
         pos = empty((count, n_links, 3), q)
-        axes = empty((count, n_links, 3, 3), q)  # [n, link, axis, xyz]: rows are the link axes
+        axes = empty(
+            (count, n_links, 3, 3), q
+        )  # [n, link, axis, xyz]: rows are the link axes
         pos[:, 0] = constant((0.0, 0.0, self.root_height), q)
         axes[:, 0] = constant(IDENTITY, q)
         cos = xp.cos(q)
@@ -330,7 +334,10 @@ def _column(joint: Joint, order: Sequence[str]) -> int:
 def _base_joints(order: Sequence[str], root: str) -> list[Joint]:
     names = ("world", "base_x", "base_y", root)
     kinds: tuple[Literal["slide", "hinge"], ...] = ("slide", "slide", "hinge")
-    return [Joint(order[k], kinds[k], names[k], names[k + 1], (0.0, 0.0, 0.0), k) for k in range(3)]
+    return [
+        Joint(order[k], kinds[k], names[k], names[k + 1], (0.0, 0.0, 0.0), k)
+        for k in range(3)
+    ]
 
 
 def _collect(link: str, rows: dict[str, TreeRow], into: list[Joint], root: str) -> None:
@@ -354,7 +361,9 @@ def _joint(row: TreeRow) -> Joint:
     for k in range(3):
         if abs(abs(row.axis[k]) - 1.0) < 1e-12:
             kind: Literal["slide", "hinge"] = "slide" if row.slide else "hinge"
-            return Joint(row.joint, kind, row.parent, row.link, row.origin, k, row.axis[k])
+            return Joint(
+                row.joint, kind, row.parent, row.link, row.origin, k, row.axis[k]
+            )
     raise UsageError(
         f"joint {row.joint!r} has axis {row.axis}; only axes along x, y or z are supported"
     )

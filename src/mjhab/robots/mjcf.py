@@ -78,7 +78,9 @@ class MjcfLinks:
             )
         spec = mujoco.MjSpec.from_file(str(file))
         self._files = {
-            mesh.name: file.parent / spec.meshdir / mesh.file for mesh in spec.meshes if mesh.file
+            mesh.name: file.parent / spec.meshdir / mesh.file
+            for mesh in spec.meshes
+            if mesh.file
         }
         self._meshes = [(body.name, geom) for body in spec.bodies for geom in body.geoms]
         self._rgba = {material.name: tuple(material.rgba) for material in spec.materials}
@@ -122,10 +124,14 @@ class MjcfLinks:
             else:
                 up = self._model.body(int(body.parentid[0])).name
                 place = _vec3(self.pos(link) - self.pos(up))
-            rows.append(self._row(link, up, place, int(body.jntnum[0]), int(body.jntadr[0])))
+            rows.append(
+                self._row(link, up, place, int(body.jntnum[0]), int(body.jntadr[0]))
+            )
         return tuple(rows)
 
-    def _row(self, link: str, parent: str, origin: Vec3, count: int, first: int) -> TreeLink:
+    def _row(
+        self, link: str, parent: str, origin: Vec3, count: int, first: int
+    ) -> TreeLink:
         if not count:
             return TreeLink(link, parent, "", origin)
         model = self._model
@@ -151,12 +157,21 @@ class MjcfLinks:
             body = self._model.body(link)
             mass = float(body.mass[0])
             if not mass:
-                found[link] = Inertial(0.01, (0.0, 0.0, 0.0), (1e-5, 1e-5, 1e-5, 0.0, 0.0, 0.0))
+                found[link] = Inertial(
+                    0.01, (0.0, 0.0, 0.0), (1e-5, 1e-5, 1e-5, 0.0, 0.0, 0.0)
+                )
                 continue
             rot = self.rot(link)
             axes = rot @ mat_from_quat(np.array(body.iquat))
             full = axes @ np.diag(body.inertia) @ axes.T
-            rows = [full[0, 0], full[1, 1], full[2, 2], full[0, 1], full[0, 2], full[1, 2]]
+            rows = [
+                full[0, 0],
+                full[1, 1],
+                full[2, 2],
+                full[0, 1],
+                full[0, 2],
+                full[1, 2],
+            ]
             xx, yy, zz, xy, xz, yz = (float(x) for x in np.round(rows, 7))
             found[link] = Inertial(mass, _vec3(rot @ body.ipos), (xx, yy, zz, xy, xz, yz))
         return found
@@ -167,7 +182,9 @@ class MjcfLinks:
         for link, geom in self._meshes:
             if link in self.links and geom.group == group and geom.meshname:
                 rot = self.rot(link)
-                turn = rot @ mat_from_quat(np.array(geom.quat, float) / np.linalg.norm(geom.quat))
+                turn = rot @ mat_from_quat(
+                    np.array(geom.quat, float) / np.linalg.norm(geom.quat)
+                )
                 rgba = self._rgba.get(geom.material, tuple(geom.rgba))
                 place = rot @ np.array(geom.pos, float)
                 file = self._files[geom.meshname]
@@ -193,7 +210,9 @@ def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
     cuts = np.linspace(low[long], high[long], pieces + 1)
     boxes = []
     for start, end in pairwise(cuts):
-        inside = points[(points[:, long] >= start - 1e-9) & (points[:, long] <= end + 1e-9)]
+        inside = points[
+            (points[:, long] >= start - 1e-9) & (points[:, long] <= end + 1e-9)
+        ]
         least = inside.min(axis=0)
         most = inside.max(axis=0)
         least[long] = start

@@ -63,7 +63,9 @@ def add_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
     spec.compiler.degree = False
     bodies = {robot.base_link: _add_base(spec, robot)}
     for entry in robot.body.tree:
-        body = bodies[entry.parent].add_body(name=entry.link, pos=entry.origin, quat=entry.quat)
+        body = bodies[entry.parent].add_body(
+            name=entry.link, pos=entry.origin, quat=entry.quat
+        )
         bodies[entry.link] = body
         _fill_body(body, entry.link, robot)
         if entry.joint:
@@ -80,11 +82,15 @@ def add_robot(spec: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _add_base(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjsBody:
-    base = spec.worldbody.add_body(name=robot.base_link, pos=[0.0, 0.0, robot.base_height])
+    base = spec.worldbody.add_body(
+        name=robot.base_link, pos=[0.0, 0.0, robot.base_height]
+    )
     _fill_body(base, robot.base_link, robot)
     slide = mujoco.mjtJoint.mjJNT_SLIDE
     hinge = mujoco.mjtJoint.mjJNT_HINGE
-    rows = zip(robot.group("base"), (slide, slide, hinge), _AXES, BASE_LIMITS, strict=True)
+    rows = zip(
+        robot.group("base"), (slide, slide, hinge), _AXES, BASE_LIMITS, strict=True
+    )
     for name, kind, axis, limits in rows:
         joint = base.add_joint(name=name, type=kind, axis=axis)
         _limit(joint, robot.gains_of[name], limits)
@@ -104,7 +110,9 @@ def _fill_body(body: mujoco.MjsBody, link: str, robot: Robot) -> None:
         _add_collision(body, link, i, geom, robot)
 
 
-def _add_collision(body: mujoco.MjsBody, link: str, index: int, geom: Geom, robot: Robot) -> None:
+def _add_collision(
+    body: mujoco.MjsBody, link: str, index: int, geom: Geom, robot: Robot
+) -> None:
     distal = contact_bits.DISTAL if link in robot.distal_links else 0
     trunk = contact_bits.DISTAL if link in robot.trunk_links else 0
     added = body.add_geom(
@@ -149,7 +157,9 @@ def _limit(joint: mujoco.MjsJoint, gains: Gains, limits: tuple[float, float]) ->
 def _add_actuators(spec: mujoco.MjSpec, robot: Robot) -> None:
     for name in robot.joints:
         gains = robot.gains_of[name]
-        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator = spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
         if gains.kp > 0:
             actuator.set_to_position(kp=gains.kp, kv=gains.kd)
         else:

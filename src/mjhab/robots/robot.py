@@ -151,7 +151,10 @@ class Robot:
             raise UsageError(
                 f"robot {self.name!r}: every joint belongs to one group; look at {odd}."
             )
-        if self.joints[BASE] != self.group("base") or len(self.group("base")) != BASE.stop:
+        if (
+            self.joints[BASE] != self.group("base")
+            or len(self.group("base")) != BASE.stop
+        ):
             raise UsageError(
                 f"robot {self.name!r}: the first three joints must be group 'base' (x, y, yaw), got "
                 f"{self.joints[BASE]} and group {self.group('base')}."
@@ -194,7 +197,9 @@ class Robot:
                     f"robot {self.name!r}: cameras[{k}] must be a CameraMount, got {type(camera).__name__}."
                 )
             if camera.name in self.camera_names[:k]:
-                raise UsageError(f"robot {self.name!r}: two cameras are called {camera.name!r}.")
+                raise UsageError(
+                    f"robot {self.name!r}: two cameras are called {camera.name!r}."
+                )
             if not 0.0 < camera.fovy < np.pi:
                 raise UsageError(
                     f"robot {self.name!r}: fovy of camera {camera.name!r} must be between 0 and pi [rad], got "
@@ -322,7 +327,11 @@ class Robot:
     @cached_property
     def gains_of(self) -> dict[str, Gains]:
         """Servo gains by joint name."""
-        return {joint: self.gains[group] for group in self.groups for joint in self.group(group)}
+        return {
+            joint: self.gains[group]
+            for group in self.groups
+            for joint in self.group(group)
+        }
 
     # -- links -----------------------------------------------------------------------------------------------------
 

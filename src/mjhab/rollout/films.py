@@ -64,7 +64,9 @@ class FilmSink(Sink[RolloutEnv]):
         self._size = (width, height)
         self._films: dict[int, Film] = {}
 
-    def on_reset(self, env: RolloutEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: RolloutEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         """Open films of wanted episodes; their first frame shows the start state."""
         begun = []
         for world in np.flatnonzero(mask):

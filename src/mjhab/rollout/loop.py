@@ -88,7 +88,9 @@ def _check_env(env: RolloutEnv) -> None:
             "rollout needs a vector environment: mjhab.make(..., num_envs=1, autoreset='disabled')."
         )
     if metadata.get("tensors"):
-        raise UsageError("rollout runs on the CPU: make the environment with backend='cpu'.")
+        raise UsageError(
+            "rollout runs on the CPU: make the environment with backend='cpu'."
+        )
 
 
 class _Run:
@@ -135,7 +137,14 @@ class _Run:
         for w in np.flatnonzero(self.active):
             self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
         view = StepView(
-            self.active.copy(), self.steps.copy(), done, actions, self.obs, reward, self.info, notes
+            self.active.copy(),
+            self.steps.copy(),
+            done,
+            actions,
+            self.obs,
+            reward,
+            self.info,
+            notes,
         )
         for sink in self.sinks:
             sink.on_step(self.env, view)
@@ -273,12 +282,16 @@ class _Trace:
             success_at_end=bool(info["success"][world]),
             fail=bool(info["fail"][world]),
             steps=steps,
-            completed=len({subtask.index for subtask in self.subtasks if subtask.success_once}),
+            completed=len(
+                {subtask.index for subtask in self.subtasks if subtask.success_once}
+            ),
             events=tuple(self.events),
             peak_force=round(max(self.force, default=0.0), 3),
             cumulative_force=round(sum(self.force), 3),
             force=tuple(round(value, 1) for value in self.force),
-            taint=tuple(name for bit, name in enumerate(env.taint_names) if self.taint >> bit & 1),
+            taint=tuple(
+                name for bit, name in enumerate(env.taint_names) if self.taint >> bit & 1
+            ),
             spawn_fallback=bool(info["spawn_fallback"][world]),
             final_state=str(env.state_digest(world)),
             seconds=round(time.perf_counter() - self.started, 3),

@@ -70,7 +70,9 @@ class SubtaskRecord:
             start_step=_count("start_step", data["start_step"]),
             end_step=_count("end_step", data["end_step"]),
             peak_force=round(_number("peak_force", data["peak_force"]), 3),
-            cumulative_force=round(_number("cumulative_force", data["cumulative_force"]), 3),
+            cumulative_force=round(
+                _number("cumulative_force", data["cumulative_force"]), 3
+            ),
             events=_events(data["events"]),
         )
 
@@ -145,14 +147,18 @@ class EpisodeRecord:
             raise ValueError("its plan has no subtask")
         for entry in record.subtasks:
             if entry.index >= len(record.plan):
-                raise ValueError(f"it has subtask {entry.index} of a plan of {len(record.plan)}")
+                raise ValueError(
+                    f"it has subtask {entry.index} of a plan of {len(record.plan)}"
+                )
         _check_names(record)
         return record
 
 
 def _values(data: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a record by name, each of its type."""
-    values = {f.name: data[f.name] for f in fields(EpisodeRecord) if f.name not in OPTIONAL}
+    values = {
+        f.name: data[f.name] for f in fields(EpisodeRecord) if f.name not in OPTIONAL
+    }
     for name in ("seed", "index", "steps", "completed"):
         values[name] = _count(name, data[name])
     for name in ("success_once", "success_at_end", "fail", "spawn_fallback"):
@@ -161,14 +167,18 @@ def _values(data: Mapping[str, Any]) -> dict[str, Any]:
         values[name] = _number(name, data[name])
     values["style"] = dict(data.get("style", {}))
     values["instruction"] = _sentence(data.get("instruction", ""))
-    values["instructions"] = tuple(_sentence(text) for text in data.get("instructions", ()))
+    values["instructions"] = tuple(
+        _sentence(text) for text in data.get("instructions", ())
+    )
     values["error"] = _sentence(data.get("error", ""))
     values["config_hash"] = str(data.get("config_hash", ""))
     values["final_state"] = str(data["final_state"])
     for name in ("plan", "subtasks", "events", "force", "taint"):
         _check_list(name, data[name])
     values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
-    values["subtasks"] = tuple(SubtaskRecord.from_dict(entry) for entry in data["subtasks"])
+    values["subtasks"] = tuple(
+        SubtaskRecord.from_dict(entry) for entry in data["subtasks"]
+    )
     values["events"] = _events(data["events"])
     values["force"] = tuple(_number("force", value) for value in data["force"])
     values["taint"] = tuple(data["taint"])
@@ -179,7 +189,9 @@ def _count(name: str, value: Any) -> int:
     """A whole number from 0 that was read from a file; numpy scalars become ints."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not whole or not 0 <= int(value) <= MAX_COUNT:
-        raise ValueError(f"{name} must be a whole number from 0, not {str(value)[:60]!r}.")
+        raise ValueError(
+            f"{name} must be a whole number from 0, not {str(value)[:60]!r}."
+        )
     return int(value)
 
 

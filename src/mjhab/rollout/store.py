@@ -45,7 +45,11 @@ class RunFolder:
     """
 
     def __init__(
-        self, path: Path, config: Mapping[str, Any], records: list[EpisodeRecord], lock: WriteLock
+        self,
+        path: Path,
+        config: Mapping[str, Any],
+        records: list[EpisodeRecord],
+        lock: WriteLock,
     ) -> None:
         self.path = path
         self.config = dict(config)
@@ -74,7 +78,12 @@ class RunFolder:
 
     @classmethod
     def open(
-        cls, path: Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+        cls,
+        path: Path,
+        config: Mapping[str, Any],
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
     ) -> RunFolder:
         """Prepare ``path`` for a run with ``config`` (plain JSON data) and save the config there.
 
@@ -190,7 +199,9 @@ def check_folder(
     if path.exists() and not path.is_dir():
         raise UsageError(f"the output path {path} is a file; give a folder.")
     refuse_if_written(path / CONFIG, path)
-    _check_content(path, config, resume=resume, overwrite=overwrite, replaceable=replaceable)
+    _check_content(
+        path, config, resume=resume, overwrite=overwrite, replaceable=replaceable
+    )
 
 
 def _check_content(
@@ -234,7 +245,9 @@ def read_records(folder: Path) -> list[EpisodeRecord]:
 def config_hash(config: Mapping[str, Any]) -> str:
     """Name of a config: equal for configs that a resumed run may have, which differ in ``FREE_KEYS`` at most."""
     fixed = {
-        key: value for key, value in config.items() if key not in FREE_KEYS and value is not None
+        key: value
+        for key, value in config.items()
+        if key not in FREE_KEYS and value is not None
     }
     text = json.dumps(fixed, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -251,7 +264,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _some(names: list[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return ", ".join(names[:3]) + (
+        f" and {len(names) - 3} more" if len(names) > 3 else ""
+    )
 
 
 def _delete_own(path: Path) -> None:
@@ -331,7 +346,9 @@ def _check_records(records: Sequence[EpisodeRecord], wanted: str, path: Path) ->
     """Refuse records of another config than ``wanted`` ("" for any), and a second record of an episode."""
     seen: set[int] = set()
     for number, record in enumerate(records, 1):
-        _check_same_run(record, wanted, f"line {number} of {path} (episode {record.index})")
+        _check_same_run(
+            record, wanted, f"line {number} of {path} (episode {record.index})"
+        )
         if record.index in seen:
             raise UsageError(
                 f"line {number} of {path}: episode {record.index} is there twice. Run it again with --overwrite."

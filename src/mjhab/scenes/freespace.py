@@ -58,7 +58,9 @@ class FreeMap:
 
     def to_cell(self, xy: np.ndarray) -> np.ndarray:
         """Convert world positions (..., 2) [m] to cell indices (..., 2) int, clipped to the raster."""
-        index = np.floor((np.asarray(xy, float) - np.array(self.origin)) / self.cell).astype(int)
+        index = np.floor(
+            (np.asarray(xy, float) - np.array(self.origin)) / self.cell
+        ).astype(int)
         return np.clip(index, 0, np.array(self.blocked.shape) - 1)
 
     def to_xy(self, cells: np.ndarray) -> np.ndarray:
@@ -67,7 +69,9 @@ class FreeMap:
 
     def clearance_at(self, xy: np.ndarray) -> np.ndarray:
         """Look up the clearance (...,) [m] at world positions (..., 2) [m]; 0 outside the raster."""
-        index = np.floor((np.asarray(xy, float) - np.array(self.origin)) / self.cell).astype(int)
+        index = np.floor(
+            (np.asarray(xy, float) - np.array(self.origin)) / self.cell
+        ).astype(int)
         inside = np.all((index >= 0) & (index < np.array(self.blocked.shape)), axis=-1)
         index = np.clip(index, 0, np.array(self.blocked.shape) - 1)
         return np.where(inside, self.clearance[index[..., 0], index[..., 1]], 0.0)
@@ -99,7 +103,11 @@ class FreeMap:
         cell = np.array([self.cell])
         return float(
             look_up(
-                field, origin, cell, np.array([field.shape[1:]]), np.asarray(a, float)[None, :2]
+                field,
+                origin,
+                cell,
+                np.array([field.shape[1:]]),
+                np.asarray(a, float)[None, :2],
             )[0]
         )
 
@@ -115,13 +123,16 @@ class FreeMap:
             self.to_xy(np.moveaxis(np.indices(self.blocked.shape), 0, -1)) - goal, axis=-1
         )
         apart = float(np.linalg.norm(self.to_xy(source) - goal)) if off[x, y] else 0.0
-        field = np.maximum(along[nearest[0], nearest[1]] + off + apart, straight).astype(np.float32)
+        field = np.maximum(along[nearest[0], nearest[1]] + off + apart, straight).astype(
+            np.float32
+        )
         return _frozen(field)
 
     def places(self, radius: float) -> np.ndarray:
         """Return the centres (P, 2) [m] of the cells of `navigable` for a ``radius`` [m]; read-only and cached."""
         return self._derived.get(
-            ("places", radius), lambda: _frozen(self.to_xy(np.argwhere(self.navigable(radius))))
+            ("places", radius),
+            lambda: _frozen(self.to_xy(np.argwhere(self.navigable(radius)))),
         )
 
     @cached_property
@@ -168,7 +179,11 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 
 
 def look_up(
-    fields: np.ndarray, origin: np.ndarray, cell: np.ndarray, shape: np.ndarray, xy: np.ndarray
+    fields: np.ndarray,
+    origin: np.ndarray,
+    cell: np.ndarray,
+    shape: np.ndarray,
+    xy: np.ndarray,
 ) -> np.ndarray:
     """Interpolate distance fields bilinearly, one position in each.
 
@@ -211,7 +226,8 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
     x0, y0, x1, y1 = home.floor
     origin = (x0 - _BORDER_M, y0 - _BORDER_M)
     shape = tuple(
-        int(np.ceil((hi - lo + 2 * _BORDER_M) / cell - 1e-9)) for lo, hi in ((x0, x1), (y0, y1))
+        int(np.ceil((hi - lo + 2 * _BORDER_M) / cell - 1e-9))
+        for lo, hi in ((x0, x1), (y0, y1))
     )
     blocked = np.zeros(shape, bool)
     for polygon in blocking_polygons(home, pack):
@@ -219,14 +235,18 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
     xs = origin[0] + (np.arange(shape[0]) + 0.5) * cell
     ys = origin[1] + (np.arange(shape[1]) + 0.5) * cell
     blocked |= ~(((xs > x0) & (xs < x1))[:, None] & ((ys > y0) & (ys < y1))[None, :])
-    clearance = np.maximum(np.asarray(distance_transform_edt(~blocked)) * cell - cell / 2, 0.0)
+    clearance = np.maximum(
+        np.asarray(distance_transform_edt(~blocked)) * cell - cell / 2, 0.0
+    )
     return FreeMap(origin, cell, blocked, clearance)
 
 
 def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
     """Compute the convex polygons (N, 2) [m] in the world, counter-clockwise, of all geoms that block the base."""
     polygons = [
-        _flatten(g, Placement("wall", (0.0, 0.0, 0.0)), pack) for g in home.walls if g.collide
+        _flatten(g, Placement("wall", (0.0, 0.0, 0.0)), pack)
+        for g in home.walls
+        if g.collide
     ]
     for placement in (*home.props, *home.articulations):
         template: Prop | Articulation
@@ -236,7 +256,9 @@ def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
                 continue
         else:
             template = pack.articulations[placement.template]
-        polygons += [_flatten(g, placement, pack) for g in all_geoms(template) if g.collide]
+        polygons += [
+            _flatten(g, placement, pack) for g in all_geoms(template) if g.collide
+        ]
     return [p for p in polygons if p is not None]
 
 
@@ -249,10 +271,12 @@ def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
         (hx, hy, hz) = geom.size
         z += placement.pos[2]
         hidden = z - hz >= ROBOT_HEIGHT_M or z + hz <= 0.0
-        return None if hidden else rectangle(placement, (x - hx, x + hx), (y - hy, y + hy))
-    points = outline(geom, pack.meshes) @ mat_from_quat(np.array(placement.rotation)).T + np.array(
-        placement.pos
-    )
+        return (
+            None if hidden else rectangle(placement, (x - hx, x + hx), (y - hy, y + hy))
+        )
+    points = outline(geom, pack.meshes) @ mat_from_quat(
+        np.array(placement.rotation)
+    ).T + np.array(placement.pos)
     if points[:, 2].min() >= ROBOT_HEIGHT_M or points[:, 2].max() <= 0.0:
         return None
     flat = np.unique(points[:, :2].round(9), axis=0)
@@ -282,9 +306,13 @@ def reach(
     stand = KDTree(free.to_xy(cells)) if len(cells) else None
     result = []
     for placement in (*home.props, *home.articulations):
-        template = pack.props.get(placement.template) or pack.articulations[placement.template]
+        template = (
+            pack.props.get(placement.template) or pack.articulations[placement.template]
+        )
         origins = (
-            {} if isinstance(template, Prop) else {link.name: link.pos for link in template.links}
+            {}
+            if isinstance(template, Prop)
+            else {link.name: link.pos for link in template.links}
         )
         for r in template.receptacles:
             ox, oy, oz = origins.get(r.link, (0.0, 0.0, 0.0))
@@ -308,8 +336,12 @@ def _fill(
     blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float], cell: float
 ) -> None:
     """Set the cells of ``blocked`` (X, Y) whose square overlaps a convex counter-clockwise polygon (N, 2) [m]."""
-    low = np.clip(np.floor((polygon.min(0) - origin) / cell).astype(int), 0, blocked.shape)
-    high = np.clip(np.ceil((polygon.max(0) - origin) / cell - 1e-9).astype(int), 0, blocked.shape)
+    low = np.clip(
+        np.floor((polygon.min(0) - origin) / cell).astype(int), 0, blocked.shape
+    )
+    high = np.clip(
+        np.ceil((polygon.max(0) - origin) / cell - 1e-9).astype(int), 0, blocked.shape
+    )
     if np.any(high <= low):
         return
     xs = origin[0] + (np.arange(low[0], high[0]) + 0.5) * cell
@@ -318,5 +350,7 @@ def _fill(
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         normal = np.array([b[1] - a[1], a[0] - b[0]])
         slack = cell / 2 * np.abs(normal).sum() - 1e-9
-        inside &= (xs[:, None] - a[0]) * normal[0] + (ys[None, :] - a[1]) * normal[1] < slack
+        inside &= (xs[:, None] - a[0]) * normal[0] + (ys[None, :] - a[1]) * normal[
+            1
+        ] < slack
     blocked[low[0] : high[0], low[1] : high[1]] |= inside

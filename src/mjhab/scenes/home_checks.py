@@ -55,13 +55,21 @@ def _check_numbers(home: Home) -> None:
     check_range("floor.size", (width, depth), MIN_FLOOR_M, MAX_FLOOR_M, "m")
     for wall in home.walls:
         check_range("walls.height", 2 * wall.size[2], 0.1, MAX_WALL_HEIGHT_M, "m")
-    check_range("walls.thickness", 2 * min(home.walls[0].size[:2]), 0.01, MAX_WALL_THICKNESS_M, "m")
+    check_range(
+        "walls.thickness",
+        2 * min(home.walls[0].size[:2]),
+        0.01,
+        MAX_WALL_THICKNESS_M,
+        "m",
+    )
     for placement in (*home.props, *home.articulations):
         x, y, _ = placement.pos
         where = f"furniture {placement.template!r}"
         check_range(f"{where}, x of at", x, 0.0, width, "m")
         check_range(f"{where}, y of at", y, 0.0, depth, "m")
-        check_range(f"{where}, yaw_degrees", math.degrees(placement.yaw), -360.0, 360.0, "degrees")
+        check_range(
+            f"{where}, yaw_degrees", math.degrees(placement.yaw), -360.0, 360.0, "degrees"
+        )
     for wall in home.walls:
         reach_m = max(width, depth) + MAX_WALL_THICKNESS_M
         check_range("walls.inner", wall.pos[:2], -MAX_WALL_THICKNESS_M, reach_m, "m")
@@ -80,11 +88,16 @@ def _check_singles(source: Path, home: Home) -> None:
 def _check_overlaps(source: Path, pack: Pack, home: Home) -> None:
     """Raise a UsageError if a piece overlaps a wall or another piece."""
     taken = [
-        ("walls.outer" if k < OUTER_WALLS else "a wall of walls.inner", _wall_area(home, k))
+        (
+            "walls.outer" if k < OUTER_WALLS else "a wall of walls.inner",
+            _wall_area(home, k),
+        )
         for k in range(len(home.walls))
     ]
     for placement in (*home.props, *home.articulations):
-        template = pack.props.get(placement.template) or pack.articulations[placement.template]
+        template = (
+            pack.props.get(placement.template) or pack.articulations[placement.template]
+        )
         area = footprint(placement, template)
         if area is None:
             continue
@@ -92,7 +105,9 @@ def _check_overlaps(source: Path, pack: Pack, home: Home) -> None:
         name = _named(placement)
         for other, space in taken:
             if area.meets(space):
-                raise UsageError(f"{source}: furniture: {name} overlaps {other}; move one of them.")
+                raise UsageError(
+                    f"{source}: furniture: {name} overlaps {other}; move one of them."
+                )
         taken.append((name, area))
 
 
@@ -118,7 +133,9 @@ def _wall_area(home: Home, index: int) -> Footprint:
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     turn = mat_from_quat(np.array(wall.quat))[:2, :2]
     corners = (signs * half) @ turn.T + np.array(wall.pos[:2])
-    return Footprint("wall", corners, (float(points[:, 2].min()), float(points[:, 2].max())))
+    return Footprint(
+        "wall", corners, (float(points[:, 2].min()), float(points[:, 2].max()))
+    )
 
 
 def _check_reach(source: Path, pack: Pack, home: Home) -> None:
@@ -133,7 +150,9 @@ def _check_reach(source: Path, pack: Pack, home: Home) -> None:
         template = pack.props.get(found.thing) or pack.articulations[found.thing]
         first = template.receptacles[0].name == found.receptacle
         playing = [
-            r for r in roles.places if plays(roles, r, found.thing, found.receptacle, first=first)
+            r
+            for r in roles.places
+            if plays(roles, r, found.thing, found.receptacle, first=first)
         ]
         if not playing:
             continue

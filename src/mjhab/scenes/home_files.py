@@ -21,7 +21,11 @@ from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
 from mjhab.core.typed.options import fitting
 from mjhab.core.typed.records import read_record
-from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
+from mjhab.scenes.builtin.furniture import (
+    builtin_articulations,
+    builtin_props,
+    furniture_meshes,
+)
 from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.builtin.pack import ROLES
@@ -31,7 +35,17 @@ from mjhab.scenes.pack_source import HOME_SUFFIXES, PackRequest, PackSource
 from mjhab.scenes.replica_cad.files import SCENE_SUFFIX
 from mjhab.scenes.roles import present_roles
 from mjhab.scenes.shapes.shapes import span
-from mjhab.scenes.spec import Geom, Home, Light, Pack, Placement, Prop, Receptacle, Roles, Vec3
+from mjhab.scenes.spec import (
+    Geom,
+    Home,
+    Light,
+    Pack,
+    Placement,
+    Prop,
+    Receptacle,
+    Roles,
+    Vec3,
+)
 
 FORMAT = "mjhab-home-1"
 PYTHON_NAME = "HOME"
@@ -154,7 +168,9 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
     pack = dataclasses.replace(pack, roles=present_roles(pack, ROLES))
     for file, stated in read:
         if stated.name in {home.name for home in pack.homes}:
-            raise UsageError(f"{file}: another home of the pack is called {stated.name!r}, too.")
+            raise UsageError(
+                f"{file}: another home of the pack is called {stated.name!r}, too."
+            )
         home = _home(pack, stated, file)
         check_home(file, pack, home)
         pack = dataclasses.replace(pack, homes=(*pack.homes, home))
@@ -225,7 +241,9 @@ def _check_names(pack: Pack, stated: HomeFile, file: Path) -> None:
         ("walls.inner_material", stated.walls.inner_material),
     ):
         if material not in MATERIALS:
-            raise UsageError(f"{file}: {field}: {unknown_name('material', material, MATERIALS)}")
+            raise UsageError(
+                f"{file}: {field}: {unknown_name('material', material, MATERIALS)}"
+            )
 
 
 def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
@@ -345,7 +363,11 @@ def _inner_wall(wall: FileWall, walls: FileWalls, where: str) -> list[Geom]:
         if b - a < MIN_WALL_PIECE_M:
             continue
         middle = (a + b) / 2
-        center = (wall.start[0] + ux * middle, wall.start[1] + uy * middle, walls.height / 2)
+        center = (
+            wall.start[0] + ux * middle,
+            wall.start[1] + uy * middle,
+            walls.height / 2,
+        )
         half = ((b - a) / 2, walls.thickness / 2, walls.height / 2)
         pieces.append(Geom("box", half, center, quat, walls.inner_material))
     return pieces
@@ -364,7 +386,11 @@ def _open(request: PackRequest) -> Pack:
 def is_home_file(place: str) -> bool:
     """Return whether a path is a file with the suffix of home files, but no scene file of ReplicaCAD."""
     path = Path(place)
-    return path.suffix in HOME_SUFFIXES and not place.endswith(SCENE_SUFFIX) and path.is_file()
+    return (
+        path.suffix in HOME_SUFFIXES
+        and not place.endswith(SCENE_SUFFIX)
+        and path.is_file()
+    )
 
 
 SOURCE = PackSource("home_file", _open, is_home_file)

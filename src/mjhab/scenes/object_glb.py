@@ -31,7 +31,11 @@ MAX_EXTENT_M = 0.6
 
 
 def object_from_glb(
-    name: str, path: Path | str, mass: float, scale: float = 1.0, words: tuple[str, ...] = ()
+    name: str,
+    path: Path | str,
+    mass: float,
+    scale: float = 1.0,
+    words: tuple[str, ...] = (),
 ) -> ObjectModel:
     """Make an object type from a ``.glb`` file (glTF 2.0: +y up, metres).
 
@@ -75,10 +79,17 @@ def object_from_glb(
     points = np.concatenate([hull.vertices for hull in hulls]).astype(float)
     center = ((points.min(axis=0) + points.max(axis=0)) / 2).round(6)
     half = (np.ptp(points, axis=0) / 2).round(6)
-    check_extent(path, 2 * half, "Files are read in metres; `scale` converts from another unit.")
+    check_extent(
+        path, 2 * half, "Files are read in metres; `scale` converts from another unit."
+    )
     meshes = {f"{name}/piece_{k}": _moved(hull, -center) for k, hull in enumerate(hulls)}
-    collision = tuple(Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False) for mesh in meshes)
-    drawn = [dataclasses.replace(part, vertices=part.vertices - center) for part in seen or pieces]
+    collision = tuple(
+        Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False) for mesh in meshes
+    )
+    drawn = [
+        dataclasses.replace(part, vertices=part.vertices - center)
+        for part in seen or pieces
+    ]
     x, y, z = half.tolist()
     kind = ObjectType(
         name,

@@ -79,7 +79,9 @@ def register_object(model: ObjectModel) -> ObjectModel:
         raise UsageError(
             f"object {kind.name!r}: the built-in packs have an object of this name; register it under another name."
         )
-    check_pack(Pack("objects", {}, {}, (), {kind.name: kind}, dict(model.meshes)), kind.name)
+    check_pack(
+        Pack("objects", {}, {}, (), {kind.name: kind}, dict(model.meshes)), kind.name
+    )
     return OBJECTS.add(kind.name, model)
 
 

@@ -83,7 +83,13 @@ RANGES: dict[tuple[type, str], tuple[float, float, str]] = {
 }
 """Smallest value, largest value and unit of the numbers of a field."""
 UNIT_VECTORS = frozenset(
-    {(Geom, "quat"), (Placement, "quat"), (Handle, "bar"), (Handle, "out"), (Link, "axis")}
+    {
+        (Geom, "quat"),
+        (Placement, "quat"),
+        (Handle, "bar"),
+        (Handle, "out"),
+        (Link, "axis"),
+    }
 )
 """Fields that are directions or quaternions of length 1."""
 NAMES = frozenset({"name", "template", "mesh", "link", "material", "pack"})
@@ -172,7 +178,11 @@ def _check_size(where: str, geom: Geom, extent: float) -> None:
         scale = np.abs(geom.size)
         check_range(where, scale, MIN_MESH_SCALE, MAX_MESH_SCALE, "1")
         check_range(
-            f"{where} times the vertices of {geom.mesh!r}", scale * extent, 0.0, MAX_SIZE_M, "m"
+            f"{where} times the vertices of {geom.mesh!r}",
+            scale * extent,
+            0.0,
+            MAX_SIZE_M,
+            "m",
         )
         return
     used = NUMBERS_OF_SIZE[geom.shape]

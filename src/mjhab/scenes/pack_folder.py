@@ -76,10 +76,13 @@ def load_pack(folder: Path) -> Pack:
         props = {p.name: p for p in read_record(tuple[Prop, ...], body["props"], "props")}
         articulations = {
             a.name: a
-            for a in read_record(tuple[Articulation, ...], body["articulations"], "articulations")
+            for a in read_record(
+                tuple[Articulation, ...], body["articulations"], "articulations"
+            )
         }
         objects = {
-            o.name: o for o in read_record(tuple[ObjectType, ...], body["objects"], "objects")
+            o.name: o
+            for o in read_record(tuple[ObjectType, ...], body["objects"], "objects")
         }
         homes = read_record(tuple[Home, ...], body["homes"], "homes")
         names = read_record(tuple[str, ...], body["meshes"], "meshes")

@@ -131,7 +131,9 @@ class PackSource:
             raise UsageError(
                 f"pack source {self.name!r}: open, and finds unless it is None, must be functions."
             )
-        options = fitting(f"pack source {self.name!r}: options", tuple[str, ...], (*self.options,))
+        options = fitting(
+            f"pack source {self.name!r}: options", tuple[str, ...], (*self.options,)
+        )
         object.__setattr__(self, "options", frozenset(options))
 
 
@@ -160,7 +162,9 @@ def register_pack(source: PackSource) -> PackSource:
     known = {f.name for f in dataclasses.fields(PackRequest)} - {"place"}
     for option in source.options:
         if option not in known:
-            raise UsageError(f"pack {source.name!r}: {unknown_name('option', option, known)}")
+            raise UsageError(
+                f"pack {source.name!r}: {unknown_name('option', option, known)}"
+            )
     return PACK_SOURCES.add(source.name, source)
 
 
@@ -176,7 +180,12 @@ def source_of(request: PackRequest) -> PackSource | None:
     except ValueError as error:
         raise UsageError(f"assets: {error}") from error
     found = _named_source(request.place) or next(
-        (s for s in PACK_SOURCES.values() if s.finds is not None and s.finds(request.place)), None
+        (
+            s
+            for s in PACK_SOURCES.values()
+            if s.finds is not None and s.finds(request.place)
+        ),
+        None,
     )
     if found is not None:
         _check_options(found, request)

@@ -37,7 +37,9 @@ def roles_of(pack: Pack, home: Home) -> Roles:
     return home.roles if home.roles is not None else pack.roles
 
 
-def plays(roles: Roles, role: str, template: str, receptacle: str, *, first: bool) -> bool:
+def plays(
+    roles: Roles, role: str, template: str, receptacle: str, *, first: bool
+) -> bool:
     """Return whether a receptacle has a role.
 
     Args:
@@ -57,7 +59,9 @@ def roles_in(pack: Pack, home: Home) -> set[str]:
     roles = roles_of(pack, home)
     found: set[str] = set()
     for placement in (*home.props, *home.articulations):
-        template = pack.props.get(placement.template) or pack.articulations[placement.template]
+        template = (
+            pack.props.get(placement.template) or pack.articulations[placement.template]
+        )
         for k, receptacle in enumerate(template.receptacles):
             found |= {
                 role
@@ -70,7 +74,9 @@ def roles_in(pack: Pack, home: Home) -> set[str]:
     return found
 
 
-def require_roles(pack: Pack, homes: Iterable[Home], needed: Sequence[str], who: str) -> None:
+def require_roles(
+    pack: Pack, homes: Iterable[Home], needed: Sequence[str], who: str
+) -> None:
     """Check that homes have furniture for roles.
 
     Args:
@@ -92,7 +98,11 @@ def require_roles(pack: Pack, homes: Iterable[Home], needed: Sequence[str], who:
         return
     role, names = next(iter(lacking.items()))
     shown = ", ".join(repr(name) for name in names[:_MAX_NAMED_HOMES])
-    more = f" and {len(names) - _MAX_NAMED_HOMES} more" if len(names) > _MAX_NAMED_HOMES else ""
+    more = (
+        f" and {len(names) - _MAX_NAMED_HOMES} more"
+        if len(names) > _MAX_NAMED_HOMES
+        else ""
+    )
     known = ", ".join(sorted({*pack.roles.places, *pack.roles.links})) or "none"
     raise UsageError(
         f"{who} needs furniture with the role {role!r}, which these homes of pack {pack.name!r} lack: {shown}{more}. "
@@ -108,7 +118,9 @@ def link_with_role(roles: Roles, role: str) -> str:
     """
     if role not in roles.links:
         known = ", ".join(sorted(roles.links)) or "none"
-        raise UsageError(f"no link plays the role {role!r}; roles of links here: {known}.")
+        raise UsageError(
+            f"no link plays the role {role!r}; roles of links here: {known}."
+        )
     return roles.links[role]
 
 
@@ -135,8 +147,13 @@ def check_roles(pack: Pack) -> None:
     """
     places = _places_of((*pack.props.values(), *pack.articulations.values()))
     links = _links_of(pack)
-    for roles in (pack.roles, *(home.roles for home in pack.homes if home.roles is not None)):
-        named = {(role, place) for role, listed in roles.places.items() for place in listed}
+    for roles in (
+        pack.roles,
+        *(home.roles for home in pack.homes if home.roles is not None),
+    ):
+        named = {
+            (role, place) for role, listed in roles.places.items() for place in listed
+        }
         named |= {(f"what closes {place}", place) for place in roles.closed_by}
         for role, place in sorted(named):
             if place not in places:
@@ -145,11 +162,15 @@ def check_roles(pack: Pack) -> None:
                 )
         for role, link in sorted({*roles.links.items(), *roles.closed_by.items()}):
             if link not in links:
-                raise ValueError(f"role {role!r} names {link!r}, which is no link of the pack.")
+                raise ValueError(
+                    f"role {role!r} names {link!r}, which is no link of the pack."
+                )
 
 
 def _links_of(pack: Pack) -> set[str]:
-    return {f"{a.name}/{link.name}" for a in pack.articulations.values() for link in a.links}
+    return {
+        f"{a.name}/{link.name}" for a in pack.articulations.values() for link in a.links
+    }
 
 
 def _places_of(templates: Iterable[Prop | Articulation]) -> set[str]:

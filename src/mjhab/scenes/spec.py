@@ -103,7 +103,9 @@ class Handle:
 
     def point(self, points: str) -> Vec3:
         """Return the point chosen by ``points``, one of `HANDLE_POINTS`; ``pos`` if there is no published one."""
-        return self.published if points == PUBLISHED_POINTS and self.published else self.pos
+        return (
+            self.published if points == PUBLISHED_POINTS and self.published else self.pos
+        )
 
 
 @dataclass(frozen=True)

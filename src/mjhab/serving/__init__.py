@@ -20,4 +20,6 @@ def require_serving() -> None:
     """
     lacking = [name for name in ("msgpack", "websockets") if find_spec(name) is None]
     if lacking:
-        raise UsageError(f"served policies need {' and '.join(lacking)}: {install_extra('serve')}.")
+        raise UsageError(
+            f"served policies need {' and '.join(lacking)}: {install_extra('serve')}."
+        )

@@ -51,9 +51,13 @@ class Address:
         for name in ("timeout", "first_timeout", "reconnect"):
             value = getattr(self, name)
             if not 0.0 < value < float("inf"):
-                raise UsageError(f"{name} must be a number of seconds above 0, got {value}.")
+                raise UsageError(
+                    f"{name} must be a number of seconds above 0, got {value}."
+                )
         if self.batch and not dialect.batches:
-            raise UsageError(f"the dialect {self.dialect} has no batches; leave batch away.")
+            raise UsageError(
+                f"the dialect {self.dialect} has no batches; leave batch away."
+            )
 
     @classmethod
     def parse(cls, spec: str) -> Address:
@@ -72,7 +76,9 @@ class Address:
                 f"--policy {told}: host or port cannot be read; write ws://host:port, as in ws://localhost:8000."
             ) from None
         if not spec.startswith(SCHEMES) or not parts.hostname or port is None:
-            raise UsageError(f"--policy {told}: write ws://host:port, as in ws://localhost:8000.")
+            raise UsageError(
+                f"--policy {told}: write ws://host:port, as in ws://localhost:8000."
+            )
         values: dict[str, object] = {}
         for name, text in parse_qsl(parts.query, keep_blank_values=True):
             if name not in _READERS:
@@ -80,7 +86,9 @@ class Address:
             try:
                 values[name] = _READERS[name](text)
             except ValueError as error:
-                raise UsageError(f"--policy {told}: {name} cannot be {text!r}.") from error
+                raise UsageError(
+                    f"--policy {told}: {name} cannot be {text!r}."
+                ) from error
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path, "", ""))
         return cls(uri, **values)  # type: ignore[arg-type]
 
@@ -110,7 +118,9 @@ def with_options(spec: str, options: Mapping[str, object]) -> str:
         return spec
     if not spec.startswith(SCHEMES):
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
-        raise UsageError(f"{names}: for a served policy, --policy ws://host:port; got {spec}.")
+        raise UsageError(
+            f"{names}: for a served policy, --policy ws://host:port; got {spec}."
+        )
     parts = urlsplit(spec)
     given = dict(parse_qsl(parts.query))
     given.update({name: str(value) for name, value in options.items()})

@@ -105,7 +105,11 @@ class Connection:
         socket = self._socket
         assert socket is not None
         address = self.address
-        timeout = address.timeout if self._asked else max(address.timeout, address.first_timeout)
+        timeout = (
+            address.timeout
+            if self._asked
+            else max(address.timeout, address.first_timeout)
+        )
         beginning = self._dialect.begin(asks[0].session) if begins else None
         if beginning is not None:
             socket.send(pack(beginning))
@@ -180,7 +184,9 @@ class Connection:
                 proxy=None,
             )
         except InvalidStatus as error:
-            raise UsageError(_refusal(self.address.told, error.response.status_code)) from error
+            raise UsageError(
+                _refusal(self.address.told, error.response.status_code)
+            ) from error
         except (InvalidHandshake, EOFError) as error:
             raise UsageError(
                 f"{self.address.told} is no policy server, it speaks no websocket: {error}."
@@ -208,7 +214,9 @@ class Connection:
                 "behavior greet first; servers of vla-eval are asked by mjhab.integrations.vla_eval."
             ) from None
         except ConnectionClosed as error:
-            raise UsageError(f"{address.told} closed the connection at once: {error}.") from error
+            raise UsageError(
+                f"{address.told} closed the connection at once: {error}."
+            ) from error
         if isinstance(message, str):
             raise UsageError(
                 f"{address.told} does not speak {address.dialect}: it says {_said(message)}"

@@ -88,7 +88,9 @@ class PolicyServer:
         UsageError: a host beyond this machine without a token, or no free port.
     """
 
-    def __init__(self, responder: Responder, dialect: Dialect, options: ServerOptions) -> None:
+    def __init__(
+        self, responder: Responder, dialect: Dialect, options: ServerOptions
+    ) -> None:
         if options.host not in LOCAL_HOSTS and not options.token:
             raise UsageError(
                 f"a server on {options.host} can be reached by others: it needs a token."
@@ -133,7 +135,9 @@ class PolicyServer:
         if token:
             shown = request.headers.get("Authorization", "")
             if not hmac.compare_digest(shown.encode(), f"Api-Key {token}".encode()):
-                return connection.respond(HTTPStatus.UNAUTHORIZED, "this server wants its token\n")
+                return connection.respond(
+                    HTTPStatus.UNAUTHORIZED, "this server wants its token\n"
+                )
         return None
 
     def _handle(self, connection: ServerConnection) -> None:
@@ -209,7 +213,9 @@ def free_socket(host: str, port: int) -> socket.socket:
                 raise UsageError(f"cannot listen on {host}:{number}: {error}.") from error
         else:
             return listening
-    raise UsageError(f"no port from {port} to {tried[-1]} is free on {host}; give another --port.")
+    raise UsageError(
+        f"no port from {port} to {tried[-1]} is free on {host}; give another --port."
+    )
 
 
 def _farewell(connection: ServerConnection, text: str) -> None:

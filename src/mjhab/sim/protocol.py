@@ -10,7 +10,13 @@ import numpy as np
 
 from mjhab.layout.layout import Addresses, Layout
 
-TAINTS = ("contact_overflow", "constraint_overflow", "nan", "engine_warning", "penetration")
+TAINTS = (
+    "contact_overflow",
+    "constraint_overflow",
+    "nan",
+    "engine_warning",
+    "penetration",
+)
 """Names of the bits of a world's taint mask, lowest first.
 
 A tainted world has had an event since its reset that makes its physics unreliable: a contact or constraint buffer that

@@ -112,7 +112,9 @@ def seeded_draw(random: np.random.Generator) -> Draw:
     return lambda count: int(random.integers(count))
 
 
-def instructions(task: str, requests: Sequence[Request], alone: bool, draw: Draw) -> Instructions:
+def instructions(
+    task: str, requests: Sequence[Request], alone: bool, draw: Draw
+) -> Instructions:
     """Make the sentences of an episode.
 
     Args:
@@ -125,7 +127,9 @@ def instructions(task: str, requests: Sequence[Request], alone: bool, draw: Draw
         UsageError: an unknown task, or an unknown kind of subtask.
     """
     subtasks = tuple(subtask_instruction(request, draw) for request in requests)
-    return Instructions(subtasks[0] if alone else task_instruction(task, requests, draw), subtasks)
+    return Instructions(
+        subtasks[0] if alone else task_instruction(task, requests, draw), subtasks
+    )
 
 
 def by_teleport(sentence: str) -> str:
@@ -174,7 +178,9 @@ def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
     return " ".join(sentence.split())
 
 
-def task_instruction(task: str, requests: Sequence[Request], draw: Draw = first_wording) -> str:
+def task_instruction(
+    task: str, requests: Sequence[Request], draw: Draw = first_wording
+) -> str:
     """A whole task as a sentence: "set the table: put the bowl on the dining table, then ...".
 
     Raises:

@@ -80,7 +80,9 @@ def _any_applies(applies: Array, names: Sequence[str]) -> bool:
     return any(may_hold(applies[CHECKS.index(name)]) for name in names)
 
 
-def _grip(state: WorldState, nav: Array, config: TaskConfig) -> tuple[Array, Array, Array]:
+def _grip(
+    state: WorldState, nav: Array, config: TaskConfig
+) -> tuple[Array, Array, Array]:
     """Measure the grasp: of the carried object in Navigate (``nav`` (W,) bool), else of the target.
 
     Returns:
@@ -95,7 +97,9 @@ def _grip(state: WorldState, nav: Array, config: TaskConfig) -> tuple[Array, Arr
     return firm[:, 0] & firm[:, 1], target_force > 0, target_force
 
 
-def at_goal(obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskConfig) -> Array:
+def at_goal(
+    obj_pos: Array, goal_pos: Array, rect: Array | None, config: TaskConfig
+) -> Array:
     """Whether objects are at their place goals.
 
     Args:
@@ -169,7 +173,9 @@ def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Arra
     return namespace(dx).sqrt(dx * dx + dy * dy + dz * dz) <= config.ee_rest_tol
 
 
-def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple[Array, Array]:
+def _stillness(
+    state: WorldState, tolerance: Array, config: TaskConfig
+) -> tuple[Array, Array]:
     """Whether torso, head and arm are near rest, and whether base, torso, head and arm stand still: two (W,) bool.
 
     ``tolerance`` (W, P): largest distance of the posture's joints from rest [m or rad].
@@ -178,11 +184,14 @@ def _stillness(state: WorldState, tolerance: Array, config: TaskConfig) -> tuple
     posture = config.joints.posture
     count = posture.stop - posture.start
     near_rest = (
-        xp.abs(state.robot_q[:, posture] - constant(config.rest_qpos[posture], state.robot_q))
+        xp.abs(
+            state.robot_q[:, posture] - constant(config.rest_qpos[posture], state.robot_q)
+        )
         <= tolerance
     )
     limits = constant(
-        (config.static_base_speed,) * BASE.stop + (config.static_speed,) * count, state.robot_qd
+        (config.static_base_speed,) * BASE.stop + (config.static_speed,) * count,
+        state.robot_qd,
     )
     speed = state.robot_qd[:, config.joints.body]
     if config.stillness == "absolute":
@@ -209,7 +218,9 @@ def _arrival(
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
     # NaN stands for "no box": comparisons with NaN are False, so that no position is outside.
     outside = (position < active.box[:, ::2]) | (position > active.box[:, 1::2])
-    near = (xp.sqrt(dx * dx + dy * dy) <= config.nav_distance) & ~(outside[:, 0] | outside[:, 1])
+    near = (xp.sqrt(dx * dx + dy * dy) <= config.nav_distance) & ~(
+        outside[:, 0] | outside[:, 1]
+    )
     return near, xp.abs(bearing) <= config.nav_bearing
 
 

@@ -157,7 +157,11 @@ def stack_plans(
             goal_pos[w, s] = subtask.goal_pos
             must_hold[w, s] = subtask.must_hold
             open_frac[w, s] = config.open_fraction(hinged=subtask.link in doors)
-            if boxes is not None and spec_of(subtask.kind).navigates and not subtask.must_hold:
+            if (
+                boxes is not None
+                and spec_of(subtask.kind).navigates
+                and not subtask.must_hold
+            ):
                 box[w, s] = boxes[w].get(subtask.link, (np.nan,) * 4)
             if subtask.goal_rect:
                 rect[w, s] = subtask.goal_rect

@@ -88,12 +88,18 @@ def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Pr
     """
     xp = namespace(plan.length)
     zero = xp.zeros_like(plan.length)
-    force = xp.zeros_like(plan.goal_pos[:, 0, 0]) if like is None else zeros((zero.shape[0],), like)
+    force = (
+        xp.zeros_like(plan.goal_pos[:, 0, 0])
+        if like is None
+        else zeros((zero.shape[0],), like)
+    )
     no = plan.length < 0
     return Progress(zero, _horizon(plan, zero, config), zero, zero, force, force, no, no)
 
 
-def reset_rows(progress: Progress, mask: Array, plan: PlanArrays, config: TaskConfig) -> Progress:
+def reset_rows(
+    progress: Progress, mask: Array, plan: PlanArrays, config: TaskConfig
+) -> Progress:
     """Restart the worlds in ``mask`` (W,) on their (new) plans; every other row keeps its exact values."""
     return where_rows(mask, start(plan, config, progress.cumulative_force), progress)
 
@@ -166,7 +172,9 @@ def advance(
     return (_begin_next(new, moved, plan, config) if may_hold(moved) else new), outcome
 
 
-def _begin_next(progress: Progress, moved: Array, plan: PlanArrays, config: TaskConfig) -> Progress:
+def _begin_next(
+    progress: Progress, moved: Array, plan: PlanArrays, config: TaskConfig
+) -> Progress:
     """Set horizon, time and force to those at the start of the subtask at the pointer in the worlds ``moved`` (W,)."""
     xp = namespace(moved)
     return Progress(
@@ -200,7 +208,9 @@ def _advance_continuous(
         xp = namespace(steps_left)
         decided = (now & ~progress.success_once) | force_exceeded
         steps_left = xp.where(
-            decided, xp.minimum(steps_left, xp.full_like(steps_left, hold_steps)), steps_left
+            decided,
+            xp.minimum(steps_left, xp.full_like(steps_left, hold_steps)),
+            steps_left,
         )
     new = replace(
         progress,

@@ -9,7 +9,9 @@ import numpy as np
 from mjhab.core.errors import UsageError
 
 
-def progressive(completed_counts: Sequence[int] | np.ndarray, n_subtasks: int) -> np.ndarray:
+def progressive(
+    completed_counts: Sequence[int] | np.ndarray, n_subtasks: int
+) -> np.ndarray:
     """Return the fraction of episodes that completed at least 1, 2, ..., ``n_subtasks`` subtasks.
 
     Args:

@@ -42,7 +42,8 @@ class Style:
     """Style of an episode. The defaults are the plain expert; every field is an option of ``--style``."""
 
     speed: float = field(
-        default=1.0, metadata={"low": 0.3, "high": 1.0, "about": "of all motions; 1 is the fastest"}
+        default=1.0,
+        metadata={"low": 0.3, "high": 1.0, "about": "of all motions; 1 is the fastest"},
     )
     grasp: str = field(
         default=ANY,
@@ -213,7 +214,11 @@ class Styles:
     @property
     def words(self) -> list[str]:
         """Words that `parse` reads, in the order of the fields; equal distributions have equal words."""
-        return [f"{name}={_write(self.choices[name])}" for name in NAMES if name in self.choices]
+        return [
+            f"{name}={_write(self.choices[name])}"
+            for name in NAMES
+            if name in self.choices
+        ]
 
 
 _SAMPLE = "speed=0.5..1.0 release=place,drop"
@@ -225,7 +230,11 @@ def descriptions() -> dict[str, str]:
     out = {}
     for f in fields(Style):
         values = f.metadata.get("words")
-        text = " or ".join(values) if values else f"{f.metadata['low']} to {f.metadata['high']}"
+        text = (
+            " or ".join(values)
+            if values
+            else f"{f.metadata['low']} to {f.metadata['high']}"
+        )
         out[f.name] = f"{f.metadata['about']} ({text})"
     return out
 
@@ -261,7 +270,9 @@ def _read(name: str, text: str) -> tuple[Any, ...]:
         values = [kind(part) for part in text.split(RANGE)]
     except ValueError:
         values = []
-    good = len(values) in (1, 2) and all(math.isfinite(v) and low <= v <= high for v in values)
+    good = len(values) in (1, 2) and all(
+        math.isfinite(v) and low <= v <= high for v in values
+    )
     if not good or values != sorted(values):
         what = "whole number" if kind is int else "number"
         raise UsageError(
@@ -271,4 +282,6 @@ def _read(name: str, text: str) -> tuple[Any, ...]:
 
 
 def _write(values: tuple[Any, ...]) -> str:
-    return (OR if isinstance(values[0], str) else RANGE).join(str(value) for value in values)
+    return (OR if isinstance(values[0], str) else RANGE).join(
+        str(value) for value in values
+    )

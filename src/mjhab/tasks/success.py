@@ -22,7 +22,9 @@ def _applies(version: int) -> Table:
     """(C, K + 1): the check means something for the kind; the last column is for kind -1, a finished plan."""
     specs = SUBTASKS.values()
     return Table(
-        tuple((*(s.applies(name) for s in specs), name in COMMON_CHECKS) for name in CHECKS)
+        tuple(
+            (*(s.applies(name) for s in specs), name in COMMON_CHECKS) for name in CHECKS
+        )
     )
 
 

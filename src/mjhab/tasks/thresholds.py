@@ -78,7 +78,9 @@ class TaskConfig:
                 f"rest_qpos needs the {self.joints.count} joint values of the robot, got {len(self.rest_qpos)}."
             )
         if self.goal_type not in ("sphere", "cylinder", "zone"):
-            raise unknown_name("goal_type", self.goal_type, ("sphere", "cylinder", "zone"))
+            raise unknown_name(
+                "goal_type", self.goal_type, ("sphere", "cylinder", "zone")
+            )
         if self.stillness not in STILLNESS:
             raise unknown_name("stillness", self.stillness, STILLNESS)
 

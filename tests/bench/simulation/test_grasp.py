@@ -37,12 +37,15 @@ def test_slip_and_rotation_stay_small(table: list[dict[str, object]]) -> None:
 
 def test_the_grasp_test_holds_most_of_the_time(table: list[dict[str, object]]) -> None:
     for row in table:
-        assert float(str(row["grasp_share"])) > (0.8 if row["object"] == "024_bowl" else 0.98), row
+        assert float(str(row["grasp_share"])) > (
+            0.8 if row["object"] == "024_bowl" else 0.98
+        ), row
 
 
 def test_the_same_seed_gives_the_same_row() -> None:
     first, second = (
-        grasp_table(seconds=1.0, seed=3, objects=("010_potted_meat_can",)) for _ in range(2)
+        grasp_table(seconds=1.0, seed=3, objects=("010_potted_meat_can",))
+        for _ in range(2)
     )
     assert first == second
 
@@ -67,7 +70,9 @@ def test_a_box_that_friction_pulls_at_45_degrees_counts_as_grasped() -> None:
         _, grasped = bench.finger_forces()
         assert grasped
     normal, friction = finger_contact_forces(bench)
-    assert (friction > 0.8 * normal).all(), "the whole contact force leans by 40 degrees or more"
+    assert (friction > 0.8 * normal).all(), (
+        "the whole contact force leans by 40 degrees or more"
+    )
 
 
 def finger_contact_forces(bench: GraspBench) -> tuple[np.ndarray, np.ndarray]:

@@ -23,7 +23,9 @@ class Trainer:
         self.broken = broken
         self.runs: list[tuple[str, bool]] = []
 
-    def __call__(self, request: ReinforcementRequest, out: Path, resume: bool) -> TrainingResult:
+    def __call__(
+        self, request: ReinforcementRequest, out: Path, resume: bool
+    ) -> TrainingResult:
         interrupted = len(self.runs) == self.broken
         self.runs.append((out.name, resume))
         out.mkdir(parents=True, exist_ok=True)
@@ -33,7 +35,9 @@ class Trainer:
             json.dumps({"samples": 100 * (number + 1), "success_once": success})
             for number, success in enumerate(SUCCESS[:count])
         ]
-        (out / "metrics.jsonl").write_text("\n".join([json.dumps({"loss": 1.0}), *lines]) + "\n")
+        (out / "metrics.jsonl").write_text(
+            "\n".join([json.dumps({"loss": 1.0}), *lines]) + "\n"
+        )
         summary = {"samples": 100 * count, "episodes": 64}
         (out / "summary.json").write_text(json.dumps(summary))
         return TrainingResult(summary, out / "report.html", interrupted)
@@ -42,7 +46,16 @@ class Trainer:
 def test_a_run_that_is_done_is_not_run_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["bench", "curves", "--out", str(tmp_path / "out"), "--samples", "300", "--seeds", "2"]
+    words = [
+        "bench",
+        "curves",
+        "--out",
+        str(tmp_path / "out"),
+        "--samples",
+        "300",
+        "--seeds",
+        "2",
+    ]
     trainer = Trainer(broken=1)
     monkeypatch.setattr(curves, "train_reinforcement", trainer)
     assert main(words) == 130

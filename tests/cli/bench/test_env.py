@@ -35,7 +35,9 @@ def test_envs_list_and_describe(capsys: pytest.CaptureFixture[str]):
         "robot": "fetch",
     }
     assert {env["robot"] for env in found["envs"]} == {"fetch"}
-    assert found["envs"][6]["subtask"] == "close" and found["envs"][6]["task"] == "set_table"
+    assert (
+        found["envs"][6]["subtask"] == "close" and found["envs"][6]["task"] == "set_table"
+    )
     code, found = run(
         capsys,
         "envs",
@@ -46,13 +48,17 @@ def test_envs_list_and_describe(capsys: pytest.CaptureFixture[str]):
         "--control",
         "pd_joint_vel",
     )
-    assert code == 0 and len(found["actions"]) == 13 and found["actions"][0]["unit"] == "rad/s"
+    assert (
+        code == 0
+        and len(found["actions"]) == 13
+        and found["actions"][0]["unit"] == "rad/s"
+    )
     keys = [row["key"] for row in found["observations"]]
     assert "sensor_data/fetch_head/depth" in keys and "agent/qpos" in keys
     assert sum(t["scale"] for t in found["reward_terms"] if t["when"] == "always") > 0
-    assert {t["subtask"] for t in found["reward_terms"]} == {"open"} and found["horizons"] == {
-        "open": 200
-    }
+    assert {t["subtask"] for t in found["reward_terms"]} == {"open"} and found[
+        "horizons"
+    ] == {"open": 200}
 
 
 GOAL = "extra/goal_pos_wrt_base"
@@ -62,7 +68,11 @@ OBJECT = "extra/obj_pose_wrt_base"
 @pytest.mark.parametrize(
     ("env", "key", "told"),
     [
-        ("Pick", OBJECT, "Pick: its object (position, quaternion with w >= 0); zero once"),
+        (
+            "Pick",
+            OBJECT,
+            "Pick: its object (position, quaternion with w >= 0); zero once",
+        ),
         ("Pick", GOAL, "zero in Pick (position); zero once"),
         ("Place", GOAL, "Place: where its object goes"),
         ("Close", OBJECT, "zero in Close"),
@@ -70,10 +80,14 @@ OBJECT = "extra/obj_pose_wrt_base"
         ("Push", GOAL, "Push: where its object goes"),
     ],
 )
-def test_the_goal_is_explained_by_the_spec_of_the_subtask(env: str, key: str, told: str) -> None:
+def test_the_goal_is_explained_by_the_spec_of_the_subtask(
+    env: str, key: str, told: str
+) -> None:
     with loaded("push"):
         options = EnvsDescribeOptions(f"mjhab/{env}SubtaskTrain-v1")
-        rows = {row["key"]: row["meaning"] for row in description(options)["observations"]}
+        rows = {
+            row["key"]: row["meaning"] for row in description(options)["observations"]
+        }
     assert told in rows[key]
     others = {"Pick", "Place", "Close", "Open", "Push", "Navigate"} - {env}
     assert not any(other in rows[key] for other in others)
@@ -99,7 +113,14 @@ def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str])
         "1",
     )
     code, found = run(
-        capsys, "bench", "env", "--env", "mjhab/CloseSubtaskTrain-v1", "--obs", "depth", *small
+        capsys,
+        "bench",
+        "env",
+        "--env",
+        "mjhab/CloseSubtaskTrain-v1",
+        "--obs",
+        "depth",
+        *small,
     )
     assert code == 0 and list(found["stages"]) == list(STAGES)
     for stage in ("physics", "measure", "reward", "render", "reset"):
@@ -115,7 +136,9 @@ def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str])
     assert main(["bench", "env", "--worlds", "0"]) == 2
 
 
-def test_bench_soak_counts_steps_and_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_bench_soak_counts_steps_and_episodes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     code, found = run(
         capsys,
         "bench",
@@ -190,5 +213,7 @@ def test_summary_and_figure_of_two_curves():
     assert told["rise_success"] == pytest.approx(18 / 19, abs=1e-3) and told[
         "return_failure"
     ] == pytest.approx(2.0)
-    names = [trace.get("name") for trace in figure([(True, rising), (False, flat)])["data"]]
+    names = [
+        trace.get("name") for trace in figure([(True, rising), (False, flat)])["data"]
+    ]
     assert names[2] == "success (1 episodes)" and names[5] == "failure (1 episodes)"

@@ -18,7 +18,14 @@ from typing import Any
 import pytest
 
 from mjhab.bench.experts import run as bench_experts
-from mjhab.bench.experts.rows import ALL, MeasuredEpisode, Row, make_rows, result_of, together
+from mjhab.bench.experts.rows import (
+    ALL,
+    MeasuredEpisode,
+    Row,
+    make_rows,
+    result_of,
+    together,
+)
 from mjhab.cli.main import main
 from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.core.errors import MjhabError
@@ -40,7 +47,19 @@ COMMAND = (
 )
 ROW = Row("builtin", "builtin", "tidy_house", "pick", "003_cracker_box", "", 4)
 EPISODE = MeasuredEpisode(
-    0, "h", "pick", "straightforward_success", True, True, 100.0, 200.0, 50.0, 200, 1, 1, ()
+    0,
+    "h",
+    "pick",
+    "straightforward_success",
+    True,
+    True,
+    100.0,
+    200.0,
+    50.0,
+    200,
+    1,
+    1,
+    (),
 )
 FAILED = replace(
     EPISODE,
@@ -109,7 +128,12 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
     capsys.readouterr()
     assert main([*COMMAND, "--out", str(made), "--resume", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert (told["rows"], told["episodes"], told["left"], told["failed_rows"]) == (2, 4, 0, [])
+    assert (told["rows"], told["episodes"], told["left"], told["failed_rows"]) == (
+        2,
+        4,
+        0,
+        [],
+    )
     once = [float(row["success_once"]) / 100 for row in table(made)][:2]
     assert list(told["success_once"].values()) == once
 
@@ -121,7 +145,10 @@ def test_a_stopped_run_goes_on_to_the_same_table(
     out = tmp_path / "run"
     command = [sys.executable, "-m", "mjhab.cli.main", *COMMAND, "--out", str(out)]
     process = subprocess.Popen(
-        command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=dict(os.environ)
+        command,
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        env=dict(os.environ),
     )
     rows = make_rows(options := _options(out))
     begun = False
@@ -135,18 +162,24 @@ def test_a_stopped_run_goes_on_to_the_same_table(
     before = [bench_experts.read_row(options, row) for row in rows]
     assert before[0] and len(before[1]) < 2, "the run was to be stopped in the middle"
     if number == signal.SIGTERM:
-        assert code == 130 and "Partial" in (out / "report.html").read_text(encoding="utf-8")
+        assert code == 130 and "Partial" in (out / "report.html").read_text(
+            encoding="utf-8"
+        )
     assert main([*COMMAND, "--out", str(out), "--resume"]) == 0
     assert (out / "table.csv").read_text() == (made / "table.csv").read_text()
     assert (out / "episodes.jsonl").read_text() == (made / "episodes.jsonl").read_text()
     after = [bench_experts.read_row(options, row) for row in rows]
     assert all(
-        episode in found for kept, found in zip(before, after, strict=True) for episode in kept
+        episode in found
+        for kept, found in zip(before, after, strict=True)
+        for episode in kept
     )
 
 
 def _options(out: Path) -> BenchExpertsOptions:
-    return BenchExpertsOptions(out=out, task=("set_table",), subtask=("open",), episodes=2)
+    return BenchExpertsOptions(
+        out=out, task=("set_table",), subtask=("open",), episodes=2
+    )
 
 
 def test_a_row_that_fails_does_not_stop_the_others(
@@ -184,22 +217,34 @@ def test_rows_of_the_whole_table() -> None:
         asked["set_table", "pick", "024_bowl"] == 0.8
         and asked["set_table", "place", "024_bowl"] == 0.9
     )
-    assert asked["set_table", "chain", ""] == 0.5 and asked["tidy_house", "navigate", ""] is None
+    assert (
+        asked["set_table", "chain", ""] == 0.5
+        and asked["tidy_house", "navigate", ""] is None
+    )
     few = make_rows(BenchExpertsOptions(target=("013_apple",), navigate=("drive",)))
     assert [(row.task, row.subtask) for row in few] == [
         ("set_table", "pick"),
         ("set_table", "place"),
     ]
-    only = make_rows(BenchExpertsOptions(subtask=("chain",), navigate=("drive",), chains=5))
+    only = make_rows(
+        BenchExpertsOptions(subtask=("chain",), navigate=("drive",), chains=5)
+    )
     assert [row.name for row in only] == [
-        f"builtin/{task}_chain_drive" for task in ("tidy_house", "prepare_groceries", "set_table")
+        f"builtin/{task}_chain_drive"
+        for task in ("tidy_house", "prepare_groceries", "set_table")
     ]
-    assert not [row for row in make_rows(BenchExpertsOptions(chains=0)) if row.subtask == "chain"]
+    assert not [
+        row for row in make_rows(BenchExpertsOptions(chains=0)) if row.subtask == "chain"
+    ]
 
 
 def test_what_a_row_says() -> None:
     rough = replace(
-        EPISODE, index=2, label="winding_success", force_to_success=1500.0, taint=("penetration",)
+        EPISODE,
+        index=2,
+        label="winding_success",
+        force_to_success=1500.0,
+        taint=("penetration",),
     )
     result = result_of(
         ROW, "val", [EPISODE, rough, FAILED, replace(EPISODE, index=3, peak_force=1400.0)]
@@ -216,7 +261,9 @@ def test_what_a_row_says() -> None:
         and next(iter(result.labels)) == "straightforward_success"
     )
     # MS-HAB paper, Table 7.
-    assert result.paper == 0.7341 and result.paper_table == 7 and result.over_paper == 1.59
+    assert (
+        result.paper == 0.7341 and result.paper_table == 7 and result.over_paper == 1.59
+    )
     nothing = result_of(ROW, "val", [], "broken")
     assert (nothing.success_once, nothing.met, nothing.error, nothing.over_paper) == (
         None,
@@ -234,14 +281,24 @@ def test_chains_tell_how_far_they_came_and_where_they_ended() -> None:
     assert result.progressive == (1.0, 0.5, 0.5, 0.5) and result.failures == {
         "pick drop_failure": 1
     }
-    assert (result.asked, result.met, result.paper, result.gentle) == (0.4, True, None, None)
+    assert (result.asked, result.met, result.paper, result.gentle) == (
+        0.4,
+        True,
+        None,
+        None,
+    )
 
 
 def test_all_targets_together_stand_next_to_the_papers_row_for_all() -> None:
     other = replace(ROW, target="024_bowl", episodes=2)
     chain = replace(ROW, subtask="chain", target="")
     (found,) = together([(ROW, [EPISODE]), (other, [FAILED]), (chain, [EPISODE])], "val")
-    assert (found.target, found.episodes, found.wanted, found.success_once) == (ALL, 2, 6, 0.5)
+    assert (found.target, found.episodes, found.wanted, found.success_once) == (
+        ALL,
+        2,
+        6,
+        0.5,
+    )
     assert found.paper == 0.7748 and found.asked is None
 
 
@@ -268,7 +325,10 @@ def test_force_counts_up_to_the_first_success() -> None:
         False,
         "",
     )
-    assert MeasuredEpisode.of(record).force_to_success == 60.0 and MeasuredEpisode.of(record).gentle
+    assert (
+        MeasuredEpisode.of(record).force_to_success == 60.0
+        and MeasuredEpisode.of(record).gentle
+    )
     lost = MeasuredEpisode.of(replace(record, success_once=False, events=()))
     assert lost.force_to_success is None and not lost.gentle and lost.label == ""
 

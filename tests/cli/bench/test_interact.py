@@ -66,7 +66,9 @@ def test_start_is_that_of_the_paper_before_a_surface(scene: InteractScene) -> No
     )
     np.testing.assert_allclose(actions[:, 8:11], [[0.0, 0.562, 0.15]] * 200, atol=1e-6)
     home = scene.layout.pack.homes[0]
-    assert len(scene.layout.pack.homes) == 1 and len(home.props) == 1 and home.articulations
+    assert (
+        len(scene.layout.pack.homes) == 1 and len(home.props) == 1 and home.articulations
+    )
 
 
 def test_commands_are_those_of_the_controller(scene: InteractScene) -> None:
@@ -110,8 +112,12 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     ]
     assert main([*args, "--threads", "1", "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert {"sps_mean", "sps_ci95", "device_mb", "rss_mb", "worlds", "device"} <= set(found)
-    assert found["device"] == "cpu" and found["device_mb"] is None and found["rss_mb"] > 50
+    assert {"sps_mean", "sps_ci95", "device_mb", "rss_mb", "worlds", "device"} <= set(
+        found
+    )
+    assert (
+        found["device"] == "cpu" and found["device_mb"] is None and found["rss_mb"] > 50
+    )
     assert [point["worlds"] for point in found["points"]] == [1, 2]
     assert found["sps_mean"] == max(point["sps_mean"] for point in found["points"])
     assert json.loads((out / "interact.json").read_text()) == found
@@ -124,11 +130,16 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     ]
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "4299.18" in page and "Habitat 2.0" in page and 'alt="head and hand' in page
-    assert all(point["physics_ms"] > 0.0 and point["render_ms"] > 0.0 for point in found["points"])
+    assert all(
+        point["physics_ms"] > 0.0 and point["render_ms"] > 0.0
+        for point in found["points"]
+    )
     assert main([*args, "--no-render", "--threads", "1", "--out", str(out)]) == 0
     assert "no cameras" in capsys.readouterr().out
     assert 'alt="head and hand' not in (out / "report.html").read_text(encoding="utf-8")
-    assert json.loads((out / "interact.json").read_text())["points"][0]["render_ms"] is None
+    assert (
+        json.loads((out / "interact.json").read_text())["points"][0]["render_ms"] is None
+    )
 
 
 @pytest.mark.parametrize(
@@ -147,7 +158,9 @@ def test_bad_arguments(
     assert message in capsys.readouterr().err
 
 
-def test_pictures_are_drawn_in_every_step_unless_told_not_to(scene: InteractScene) -> None:
+def test_pictures_are_drawn_in_every_step_unless_told_not_to(
+    scene: InteractScene,
+) -> None:
     run = bench.InteractBench(scene, "cpu", 1, render=True, threads=1)
     drawn: list[Any] = []
     draw = run._draw
@@ -176,7 +189,9 @@ def test_worlds_that_do_not_fit_are_refused_before_they_are_made(
     scene: InteractScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a GPU with 24 GB, as far as a machine without one can tell."""
-    device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
+    device: Any = type(
+        "Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"}
+    )()
     probe: Any = type(sys)("mjhab.sim.warp.device")
     probe.open_device = lambda name: device
     probe.free_mb = lambda _: 24_000.0
@@ -189,7 +204,8 @@ def test_worlds_that_do_not_fit_are_refused_before_they_are_made(
 
     monkeypatch.setattr(bench, "open_simulator", opens)
     with pytest.raises(
-        UsageError, match=r"100000 worlds need about .* are free on cuda:0.*--worlds.*num_envs=\d+"
+        UsageError,
+        match=r"100000 worlds need about .* are free on cuda:0.*--worlds.*num_envs=\d+",
     ):
         bench.InteractBench(scene, "warp", 100_000, render=True)
     assert not opened
@@ -201,7 +217,13 @@ def test_worlds_that_do_not_fit_are_refused_before_they_are_made(
 
 def test_confidence_interval_is_that_of_student() -> None:
     runs = [
-        {"worlds": 4, "sps": sps, "reset_and_step_sps": 9.0, "device_mb": None, "rss_mb": 7.0 + sps}
+        {
+            "worlds": 4,
+            "sps": sps,
+            "reset_and_step_sps": 9.0,
+            "device_mb": None,
+            "rss_mb": 7.0 + sps,
+        }
         for sps in (10.0, 12.0, 14.0)
     ]
     found = bench.summarize(runs)
@@ -213,7 +235,9 @@ def test_confidence_interval_is_that_of_student() -> None:
 
 def test_memory_is_sampled_while_the_work_runs() -> None:
     level = {"rss": 1.0}
-    with MemorySampler(lambda: level["rss"], lambda: 2 * level["rss"], interval=0.005) as memory:
+    with MemorySampler(
+        lambda: level["rss"], lambda: 2 * level["rss"], interval=0.005
+    ) as memory:
         level["rss"] = 50.0
         time.sleep(0.1)
         level["rss"] = 3.0
@@ -240,6 +264,10 @@ def test_plot_takes_the_memory_of_the_gpu_where_there_is_one() -> None:
         [4299.18],
         [26.36],
     )
-    assert (habitat["x"], habitat["y"], habitat["error_y"]["array"]) == ([22.6], [1397.65], [11.02])
+    assert (habitat["x"], habitat["y"], habitat["error_y"]["array"]) == (
+        [22.6],
+        [1397.65],
+        [11.02],
+    )
     point["device_mb"] = None
     assert interact_figure(found)["data"][0]["x"] == [1.0]

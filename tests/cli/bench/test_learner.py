@@ -22,7 +22,9 @@ COMMAND = [
 ]
 
 
-def test_it_measures_with_the_worlds_of_the_preset(capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_measures_with_the_worlds_of_the_preset(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main([*COMMAND, "--json"]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert found["ppo"]["worlds"] > 1 and found["ppo"]["ppo_sps"] > 0

@@ -18,10 +18,14 @@ def test_the_model_is_found_again() -> None:
         for worlds, threads in cells
     ]
     found = StepTime.fit(rows, "env")
-    assert [found.fixed, found.serial, found.parallel] == pytest.approx([2e-4, 3e-5, 3e-4])
+    assert [found.fixed, found.serial, found.parallel] == pytest.approx(
+        [2e-4, 3e-5, 3e-4]
+    )
     assert found.error < 1e-6
     # However many cores there are, the serial part stays.
-    assert found.speed(1000, 10**6) == pytest.approx(1000 / (2e-4 + 1000 * 3e-5), rel=1e-3)
+    assert found.speed(1000, 10**6) == pytest.approx(
+        1000 / (2e-4 + 1000 * 3e-5), rel=1e-3
+    )
 
 
 def test_threads_are_powers_of_two_and_all_cores() -> None:

@@ -19,33 +19,52 @@ from tests.data.make import record
 
 @pytest.fixture
 def shard(tmp_path: Path) -> Path:
-    record(tmp_path / "a.h5", range(3), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        tmp_path / "a.h5",
+        range(3),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
     return tmp_path / "a.h5"
 
 
-def test_export_lerobot(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_lerobot(
+    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ["export", "lerobot", str(shard), "--out", str(tmp_path / "set")]
     assert main([*command, "--version", "3.0", "--where", "index < 2", "--json"]) == OK
     said = json.loads(capsys.readouterr().out)
     assert (said["episodes"], said["frames"]) == (2, 40)
     assert main(command) == USAGE and "--overwrite" in capsys.readouterr().err
-    assert main([*command, "--overwrite", "--version", "2.1", "--no-rgb", "--no-depth"]) == OK
+    assert (
+        main([*command, "--overwrite", "--version", "2.1", "--no-rgb", "--no-depth"])
+        == OK
+    )
     assert "without images" in capsys.readouterr().out
     assert main([*command, "--overwrite", "--quality", "90"]) == USAGE
 
 
 def test_without_pyarrow_the_extra_is_named(
-    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    shard: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith("mjhab.data.export.lerobot")]:
+    for name in [
+        name for name in sys.modules if name.startswith("mjhab.data.export.lerobot")
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delattr("mjhab.data.export.lerobot", raising=False)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert main(["export", "lerobot", str(shard), "--out", str(tmp_path / "set")]) == USAGE
+    assert (
+        main(["export", "lerobot", str(shard), "--out", str(tmp_path / "set")]) == USAGE
+    )
     assert "[data]'" in capsys.readouterr().err
 
 
-def test_export_maniskill(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_maniskill(
+    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ["export", "maniskill", str(shard), "--out", str(tmp_path / "out")]
     assert main([*command, "--json"]) == OK
     said = json.loads(capsys.readouterr().out)
@@ -83,12 +102,17 @@ def test_a_stopped_export_goes_on(
         main(command) == INTERRUPTED
         and "The same command with --resume continues" in capsys.readouterr().err
     )
-    assert not (tmp_path / "set").exists() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    assert (
+        not (tmp_path / "set").exists()
+        and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    )
     assert main(command) == USAGE and "is unfinished" in capsys.readouterr().err
     assert main([*command, "--resume"]) == OK and "3 episodes" in capsys.readouterr().out
 
 
-def test_data_report(shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_data_report(
+    shard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "deep/report.html"
     assert main(["data", "report", str(shard), "--out", str(out), "--json"]) == OK
     assert json.loads(capsys.readouterr().out)["bytes"] == out.stat().st_size

@@ -25,7 +25,9 @@ from tests.data.record.crews import InlineCrew
 from tests.data.record.test_replay import changed
 
 
-def machine(capsys: pytest.CaptureFixture[str], *args: str, code: int = 0) -> dict[str, Any]:
+def machine(
+    capsys: pytest.CaptureFixture[str], *args: str, code: int = 0
+) -> dict[str, Any]:
     capsys.readouterr()
     assert main([*args, "--json"]) == code
     lines = capsys.readouterr().out.strip().splitlines()
@@ -65,11 +67,16 @@ def test_generate_tells_machines_what_it_made(
     made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     again = machine(capsys, *COMMAND, "--out", str(made), "--resume")
-    assert {"written", "kept", "labels", "episodes_per_hour", "bytes_per_episode"} <= set(again)
+    assert {"written", "kept", "labels", "episodes_per_hour", "bytes_per_episode"} <= set(
+        again
+    )
     assert (again["written"], again["kept"], sum(again["labels"].values())) == (0, 2, 2)
     assert again["bytes_per_episode"] == round((made / "shard_000.h5").stat().st_size / 2)
     with open_shard(made / "shard_000.h5") as shard:
-        assert [(episode.record.index, episode.steps) for episode in shard] == [(0, 200), (1, 200)]
+        assert [(episode.record.index, episode.steps) for episode in shard] == [
+            (0, 200),
+            (1, 200),
+        ]
         assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
 
 
@@ -84,7 +91,9 @@ def test_the_library_function_goes_on_with_what_the_command_began(
     assert (more.summary["written"], more.summary["kept"]) == (1, 3)
 
 
-def test_replay_verifies(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_verifies(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = machine(capsys, "replay", str(made), "--verify", "--worlds", "2")
     assert found == {"episodes": 2, "exact": 2, "max_error": 0.0, "unlike": 0, "moved": 0}
 
@@ -93,12 +102,24 @@ def test_replay_verifies(made: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
     wrong = changed(made / "shard_000.h5", tmp_path / "wrong.h5", shift)
     found = machine(
-        capsys, "replay", str(wrong), "--verify", "--where", "index == 1", "--worlds", "1", code=1
+        capsys,
+        "replay",
+        str(wrong),
+        "--verify",
+        "--where",
+        "index == 1",
+        "--worlds",
+        "1",
+        code=1,
     )
-    assert (found["episodes"], found["exact"]) == (1, 0) and 0.9e-9 < found["max_error"] < 1.1e-9
+    assert (found["episodes"], found["exact"]) == (1, 0) and 0.9e-9 < found[
+        "max_error"
+    ] < 1.1e-9
 
 
-def test_replay_renders(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_renders(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "depth.h5"
     command = (
         "replay",
@@ -139,14 +160,18 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
     )
     assert "starts" not in config
     stage = build_stage(generate_spec(options))
-    assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == ("head",)
+    assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == (
+        "head",
+    )
     for change, name in (
         ({"stillness": "absolute"}, "stillness"),
         ({"cameras": ("fetch_hand",)}, "cameras"),
     ):
         with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
             make_job(generate_spec(replace(options, **change)))
-    one_camera = make_job(generate_spec(replace(options, profile="mjhab", cameras=("fetch_hand",))))
+    one_camera = make_job(
+        generate_spec(replace(options, profile="mjhab", cameras=("fetch_hand",)))
+    )
     assert one_camera.config["cameras"] == ["fetch_hand"]
 
 
@@ -156,13 +181,31 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
     out = ("--out", str(tmp_path / "new"))
     for args, words in (
         (("generate", "--subtask", "pick", *out), "the number of episodes is missing"),
-        (("generate", "--subtask", "pik", "--episodes", "1", *out), "Did you mean 'pick'"),
+        (
+            ("generate", "--subtask", "pik", "--episodes", "1", *out),
+            "Did you mean 'pick'",
+        ),
         (("generate", "--episodes", "1", "--keep", "lable == 'x'", *out), "column 1"),
-        (("generate", "--episodes", "1", "--workers", "0", *out), "--workers must be at least 1"),
-        (("generate", "--episodes", "1", "--images", "dept", *out), "unknown observation mode"),
+        (
+            ("generate", "--episodes", "1", "--workers", "0", *out),
+            "--workers must be at least 1",
+        ),
+        (
+            ("generate", "--episodes", "1", "--images", "dept", *out),
+            "unknown observation mode",
+        ),
         (("generate", "--episodes", "1", "--out", str(made)), "add --resume"),
         (
-            ("generate", "--subtask", "place", "--episodes", "1", "--resume", "--out", str(made)),
+            (
+                "generate",
+                "--subtask",
+                "place",
+                "--episodes",
+                "1",
+                "--resume",
+                "--out",
+                str(made),
+            ),
             "another",
         ),
         (("generate", "--episodes", "1", "--ray", "127.0.0.1:1", *out), "Ray"),
@@ -173,7 +216,10 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
             ("replay", str(made), "--render", "rgb", "--out", str(made / "shard_000.h5")),
             "one of the shards",
         ),
-        (("replay", str(made), "--render", "depth", "--cameras", "follow", *out), "colour only"),
+        (
+            ("replay", str(made), "--render", "depth", "--cameras", "follow", *out),
+            "colour only",
+        ),
     ):
         assert words in refused(capsys, *args), args
     assert not (tmp_path / "new").exists()
@@ -182,7 +228,9 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
 def test_a_quota_that_was_not_filled_fails(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew())
+    monkeypatch.setattr(
+        "mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew()
+    )
     found = machine(
         capsys,
         *COMMAND,
@@ -196,7 +244,12 @@ def test_a_quota_that_was_not_filled_fails(
         str(tmp_path),
         code=1,
     )
-    assert (found["written"], found["kept"], found["tried"], found["yield"]) == (0, 0, 2, 0.0)
+    assert (found["written"], found["kept"], found["tried"], found["yield"]) == (
+        0,
+        0,
+        2,
+        0.0,
+    )
     assert found["labels"] == {} and found["bytes_per_episode"] == 0
 
 
@@ -226,7 +279,17 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(
 ) -> None:
     out = tmp_path / "styled"
     words = ("--style", "release=drop", "speed=0.7..0.9", "hold=2")
-    machine(capsys, *COMMAND, "--subtask", "place", "--policy", "expert", *words, "--out", str(out))
+    machine(
+        capsys,
+        *COMMAND,
+        "--subtask",
+        "place",
+        "--policy",
+        "expert",
+        *words,
+        "--out",
+        str(out),
+    )
     with open_shard(out / "shard_000.h5") as shard:
         episodes = list(shard)
         for episode in episodes:
@@ -249,7 +312,15 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(
     )
     assert (found["matched"], found["of"]) == (2, 2)
     assert "style" in refused(
-        capsys, *COMMAND, "--subtask", "place", "--policy", "expert", "--resume", "--out", str(out)
+        capsys,
+        *COMMAND,
+        "--subtask",
+        "place",
+        "--policy",
+        "expert",
+        "--resume",
+        "--out",
+        str(out),
     )
 
 
@@ -270,7 +341,9 @@ class Still:
 def test_a_policy_of_ones_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew())
+    monkeypatch.setattr(
+        "mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew()
+    )
     file = tmp_path / "mine.py"
     file.write_text(OWN)
     command = (*COMMAND, "--policy", f"{file}:Still")
@@ -279,13 +352,17 @@ def test_a_policy_of_ones_own(
     with open_shard(seen / "shard_000.h5") as shard:
         policy = next(iter(shard)).run.config["policy"]
         assert [episode.steps for episode in shard] == [3, 3]
-    assert policy["name"] == "mine.py:Still" and policy["env_options"]["obs_mode"] == "depth"
+    assert (
+        policy["name"] == "mine.py:Still" and policy["env_options"]["obs_mode"] == "depth"
+    )
     assert len(policy["policy_sha256"]) == 64
     assert "camera_size = 16" in refused(
         capsys, *command, "--images", "rgb", "--out", str(tmp_path / "other")
     )
     stored = tmp_path / "stored"
-    machine(capsys, *command, "--images", "rgb", "--camera-size", "16", "--out", str(stored))
+    machine(
+        capsys, *command, "--images", "rgb", "--camera-size", "16", "--out", str(stored)
+    )
     with open_shard(stored / "shard_000.h5") as shard:
         episode = next(iter(shard))
         assert episode.frame("fetch_hand", "rgb", 0).shape == (16, 16, 3)

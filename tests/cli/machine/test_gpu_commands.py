@@ -63,7 +63,10 @@ def test_the_cpu_backend_imports_neither_warp_nor_torch() -> None:
         "resolve('cpu')\n"
         "sys.exit(bool({'warp', 'torch', 'mujoco_warp'} & set(sys.modules)))"
     )
-    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0
+    assert (
+        subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode
+        == 0
+    )
 
 
 def test_the_cpu_simulator_is_opened_by_name() -> None:
@@ -91,7 +94,11 @@ def test_estimate_grows_with_worlds_and_pictures(monkeypatch: pytest.MonkeyPatch
     # The number named fits, one more does not.
     memory = estimate.world_memory("rgbd")[1]
     assert memory.most is not None
-    assert memory.need.total_mb(memory.most) <= 8_000.0 < memory.need.total_mb(memory.most + 1)
+    assert (
+        memory.need.total_mb(memory.most)
+        <= 8_000.0
+        < memory.need.total_mb(memory.most + 1)
+    )
 
 
 def test_estimate_command(
@@ -123,15 +130,20 @@ def test_estimate_command(
     assert "unknown observation mode 'rgbx'" in capsys.readouterr().err
 
 
-def test_worlds_that_do_not_fit_the_device_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worlds_that_do_not_fit_the_device_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The number that the message names fits."""
-    device: Any = type("Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"})()
+    device: Any = type(
+        "Device", (), {"is_cuda": True, "__str__": lambda self: "cuda:0"}
+    )()
     probe: Any = type(sys)("mjhab.sim.warp.device")
     probe.open_device = lambda name: device
     probe.free_mb = lambda opened: 6_000.0
     monkeypatch.setitem(sys.modules, "mjhab.sim.warp.device", probe)
     with pytest.raises(
-        UsageError, match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0"
+        UsageError,
+        match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0",
     ) as told:
         memory.check_device_memory(4096, memory.WorldPictures("rgbd", 128))
     most = int(str(told.value).rpartition("num_envs=")[2].rstrip("."))
@@ -168,7 +180,9 @@ def test_warmup_says_what_it_compiles(
     out = capsys.readouterr()
     parts = ["2 homes", "rasterizer", "planning of the experts"]
     assert list(json.loads(out.out)["seconds"]) == parts
-    said = [line for line in out.err.splitlines() if line.startswith("mjhab: compiling: ")]
+    said = [
+        line for line in out.err.splitlines() if line.startswith("mjhab: compiling: ")
+    ]
     assert said == [f"mjhab: compiling: {part} ..." for part in parts]
     assert main(["warmup", "--task", "dishes"]) == 2
     assert warmup.WORLDS > 0
@@ -224,7 +238,12 @@ def test_agreement_is_per_episode() -> None:
     rows = [
         record_equal(0),
         record_equal(
-            1, success=[True, False], label=["b", None], reward=[0.5, 0.4], close=1, taint=[0, 4]
+            1,
+            success=[True, False],
+            label=["b", None],
+            reward=[0.5, 0.4],
+            close=1,
+            taint=[0, 4],
         ),
         record_equal(2, success=[False, False], label=[None, None], reward=[0.5, 0.51]),
         record_equal(3, label=["c", "d"], reward=[0.2, 0.9], close=0),
@@ -257,12 +276,17 @@ def test_agreement_is_per_episode() -> None:
 
 def test_divergence_is_the_worst_and_the_median_world() -> None:
     drift = [
-        {str(step): dict.fromkeys(KINDS, x * step) for step in (1, 10)} for x in (1.0, 2.0, 9.0)
+        {str(step): dict.fromkeys(KINDS, x * step) for step in (1, 10)}
+        for x in (1.0, 2.0, 9.0)
     ]
     drift[2] |= {"100": dict.fromkeys(KINDS, 7.0)}  # only one world got so far
-    found = bench_parity.divergence([record_equal(i, drift=rows) for i, rows in enumerate(drift)])
+    found = bench_parity.divergence(
+        [record_equal(i, drift=rows) for i, rows in enumerate(drift)]
+    )
     assert found["steps"] == [1, 10]
-    assert found["qpos_max"]["robot"] == [9.0, 90.0] and found["qpos_median"]["links"] == [
+    assert found["qpos_max"]["robot"] == [9.0, 90.0] and found["qpos_median"][
+        "links"
+    ] == [
         2.0,
         20.0,
     ]
@@ -278,7 +302,9 @@ def test_the_log_lets_a_killed_run_go_on(tmp_path: Path) -> None:
     with path.open("a") as file:
         file.write('{"acting": "equal", "task": "set_ta')  # killed while it wrote
     again = Log(path)
-    assert again.missing(leg, "equal", range(4)) == [1, 3] and again.missing(leg, "own", [0]) == [0]
+    assert again.missing(leg, "equal", range(4)) == [1, 3] and again.missing(
+        leg, "own", [0]
+    ) == [0]
     assert [row["steps"] for row in again.of(leg, "equal")] == [5, 7]
     assert [row["steps"] for row in again.of(leg, "equal", [2])] == [7]
     again.add(leg, "equal", 1, {"steps": 6})
@@ -288,7 +314,9 @@ def test_the_log_lets_a_killed_run_go_on(tmp_path: Path) -> None:
         Log(path)
 
 
-def test_only_what_the_log_lacks_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_what_the_log_lacks_is_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ran: list[tuple[str, str, int]] = []
 
     def run(name: str) -> Any:
@@ -329,7 +357,9 @@ def test_only_what_the_log_lacks_is_run(tmp_path: Path, monkeypatch: pytest.Monk
     )
 
 
-def test_parity_knows_which_subtasks_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_parity_knows_which_subtasks_there_are(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert bench_parity.pairs("set_table", "pick") == [("set_table", "pick")]
     every = bench_parity.pairs("all", "all")
     assert (
@@ -354,7 +384,8 @@ def test_parity_knows_which_subtasks_there_are(capsys: pytest.CaptureFixture[str
 
 def _named(args: list[str]) -> dict[str, str]:
     return {
-        name.removeprefix("--"): value for name, value in zip(args[::2], args[1::2], strict=True)
+        name.removeprefix("--"): value
+        for name, value in zip(args[::2], args[1::2], strict=True)
     }
 
 
@@ -379,7 +410,9 @@ def quick_report(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     monkeypatch.setattr(gpu_report, "sleep_cost", lambda leg, steps: [leg.task, steps])
     monkeypatch.setattr(
-        gpu_report.bench_env, "measure", lambda plan: {"points": [{"worlds": plan.worlds[0]}]}
+        gpu_report.bench_env,
+        "measure",
+        lambda plan: {"points": [{"worlds": plan.worlds[0]}]},
     )
 
 
@@ -417,9 +450,16 @@ def test_report_on_a_gpu_measures_large_batches(
         f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")
     }
     parity = found["gpu-parity"]
-    assert parity.pop("machine") and parity == {"note": None, "what": "parity", "episodes": 200}
+    assert parity.pop("machine") and parity == {
+        "note": None,
+        "what": "parity",
+        "episodes": 200,
+    }
     assert [point["what"] for point in found["gpu-env"]["points"]] == [
-        *(f"PickSubtaskTrain-v1 warp, {count} worlds" for count in (256, 512, 1024, 2048, 4096)),
+        *(
+            f"PickSubtaskTrain-v1 warp, {count} worlds"
+            for count in (256, 512, 1024, 2048, 4096)
+        ),
         *(f"TidyHouse-v1 warp, {count} worlds" for count in (256, 1024)),
         "PickSubtaskTrain-v1 cpu, 16 worlds",
     ]

@@ -47,7 +47,9 @@ class Stage:
         plan: dict[str, Any] = {}
         if spec.subtask:
             plan = {"plan": ((spec.subtask, "024_bowl_:0000"),), "subtask": spec.subtask}
-        env = FakeEnv(min(spec.worlds, spec.episodes), broken_camera=self.broken_camera, **plan)
+        env = FakeEnv(
+            min(spec.worlds, spec.episodes), broken_camera=self.broken_camera, **plan
+        )
         env.interrupt_at = self.interrupt_at
         self.interrupt_at = None
         if self.terminate_at is not None:
@@ -69,7 +71,17 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
 @pytest.fixture
 def run(stage: Stage, tmp_path: Path) -> Callable[..., int]:
     def call(*extra: str, out: str = "run", policy: str = "zero") -> int:
-        base = ["eval", "--policy", policy, "--episodes", "12", "--worlds", "3", "--films", "0"]
+        base = [
+            "eval",
+            "--policy",
+            policy,
+            "--episodes",
+            "12",
+            "--worlds",
+            "3",
+            "--films",
+            "0",
+        ]
         return main([*base, "--out", str(tmp_path / out), *extra])
 
     return call
@@ -84,9 +96,15 @@ def test_run_writes_all_files_and_prints_json_last(
 ) -> None:
     assert run("--json") == 0
     out = capsys.readouterr().out
-    assert len(out.strip().splitlines()) == 1, "with --json, stdout holds the JSON line only"
+    assert len(out.strip().splitlines()) == 1, (
+        "with --json, stdout holds the JSON line only"
+    )
     summary = last_line(out)
-    assert list(summary) == KEYS and summary["episodes"] == 12 and len(summary["progressive"]) == 16
+    assert (
+        list(summary) == KEYS
+        and summary["episodes"] == 12
+        and len(summary["progressive"]) == 16
+    )
     folder = tmp_path / "run"
     assert sorted(entry.name for entry in folder.iterdir()) == [
         "config.json",
@@ -116,7 +134,10 @@ def test_the_profile_and_its_values_are_recorded_and_told(
         "frame_stack": 3,
     }
     assert wanted.items() <= config.items() and config["stationary"] == ["head"]
-    assert json.loads((tmp_path / "paper" / "summary.json").read_text())["profile"] == "ms_hab"
+    assert (
+        json.loads((tmp_path / "paper" / "summary.json").read_text())["profile"]
+        == "ms_hab"
+    )
     # A run goes on under its own profile only.
     assert run("--resume", out="paper") == 2
     assert run("--stillness", "published", out="mixed") == 0
@@ -154,7 +175,9 @@ def test_profiles_that_cannot_be_are_refused(
     assert words in capsys.readouterr().err and not stage.built
 
 
-def test_output_for_people(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_for_people(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run() == 0
     out, err = capsys.readouterr()
     assert "Success along the plan" in out and "report.html" in out
@@ -171,7 +194,10 @@ def test_number_of_worlds_and_threads_do_not_change_the_records(
 
 
 def test_interrupt_keeps_episodes_and_resume_finishes(
-    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Callable[..., int],
+    stage: Stage,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert run(out="whole") == 0
     stage.interrupt_at = 250
@@ -193,7 +219,10 @@ def test_interrupt_keeps_episodes_and_resume_finishes(
 
 
 def test_sigterm_writes_the_report_as_ctrl_c_does(
-    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Callable[..., int],
+    stage: Stage,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     before = signal.getsignal(signal.SIGTERM)
     stage.terminate_at = 250
@@ -208,7 +237,10 @@ def test_sigterm_writes_the_report_as_ctrl_c_does(
 
 
 def test_two_runs_into_one_folder_never_mix(
-    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Callable[..., int],
+    stage: Stage,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert run() == 0
     config = json.loads((tmp_path / "run" / "config.json").read_text())
@@ -240,7 +272,10 @@ class Still:
 
 
 def test_a_policy_of_ones_own(
-    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Callable[..., int],
+    stage: Stage,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     file = tmp_path / "mine.py"
     file.write_text(OWN)
@@ -273,7 +308,10 @@ def test_a_policy_of_ones_own(
     assert run("--resume", policy=spec) == 2
     assert "was started with policy_sha256" in capsys.readouterr().err
     assert run(policy=f"{file}:Stil", out="new") == 2
-    assert "Did you mean 'Still'" in capsys.readouterr().err and not (tmp_path / "new").exists()
+    assert (
+        "Did you mean 'Still'" in capsys.readouterr().err
+        and not (tmp_path / "new").exists()
+    )
 
 
 def test_resume_of_a_finished_run_builds_nothing(
@@ -290,7 +328,11 @@ def test_resume_with_more_episodes_runs_the_new_ones(
 ) -> None:
     assert run() == 0
     assert run("--resume", "--episodes", "15") == 0
-    assert [index for indices in stage.built[-1].resets for index in indices] == [12, 13, 14]
+    assert [index for indices in stage.built[-1].resets for index in indices] == [
+        12,
+        13,
+        14,
+    ]
 
 
 def test_full_folder_is_refused_and_overwritten_on_demand(
@@ -300,7 +342,10 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
     assert run() == 2
     err = capsys.readouterr().err
     assert (
-        "not empty" in err and "--resume" in err and "--overwrite" in err and "Traceback" not in err
+        "not empty" in err
+        and "--resume" in err
+        and "--overwrite" in err
+        and "Traceback" not in err
     )
     assert len(stage.built) == 1, "refused before anything is built"
     assert run("--resume", "--seed", "1") == 2
@@ -358,7 +403,10 @@ def test_unknown_words_exit_with_2(
 
 
 def test_broken_camera_leaves_the_evaluation_alone(
-    run: Callable[..., int], stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Callable[..., int],
+    stage: Stage,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     stage.broken_camera = True
     assert run("--films", "2") == 0
@@ -405,5 +453,7 @@ def test_a_style_needs_the_expert_and_valid_names(
 def test_a_style_belongs_to_the_config_of_a_run() -> None:
     facts = PolicyFacts("expert")
     assert "style" not in evaluate.resolved_config(EvalSpec(), facts)
-    asked = evaluate.resolved_config(EvalSpec(style=("release=drop", "speed=0.5..1")), facts)
+    asked = evaluate.resolved_config(
+        EvalSpec(style=("release=drop", "speed=0.5..1")), facts
+    )
     assert asked["style"] == ["speed=0.5..1.0", "release=drop"]

@@ -18,14 +18,25 @@ from mjhab.learning.reproduce.variants import CHANGED, STYLES, VARIANTS, Imitati
 from mjhab.reports.paper import paper_success
 from tests.learning.small import config
 
-COMMAND = ["reproduce", "table1", "--rows", "set_table/close/drawer", "--preset", "tiny", "--json"]
+COMMAND = [
+    "reproduce",
+    "table1",
+    "--rows",
+    "set_table/close/drawer",
+    "--preset",
+    "tiny",
+    "--json",
+]
 
 
 def test_rows_are_those_of_the_paper() -> None:
     rows = table_rows()
     assert len(rows) == 10
     for split in ("train", "val"):
-        found = [paper_success(row.task, row.subtask, split, row.target) for row in rows.values()]
+        found = [
+            paper_success(row.task, row.subtask, split, row.target)
+            for row in rows.values()
+        ]
         assert len({tuple(numbers.items()) for numbers in found}) == 10 and all(found)
 
 
@@ -41,7 +52,10 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--column", "rl_all", "--preset", "small"), "preset"),
         (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
         (("--demos", "-1"), "--demos must be at least 0"),
-        (("--demos", "5"), "--demos is for table5, demo_count, filters, choices, not for table1"),
+        (
+            ("--demos", "5"),
+            "--demos is for table5, demo_count, filters, choices, not for table1",
+        ),
         (
             ("--updates", "5"),
             "--updates is for table5, demo_count, filters, choices, not for table1",
@@ -85,7 +99,9 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     assert main(words) == 2
     assert "is not empty" in capsys.readouterr().err
     trained = (
-        (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors").stat().st_mtime_ns
+        (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors")
+        .stat()
+        .st_mtime_ns
     )
     # The same policy under other rules, without training.
     others = str(tmp_path / "others")
@@ -112,7 +128,15 @@ def test_a_policy_without_an_update_has_no_result(
     student = config(inputs=InputConfig(image_size=16), demos=1, updates=2, hold_steps=5)
     dagger = DaggerConfig(rounds=0)
     monkeypatch.setitem(configs.PRESETS["dagger"], "tiny", TrainConfig(student, dagger))
-    words = [*COMMAND, "--out", str(tmp_path), "--threads", "1", "--budget-minutes", "1e-6"]
+    words = [
+        *COMMAND,
+        "--out",
+        str(tmp_path),
+        "--threads",
+        "1",
+        "--budget-minutes",
+        "1e-6",
+    ]
     assert main(words) == 0
     (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
     assert (row["success_once"], row["untrained"], row["episodes"]) == (None, 1, 0)
@@ -135,21 +159,35 @@ def test_a_study_trains_one_policy_for_each_of_its_variants(
     assert [row["rules"] for row in rows] == ["demos_1", "demos_10"]
     assert [row["demonstrations"] for row in rows] == [1, 2]
     assert [row["paper_says"] for row in rows] == ["0 %", "2 ± 3 %"]
-    assert "at most 10 demonstrations per object" in (out / "report.html").read_text("utf-8")
+    assert "at most 10 demonstrations per object" in (out / "report.html").read_text(
+        "utf-8"
+    )
     data = out / "set_table.close.drawer" / "data" / "demonstrations" / "shard_000.h5"
     collected = data.stat().st_mtime_ns
     assert main([*words, "--resume"]) == 0
     assert data.stat().st_mtime_ns == collected
-    assert main(["reproduce", "filters", "--column", "rl_all", "--out", str(tmp_path / "f")]) == 2
+    assert (
+        main(["reproduce", "filters", "--column", "rl_all", "--out", str(tmp_path / "f")])
+        == 2
+    )
     assert "about imitation" in capsys.readouterr().err
-    assert main(["reproduce", "filters", "--policies", str(out), "--out", str(tmp_path / "f")]) == 2
+    assert (
+        main(
+            ["reproduce", "filters", "--policies", str(out), "--out", str(tmp_path / "f")]
+        )
+        == 2
+    )
     assert "leave out --policies" in capsys.readouterr().err
 
 
 def test_data_of_the_filter_study_differ_in_how_objects_are_released() -> None:
     style = {name: words for name, words in STYLES.items() if name}
-    assert {"release=place", "release=drop"} <= {word for words in style.values() for word in words}
-    assert [variant.imitation.data for variant in VARIANTS["filters"] if variant.imitation] == [
+    assert {"release=place", "release=drop"} <= {
+        word for words in style.values() for word in words
+    }
+    assert [
+        variant.imitation.data for variant in VARIANTS["filters"] if variant.imitation
+    ] == [
         ("placed",),
         ("dropped",),
         ("placed", "dropped"),
@@ -178,7 +216,15 @@ def test_choices_share_data_where_they_need_the_same(
     kept = ("chunk_1", "whole_episodes", "px_64")
     chosen = [variant for variant in VARIANTS["choices"] if variant.name in kept]
     monkeypatch.setitem(VARIANTS, "choices", tuple(chosen))
-    words = ["reproduce", "choices", *COMMAND[2:], "--out", str(tmp_path), "--worlds", "1"]
+    words = [
+        "reproduce",
+        "choices",
+        *COMMAND[2:],
+        "--out",
+        str(tmp_path),
+        "--worlds",
+        "1",
+    ]
     words += ["--threads", "1", "--split", "train", "--episodes", "1", "--updates", "2"]
     assert main(words) == 0
     rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]

@@ -18,7 +18,16 @@ from tests.serving.constant import Constant, serving
 
 
 def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
-    command = [sys.executable, "-m", "mjhab.cli.main", "serve", "zero", "--port", "0", "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "mjhab.cli.main",
+        "serve",
+        "zero",
+        "--port",
+        "0",
+        "--json",
+    ]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as server:
@@ -40,14 +49,26 @@ def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
         (["serve", "expret"], "Did you mean 'expert'"),
         (["serve", "expert", "--dialect", "grpc"], "unknown dialect 'grpc'"),
         (["serve", "expert", "--port", "70000"], "--port must be at most 65,535"),
-        (["serve", "expert", "--max-message-mb", "0"], "max-message-mb must be at least 1"),
+        (
+            ["serve", "expert", "--max-message-mb", "0"],
+            "max-message-mb must be at least 1",
+        ),
         (["serve", "ws://localhost:1"], "is served already"),
         (["serve", "zero", "--style", "speed=0.5"], "only the policy expert has a style"),
         (["serve", "expert", "--style", "speeed=0.5"], "Did you mean 'speed'"),
         (["serve", "expert", "--assets", "nowhere"], "'nowhere'"),
-        (["eval", "--policy", "ws://127.0.0.1:1"], "no policy server at ws://127.0.0.1:1"),
-        (["eval", "--policy", "expert", "--dialect", "openpi"], "--dialect: for a served policy"),
-        (["eval", "--policy", "ws://127.0.0.1:1", "--batch"], "the dialect openpi has no batches"),
+        (
+            ["eval", "--policy", "ws://127.0.0.1:1"],
+            "no policy server at ws://127.0.0.1:1",
+        ),
+        (
+            ["eval", "--policy", "expert", "--dialect", "openpi"],
+            "--dialect: for a served policy",
+        ),
+        (
+            ["eval", "--policy", "ws://127.0.0.1:1", "--batch"],
+            "the dialect openpi has no batches",
+        ),
         (["score", "--check", "nowhere.json"], "there is no file nowhere.json"),
         (["score", "--track", "subtask"], "Did you mean 'subtasks'"),
         (["score", "--page", "x.md"], "--page is for --table"),
@@ -82,14 +103,32 @@ def test_json_has_latencies_whether_or_not_something_was_answered(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with serving(Constant(**server_of)) as server:
-        command = ["eval", "--policy", f"ws://127.0.0.1:{server.port}", "--subtask", "close"]
-        command += ["--episodes", "1", "--films", "0", "--threads", "1", "--camera-size", "16"]
+        command = [
+            "eval",
+            "--policy",
+            f"ws://127.0.0.1:{server.port}",
+            "--subtask",
+            "close",
+        ]
+        command += [
+            "--episodes",
+            "1",
+            "--films",
+            "0",
+            "--threads",
+            "1",
+            "--camera-size",
+            "16",
+        ]
         assert main([*command, *words, "--out", str(tmp_path / "run"), "--json"]) == 0
         told = json.loads(capsys.readouterr().out.splitlines()[-1])
         assert told["latency_ms"].keys() == {"p50", "p99"}
         assert (told["latency_ms"]["p50"] is None) == ("no answer" in error)
         # Nothing is left to do: the latencies are those of the run.
-        assert main([*command, *words, "--out", str(tmp_path / "run"), "--json", "--resume"]) == 0
+        assert (
+            main([*command, *words, "--out", str(tmp_path / "run"), "--json", "--resume"])
+            == 0
+        )
         again = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert again["latency_ms"] == told["latency_ms"]
     record = json.loads((tmp_path / "run" / "episodes.jsonl").read_text())

@@ -19,9 +19,7 @@ from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.small import train_config
 
-COMMAND = (
-    "train dagger --task set_table --subtask close --target kitchen_counter/drawer3 --preset quick"
-)
+COMMAND = "train dagger --task set_table --subtask close --target kitchen_counter/drawer3 --preset quick"
 DAGGER = [*COMMAND.split(), *["--budget-minutes", "20", "--seed", "3", "--json", "--out"]]
 
 
@@ -39,7 +37,9 @@ def test_options_become_a_request(tmp_path: Path) -> None:
         "noise=0..0.2",
     ]
     request = make_request(parse(words).command)
-    assert request.config.algorithm == "dagger" and request.config.student.preset == "quick"
+    assert (
+        request.config.algorithm == "dagger" and request.config.student.preset == "quick"
+    )
     assert request.budget_seconds == 1200.0 and request.seed == 3
     assert request.scene.target == "kitchen_counter/drawer3"
     assert request.config.dagger is not None
@@ -50,15 +50,32 @@ def test_options_become_a_request(tmp_path: Path) -> None:
     ) == (2, 5, 7)
     assert request.config.student.style == ("noise=0.0..0.2",)
     longer = make_request(
-        parse([*DAGGER, str(tmp_path), "--first-prefix", "40", "--prefix-growth", "30"]).command
+        parse(
+            [*DAGGER, str(tmp_path), "--first-prefix", "40", "--prefix-growth", "30"]
+        ).command
     )
     assert longer.config.dagger is not None
-    assert [longer.config.dagger.longest_prefix(number) for number in range(4)] == [0, 40, 70, 100]
+    assert [longer.config.dagger.longest_prefix(number) for number in range(4)] == [
+        0,
+        40,
+        70,
+        100,
+    ]
     plain = make_request(parse([*DAGGER, str(tmp_path)]).command)
-    assert plain.scene.env_options().keys() == {"task", "subtask", "target", "split", "assets"}
+    assert plain.scene.env_options().keys() == {
+        "task",
+        "subtask",
+        "target",
+        "split",
+        "assets",
+    }
     told = ["--profile", "ms_hab", "--stillness", "published"]
     scene = make_request(parse([*DAGGER, str(tmp_path), *told]).command).scene
-    assert (scene.profile, scene.stillness, scene.spawn_rule) == ("ms_hab", "published", "")
+    assert (scene.profile, scene.stillness, scene.spawn_rule) == (
+        "ms_hab",
+        "published",
+        "",
+    )
     assert plain.config == configs.preset_of("dagger", "quick")
 
 
@@ -107,7 +124,14 @@ def test_bad_input(
     assert said in capsys.readouterr().err
 
 
-CLOSE = ("--subtask", "close", "--target", "kitchen_counter/drawer3", "--home", "builtin_m0_00")
+CLOSE = (
+    "--subtask",
+    "close",
+    "--target",
+    "kitchen_counter/drawer3",
+    "--home",
+    "builtin_m0_00",
+)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +196,9 @@ def test_policies_are_judged_in_homes_that_they_have_not_seen(
 
 
 def test_no_round_is_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", "dagger", "--out", str(tmp_path / "run"), "--takeovers", "0"]) == 2
+    assert (
+        main(["train", "dagger", "--out", str(tmp_path / "run"), "--takeovers", "0"]) == 2
+    )
     assert "--takeovers must be at least 1" in capsys.readouterr().err
 
 
@@ -197,11 +223,23 @@ def test_from_data_to_a_checkpoint(
         "--data",
         str(tmp_path / "data"),
     ]
-    words += ["--where", "success or not success", "--out", str(out), "--threads", "1", "--json"]
+    words += [
+        "--where",
+        "success or not success",
+        "--out",
+        str(out),
+        "--threads",
+        "1",
+        "--json",
+    ]
     words += ["--eval-episodes", "0", "--round-episodes", "0"]
     assert main(words) == 0
     summary = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert summary["steps"] == 4 and summary["success_once"] is None and summary["episodes"] == 0
+    assert (
+        summary["steps"] == 4
+        and summary["success_once"] is None
+        and summary["episodes"] == 0
+    )
     assert summary["algorithm"] == "bc" and summary["preset"] == "tiny"
     assert load_student(Path(summary["checkpoint"])).config == dataclasses.replace(
         train_config().student

@@ -36,14 +36,25 @@ def said(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
 def test_fetch_verify_where_list(
     root: Path, bundle: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["assets", "fetch", "ycb", "--offline", bundle, "--accept-licence", "--json"]) == 0
+    assert (
+        main(
+            ["assets", "fetch", "ycb", "--offline", bundle, "--accept-licence", "--json"]
+        )
+        == 0
+    )
     out, err = capsys.readouterr()
-    assert json.loads(out) == {"name": "ycb", "folder": str(root / "ycb"), "files": 1, "bytes": 4}
+    assert json.loads(out) == {
+        "name": "ycb",
+        "folder": str(root / "ycb"),
+        "files": 1,
+        "bytes": 4,
+    }
     assert "CC BY 4.0" in err and "ycbbenchmarks" in err
     assert main(["assets", "verify", "ycb", "--json"]) == 0
     found = said(capsys)
     assert (
-        list(found) == ["name", "folder", "ok", "files", "missing", "changed", "first_use"]
+        list(found)
+        == ["name", "folder", "ok", "files", "missing", "changed", "first_use"]
         and found["ok"]
     )
     (root / "ycb" / "024_bowl" / "textured.glb").write_bytes(b"b0wl")
@@ -83,7 +94,10 @@ def test_the_licence_is_asked_for(
     ("args", "words"),
     [
         (("fetch", "ycb"), ("add --accept-licence",)),
-        (("fetch", "ybc", "--accept-licence"), ("unknown data set", "Did you mean 'ycb'")),
+        (
+            ("fetch", "ybc", "--accept-licence"),
+            ("unknown data set", "Did you mean 'ycb'"),
+        ),
         (
             ("fetch", "ycb", "--accept-licence", "--offline", "none.zip"),
             ("none.zip", "no such file"),
@@ -115,4 +129,6 @@ def test_a_failed_download_is_one_line(
     monkeypatch.setattr("mjhab.assets.transfer.pause", lambda attempt: 0.0)
     assert main(["assets", "fetch", "ycb", "--accept-licence"]) == 1
     last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert last.startswith("mjhab: failed: http://127.0.0.1:9/api/datasets/ai-habitat/ycb")
+    assert last.startswith(
+        "mjhab: failed: http://127.0.0.1:9/api/datasets/ai-habitat/ycb"
+    )

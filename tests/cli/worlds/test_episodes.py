@@ -24,7 +24,11 @@ def machine(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
 
 def refused(capsys: pytest.CaptureFixture[str], code: int, *args: str) -> str:
     assert main(["episodes", *args]) == code
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("mjhab: ")]
+    said = [
+        line
+        for line in capsys.readouterr().err.splitlines()
+        if line.startswith("mjhab: ")
+    ]
     assert len(said) == 1
     return said[0]
 
@@ -48,10 +52,20 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_make_says_what_it_did(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_make_says_what_it_did(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     out = tmp_path / "a.json"
     said = machine(
-        capsys, "episodes", "make", "--task", "set_table", "--count", "1", "--out", str(out)
+        capsys,
+        "episodes",
+        "make",
+        "--task",
+        "set_table",
+        "--count",
+        "1",
+        "--out",
+        str(out),
     )
     assert list(said) == ["episodes", "rejected", "seconds"] and said["episodes"] == 1
     assert read_hab(out).episodes[0].info["task"] == "set_table"
@@ -110,8 +124,12 @@ def test_wrong_orders_are_refused(
     assert "Did you mean 'tidy_house'" in refused(
         capsys, 2, "make", "--task", "tidy_hose", "--out", out
     )
-    assert "unknown split 'dev'" in refused(capsys, 2, "make", "--split", "dev", "--out", out)
-    assert "--count must be at least 1" in refused(capsys, 2, "make", "--count", "0", "--out", out)
+    assert "unknown split 'dev'" in refused(
+        capsys, 2, "make", "--split", "dev", "--out", out
+    )
+    assert "--count must be at least 1" in refused(
+        capsys, 2, "make", "--count", "0", "--out", out
+    )
     assert "unknown task" in refused(capsys, 2, "check", str(made), "--task", "tidy")
     assert not list(tmp_path.iterdir())
 
@@ -122,13 +140,16 @@ def test_broken_files_are_refused(
     data = made.read_bytes()
     cut = tmp_path / "cut.json.gz"
     cut.write_bytes(data[: len(data) // 2])
-    assert "cut.json.gz: the gzip data is cut off" in refused(capsys, 2, "check", str(cut))
+    assert "cut.json.gz: the gzip data is cut off" in refused(
+        capsys, 2, "check", str(cut)
+    )
     body = json.loads(gzip.decompress(data))
     body["episodes"][1]["scene_id"] = "x/nowhere.scene_instance.json"
     odd = tmp_path / "odd_prepare_groceries.json"
     odd.write_text(json.dumps(body))
-    assert "odd_prepare_groceries.json: episodes[1].scene_id: unknown scene 'nowhere'" in refused(
-        capsys, 2, "check", str(odd)
+    assert (
+        "odd_prepare_groceries.json: episodes[1].scene_id: unknown scene 'nowhere'"
+        in refused(capsys, 2, "check", str(odd))
     )
 
 

@@ -27,7 +27,9 @@ KEYS = ["homes", "ok", "failed", "layout", "ngeom", "nv", "compile_s"]
 
 
 def pack_of(*keys: tuple[int, int]) -> Pack:
-    return dataclasses.replace(builtin_pack(), homes=tuple(make_home(*key) for key in keys))
+    return dataclasses.replace(
+        builtin_pack(), homes=tuple(make_home(*key) for key in keys)
+    )
 
 
 def use(monkeypatch: pytest.MonkeyPatch, pack: Pack) -> None:
@@ -47,11 +49,24 @@ def test_check_gives_the_keys_and_finds_nothing(
     assert main(["homes", "check", "--json"]) == 0
     first = said(capsys)
     assert list(first)[:7] == KEYS
-    assert (first["homes"], first["ok"], first["failed"], first["remarks"]) == (3, 3, [], [])
-    assert first["compiled_cold"] == 3 and first["compile_s"] > 0 and first["nv"] == 15 + 9 + 6 * 30
+    assert (first["homes"], first["ok"], first["failed"], first["remarks"]) == (
+        3,
+        3,
+        [],
+        [],
+    )
+    assert (
+        first["compiled_cold"] == 3
+        and first["compile_s"] > 0
+        and first["nv"] == 15 + 9 + 6 * 30
+    )
     assert main(["homes", "check", "--split", "test", "--json"]) == 0
     second = said(capsys)
-    assert (second["homes"], second["compiled_cold"], second["layout"]) == (1, 0, first["layout"])
+    assert (second["homes"], second["compiled_cold"], second["layout"]) == (
+        1,
+        0,
+        first["layout"],
+    )
     assert main(["homes", "check"]) == 0
     assert first["layout"] in capsys.readouterr().out
 
@@ -62,7 +77,9 @@ def test_check_fails_for_homes_that_do_not_work(
     pack = pack_of((0, 0), (0, 1), (3, 20))
     good, other, blocked = pack.homes
     x0, y0, x1, y1 = other.floor
-    slab = Geom("box", ((x1 - x0) / 2, (y1 - y0) / 2, 1.0), ((x0 + x1) / 2, (y0 + y1) / 2, 1.0))
+    slab = Geom(
+        "box", ((x1 - x0) / 2, (y1 - y0) / 2, 1.0), ((x0 + x1) / 2, (y0 + y1) / 2, 1.0)
+    )
     full = dataclasses.replace(other, walls=(slab, *other.walls[1:]))
     flat = dataclasses.replace(
         other, name="flat", walls=(Geom("box", (0.0, 1.0, 1.0)), *other.walls[1:])
@@ -90,7 +107,10 @@ def test_show_tells_the_hard_case(
     use(monkeypatch, pack_of((3, 20)))
     assert main(["homes", "show", "builtin_m3_20", "--json"]) == 0
     shown = said(capsys)
-    assert "not solvable" in shown["note"] and shown["open_limits"]["fridge/top_door"] == 1.85
+    assert (
+        "not solvable" in shown["note"]
+        and shown["open_limits"]["fridge/top_door"] == 1.85
+    )
     assert main(["homes", "show", "builtin_m3_20"]) == 0
     out = capsys.readouterr().out
     assert "not solvable" in out and "fridge/top_door opens to" in out
@@ -105,7 +125,9 @@ def painted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         pack: Pack, homes: Sequence[str], view: str, width: int, height: int
     ) -> Iterator[np.ndarray]:
         asked.append((list(homes), view, width, height))
-        return (np.full((height, width, 3), 40 * k, np.uint8) for k, _ in enumerate(homes))
+        return (
+            np.full((height, width, 3), 40 * k, np.uint8) for k, _ in enumerate(homes)
+        )
 
     monkeypatch.setattr("mjhab.render.views.render_homes", draw)
     return asked
@@ -125,10 +147,18 @@ def test_a_sheet_of_all_homes(
     text = page.read_text()
     assert len(re.findall("data:image/jpeg", text)) == 3 and "http" not in text
     assert "train, layout 0: 2" in text and "not solvable" in text
-    assert painted == [(["builtin_m0_00", "builtin_m0_01", "builtin_m3_20"], "top", 400, 300)]
+    assert painted == [
+        (["builtin_m0_00", "builtin_m0_01", "builtin_m3_20"], "top", 400, 300)
+    ]
     size = ("--width", "64", "--height", "48")
-    assert main(["homes", "render", "--all", "--split", "train", "--out", str(sheet), *size]) == 0
-    assert painted[-1][0] == ["builtin_m0_00", "builtin_m0_01"] and Image.open(sheet).width > 128
+    assert (
+        main(["homes", "render", "--all", "--split", "train", "--out", str(sheet), *size])
+        == 0
+    )
+    assert (
+        painted[-1][0] == ["builtin_m0_00", "builtin_m0_01"]
+        and Image.open(sheet).width > 128
+    )
 
 
 def test_groups_begin_new_rows(tmp_path: Path) -> None:
@@ -155,7 +185,9 @@ def test_groups_begin_new_rows(tmp_path: Path) -> None:
         (("check", "--split", "all"), "unknown split 'all'"),
     ],
 )
-def test_bad_input(args: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input(
+    args: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["homes", *args]) == 2
     out, err = capsys.readouterr()
     assert out == "" and words in err and "Traceback" not in err
@@ -165,7 +197,19 @@ def test_one_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     use(monkeypatch, pack_of((0, 0), (4, 20)))
     out = tmp_path / "homes.png"
     assert (
-        main(["homes", "render", "--all", "--out", str(out), "--width", "96", "--height", "72"])
+        main(
+            [
+                "homes",
+                "render",
+                "--all",
+                "--out",
+                str(out),
+                "--width",
+                "96",
+                "--height",
+                "72",
+            ]
+        )
         == 0
     )
     pixels = np.asarray(Image.open(out))

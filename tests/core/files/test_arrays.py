@@ -50,7 +50,9 @@ def test_all_arrays_together_stay_below_the_limit(tmp_path: Path):
 
 
 @pytest.mark.parametrize("shape", [(10**12, 3), (-1, 3), (7,), ()])
-def test_a_header_that_states_another_size_takes_no_memory(shape: tuple[int, ...], tmp_path: Path):
+def test_a_header_that_states_another_size_takes_no_memory(
+    shape: tuple[int, ...], tmp_path: Path
+):
     stream = io.BytesIO()
     head = {"descr": "<f4", "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_1_0(stream, head)
@@ -65,7 +67,9 @@ def test_a_header_that_states_another_size_takes_no_memory(shape: tuple[int, ...
 def test_what_is_no_file_of_arrays_is_one_line(content: bytes, tmp_path: Path):
     path = tmp_path / "a.npz"
     path.write_bytes(content)
-    with pytest.raises(UsageError, match=r"a\.npz is no test file, or is damaged") as error:
+    with pytest.raises(
+        UsageError, match=r"a\.npz is no test file, or is damaged"
+    ) as error:
         read(path)
     assert "\n" not in str(error.value)
 

@@ -69,7 +69,9 @@ def test_compiled_homes_and_settled_starts_are_made_again(
 ):
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
     home = make_home(0, 7)
-    layout = Layout(dataclasses.replace(builtin_pack(), homes=(home,)), roster("set_table"))
+    layout = Layout(
+        dataclasses.replace(builtin_pack(), homes=(home,)), roster("set_table")
+    )
     episodes = EpisodeMaker(CpuSimulator(layout, 1, 1), "set_table", home.split)
     model = compile_home(layout, home)
     episode = episodes.episode(0, 0)

@@ -34,7 +34,9 @@ def forget() -> Iterator[None]:
     plugins._found[:] = before
 
 
-def test_builtin_items_come_first_and_are_imported_when_asked_for(shelf: Registry[object]) -> None:
+def test_builtin_items_come_first_and_are_imported_when_asked_for(
+    shelf: Registry[object],
+) -> None:
     shelf.add("mine", 3)
     assert shelf.names() == ("path", "mine")
     assert shelf["path"] is Path
@@ -89,7 +91,9 @@ def test_a_plugin_that_raises_leaves_nothing_behind(
         ("thing 'whole'",),
     ]
     assert shelf.source("whole") == str(tmp_path / "whole.py")
-    with pytest.warns(plugins.PluginWarning, match="registered twice: by plugin .*whole.py"):
+    with pytest.warns(
+        plugins.PluginWarning, match="registered twice: by plugin .*whole.py"
+    ):
         plugins.load_plugin(tmp_path / "whole.py")
     assert "whole" in shelf
 
@@ -120,7 +124,9 @@ def test_an_edit_of_an_installed_plugin_changes_its_digest(
         file.write_text("VALUE = 1")
     info = tmp_path / "digested-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: digested\nVersion: 1.0\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: digested\nVersion: 1.0\n"
+    )
     (info / "entry_points.txt").write_text(
         "[mjhab.plugins]\nalone = digested_module\ninside = digested_package.plugin\n"
     )
@@ -134,7 +140,9 @@ def test_an_edit_of_an_installed_plugin_changes_its_digest(
         file.write_text("VALUE = 2")
         assert plugins.source_digest(name) != digest
     digest = plugins.source_digest("alone")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: digested\nVersion: 1.1\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: digested\nVersion: 1.1\n"
+    )
     monkeypatch.setattr(plugins, "_done", False)
     plugins.load_plugins()
     assert plugins.source_digest("alone") != digest
@@ -149,7 +157,13 @@ def test_a_plugin_that_is_listed_twice_is_loaded_once(
     (folder / "part.py").write_text("VALUE = 4")
     (tmp_path / "one.py").write_text("")
     monkeypatch.chdir(tmp_path)
-    names = ("one.py", str(tmp_path / "one.py"), "./one.py", "several", "several/__init__.py")
+    names = (
+        "one.py",
+        str(tmp_path / "one.py"),
+        "./one.py",
+        "several",
+        "several/__init__.py",
+    )
     monkeypatch.setenv("MJHAB_PLUGINS", os.pathsep.join(names))
     monkeypatch.setattr(plugins, "_done", False)
     monkeypatch.setattr(plugins, "entry_points", lambda group: ())
@@ -173,8 +187,14 @@ def test_the_warning_is_at_the_line_that_imports(tmp_path: Path) -> None:
     ("reference", "told"),
     [
         ("nowhere", "is no reference"),
-        ("nowhere_at_all:fn", "module 'nowhere_at_all'.* cannot be imported: ModuleNotFoundError"),
-        ("broken_module:fn", r"cannot be imported: ZeroDivisionError.*broken_module\.py, line 2"),
+        (
+            "nowhere_at_all:fn",
+            "module 'nowhere_at_all'.* cannot be imported: ModuleNotFoundError",
+        ),
+        (
+            "broken_module:fn",
+            r"cannot be imported: ZeroDivisionError.*broken_module\.py, line 2",
+        ),
         ("pathlib:Nothing", "has no 'Nothing'"),
     ],
 )
@@ -206,14 +226,18 @@ def test_a_registering_function_says_what_it_expects(
         getattr(mjhab, function)(given)
 
 
-def test_plugins_of_the_variable_and_of_entry_points_are_loaded_on_import(tmp_path: Path) -> None:
+def test_plugins_of_the_variable_and_of_entry_points_are_loaded_on_import(
+    tmp_path: Path,
+) -> None:
     """In a process of its own, and in a worker process of it, which does not repeat the warning."""
     (tmp_path / "one.py").write_text("import mjhab\nprint('one', mjhab.__version__)")
     (tmp_path / "bad.py").write_text("1 / 0")
     (tmp_path / "installed.py").write_text("print('installed')")
     info = tmp_path / "installed-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: installed\nVersion: 1.0\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: installed\nVersion: 1.0\n"
+    )
     (info / "entry_points.txt").write_text("[mjhab.plugins]\nbooked = installed\n")
     program = tmp_path / "program.py"
     program.write_text(
@@ -230,7 +254,11 @@ def test_plugins_of_the_variable_and_of_entry_points_are_loaded_on_import(tmp_pa
         "    assert worker.exitcode == 0\n"
     )
     paths = os.pathsep.join(str(tmp_path / name) for name in ("bad.py", "one.py"))
-    environment = {**os.environ, "MJHAB_PLUGINS": paths, "PYTHONPATH": f"{SOURCE}:{tmp_path}"}
+    environment = {
+        **os.environ,
+        "MJHAB_PLUGINS": paths,
+        "PYTHONPATH": f"{SOURCE}:{tmp_path}",
+    }
     done = subprocess.run(
         [sys.executable, str(program)],
         capture_output=True,
@@ -244,4 +272,6 @@ def test_plugins_of_the_variable_and_of_entry_points_are_loaded_on_import(tmp_pa
     assert len(lines) == 2 * len(once)
     for line, start in zip(lines, 2 * once, strict=True):
         assert line.startswith(start)
-    assert done.stderr.count("could not be loaded and is left out: ZeroDivisionError") == 1
+    assert (
+        done.stderr.count("could not be loaded and is left out: ZeroDivisionError") == 1
+    )

@@ -20,11 +20,15 @@ def to_lerobot(
     return export_lerobot(_request(places, out, options), films, **options)
 
 
-def to_maniskill(places: Path | Sequence[Path], out: Path, **options: Any) -> ManiSkillSet:
+def to_maniskill(
+    places: Path | Sequence[Path], out: Path, **options: Any
+) -> ManiSkillSet:
     return export_maniskill(_request(places, out, options), **options)
 
 
-def _request(places: Path | Sequence[Path], out: Path, options: dict[str, Any]) -> ExportRequest:
+def _request(
+    places: Path | Sequence[Path], out: Path, options: dict[str, Any]
+) -> ExportRequest:
     """Take the options of a request out of ``options``."""
     own = {name: options.pop(name) for name in REQUEST_FIELDS if name in options}
     return ExportRequest(places, out, **own)

@@ -50,14 +50,19 @@ def exported(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "set"
     done = export(source, out)
     steps = [episode.steps for episode in episodes(source)]
-    assert (done.episodes, done.frames) == (5, sum(steps)) and set(done.images) == {RGB, DEPTH}
+    assert (done.episodes, done.frames) == (5, sum(steps)) and set(done.images) == {
+        RGB,
+        DEPTH,
+    }
     return out
 
 
 def frames_of(path: Path) -> np.ndarray:
     reader = imageio_ffmpeg.read_frames(str(path))
     width, height = next(reader)["size"]
-    return np.stack([np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader])
+    return np.stack(
+        [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
+    )
 
 
 def check_rows(table: Any, episode: RecordedEpisode, number: int, first: int) -> None:
@@ -65,13 +70,22 @@ def check_rows(table: Any, episode: RecordedEpisode, number: int, first: int) ->
     state = split_state(episode)
     for key, parts in (("state", state.own), ("environment_state", state.task)):
         joined = np.concatenate(list(parts.values()), axis=1)[:count]
-        np.testing.assert_array_equal(np.stack(table[f"observation.{key}"].to_numpy()), joined)
-    np.testing.assert_array_equal(np.stack(table["action"].to_numpy()), episode.array("actions"))
-    np.testing.assert_allclose(table["timestamp"].to_numpy(), np.arange(count) / 20, atol=1e-6)
-    np.testing.assert_array_equal(table["index"].to_numpy(), np.arange(first, first + count))
+        np.testing.assert_array_equal(
+            np.stack(table[f"observation.{key}"].to_numpy()), joined
+        )
+    np.testing.assert_array_equal(
+        np.stack(table["action"].to_numpy()), episode.array("actions")
+    )
+    np.testing.assert_allclose(
+        table["timestamp"].to_numpy(), np.arange(count) / 20, atol=1e-6
+    )
+    np.testing.assert_array_equal(
+        table["index"].to_numpy(), np.arange(first, first + count)
+    )
     assert set(table["episode_index"].to_pylist()) == {number}
     assert (
-        table["next.success"].to_pylist() == episode.array("reward/success").astype(bool).tolist()
+        table["next.success"].to_pylist()
+        == episode.array("reward/success").astype(bool).tolist()
     )
     assert table["next.done"].to_pylist() == [False] * (count - 1) + [True]
     depth = np.array(table[DEPTH].to_pylist())
@@ -88,7 +102,9 @@ def test_v30_tables_hold_the_source(source: Path, exported: Path) -> None:
         and info["fps"] == FPS == 20
         and info["robot_type"] == "fetch"
     )
-    meta = pq.read_table(exported / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    meta = pq.read_table(
+        exported / "meta/episodes/chunk-000/file-000.parquet"
+    ).to_pylist()
     data = pq.read_table(exported / "data/chunk-000/file-000.parquet")
     assert set(data.column_names) == {
         k for k, f in info["features"].items() if f["dtype"] != "video"
@@ -106,7 +122,9 @@ def test_v30_tables_hold_the_source(source: Path, exported: Path) -> None:
             episode.name,
         )
         check_rows(data.slice(first, last - first), episode, number, first)
-        np.testing.assert_allclose(row["stats/action/max"], episode.array("actions").max(axis=0))
+        np.testing.assert_allclose(
+            row["stats/action/max"], episode.array("actions").max(axis=0)
+        )
     assert meta[-1]["dataset_to_index"] == len(data) == info["total_frames"]
 
 
@@ -118,7 +136,9 @@ def test_v30_tasks_and_subtasks_are_named(source: Path, exported: Path) -> None:
     ]
     pandas = json.loads(tasks.schema.metadata[b"pandas"])
     assert pandas["index_columns"] == ["__index_level_0__"]
-    names = pq.read_table(exported / "meta/subtasks.parquet")["__index_level_0__"].to_pylist()
+    names = pq.read_table(exported / "meta/subtasks.parquet")[
+        "__index_level_0__"
+    ].to_pylist()
     assert names[:2] == ["open drawer 3 of the kitchen counter", "pick up the bowl"]
     data = pq.read_table(exported / "data/chunk-000/file-000.parquet")
     said = [names[i] for i in data["subtask_index"].to_pylist()]
@@ -133,11 +153,15 @@ def test_v30_tasks_and_subtasks_are_named(source: Path, exported: Path) -> None:
 def test_v30_film_shows_the_frames_at_their_times(source: Path, exported: Path) -> None:
     path = exported / f"videos/{RGB}/chunk-000/file-000.mp4"
     shown = frames_of(path).astype(int)
-    meta = pq.read_table(exported / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    meta = pq.read_table(
+        exported / "meta/episodes/chunk-000/file-000.parquet"
+    ).to_pylist()
     assert len(shown) == meta[-1]["dataset_to_index"]
     for row, episode in zip(meta, episodes(source), strict=True):
         start = row[f"videos/{RGB}/from_timestamp"]
-        assert row[f"videos/{RGB}/to_timestamp"] - start == pytest.approx(episode.steps / FPS)
+        assert row[f"videos/{RGB}/to_timestamp"] - start == pytest.approx(
+            episode.steps / FPS
+        )
         wanted = np.stack(
             [episode.frame("fetch_head", "rgb", t) for t in range(episode.steps)]
         ).astype(int)
@@ -149,7 +173,11 @@ def test_v30_film_shows_the_frames_at_their_times(source: Path, exported: Path) 
 def test_v21_has_a_file_per_episode(source: Path, tmp_path: Path) -> None:
     export(source, tmp_path / "set", "2.1")
     info = json.loads((tmp_path / "set/meta/info.json").read_text())
-    assert (info["codebase_version"], info["total_chunks"], info["total_videos"]) == ("v2.1", 1, 5)
+    assert (info["codebase_version"], info["total_chunks"], info["total_videos"]) == (
+        "v2.1",
+        1,
+        5,
+    )
     first = 0
     for number, episode in enumerate(episodes(source)):
         place = {"episode_chunk": 0, "episode_index": number, "video_key": RGB}
@@ -180,7 +208,9 @@ def test_choice_filter_and_bad_input(source: Path, tmp_path: Path) -> None:
         where=Filter("subtask == 'pick'"),
         choice=Choice(rgb=False, depth=False),
     )
-    assert (done.episodes, done.images) == (2, ()) and not (tmp_path / "a/videos").exists()
+    assert (done.episodes, done.images) == (2, ()) and not (
+        tmp_path / "a/videos"
+    ).exists()
     assert json.loads((tmp_path / "a/meta/info.json").read_text())["video_path"] is None
     with pytest.raises(UsageError, match=r"exists already.*--overwrite"):
         export(source, tmp_path / "a")
@@ -197,19 +227,27 @@ def test_choice_filter_and_bad_input(source: Path, tmp_path: Path) -> None:
 
 def test_an_export_appears_whole_or_not_at_all(source: Path, tmp_path: Path) -> None:
     (tmp_path / ".set.part").mkdir()
-    (tmp_path / ".set.part/left").write_text("by a process that was killed before it had begun")
+    (tmp_path / ".set.part/left").write_text(
+        "by a process that was killed before it had begun"
+    )
     export(source, tmp_path / "set", choice=Choice(rgb=False))
     assert not (tmp_path / "set/left").exists()
-    export(source, tmp_path / "set", choice=Choice(rgb=False, depth=False), overwrite=True)
+    export(
+        source, tmp_path / "set", choice=Choice(rgb=False, depth=False), overwrite=True
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
-    assert DEPTH not in json.loads((tmp_path / "set/meta/info.json").read_text())["features"]
+    assert (
+        DEPTH not in json.loads((tmp_path / "set/meta/info.json").read_text())["features"]
+    )
 
 
 def test_episodes_that_differ_are_refused(source: Path, tmp_path: Path) -> None:
     record(tmp_path / "plain.h5", [7], FakeEnv())
     with pytest.raises(UsageError, match=r"differs .* in observation.*--no-rgb"):
         to_lerobot(
-            [source, tmp_path / "plain.h5"], tmp_path / "set", FilmTools(FilmWriter, join_films)
+            [source, tmp_path / "plain.h5"],
+            tmp_path / "set",
+            FilmTools(FilmWriter, join_films),
         )
     assert not list(tmp_path.glob(".*")) and not (tmp_path / "set").exists()
 
@@ -222,7 +260,12 @@ NAMES = ["background", "floor", "wall", "fridge/top_door"]
 def test_segmentation_goes_along_with_its_names_and_the_pose_of_its_camera(
     version: str, tmp_path: Path
 ) -> None:
-    record(tmp_path / "a.h5", [1, 2], FakeEnv(images=True, segments=NAMES), images=ImageFormat())
+    record(
+        tmp_path / "a.h5",
+        [1, 2],
+        FakeEnv(images=True, segments=NAMES),
+        images=ImageFormat(),
+    )
     done = export(tmp_path / "a.h5", tmp_path / "set", version)
     assert set(done.images) == {RGB, DEPTH, SEG}
     features = json.loads((tmp_path / "set/meta/info.json").read_text())["features"]
@@ -242,22 +285,37 @@ def test_segmentation_goes_along_with_its_names_and_the_pose_of_its_camera(
         np.testing.assert_array_equal(seen, wanted)
         assert len(np.unique(seen)) == len(NAMES)
         poses = episode.array("obs/sensor_param/fetch_head/cam2world_gl")[:count]
-        np.testing.assert_array_equal(np.array(own["camera_pose.fetch_head"].to_pylist()), poses)
+        np.testing.assert_array_equal(
+            np.array(own["camera_pose.fetch_head"].to_pylist()), poses
+        )
     card = (tmp_path / "set/README.md").read_text()
-    assert all(words in card for words in ("w, x, y, z", "x right, y up", "meta/segments.json"))
+    assert all(
+        words in card for words in ("w, x, y, z", "x right, y up", "meta/segments.json")
+    )
     conventions = json.loads((tmp_path / "set/meta/conventions.json").read_text())
-    assert conventions == CONVENTIONS and all(f"- {t}: " in card for t in ("camera", "mount"))
+    assert conventions == CONVENTIONS and all(
+        f"- {t}: " in card for t in ("camera", "mount")
+    )
 
 
 def test_segmentation_is_left_out_on_demand(tmp_path: Path) -> None:
-    record(tmp_path / "a.h5", [1], FakeEnv(images=True, segments=NAMES), images=ImageFormat())
+    record(
+        tmp_path / "a.h5", [1], FakeEnv(images=True, segments=NAMES), images=ImageFormat()
+    )
     done = export(tmp_path / "a.h5", tmp_path / "set", choice=Choice(seg=False))
-    assert set(done.images) == {RGB, DEPTH} and not (tmp_path / "set/meta/segments.json").exists()
+    assert (
+        set(done.images) == {RGB, DEPTH}
+        and not (tmp_path / "set/meta/segments.json").exists()
+    )
 
 
 @pytest.mark.parametrize(
     ("segments", "seg", "written"),
-    [(NAMES, True, {"cameras", "segments"}), (NAMES, False, {"cameras"}), ((), True, set())],
+    [
+        (NAMES, True, {"cameras", "segments"}),
+        (NAMES, False, {"cameras"}),
+        ((), True, set()),
+    ],
 )
 def test_the_card_names_the_files_that_are_there(
     segments: Sequence[str], seg: bool, written: set[str], tmp_path: Path
@@ -288,7 +346,9 @@ def test_ids_that_mean_other_things_are_refused(tmp_path: Path) -> None:
         export(tmp_path, tmp_path / "out/set")
 
 
-def test_pixels_of_the_floor_lie_on_the_floor_by_what_the_export_says(tmp_path: Path) -> None:
+def test_pixels_of_the_floor_lie_on_the_floor_by_what_the_export_says(
+    tmp_path: Path,
+) -> None:
     env = mjhab.make(
         task="set_table",
         subtask="pick",
@@ -318,7 +378,9 @@ def test_pixels_of_the_floor_lie_on_the_floor_by_what_the_export_says(tmp_path: 
     np.testing.assert_allclose(world[2], 0.0, atol=0.005)
     # The camera looks along its -z axis, which is the x axis of the link that carries it.
     np.testing.assert_allclose(
-        quat_rotate(np.array(camera["quat"]), np.array([0.0, 0.0, -1.0])), [1, 0, 0], atol=1e-9
+        quat_rotate(np.array(camera["quat"]), np.array([0.0, 0.0, -1.0])),
+        [1, 0, 0],
+        atol=1e-9,
     )
 
 
@@ -330,15 +392,21 @@ def test_statistics_of_parts_are_those_of_the_whole() -> None:
     for name in ("min", "max", "mean", "std", "count"):
         np.testing.assert_allclose(parts[name], whole[name])
     image = image_stats(np.full((4, 5, 6, 3), [0, 51, 255], np.uint8))
-    assert image["mean"].shape == (3, 1, 1) and image["mean"].ravel().tolist() == pytest.approx(
-        [0.0, 0.2, 1.0]
-    )
+    assert image["mean"].shape == (3, 1, 1) and image[
+        "mean"
+    ].ravel().tolist() == pytest.approx([0.0, 0.2, 1.0])
     assert image["count"].tolist() == [4]
 
 
 def test_words_and_names() -> None:
     names = state_names(
-        {"agent/qpos": 12, "extra/tcp_pose_wrt_base": 7, "extra/is_grasped": 1, "other/new": 2}, {}
+        {
+            "agent/qpos": 12,
+            "extra/tcp_pose_wrt_base": 7,
+            "extra/is_grasped": 1,
+            "other/new": 2,
+        },
+        {},
     )
     assert len(names) == len(set(names)) == 22
     assert (

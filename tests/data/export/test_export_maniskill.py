@@ -24,7 +24,10 @@ from tests.data.make import record
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
     record(
-        folder / "picks.h5", range(3), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+        folder / "picks.h5",
+        range(3),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
     )
     record(folder / "opens.h5", range(2), FakeEnv(subtask="open"))
     record(folder / "chains.h5", [0], FakeEnv())
@@ -34,9 +37,13 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def joined(group: Any, count: int) -> np.ndarray:
     """The state as mshab/train_bc.py joins it: members in the order in which HDF5 lists them."""
     parts = [
-        group["obs"][name][key][:count] for name in ("agent", "extra") for key in group["obs"][name]
+        group["obs"][name][key][:count]
+        for name in ("agent", "extra")
+        for key in group["obs"][name]
     ]
-    return np.concatenate([part[:, None] if part.ndim == 1 else part for part in parts], axis=1)
+    return np.concatenate(
+        [part[:, None] if part.ndim == 1 else part for part in parts], axis=1
+    )
 
 
 def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
@@ -50,25 +57,42 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
     assert (done.episodes, done.without_depth) == (6, 3)
     said = json.loads((tmp_path / "out/set_table/pick/024_bowl.json").read_text())
     assert said["conventions"] == CONVENTIONS
-    assert said["source_type"] == "mjhab" and said["env_info"]["env_id"] == "PickSubtaskTrain-v0"
+    assert (
+        said["source_type"] == "mjhab"
+        and said["env_info"]["env_id"] == "PickSubtaskTrain-v0"
+    )
     with h5py.File(tmp_path / "out/set_table/pick/024_bowl.h5") as file:
-        assert sorted(file) == ["traj_0", "traj_1", "traj_2"] and len(said["episodes"]) == 3
+        assert (
+            sorted(file) == ["traj_0", "traj_1", "traj_2"] and len(said["episodes"]) == 3
+        )
         for number, episode in enumerate(episodes(source / "picks.h5")):
             check(file[f"traj_{number}"], episode, number, said["episodes"][number])
 
 
-def check(group: Any, episode: RecordedEpisode, number: int, info: dict[str, Any]) -> None:
+def check(
+    group: Any, episode: RecordedEpisode, number: int, info: dict[str, Any]
+) -> None:
     count = episode.steps
     record_ = episode.record
     np.testing.assert_array_equal(group["actions"], episode.array("actions"))
     for name in ("terminated", "truncated", "success", "fail"):
         assert group[name].shape == (count,) and group[name].dtype == bool
     assert group["rewards"].dtype == np.float32
-    assert bool(group["terminated"][-1]) == episode.terminated != bool(group["truncated"][-1])
+    assert (
+        bool(group["terminated"][-1])
+        == episode.terminated
+        != bool(group["truncated"][-1])
+    )
     np.testing.assert_allclose(joined(group, count + 1), episode.array("obs/state"))
     images = group["obs/sensor_data/fetch_head"]
-    assert images["rgb"].shape == (count + 1, SIZE, SIZE, 3) and images["rgb"].compression_opts == 5
-    assert images["depth"].shape == (count + 1, SIZE, SIZE, 1) and images["depth"].dtype == np.int16
+    assert (
+        images["rgb"].shape == (count + 1, SIZE, SIZE, 3)
+        and images["rgb"].compression_opts == 5
+    )
+    assert (
+        images["depth"].shape == (count + 1, SIZE, SIZE, 1)
+        and images["depth"].dtype == np.int16
+    )
     np.testing.assert_array_equal(
         images["depth"][count], episode.frame("fetch_head", "depth", count)
     )
@@ -105,7 +129,9 @@ def test_groups_keep_the_order_of_the_state(source: Path, tmp_path: Path) -> Non
         obs = plain(*args)
         grasped = obs.pop("extra/is_grasped")
         obs.pop("state")
-        obs["extra/tcp_pose_wrt_base"] = np.tile(np.arange(7, dtype=np.float32), (len(grasped), 1))
+        obs["extra/tcp_pose_wrt_base"] = np.tile(
+            np.arange(7, dtype=np.float32), (len(grasped), 1)
+        )
         obs["extra/goal_pos_wrt_base"] = np.zeros((len(grasped), 3), np.float32)
         obs["extra/is_grasped"] = grasped
         obs["state"] = np.concatenate(list(obs.values()), axis=1)

@@ -70,7 +70,9 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def whole(source: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[Any, dict[str, bytes]]:
+def whole(
+    source: Path, tmp_path_factory: pytest.TempPathFactory
+) -> dict[Any, dict[str, bytes]]:
     """What exports hold that nothing has stopped."""
     folder = tmp_path_factory.mktemp("whole")
     found = {}
@@ -93,7 +95,11 @@ def stop_after(episodes: int) -> Callable[[int], Callable[[], object]]:
 
 @pytest.mark.parametrize("done", [1, 3, EPISODES])
 def test_it_goes_on_where_it_was_stopped(
-    source: Path, tmp_path: Path, export: Export, whole: dict[Any, dict[str, bytes]], done: int
+    source: Path,
+    tmp_path: Path,
+    export: Export,
+    whole: dict[Any, dict[str, bytes]],
+    done: int,
 ) -> None:
     with pytest.raises(KeyboardInterrupt):
         export(source, tmp_path / "set", begin=stop_after(done))
@@ -155,7 +161,9 @@ WAYS[sys.argv[1]](Path(sys.argv[2]), Path(sys.argv[3]), begin=lambda total: afte
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_kill(source: Path, tmp_path: Path, whole: dict[Any, dict[str, bytes]], way: str) -> None:
+def test_a_kill(
+    source: Path, tmp_path: Path, whole: dict[Any, dict[str, bytes]], way: str
+) -> None:
     command = [sys.executable, "-c", SCRIPT, way, str(source), str(tmp_path / "set")]
     root = Path(__file__).parents[3]
     env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
@@ -216,7 +224,11 @@ def test_what_was_begun_is_not_mixed_with_something_else(
 
 @pytest.mark.parametrize("out", [".", "..", "/", "sub/.."])
 def test_a_place_without_a_name_is_refused(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, export: Export, out: str
+    source: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    export: Export,
+    out: str,
 ) -> None:
     (tmp_path / "sub").mkdir()
     monkeypatch.chdir(tmp_path / "sub")
@@ -225,7 +237,9 @@ def test_a_place_without_a_name_is_refused(
     assert [path.name for path in tmp_path.rglob("*")] == ["sub"]
 
 
-def test_options_of_films_and_images_must_be_the_same(source: Path, tmp_path: Path) -> None:
+def test_options_of_films_and_images_must_be_the_same(
+    source: Path, tmp_path: Path
+) -> None:
     with pytest.raises(KeyboardInterrupt):
         lerobot(source, tmp_path / "set", settings={"quality": 18}, begin=stop_after(1))
     with pytest.raises(

@@ -57,7 +57,9 @@ def original(
         for number in range(count):
             trajectory = file.create_group(f"traj_{number}", track_order=True)
             obs = trajectory.create_group("obs", track_order=True)
-            agent, extra = (obs.create_group(part, track_order=True) for part in ("agent", "extra"))
+            agent, extra = (
+                obs.create_group(part, track_order=True) for part in ("agent", "extra")
+            )
             for key, width in (("qpos", 12), ("qvel", 12)):
                 agent[key] = rng.normal(size=(STEPS + 1, width)).astype(np.float32)
             for key, width in (
@@ -178,7 +180,10 @@ def test_an_export_comes_back(tmp_path: Path) -> None:
             assert getattr(now, name) == getattr(was, name), name
         for name in ("kind", "target", "label", "legacy_label", "start_step", "end_step"):
             assert getattr(now.subtasks[0], name) == getattr(was.subtasks[0], name), name
-        assert new.run.config["policy"] == {"name": "random"} and tuple(new.run.absent) == ABSENT
+        assert (
+            new.run.config["policy"] == {"name": "random"}
+            and tuple(new.run.absent) == ABSENT
+        )
 
 
 def test_which_object_a_subtask_observes() -> None:
@@ -240,9 +245,18 @@ def test_a_file_of_the_original(tmp_path: Path) -> None:
             poses = [np.array(extra[f"{name}_pose_wrt_base"]) for name in ("tcp", "obj")]
             for pose in poses:
                 pose[pose[:, 3] < 0, 3:] *= -1
-            parts = [obs["agent/qpos"], obs["agent/qvel"], *poses, extra["goal_pos_wrt_base"]]
-            state = np.concatenate([*parts, np.array(extra["is_grasped"])[:, None]], axis=1)
-            np.testing.assert_array_equal(episode.array("obs/state"), state.astype(np.float32))
+            parts = [
+                obs["agent/qpos"],
+                obs["agent/qvel"],
+                *poses,
+                extra["goal_pos_wrt_base"],
+            ]
+            state = np.concatenate(
+                [*parts, np.array(extra["is_grasped"])[:, None]], axis=1
+            )
+            np.testing.assert_array_equal(
+                episode.array("obs/state"), state.astype(np.float32)
+            )
             assert (episode.observation("extra/obj_pose_wrt_base")[:, 3] >= 0).all()
             depth = np.array(obs["sensor_data/fetch_hand/depth"])
             np.testing.assert_array_equal(
@@ -256,18 +270,25 @@ def test_a_file_of_the_original(tmp_path: Path) -> None:
                 "train",
             )
             assert (
-                told.subtasks[0].label == told.subtasks[0].legacy_label == "straightforward_success"
+                told.subtasks[0].label
+                == told.subtasks[0].legacy_label
+                == "straightforward_success"
             )
             assert told.events == ((2, "contact"), (3, "grasped"), (5, "success"))
-            assert told.force == (0.0, 12.34, 1500.0, 0.0, 0.0, 0.0) and told.peak_force == 1500.0
-            assert episode.attributes["ending"] == "timeout" and episode.run.config["policy"] == {
-                "name": "ms_hab rl"
-            }
+            assert (
+                told.force == (0.0, 12.34, 1500.0, 0.0, 0.0, 0.0)
+                and told.peak_force == 1500.0
+            )
+            assert episode.attributes["ending"] == "timeout" and episode.run.config[
+                "policy"
+            ] == {"name": "ms_hab rl"}
             with pytest.raises(
                 UsageError, match=r"without states/qpos. Its source lacks states/initial"
             ):
                 episode.array("states/qpos")
-            with pytest.raises(UsageError, match="imported from data without states/initial"):
+            with pytest.raises(
+                UsageError, match="imported from data without states/initial"
+            ):
                 episode.initial()
 
 
@@ -316,7 +337,9 @@ def test_what_needs_states_or_signals_says_so(
     def never(run: Any) -> Any:
         raise AssertionError
 
-    with pytest.raises(UsageError, match=r"imported from data without states.*policy == 'expert'"):
+    with pytest.raises(
+        UsageError, match=r"imported from data without states.*policy == 'expert'"
+    ):
         verify(shards, never)
     record(shards / "ours.h5", range(2), FakeEnv(subtask="pick"))
     assert main(["label", str(shards), "--json"]) == 0
@@ -324,7 +347,8 @@ def test_what_needs_states_or_signals_says_so(
     assert (told["episodes"], told["changed"], told["without_signals"]) == (2, 0, 3)
     for episode in episodes(shards / "set_table"):
         with pytest.raises(
-            UsageError, match=r"It was imported from data without states to draw them from"
+            UsageError,
+            match=r"It was imported from data without states to draw them from",
         ):
             episode.frame("fetch_head", "seg", 0)
 
@@ -332,7 +356,11 @@ def test_what_needs_states_or_signals_says_so(
 def test_the_run_of_an_import_is_that_of_the_source(tmp_path: Path) -> None:
     path = original(tmp_path, 1)
     env = mjhab.make(
-        task="set_table", subtask="pick", target="024_bowl", profile="ms_hab", obs_mode="state"
+        task="set_table",
+        subtask="pick",
+        target="024_bowl",
+        profile="ms_hab",
+        obs_mode="state",
     )
     assert tuple(entry.name for entry in env.action_table) == ACTIONS
     told = dataclasses.asdict(env.config)
@@ -340,12 +368,16 @@ def test_the_run_of_an_import_is_that_of_the_source(tmp_path: Path) -> None:
     import_ms_hab(path, tmp_path / "shards")
     run = next(episodes(tmp_path / "shards")).run
     for name, value in run.config["env"].items():
-        assert value == (list(told[name]) if isinstance(told[name], tuple) else told[name]), name
+        assert value == (
+            list(told[name]) if isinstance(told[name], tuple) else told[name]
+        ), name
     assert set(run.config["env"]) > {"robot", "base", "stationary", "profile"}
     with h5py.File(path, "r+") as file:
         del file["traj_0/actions"]
         file["traj_0/actions"] = np.zeros((STEPS, 11), np.float32)
-    with pytest.raises(UsageError, match=r"actions of 11 numbers; pd_joint_delta_pos has 13"):
+    with pytest.raises(
+        UsageError, match=r"actions of 11 numbers; pd_joint_delta_pos has 13"
+    ):
         import_ms_hab(path, tmp_path / "other")
 
 
@@ -417,7 +449,9 @@ def test_bad_files(tmp_path: Path) -> None:
         good.replace(f'"elapsed_steps": {STEPS}', '"elapsed_steps": 9')
     )
     refused(f"traj_0 has {STEPS} actions, and the JSON says 9 steps")
-    path.with_suffix(".json").write_text(good.replace('"episode_id": 0', '"episode_id": 4'))
+    path.with_suffix(".json").write_text(
+        good.replace('"episode_id": 0', '"episode_id": 4')
+    )
     refused("has no traj_4")
     path.with_suffix(".json").write_text(good)
     with h5py.File(path, "r+") as file:

@@ -29,7 +29,9 @@ KEEP = "label != 'cant_close_failure' and steps > 6"
 
 def build(worlds: int = 2, subtask: str = "") -> Stage:
     """A stage without physics."""
-    return Stage(cast("Any", FakeEnv(worlds, subtask)), RandomPolicy(0), {"name": "random"})
+    return Stage(
+        cast("Any", FakeEnv(worlds, subtask)), RandomPolicy(0), {"name": "random"}
+    )
 
 
 def job(out: Path, keep: str = "", worlds: int = 2, **options: Any) -> Job:
@@ -43,7 +45,8 @@ def job(out: Path, keep: str = "", worlds: int = 2, **options: Any) -> Job:
 def kept(place: Path) -> dict[int, str]:
     """Index and digest of the episodes in a folder, each of which is there once."""
     found = [
-        (episode.record.index, str(episode.attributes["digest"])) for episode in episodes(place)
+        (episode.record.index, str(episode.attributes["digest"]))
+        for episode in episodes(place)
     ]
     assert len(dict(found)) == len(found)
     return dict(sorted(found))

@@ -25,14 +25,18 @@ def workers(crew: Any) -> list[int]:
     found = []
     for actor in list(crew._actors.values()):
         try:
-            found.append(ray.get(actor.__ray_call__.remote(lambda _: os.getpid()), timeout=60))
+            found.append(
+                ray.get(actor.__ray_call__.remote(lambda _: os.getpid()), timeout=60)
+            )
         except ray.exceptions.RayError:
             continue
     return found
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_worker_killed_in_the_middle_loses_and_doubles_nothing(tmp_path: Path, seed: int) -> None:
+def test_a_worker_killed_in_the_middle_loses_and_doubles_nothing(
+    tmp_path: Path, seed: int
+) -> None:
     generate(job(tmp_path / "reference", KEEP, worlds=1, per_target=25), InlineCrew())
     dice = random.Random(seed)
     killed = list[int]()
@@ -41,7 +45,9 @@ def test_a_worker_killed_in_the_middle_loses_and_doubles_nothing(tmp_path: Path,
 
     def kill(now: Standing) -> None:
         if len(killed) < 2 and now.written >= 5 * (1 + len(killed)):
-            killed.append(dice.choice([pid for pid in workers(crew) if pid not in killed]))
+            killed.append(
+                dice.choice([pid for pid in workers(crew) if pid not in killed])
+            )
             os.kill(killed[-1], signal.SIGKILL)
 
     done = generate(job(out, KEEP, per_target=25, workers=2), crew, kill)
@@ -53,10 +59,17 @@ def test_a_run_stops_in_the_middle_of_an_episode(tmp_path: Path) -> None:
     told: list[Standing] = []
     crew: Any = RayCrew(LOCAL)
     done = generate(
-        job(tmp_path, episodes=100_000, workers=2), crew, told.append, lambda: len(told) > 5
+        job(tmp_path, episodes=100_000, workers=2),
+        crew,
+        told.append,
+        lambda: len(told) > 5,
     )
     begun = time.monotonic()
-    assert not done.complete and len(kept(tmp_path)) == done.kept >= 3 and check(tmp_path).clean
+    assert (
+        not done.complete
+        and len(kept(tmp_path)) == done.kept >= 3
+        and check(tmp_path).clean
+    )
     again = generate(job(tmp_path, episodes=done.kept + 5), RayCrew(LOCAL), resume=True)
     assert (
         again.complete

@@ -30,17 +30,29 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     """What one worker with one world keeps."""
     out = tmp_path_factory.mktemp("reference") / "set"
     done = generate(job(out, KEEP, worlds=1, per_target=COUNT, chunk=1), InlineCrew())
-    assert done.complete and (done.written, done.kept, done.wanted) == (COUNT, COUNT, COUNT)
-    assert done.tried > COUNT and done.passed >= COUNT and sum(done.labels.values()) == COUNT
+    assert done.complete and (done.written, done.kept, done.wanted) == (
+        COUNT,
+        COUNT,
+        COUNT,
+    )
+    assert (
+        done.tried > COUNT and done.passed >= COUNT and sum(done.labels.values()) == COUNT
+    )
     assert done.bytes == sum(path.stat().st_size for path in out.glob("*.h5"))
     return kept(out)
 
 
 @pytest.mark.parametrize(
-    ("workers", "worlds", "chunk", "deaths"), [(2, 2, 3, 0.0), (5, 1, 2, 0.0), (3, 2, 4, 0.2)]
+    ("workers", "worlds", "chunk", "deaths"),
+    [(2, 2, 3, 0.0), (5, 1, 2, 0.0), (3, 2, 4, 0.2)],
 )
 def test_workers_and_deaths_do_not_change_the_set(
-    tmp_path: Path, reference: dict[int, str], workers: int, worlds: int, chunk: int, deaths: float
+    tmp_path: Path,
+    reference: dict[int, str],
+    workers: int,
+    worlds: int,
+    chunk: int,
+    deaths: float,
 ) -> None:
     crew = InlineCrew(seed=workers, deaths=deaths)
     done = generate(
@@ -62,13 +74,17 @@ def test_failures_are_kept_without_a_filter(tmp_path: Path) -> None:
 
 
 def test_quotas_of_labels(tmp_path: Path) -> None:
-    done = generate(job(tmp_path / "three", episodes=45, per_label=2, workers=3), InlineCrew(1))
+    done = generate(
+        job(tmp_path / "three", episodes=45, per_label=2, workers=3), InlineCrew(1)
+    )
     assert done.complete and max(done.labels.values()) == 2 and len(done.labels) > 3
     generate(job(tmp_path / "one", episodes=45, per_label=2), InlineCrew(2))
     assert kept(tmp_path / "one") == kept(tmp_path / "three")
 
 
-def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path, reference: dict[int, str]) -> None:
+def test_a_stopped_run_goes_on_where_it_was(
+    tmp_path: Path, reference: dict[int, str]
+) -> None:
     work = job(tmp_path, KEEP, per_target=COUNT, workers=2)
     first = generate(work, InlineCrew(3), stopped=after(12))
     assert not first.complete and 0 < first.kept < COUNT
@@ -90,7 +106,10 @@ def test_a_raised_quota_gives_the_set_of_the_larger_one(
     assert len(kept(tmp_path)) == 10
     told: list[Standing] = []
     generate(
-        job(tmp_path, KEEP, per_target=COUNT, workers=1), InlineCrew(2), told.append, resume=True
+        job(tmp_path, KEEP, per_target=COUNT, workers=1),
+        InlineCrew(2),
+        told.append,
+        resume=True,
     )
     assert kept(tmp_path) == reference
     assert [s.kept for s in told] == sorted(s.kept for s in told) and told[
@@ -108,14 +127,22 @@ def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) ->
     # Half a line, as a kill in the middle of writing it leaves.
     (tmp_path / TRIED).write_text("\n".join(lines)[:-5])
     again = generate(
-        job(tmp_path, "steps > 10000", episodes=12, per_target=3), InlineCrew(), resume=True
+        job(tmp_path, "steps > 10000", episodes=12, per_target=3),
+        InlineCrew(),
+        resume=True,
     )
     assert again.tried == 12 and len((tmp_path / TRIED).read_text().splitlines()) == 12
 
 
 @pytest.mark.parametrize(
     "line",
-    ["null", "[]", "{}", '{"index":"1","target":"all","label":"","passes":true}', "9" * 5000],
+    [
+        "null",
+        "[]",
+        "{}",
+        '{"index":"1","target":"all","label":"","passes":true}',
+        "9" * 5000,
+    ],
 )
 def test_tried_episodes_that_are_none_are_refused(tmp_path: Path, line: str) -> None:
     generate(job(tmp_path, "steps > 10000", episodes=2), InlineCrew())
@@ -134,7 +161,9 @@ def test_processes_killed_at_random_lose_and_double_nothing(
     def kill(now: Standing) -> None:
         if len(killed) < 2 and now.written >= 4 * (1 + len(killed)):
             time.sleep(0.05 * dice.random())
-            killed.append(dice.choice([pid for pid in crew.pids.values() if pid not in killed]))
+            killed.append(
+                dice.choice([pid for pid in crew.pids.values() if pid not in killed])
+            )
             os.kill(killed[-1], signal.SIGKILL)
 
     done = generate(job(tmp_path, KEEP, per_target=COUNT, workers=2), crew, kill)
@@ -147,9 +176,17 @@ def test_processes_stop_in_the_middle_of_an_episode(tmp_path: Path) -> None:
     begun = time.monotonic()
     told: list[Standing] = []
     done = generate(
-        job(tmp_path, episodes=100_000, workers=1), crew, told.append, lambda: len(told) > 5
+        job(tmp_path, episodes=100_000, workers=1),
+        crew,
+        told.append,
+        lambda: len(told) > 5,
     )
-    assert not done.complete and done.kept >= 3 and not crew.pids and time.monotonic() - begun < 20
+    assert (
+        not done.complete
+        and done.kept >= 3
+        and not crew.pids
+        and time.monotonic() - begun < 20
+    )
     assert check(tmp_path).clean and len(kept(tmp_path)) == done.kept
 
 
@@ -170,11 +207,14 @@ def test_a_full_disk_stops_and_can_be_resumed(
         patch.setattr(ShardWriter, "_change", change)
         crew = InlineCrew()
         with pytest.raises(
-            StorageError, match=r"the disk is full.*Continue with `mjhab generate --resume`"
+            StorageError,
+            match=r"the disk is full.*Continue with `mjhab generate --resume`",
         ):
             generate(work, crew)
         assert crew.stopped and len(kept(tmp_path)) == 8
-    assert generate(work, InlineCrew(), resume=True).complete and kept(tmp_path) == reference
+    assert (
+        generate(work, InlineCrew(), resume=True).complete and kept(tmp_path) == reference
+    )
 
 
 def test_the_disk_of_the_list_of_tries_is_full(
@@ -190,7 +230,9 @@ def test_the_disk_of_the_list_of_tries_is_full(
 
 def test_a_worker_that_always_dies_or_fails_is_given_up(tmp_path: Path) -> None:
     with pytest.raises(MjhabError, match="died 3 times"):
-        generate(job(tmp_path / "a", "steps > 10000", episodes=10), InlineCrew(deaths=1.0))
+        generate(
+            job(tmp_path / "a", "steps > 10000", episodes=10), InlineCrew(deaths=1.0)
+        )
     with (
         pytest.raises(UsageError, match="is being written"),
         ShardWriter(tmp_path / "b" / "shard_000.h5") as writer,
@@ -219,9 +261,14 @@ def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
     work = job(tmp_path / "a", episodes=5)
     with pytest.raises(UsageError, match="is being written"):
         generate(
-            work, InlineCrew(), lambda _: generate(work, InlineCrew(), resume=True), resume=True
+            work,
+            InlineCrew(),
+            lambda _: generate(work, InlineCrew(), resume=True),
+            resume=True,
         )
-    other = replace(work, spec=replace(work.spec, build=functools.partial(build, 2, "pick")))
+    other = replace(
+        work, spec=replace(work.spec, build=functools.partial(build, 2, "pick"))
+    )
     with pytest.raises(UsageError, match="another configuration"):
         generate(other, InlineCrew(), resume=True)
     assert generate(work, InlineCrew(), resume=True).kept == 5

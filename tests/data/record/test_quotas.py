@@ -24,7 +24,9 @@ def drawn(seed: int, count: int, chance: float) -> list[Outcome]:
     ]
 
 
-def one_after_another(outcomes: list[Outcome], per_target: int, per_label: int) -> list[int]:
+def one_after_another(
+    outcomes: list[Outcome], per_target: int, per_label: int
+) -> list[int]:
     """The rule itself."""
     count: Counter[tuple[str, str]] = Counter()
     kept = []
@@ -59,7 +61,11 @@ def test_the_set_is_that_of_one_worker(
     kept = set[int]()
     following = 0
     while True:
-        while len(open_now) < workers * chunk and following < len(outcomes) and not quotas.full:
+        while (
+            len(open_now) < workers * chunk
+            and following < len(outcomes)
+            and not quotas.full
+        ):
             indices = range(following, min(following + chunk, len(outcomes)))
             sure = quotas.surety(indices[-1])
             open_now += [(index, sure) for index in indices]
@@ -90,7 +96,9 @@ def test_what_is_far_from_the_quota_is_certain_at_once() -> None:
         quotas.report(Outcome(index, "bowl", "good", index % 2 == 0))
     assert quotas.decide() == {0: True, 2: True, 4: True} and not quotas.full
     assert (
-        quotas.surety(11)("bowl") and not quotas.surety(12)("bowl") and quotas.surety(12)("apple")
+        quotas.surety(11)("bowl")
+        and not quotas.surety(12)("bowl")
+        and quotas.surety(12)("apple")
     )
     assert Quotas(()).surety(10**6)("anything")
 
@@ -100,7 +108,11 @@ def test_an_open_lower_index_delays_the_decision() -> None:
     quotas.report(Outcome(1, "bowl", "good", True))
     assert quotas.decide() == {}
     quotas.report(Outcome(0, "bowl", "good", True))
-    assert quotas.decide() == {0: True, 1: False} and quotas.full and quotas.labels == {"good": 1}
+    assert (
+        quotas.decide() == {0: True, 1: False}
+        and quotas.full
+        and quotas.labels == {"good": 1}
+    )
 
 
 def test_negative_quotas_are_refused() -> None:

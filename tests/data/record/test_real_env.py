@@ -33,7 +33,9 @@ class Digests(Sink):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path, list[Any], list[str]]:
+def recorded(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Any, Path, list[Any], list[str]]:
     env = make(
         task="set_table",
         subtask="pick",
@@ -72,11 +74,16 @@ def test_stored_states_are_those_of_the_simulator(recorded: Any) -> None:
         np.testing.assert_allclose(
             episode.observation("agent/qpos"), qpos[:, joints][:, 3:], atol=1e-6
         )
-        assert episode.run.config["env"]["subtask"] == "pick" and episode.run.licence.startswith(
-            "Apache-2.0"
+        assert episode.run.config["env"][
+            "subtask"
+        ] == "pick" and episode.run.licence.startswith("Apache-2.0")
+        assert (
+            len(str(episode.attributes["model"])) == 16
+            and episode.attributes["ending"] == "cut"
         )
-        assert len(str(episode.attributes["model"])) == 16 and episode.attributes["ending"] == "cut"
-        assert len(episode.run.layout["actions"]) == episode.array("actions").shape[1] == 13
+        assert (
+            len(episode.run.layout["actions"]) == episode.array("actions").shape[1] == 13
+        )
 
 
 def test_images_rewards_and_labels(recorded: Any) -> None:
@@ -89,14 +96,20 @@ def test_images_rewards_and_labels(recorded: Any) -> None:
         last = env.observer.observe(env.state, env.focus, env.signals, env.homes)
         for camera, output in episode.images:
             frame = episode.frame(camera, output, episode.steps)
-            np.testing.assert_array_equal(frame, last[f"sensor_data/{camera}/{output}"][0])
+            np.testing.assert_array_equal(
+                frame, last[f"sensor_data/{camera}/{output}"][0]
+            )
         terms = episode.table("reward/terms")
         assert terms
-        np.testing.assert_allclose(sum(terms.values()), episode.array("reward/total"), atol=1e-9)
+        np.testing.assert_allclose(
+            sum(terms.values()), episode.array("reward/total"), atol=1e-9
+        )
         assert relabel(episode) == (episode.record, [])
 
 
-def test_the_first_state_and_the_actions_give_every_state_bit_by_bit(recorded: Any) -> None:
+def test_the_first_state_and_the_actions_give_every_state_bit_by_bit(
+    recorded: Any,
+) -> None:
     env, path, _, _ = recorded
     with open_shard(path) as shard:
         episode = next(iter(shard))

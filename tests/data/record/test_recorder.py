@@ -43,8 +43,12 @@ class Witness(Sink):
         notes.setdefault("grasped", []).append(env.judged.is_grasped[w])
         notes.setdefault("force", []).append(env.judged.robot_force[w])
         if env.images:
-            notes.setdefault("depth", []).append(obs["sensor_data/fetch_head/depth"][w].copy())
-            notes.setdefault("rgb", []).append(obs["sensor_data/fetch_head/rgb"][w].copy())
+            notes.setdefault("depth", []).append(
+                obs["sensor_data/fetch_head/depth"][w].copy()
+            )
+            notes.setdefault("rgb", []).append(
+                obs["sensor_data/fetch_head/rgb"][w].copy()
+            )
 
     def on_reset(self, env: Any, info: Any, mask: np.ndarray) -> None:
         for w in np.flatnonzero(mask).tolist():
@@ -69,7 +73,10 @@ def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
     with open_shard(path) as shard:
         assert len(shard) == 7
         for episode, expected in zip(shard, records, strict=True):
-            seen = {name: np.array(rows) for name, rows in witness.rows[expected.index].items()}
+            seen = {
+                name: np.array(rows)
+                for name, rows in witness.rows[expected.index].items()
+            }
             assert episode.record == expected and episode.steps == expected.steps == len(
                 seen["actions"]
             )
@@ -78,7 +85,9 @@ def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
             np.testing.assert_array_equal(episode.array("states/qpos"), seen["qpos"])
             assert len(seen["qpos"]) == expected.steps + 1
             np.testing.assert_array_equal(episode.observation("state"), seen["state"])
-            np.testing.assert_array_equal(episode.observation("agent/qpos"), seen["state"][:, :4])
+            np.testing.assert_array_equal(
+                episode.observation("agent/qpos"), seen["state"][:, :4]
+            )
             np.testing.assert_array_equal(
                 episode.table("signals/checks")["is_grasped"], seen["grasped"]
             )
@@ -88,7 +97,9 @@ def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
             np.testing.assert_array_equal(
                 episode.observation("sensor_data/fetch_head/depth"), seen["depth"]
             )
-            np.testing.assert_array_equal(episode.frame("fetch_head", "rgb", 1), seen["rgb"][1])
+            np.testing.assert_array_equal(
+                episode.frame("fetch_head", "rgb", 1), seen["rgb"][1]
+            )
             assert episode.table("reward/terms")["reach"].tolist() == list(
                 range(1, expected.steps + 1)
             )
@@ -97,15 +108,22 @@ def test_everything_is_stored_as_it_was(tmp_path: Path) -> None:
                 3,
                 3,
             )
-            np.testing.assert_array_equal(episode.initial()["sim"]["qpos"], seen["qpos"][0])
+            np.testing.assert_array_equal(
+                episode.initial()["sim"]["qpos"], seen["qpos"][0]
+            )
 
 
 def test_worlds_do_not_change_a_byte_of_an_episode(tmp_path: Path) -> None:
     for worlds in (1, 4):
         record(
-            tmp_path / f"{worlds}.h5", range(6), FakeEnv(worlds, images=True), images=ImageFormat()
+            tmp_path / f"{worlds}.h5",
+            range(6),
+            FakeEnv(worlds, images=True),
+            images=ImageFormat(),
         )
-    one, four = ([(e.name, e.attributes) for e in episodes(tmp_path / f"{n}.h5")] for n in (1, 4))
+    one, four = (
+        [(e.name, e.attributes) for e in episodes(tmp_path / f"{n}.h5")] for n in (1, 4)
+    )
     assert one == four
 
 
@@ -114,7 +132,9 @@ def test_subtasks_begin_where_the_record_says(tmp_path: Path) -> None:
     assert max(len(r.subtasks) for r in records) > 2
     for episode, expected in zip(episodes(tmp_path / "a.h5"), records, strict=True):
         starts = episode.array("subtasks/step").tolist()
-        assert starts[: len(expected.subtasks)] == [entry.start_step for entry in expected.subtasks]
+        assert starts[: len(expected.subtasks)] == [
+            entry.start_step for entry in expected.subtasks
+        ]
         assert episode.array("subtasks/index").tolist() == [
             entry.index for entry in expected.subtasks
         ]
@@ -140,7 +160,9 @@ def test_endings(tmp_path: Path, max_steps: int | None, endings: set[str]) -> No
         assert episode.terminated == (
             episode.attributes["ending"] in ("success", "force_exceeded", "place_broken")
         )
-        assert (episode.attributes["ending"] == "success") == (episode.record.success_at_end)
+        assert (episode.attributes["ending"] == "success") == (
+            episode.record.success_at_end
+        )
 
 
 def test_one_subtask_runs_to_its_horizon(tmp_path: Path) -> None:
@@ -162,11 +184,15 @@ def test_failures_are_kept_unless_told_otherwise(tmp_path: Path) -> None:
     assert recorder.seen == 12 and recorder.kept == sum(r.success_once for r in records)
 
 
-def test_without_states_nothing_can_be_rendered_and_the_message_says_so(tmp_path: Path) -> None:
+def test_without_states_nothing_can_be_rendered_and_the_message_says_so(
+    tmp_path: Path,
+) -> None:
     record(tmp_path / "a.h5", range(1), states=False)
     with open_shard(tmp_path / "a.h5") as shard:
         episode = next(iter(shard))
-        assert not episode_problems(episode) and episode.initial()["sim"]["qpos"].shape == (NQ,)
+        assert not episode_problems(episode) and episode.initial()["sim"][
+            "qpos"
+        ].shape == (NQ,)
         with pytest.raises(UsageError, match="recorded without states"):
             episode.array("states/qpos")
         with pytest.raises(
@@ -226,7 +252,9 @@ def test_plain_data_comes_back_as_it_was() -> None:
         a = value[path[0]][path[1]]
         b = back[path[0]][path[1]]
         assert a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-    assert back["small"].tobytes() == value["small"].tobytes() and back["mask"].dtype == bool
+    assert (
+        back["small"].tobytes() == value["small"].tobytes() and back["mask"].dtype == bool
+    )
     assert back["list"] == [1, "a", None] and back["flag"] is True and back["count"] == 3
     with pytest.raises(TypeError, match="cannot be kept"):
         to_bytes({"a": object()})
@@ -244,7 +272,9 @@ def test_provenance() -> None:
     assert "num_envs" not in run.config["env"]
     for view in ("obs_mode", "handle_points"):
         assert view in run.options and view not in run.config["env"]
-    assert run.layout["actions"][:2] == ["a0", "a1"] and run.layout["columns"]["robot_q"] == [
+    assert run.layout["actions"][:2] == ["a0", "a1"] and run.layout["columns"][
+        "robot_q"
+    ] == [
         0,
         1,
         2,
@@ -252,10 +282,15 @@ def test_provenance() -> None:
     again = describe_run(cast("Any", FakeEnv(1, "pick", images=True)), POLICY)
     assert again == run and again.id == run.id
     other = describe_run(
-        cast("Any", FakeEnv(3, "pick")), {"name": "random", "noise": 0.1}, licence="CC BY 4.0"
+        cast("Any", FakeEnv(3, "pick")),
+        {"name": "random", "noise": 0.1},
+        licence="CC BY 4.0",
     )
     assert other.config_id != run.config_id and other.licence == "CC BY 4.0"
-    a, b = (model_hash(FakeEnv(1).sim.model(home)) for home in ("builtin_m0_00", "builtin_m0_000"))
+    a, b = (
+        model_hash(FakeEnv(1).sim.model(home))
+        for home in ("builtin_m0_00", "builtin_m0_000")
+    )
     assert a != b and a == model_hash(FakeEnv(2).sim.model("builtin_m0_00"))
 
 

@@ -60,7 +60,9 @@ def given(env: Any) -> Callable[[RunInfo], Any]:
     return lambda run: env
 
 
-def changed(source: Path, out: Path, change: Callable[[dict[str, np.ndarray]], None]) -> Path:
+def changed(
+    source: Path, out: Path, change: Callable[[dict[str, np.ndarray]], None]
+) -> Path:
     """A shard whose episodes have other arrays, with digests that fit them."""
     with open_shard(source) as shard, ShardWriter(out) as writer:
         for episode in shard:
@@ -75,7 +77,11 @@ def altered(
     change(arrays)
     attributes = episode.attributes
     return EpisodeData(
-        episode.record, episode.run, str(attributes["model"]), str(attributes["ending"]), arrays
+        episode.record,
+        episode.run,
+        str(attributes["model"]),
+        str(attributes["ending"]),
+        arrays,
     )
 
 
@@ -85,7 +91,8 @@ def test_every_bit_comes_again_in_any_number_of_worlds(recorded: Path, env: Any)
     def one_world(run: RunInfo) -> Any:
         made.append(run)
         config = {
-            key: tuple(v) if isinstance(v, list) else v for key, v in run.config["env"].items()
+            key: tuple(v) if isinstance(v, list) else v
+            for key, v in run.config["env"].items()
         }
         return make(**config, num_envs=1, autoreset="disabled")
 
@@ -96,7 +103,9 @@ def test_every_bit_comes_again_in_any_number_of_worlds(recorded: Path, env: Any)
         assert not found.wrong and not found.unlike and not found.moved
     assert len(made) == 1 and len(told) == 6
     assert (
-        verify(recorded, given(env), Filter("index == 2 and (tainted or not tainted)")).episodes
+        verify(
+            recorded, given(env), Filter("index == 2 and (tainted or not tainted)")
+        ).episodes
         == 1
     )
 
@@ -129,11 +138,15 @@ def test_a_single_bit_is_seen(recorded: Path, env: Any, tmp_path: Path) -> None:
 
     found = verify(changed(recorded, tmp_path / "action.h5", action), given(env))
     assert (
-        found.exact == 0 and found.max_error > 1e-6 and "differs from state 2" in str(found.wrong)
+        found.exact == 0
+        and found.max_error > 1e-6
+        and "differs from state 2" in str(found.wrong)
     )
 
 
-def test_without_states_the_last_one_is_compared(recorded: Path, env: Any, tmp_path: Path) -> None:
+def test_without_states_the_last_one_is_compared(
+    recorded: Path, env: Any, tmp_path: Path
+) -> None:
     def stateless(arrays: dict[str, np.ndarray]) -> None:
         del arrays["states/qpos"], arrays["states/qvel"]
 
@@ -144,10 +157,16 @@ def test_without_states_the_last_one_is_compared(recorded: Path, env: Any, tmp_p
         stateless(arrays)
         arrays["actions"][1, 0] *= 0.5
 
-    found = verify(changed(recorded, tmp_path / "other.h5", and_another_action), given(env))
-    assert found.exact == 0 and set(found.wrong.values()) == {"the last state is another one"}
+    found = verify(
+        changed(recorded, tmp_path / "other.h5", and_another_action), given(env)
+    )
+    assert found.exact == 0 and set(found.wrong.values()) == {
+        "the last state is another one"
+    }
     with pytest.raises(UsageError, match="recorded without states"):
-        render(RenderRequest(path, tmp_path / "never.h5", PNG, ["fetch_head"]), given(env))
+        render(
+            RenderRequest(path, tmp_path / "never.h5", PNG, ["fetch_head"]), given(env)
+        )
 
 
 def test_another_start_is_replaced_by_the_recorded_one(
@@ -194,7 +213,9 @@ def resimulated(env: Any, episode: RecordedEpisode) -> EpisodeData:
 def test_another_model_is_named(recorded: Path, env: Any, tmp_path: Path) -> None:
     with open_shard(recorded) as shard, ShardWriter(tmp_path / "a.h5") as writer:
         episode = next(iter(shard))
-        writer.append(dataclasses.replace(altered(episode, lambda arrays: None), model="0" * 16))
+        writer.append(
+            dataclasses.replace(altered(episode, lambda arrays: None), model="0" * 16)
+        )
     found = verify(tmp_path / "a.h5", given(env))
     assert found.exact == 1 and len(found.unlike) == 1
 
@@ -215,7 +236,9 @@ def test_images_drawn_from_states_are_those_that_were_recorded(
         for old, new in zip(before, after, strict=True):
             assert old.paths == new.paths and old.record == new.record
             for path in old.paths:
-                np.testing.assert_array_equal(old.array(path), new.array(path), err_msg=path)
+                np.testing.assert_array_equal(
+                    old.array(path), new.array(path), err_msg=path
+                )
             assert old.columns("obs/state") == new.columns("obs/state") != {}
             assert new.run.config == old.run.config and new.run.options["rendered"][
                 "camera_size"
@@ -260,7 +283,11 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
             and episode.frame(FOLLOW, "rgb", 0).std() > 5
         )
         assert episode.frame("fetch_hand", "rgb", 0).shape == (SIZE, SIZE, 3)
-        assert episode.array("obs/sensor_param/fetch_head/intrinsic_cv").shape == (STEPS + 1, 3, 3)
+        assert episode.array("obs/sensor_param/fetch_head/intrinsic_cv").shape == (
+            STEPS + 1,
+            3,
+            3,
+        )
 
 
 def test_what_is_replayed_is_never_written(recorded: Path, env: Any) -> None:
@@ -274,12 +301,20 @@ def test_training_environments_are_built_again(
     """Their arrangements come from a pool drawn with the seed of the environment: `make` would begin elsewhere."""
     path = tmp_path / "train.h5"
     env = make_train(
-        task="set_table", subtask="open", num_envs=2, autoreset="disabled", seed=5, episode_pool=2
+        task="set_table",
+        subtask="open",
+        num_envs=2,
+        autoreset="disabled",
+        seed=5,
+        episode_pool=2,
     )
     with ShardWriter(path) as writer:
         recorder = Recorder(writer, env, {"name": "random"})
         rollout(env, RandomPolicy(0), [0, 1, 2], 3, [recorder], max_steps=STEPS)
-    assert recorder.run.config["maker"] == "make_train" and recorder.run.config["env"]["seed"] == 5
+    assert (
+        recorder.run.config["maker"] == "make_train"
+        and recorder.run.config["env"]["seed"] == 5
+    )
     assert main(["replay", str(path), "--verify", "--worlds", "2", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["episodes"], found["exact"], found["moved"]) == (3, 3, 0)

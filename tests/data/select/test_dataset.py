@@ -30,7 +30,12 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
     for part in range(2):
         env = FakeEnv(subtask="pick", images=True)
-        record(folder / f"{part}.h5", range(3 * part, 3 * part + 3), env, images=ImageFormat())
+        record(
+            folder / f"{part}.h5",
+            range(3 * part, 3 * part + 3),
+            env,
+            images=ImageFormat(),
+        )
     return folder
 
 
@@ -44,24 +49,32 @@ def test_windows_hold_what_was_before_and_what_comes(source: Path) -> None:
         for t in (0, 1, 5, episode.steps - 2, episode.steps - 1):
             item = data[sum(lengths[:k]) + t]
             assert (item["episode"], item["step"]) == (k, t)
-            np.testing.assert_array_equal(item["state"], state[[max(t - 2, 0), max(t - 1, 0), t]])
+            np.testing.assert_array_equal(
+                item["state"], state[[max(t - 2, 0), max(t - 1, 0), t]]
+            )
             ahead = np.arange(t, t + 4)
             np.testing.assert_array_equal(
                 item["action"], actions[np.minimum(ahead, episode.steps - 1)]
             )
             assert item["action_is_pad"].tolist() == (ahead >= episode.steps).tolist()
-            assert item[DEPTH].shape == (3, 1, SIZE, SIZE) and item[DEPTH].dtype == torch.int16
+            assert (
+                item[DEPTH].shape == (3, 1, SIZE, SIZE)
+                and item[DEPTH].dtype == torch.int16
+            )
             np.testing.assert_array_equal(
                 item[DEPTH][2, 0], episode.frame("fetch_head", "depth", t)[..., 0]
             )
             np.testing.assert_array_equal(
-                item[DEPTH][0, 0], episode.frame("fetch_head", "depth", max(t - 2, 0))[..., 0]
+                item[DEPTH][0, 0],
+                episode.frame("fetch_head", "depth", max(t - 2, 0))[..., 0],
             )
     with pytest.raises(IndexError):
         data[len(data)]
 
 
-def test_normalized_numbers_have_mean_zero_and_come_back(source: Path, tmp_path: Path) -> None:
+def test_normalized_numbers_have_mean_zero_and_come_back(
+    source: Path, tmp_path: Path
+) -> None:
     plain = WindowDataset(source)
     data = WindowDataset(
         source, normalization=Normalization("spread", cache=tmp_path / "stats.npz")
@@ -73,7 +86,10 @@ def test_normalized_numbers_have_mean_zero_and_come_back(source: Path, tmp_path:
     np.testing.assert_allclose(
         known.restore("action", actions[7]), plain[7]["action"][0], atol=1e-5
     )
-    assert known.low["state"].shape == (5,) and (known.high["state"] >= known.low["state"]).all()
+    assert (
+        known.low["state"].shape == (5,)
+        and (known.high["state"] >= known.low["state"]).all()
+    )
 
 
 def test_normalized_to_a_range(source: Path) -> None:
@@ -84,7 +100,9 @@ def test_normalized_to_a_range(source: Path) -> None:
     np.testing.assert_allclose(actions.max(axis=0), 1, atol=1e-5)
     back = data.statistics.restore("action", actions[7], "range")
     np.testing.assert_allclose(back, plain[7]["action"][0], atol=1e-5)
-    with pytest.raises(UsageError, match=r"unknown way to normalize 'rang'\. Did you mean 'range'"):
+    with pytest.raises(
+        UsageError, match=r"unknown way to normalize 'rang'\. Did you mean 'range'"
+    ):
         WindowDataset(source, normalization=Normalization("rang"))
 
 
@@ -100,7 +118,9 @@ def test_images_of_a_shard_with_a_journal(
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(journal, "_apply", killed)
-        record(path, range(1, 2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+        record(
+            path, range(1, 2), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+        )
     assert journal.journal_path(path).exists()
     pending = WindowDataset(path, Window(images=(DEPTH,)))
     whole = WindowDataset(source, Window(images=(DEPTH,)))
@@ -115,7 +135,8 @@ def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:
     data = WindowDataset(path, Window(images=(DEPTH,)))
     path.write_bytes(bytes(path.stat().st_size))
     with pytest.raises(
-        DamagedError, match=r"image 3 of fetch_head depth .* The file may have been replaced"
+        DamagedError,
+        match=r"image 3 of fetch_head depth .* The file may have been replaced",
     ):
         data[3]
 
@@ -136,16 +157,23 @@ def test_statistics_are_computed_once_for_the_same_data(
         other.fingerprint != first.fingerprint
         and Statistics.load(cache).fingerprint == other.fingerprint
     )
-    assert WindowDataset(source, normalization=Normalization(statistics=first)).statistics is first
+    assert (
+        WindowDataset(source, normalization=Normalization(statistics=first)).statistics
+        is first
+    )
     cache.write_bytes(b"no statistics")
     with pytest.raises(UsageError, match="delete it"):
         WindowDataset(source, normalization=Normalization(cache=cache))
 
 
 def test_workers_read_the_same(source: Path) -> None:
-    data = WindowDataset(source, Window(history=2, images=(DEPTH,)), where=Filter("index < 4"))
+    data = WindowDataset(
+        source, Window(history=2, images=(DEPTH,)), where=Filter("index < 4")
+    )
     alone = [data[i] for i in range(len(data))]
-    batches = list(DataLoader(data, batch_size=16, num_workers=2, multiprocessing_context="fork"))
+    batches = list(
+        DataLoader(data, batch_size=16, num_workers=2, multiprocessing_context="fork")
+    )
     for key in ("state", "action", DEPTH):
         together = torch.cat([batch[key] for batch in batches])
         assert torch.equal(together, torch.stack([item[key] for item in alone]))
@@ -179,7 +207,9 @@ def test_filter_and_bad_input(source: Path) -> None:
 @pytest.mark.parametrize("place", ["memory", "decode", "folder"])
 def test_a_batch_is_its_windows(source: Path, tmp_path: Path, place: str) -> None:
     frames = tmp_path if place == "folder" else place
-    data = WindowDataset(source, Window(history=2, chunk=3, images=(DEPTH,)), frames=frames)
+    data = WindowDataset(
+        source, Window(history=2, chunk=3, images=(DEPTH,)), frames=frames
+    )
     order = [len(data) - 1, 0, 20, 21, 0]
     for _ in range(2):
         batch = data[order]
@@ -187,7 +217,9 @@ def test_a_batch_is_its_windows(source: Path, tmp_path: Path, place: str) -> Non
             for key, value in data[index].items():
                 assert torch.equal(batch[key][k], torch.as_tensor(value)), key
     sampler = BatchSampler(SeededSampler(len(data)), 16, drop_last=False)
-    whole = torch.cat([each["step"] for each in DataLoader(data, sampler=sampler, batch_size=None)])
+    whole = torch.cat(
+        [each["step"] for each in DataLoader(data, sampler=sampler, batch_size=None)]
+    )
     assert len(whole) == len(data)
     assert not list(tmp_path.iterdir())
     with pytest.raises(IndexError):
@@ -199,7 +231,9 @@ def test_windows_end_some_steps_after_success(
 ) -> None:
     whole = WindowDataset(source, Window(images=(DEPTH,)))
     kept = 7
-    monkeypatch.setattr(Until, "steps", lambda self, ok: len(ok) if self.is_whole else kept)
+    monkeypatch.setattr(
+        Until, "steps", lambda self, ok: len(ok) if self.is_whole else kept
+    )
     data = WindowDataset(source, Window(images=(DEPTH,)), until="success+2")
     assert len(data) == kept * len(list(episodes(source))) < len(whole)
     assert data.statistics.fingerprint != whole.statistics.fingerprint
@@ -210,7 +244,9 @@ def test_windows_end_some_steps_after_success(
 
 def test_until_is_read_and_counts_from_the_first_success() -> None:
     success = np.array([0, 0, 1, 0, 1, 1, 1], np.uint8)
-    assert [Until.parse(text).steps(success) for text in ("", "success", "success+2")] == [7, 3, 5]
+    assert [
+        Until.parse(text).steps(success) for text in ("", "success", "success+2")
+    ] == [7, 3, 5]
     assert Until.parse("success+90").steps(success) == Until(0).steps(success * 0) == 7
     for wrong in ("success+", "success-1", "succes+3", "success+1e3"):
         with pytest.raises(UsageError, match=r"success\+20"):

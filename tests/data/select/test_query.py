@@ -88,7 +88,10 @@ def test_the_robot_is_a_fact_and_older_data_are_of_fetch() -> None:
         ("'024_bowl' in targets", True),
         ("seed in (1, 2, 3)", True),
         ("seed in (1, 2)", False),
-        ("count('contact') == 2 and first(contact) == 20 and last('contact') == 120", True),
+        (
+            "count('contact') == 2 and first(contact) == 20 and last('contact') == 120",
+            True,
+        ),
         ("first('success') - first('grasped') < 60", False),
         ("first('dropped') < 1000 or first('dropped') >= 0", False),
         ("count(dropped) == 0", True),
@@ -112,8 +115,16 @@ def test_meaning(text: str, answer: bool) -> None:
         ("max_forse < 1400", 1, "unknown name 'max_forse'. Did you mean 'max_force'?"),
         ("success and max_forse < 1", 13, "Did you mean 'max_force'"),
         ("  success and droped", 15, "Did you mean 'dropped'"),
-        ("label == 'straightforward_sucess'", 10, "Did you mean 'straightforward_success'"),
-        ("label in ('winding_success', 'drop_failur')", 30, "Did you mean 'drop_failure'"),
+        (
+            "label == 'straightforward_sucess'",
+            10,
+            "Did you mean 'straightforward_success'",
+        ),
+        (
+            "label in ('winding_success', 'drop_failur')",
+            30,
+            "Did you mean 'drop_failure'",
+        ),
         ("'drpped' in events", 1, "Did you mean 'dropped'"),
         ("task == 'set_tabel'", 9, "Did you mean 'set_table'"),
         ("label = 'drop_failure'", 7, "write == to compare"),
@@ -201,10 +212,13 @@ def test_facts_without_subtasks_and_of_chains() -> None:
         "label == '' and target == 'fridge/top_door' and furniture == 'fridge' and subtask == ''",
         cut,
     )
-    ended = dataclasses.replace(SUB, kind="open", target="fridge/top_door", label="open_success")
+    ended = dataclasses.replace(
+        SUB, kind="open", target="fridge/top_door", label="open_success"
+    )
     chain = dataclasses.replace(cut, subtasks=(ended, SUB))
     assert ask(
-        "'open_success' in labels and label == 'straightforward_success' and planned == 2", chain
+        "'open_success' in labels and label == 'straightforward_success' and planned == 2",
+        chain,
     )
 
 
@@ -220,13 +234,17 @@ def test_every_name_can_be_asked() -> None:
         if "a list" in fact.kind and fact.choices:
             text = f"{fact.choices[0]!r} in {name} or steps > 0"
         assert ask(text), name
-    assert set(event_columns()) <= set(facts()) and len(all_labels()) == len(set(all_labels()))
+    assert set(event_columns()) <= set(facts()) and len(all_labels()) == len(
+        set(all_labels())
+    )
 
 
 def test_presets() -> None:
     for name in PRESETS:
         assert Filter.preset(name).text == PRESETS[name][0]
-    assert Filter.preset("pick_paper")(GOOD, RUN) and not Filter.preset("place_paper")(GOOD, RUN)
+    assert Filter.preset("pick_paper")(GOOD, RUN) and not Filter.preset("place_paper")(
+        GOOD, RUN
+    )
     close = dataclasses.replace(
         SUB,
         kind="close",
@@ -238,18 +256,18 @@ def test_presets() -> None:
     drawer = dataclasses.replace(
         fridge, subtasks=(dataclasses.replace(close, target="kitchen_counter/drawer3"),)
     )
-    assert Filter.preset("close_published")(fridge, RUN) and not Filter.preset("close_paper")(
-        fridge, RUN
-    )
+    assert Filter.preset("close_published")(fridge, RUN) and not Filter.preset(
+        "close_paper"
+    )(fridge, RUN)
     assert not Filter.preset("close_published")(drawer, RUN)
     # A second grasp at the goal: five events for the published rules, placed all the same by ours.
     again = dataclasses.replace(
         SUB, kind="place", label="placed_in_goal_success", legacy_label="winding_success"
     )
     place = dataclasses.replace(GOOD, subtask="place", subtasks=(again,))
-    assert Filter.preset("place_paper")(place, RUN) and not Filter.preset("place_published")(
-        place, RUN
-    )
+    assert Filter.preset("place_paper")(place, RUN) and not Filter.preset(
+        "place_published"
+    )(place, RUN)
     straight = dataclasses.replace(
         place, subtasks=(dataclasses.replace(again, legacy_label=again.label),)
     )
@@ -259,9 +277,12 @@ def test_presets() -> None:
 
 
 def test_filters_ask_for_styles():
-    assert ask("style.speed < 0.8 and style.release == 'drop' and style.hold == 0", STYLED)
     assert ask(
-        "style.speed == 1 and style.release in ('place', 'drop') and style.grasp == 'any'", GOOD
+        "style.speed < 0.8 and style.release == 'drop' and style.hold == 0", STYLED
+    )
+    assert ask(
+        "style.speed == 1 and style.release in ('place', 'drop') and style.grasp == 'any'",
+        GOOD,
     )
     for text, column, problem in (
         ("success and style.spee < 1", 13, "Did you mean 'style.speed'?"),

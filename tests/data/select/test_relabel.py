@@ -36,7 +36,9 @@ def test_equals_what_was_recorded(tmp_path: Path, subtask: str) -> None:
 
 def test_episodes_that_were_cut(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(12), max_steps=9)
-    assert any(len(r.subtasks) == 0 for r in records) and any(len(r.subtasks) for r in records)
+    assert any(len(r.subtasks) == 0 for r in records) and any(
+        len(r.subtasks) for r in records
+    )
     assert any(
         step > (r.subtasks[-1].end_step if r.subtasks else 0)
         for r in records
@@ -79,7 +81,9 @@ def test_changed_rules_are_told_and_written(
         new = episode.record
         assert dataclasses.replace(new, subtasks=old.subtasks) == old
         for entry in new.subtasks:
-            assert entry.kind != "pick" or entry.label == spec_of(SubtaskKind.PICK).labels[0]
+            assert (
+                entry.kind != "pick" or entry.label == spec_of(SubtaskKind.PICK).labels[0]
+            )
     assert label("--write")["changed"] == wanted
     assert [e.record for e in episodes(path)] == records
     assert (
@@ -94,26 +98,38 @@ def test_a_record_that_does_not_fit_its_signals_is_refused(tmp_path: Path) -> No
         if len(episode.record.subtasks) > 1:
             old = episode.record
             wrong = dataclasses.replace(old.subtasks[1], index=4)
-            episode.__dict__["record"] = dataclasses.replace(old, subtasks=(old.subtasks[0], wrong))
+            episode.__dict__["record"] = dataclasses.replace(
+                old, subtasks=(old.subtasks[0], wrong)
+            )
             with pytest.raises(
-                DamagedError, match=r"has subtask 4, and its signals are \d+ states of subtask 1"
+                DamagedError,
+                match=r"has subtask 4, and its signals are \d+ states of subtask 1",
             ):
                 relabel(episode)
             return
     raise AssertionError("no episode got beyond its first subtask")
 
 
-def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(tmp_path: Path) -> None:
+def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(
+    tmp_path: Path,
+) -> None:
     record(tmp_path / "new.h5", range(6))
     old = len(CHECKS) - 1
     assert CHECKS[old] == "ee_contact"
     with ShardWriter(tmp_path / "old.h5") as writer:
         for episode in episodes(tmp_path / "new.h5"):
-            arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
-            cut = {path: arrays[path][:, :old] for path in ("signals/checks", "subtasks/checks")}
+            arrays = {
+                path: episode.array(path) for path in episode.paths if path != "record"
+            }
+            cut = {
+                path: arrays[path][:, :old]
+                for path in ("signals/checks", "subtasks/checks")
+            }
             columns = {"signals/checks": CHECKS[:old]}
             writer.append(
-                EpisodeData(episode.record, episode.run, "m", "cut", arrays | cut, columns)
+                EpisodeData(
+                    episode.record, episode.run, "m", "cut", arrays | cut, columns
+                )
             )
     assert check(tmp_path / "old.h5").clean
     for episode in episodes(tmp_path / "old.h5"):
@@ -127,7 +143,9 @@ def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(tmp_path: Pa
     assert differ
 
 
-@pytest.mark.parametrize("command", [("label",), ("data", "report", "--out", "report.html")])
+@pytest.mark.parametrize(
+    "command", [("label",), ("data", "report", "--out", "report.html")]
+)
 def test_data_of_a_subtask_that_is_not_registered_hint_at_its_plugin(
     command: tuple[str, ...],
     tmp_path: Path,
@@ -139,10 +157,15 @@ def test_data_of_a_subtask_that_is_not_registered_hint_at_its_plugin(
     with open_shard(Path("a.h5")) as shard:
         episode = next(iter(shard))
         arrays = {name: episode.array(name) for name in episode.paths if name != "record"}
-        kinds = tuple(dataclasses.replace(s, kind="pushh") for s in episode.record.subtasks)
+        kinds = tuple(
+            dataclasses.replace(s, kind="pushh") for s in episode.record.subtasks
+        )
         told = dataclasses.replace(episode.record, subtasks=kinds)
     with ShardWriter(Path("b.h5")) as writer:
         writer.append(EpisodeData(told, RunInfo({"a": 1}), "m", "success", arrays))
     assert main([*command, "b.h5"]) == 2
     error = capsys.readouterr().err
-    assert "recorded subtask 'pushh' is not known here" in error and "MJHAB_PLUGINS=PATH" in error
+    assert (
+        "recorded subtask 'pushh' is not known here" in error
+        and "MJHAB_PLUGINS=PATH" in error
+    )

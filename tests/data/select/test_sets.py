@@ -46,7 +46,10 @@ def test_select_and_stats(folder: Path) -> None:
     tainted = [r for r in records if r.taint]
     assert tainted and {r.index for r in tainted} == {4}
     found = select(folder, Filter("steps > 2"))
-    assert (len(found.matched), found.of) == (sum(r.steps > 2 and not r.taint for r in records), 20)
+    assert (len(found.matched), found.of) == (
+        sum(r.steps > 2 and not r.taint for r in records),
+        20,
+    )
     assert found.tainted == sum(r.steps > 2 for r in tainted)
     assert len(select(folder).matched) == 20 and len(
         select(folder, Filter("tainted")).matched
@@ -60,13 +63,19 @@ def test_select_and_stats(folder: Path) -> None:
     assert stats(folder, Filter("steps < 0"))["episodes"] == 0
 
 
-def test_the_first_of_every_target_are_those_with_the_lowest_indices(folder: Path) -> None:
+def test_the_first_of_every_target_are_those_with_the_lowest_indices(
+    folder: Path,
+) -> None:
     found = select(folder)
     kept = first_of_targets(found, 1)
     by_target: dict[str, list[int]] = defaultdict(list)
     for one in found.records:
         by_target[target_of(one)].append(one.index)
-    chosen = [one for place, one in zip(found.matched, found.records, strict=True) if place in kept]
+    chosen = [
+        one
+        for place, one in zip(found.matched, found.records, strict=True)
+        if place in kept
+    ]
     assert {target_of(one): one.index for one in chosen} == {
         target: min(indices) for target, indices in by_target.items()
     }
@@ -81,7 +90,9 @@ def test_merge(folder: Path, tmp_path: Path) -> None:
     assert attributes(out) == attributes(folder) and check(out).ok == 20
     done = merge([folder / "pick.h5"], out)
     assert (done.written, done.repeated) == (0, 8) and check(out).ok == 20
-    part = merge([folder], tmp_path / "part.h5", Filter("subtask == 'pick' and not tainted"))
+    part = merge(
+        [folder], tmp_path / "part.h5", Filter("subtask == 'pick' and not tainted")
+    )
     assert (part.written, part.left_out) == (7, 13)
     assert sum(e.run.config["env"]["subtask"] == "pick" for e in episodes(out)) == 8
     with pytest.raises(UsageError, match="one of the shards to merge"):
@@ -94,7 +105,9 @@ def test_merge_refuses_two_contents_of_one_episode(folder: Path, tmp_path: Path)
     with h5py.File(other, "r+") as file:
         name = sorted(group(file, "episodes"))[2]
         group(file, f"episodes/{name}").attrs["digest"] = "0" * 64
-    with pytest.raises(UsageError, match="differs from one of the same config, seed and index"):
+    with pytest.raises(
+        UsageError, match="differs from one of the same config, seed and index"
+    ):
         merge([folder, other], tmp_path / "out.h5")
 
 
@@ -133,7 +146,10 @@ def test_split(folder: Path, tmp_path: Path, by: str) -> None:
         homes = {name: {a["home"] for a in part.values()} for name, part in parts.items()}
         assert homes["train"] and homes["val"] and not homes["train"] & homes["val"]
     merge([folder], tmp_path / "one.h5")
-    assert split([tmp_path / "one.h5"], tmp_path / "b", {"train": 0.6, "val": 0.4}, by) == sizes
+    assert (
+        split([tmp_path / "one.h5"], tmp_path / "b", {"train": 0.6, "val": 0.4}, by)
+        == sizes
+    )
     assert attributes(tmp_path / "b" / "val.h5") == parts["val"]
     split([folder], tmp_path / "c", {"train": 0.6, "val": 0.4}, by, seed=1)
     assert by != "episode" or attributes(tmp_path / "c" / "val.h5") != parts["val"]
@@ -172,7 +188,9 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Any]:
     return code, json.loads(out) if out else None
 
 
-def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(capsys, "check", folder)[1] == {
         "episodes": 20,
         "ok": 20,
@@ -183,15 +201,27 @@ def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         "schemas": {"2": 20},
         "problems": [],
     }
-    code, found = run(capsys, "query", folder, "--where", "subtask == 'pick'", "--list", "2")
-    assert code == 0 and (found["matched"], found["of"], found["tainted_left_out"]) == (7, 20, 1)
+    code, found = run(
+        capsys, "query", folder, "--where", "subtask == 'pick'", "--list", "2"
+    )
+    assert code == 0 and (found["matched"], found["of"], found["tainted_left_out"]) == (
+        7,
+        20,
+        1,
+    )
     assert [row["index"] for row in found["episodes"]] == [0, 1] and found["episodes"][0][
         "target"
     ] == "024_bowl"
     assert (
-        run(capsys, "query", folder, "--preset", "pick_paper", "--where", "tainted or true")[1][
-            "tainted_left_out"
-        ]
+        run(
+            capsys,
+            "query",
+            folder,
+            "--preset",
+            "pick_paper",
+            "--where",
+            "tainted or true",
+        )[1]["tainted_left_out"]
         == 0
     )
     assert run(capsys, "stats", folder)[1]["episodes"] == 20
@@ -202,12 +232,27 @@ def test_commands(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         == 0
     )
     sizes = run(
-        capsys, "split", folder, "--out", tmp_path / "s", "--parts", "train=0.5", "val=0.25"
+        capsys,
+        "split",
+        folder,
+        "--out",
+        tmp_path / "s",
+        "--parts",
+        "train=0.5",
+        "val=0.25",
     )[1]
     assert sizes == {"parts": {"train": 10, "val": 5}}
-    repaired = {"kept": 20, "lost": 0, "finished": 0, "damaged_files": [], "indexed": True}
+    repaired = {
+        "kept": 20,
+        "lost": 0,
+        "finished": 0,
+        "damaged_files": [],
+        "indexed": True,
+    }
     assert run(capsys, "repair", folder)[1] == repaired
-    assert "max_force" in dict((row[0], row) for row in run(capsys, "fields")[1]["fields"])
+    assert "max_force" in dict(
+        (row[0], row) for row in run(capsys, "fields")[1]["fields"]
+    )
 
 
 def test_tables(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -230,12 +275,18 @@ def test_damage_fails_the_check_and_is_repaired(
         dataset(file, f"episodes/{name}/actions")[0, 0] += 1.0
     (folder / "foreign.h5").write_text("hello")
     code, report = run(capsys, "check", folder)
-    assert code == 1 and (report["ok"], report["damaged"], len(report["unreadable"])) == (19, 1, 1)
+    assert code == 1 and (report["ok"], report["damaged"], len(report["unreadable"])) == (
+        19,
+        1,
+        1,
+    )
     wrong = "its bytes are not those that were written (digest)"
     assert report["problems"] == [
         {"shard": str(folder / "pick.h5"), "episode": name, "wrong": wrong}
     ]
-    assert main(["data", "check", str(folder)]) == 1 and "digest" in capsys.readouterr().out
+    assert (
+        main(["data", "check", str(folder)]) == 1 and "digest" in capsys.readouterr().out
+    )
     (folder / "foreign.h5").unlink()
     assert main(["data", "repair", str(folder)]) == 0
     assert "7 episodes saved, 1 lost; the damaged file is" in capsys.readouterr().out
@@ -248,7 +299,10 @@ def test_damage_fails_the_check_and_is_repaired(
         (("query", "--where", "max_forse < 3"), "Did you mean 'max_force'"),
         (("query", "--preset", "pick"), "Did you mean 'pick_paper'"),
         (("query", "--list", "-1"), "--list must be at least 0"),
-        (("split", "--out", "x", "--parts", "train"), "give names, each once, with shares"),
+        (
+            ("split", "--out", "x", "--parts", "train"),
+            "give names, each once, with shares",
+        ),
         (("split", "--out", "x", "--parts", "a=1", "a=1"), "give names, each once"),
         (("split", "--out", "x", "--by", "homes"), "Did you mean 'home'"),
     ],

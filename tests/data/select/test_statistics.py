@@ -12,7 +12,9 @@ from mjhab.data.select.statistics import Statistics
 
 def saved(path: Path) -> Path:
     numbers = {"action": np.arange(3.0)}
-    Statistics(mean=numbers, std=numbers, low=numbers, high=numbers, fingerprint="abc").save(path)
+    Statistics(
+        mean=numbers, std=numbers, low=numbers, high=numbers, fingerprint="abc"
+    ).save(path)
     return path
 
 

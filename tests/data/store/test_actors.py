@@ -58,7 +58,9 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("source") / "takeover.h5"
     env: Any = FakeEnv(2)
     with ShardWriter(path) as writer:
-        rollout(env, Takeover(0), range(6), 3, [Recorder(writer, env, {"name": "takeover"})])
+        rollout(
+            env, Takeover(0), range(6), 3, [Recorder(writer, env, {"name": "takeover"})]
+        )
     return path
 
 
@@ -67,13 +69,17 @@ def test_intended_actions_and_actors_are_stored(source: Path) -> None:
     with open_shard(source) as shard:
         for episode in shard:
             assert (
-                not episode_problems(episode) and episode.schema == VERSION and episode.lacks == ()
+                not episode_problems(episode)
+                and episode.schema == VERSION
+                and episode.lacks == ()
             )
             assert episode.actors == ("student", "expert")
             np.testing.assert_array_equal(
                 episode.array("actions_intended"), 0.5 * episode.array("actions")
             )
-            wanted = (episode.array("subtasks/active")[:-1] > 0) & (episode.record.index % 2 == 0)
+            wanted = (episode.array("subtasks/active")[:-1] > 0) & (
+                episode.record.index % 2 == 0
+            )
             np.testing.assert_array_equal(episode.array("actor"), wanted)
             seen |= set(episode.array("actor").tolist())
     assert seen == {0, 1}
@@ -109,7 +115,9 @@ def test_intended_actions_of_another_shape_are_refused() -> None:
         def notes(self) -> ActionNotes:
             return ActionNotes.plain(np.zeros((2, 7), np.float32), self.name)
 
-    with pytest.raises(ValueError, match=r"gives actions \(2, 13\) and intended ones \(2, 7\)"):
+    with pytest.raises(
+        ValueError, match=r"gives actions \(2, 13\) and intended ones \(2, 7\)"
+    ):
         rollout(FakeEnv(2), Narrow(0), [0, 1], 0)
 
 
@@ -117,11 +125,17 @@ def test_actors_without_names_are_refused_and_found(source: Path) -> None:
     with open_shard(source) as shard:
         episode = next(iter(shard))
         arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
-        with pytest.raises(ValueError, match="actor has the number 1, and there are 1 names"):
-            EpisodeData(episode.record, episode.run, "m", "success", arrays, actors=("student",))
+        with pytest.raises(
+            ValueError, match="actor has the number 1, and there are 1 names"
+        ):
+            EpisodeData(
+                episode.record, episode.run, "m", "success", arrays, actors=("student",)
+            )
         with pytest.raises(ValueError, match=r"actions_intended has \d+ columns, not 13"):
             narrow = {**arrays, "actions_intended": arrays["actions"][:, :7]}
-            EpisodeData(episode.record, episode.run, "m", "success", narrow, actors=episode.actors)
+            EpisodeData(
+                episode.record, episode.run, "m", "success", narrow, actors=episode.actors
+            )
 
 
 def test_shards_of_schema_1_are_read_with_what_stands_in(
@@ -139,8 +153,15 @@ def test_shards_of_schema_1_are_read_with_what_stands_in(
             np.testing.assert_array_equal(
                 episode.array("actions_intended"), episode.array("actions")
             )
-            assert episode.array("actor").dtype == np.uint8 and not episode.array("actor").any()
-    assert check(path).clean and dict(check(path).schemas) == {1: 3} and repair(path).kept == 3
+            assert (
+                episode.array("actor").dtype == np.uint8
+                and not episode.array("actor").any()
+            )
+    assert (
+        check(path).clean
+        and dict(check(path).schemas) == {1: 3}
+        and repair(path).kept == 3
+    )
     assert main(["data", "check", str(path)]) == 0
     assert "3 episodes are of an older schema" in capsys.readouterr().out
 
@@ -158,12 +179,19 @@ def test_new_episodes_in_an_old_shard(tmp_path: Path) -> None:
         report = check(path)
         assert report.clean and dict(report.schemas) == {1: 2, VERSION: 2}
         with open_shard(path) as shard:
-            assert [bool(episode.lacks) for episode in shard] == [True, True, False, False]
+            assert [bool(episode.lacks) for episode in shard] == [
+                True,
+                True,
+                False,
+                False,
+            ]
         with h5py.File(path) as file:
             assert file.attrs["schema"] == VERSION
 
 
-def test_an_episode_that_lost_its_intended_actions_is_damaged(source: Path, tmp_path: Path) -> None:
+def test_an_episode_that_lost_its_intended_actions_is_damaged(
+    source: Path, tmp_path: Path
+) -> None:
     path = tmp_path / "a.h5"
     path.write_bytes(source.read_bytes())
     with h5py.File(path, "r+") as file:
@@ -181,9 +209,13 @@ def test_windows_take_either_actions_for_labels(source: Path, tmp_path: Path) ->
     record(tmp_path / "b.h5", range(6, 8), seed=3)
     places = [source, tmp_path / "b.h5"]
     cache = tmp_path / "stats.npz"
-    executed = WindowDataset(places, Window(chunk=2), normalization=Normalization(cache=cache))
+    executed = WindowDataset(
+        places, Window(chunk=2), normalization=Normalization(cache=cache)
+    )
     intended = WindowDataset(
-        places, Window(chunk=2, labels="intended"), normalization=Normalization(cache=cache)
+        places,
+        Window(chunk=2, labels="intended"),
+        normalization=Normalization(cache=cache),
     )
     assert executed.actors == intended.actors == ("student", "expert", "random")
     assert executed.statistics.fingerprint != intended.statistics.fingerprint
@@ -228,7 +260,9 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
         to_lerobot(places, out, NO_FILMS, version=version)
         rows = pq.read_table(out / table)
         count = len(found[0][0])
-        np.testing.assert_array_equal(rows["intended_action"][:count].to_pylist(), found[0][1])
+        np.testing.assert_array_equal(
+            rows["intended_action"][:count].to_pylist(), found[0][1]
+        )
         np.testing.assert_array_equal(rows["action"][:count].to_pylist(), found[0][0])
         assert rows["actor_index"][:count].to_pylist() == found[0][2].tolist()
         features = json.loads((out / "meta/info.json").read_text())["features"]
@@ -237,7 +271,8 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
             and features["actor_index"]["dtype"] == "int64"
         )
     names = [
-        json.loads(line) for line in (tmp_path / "2.1/meta/actors.jsonl").read_text().splitlines()
+        json.loads(line)
+        for line in (tmp_path / "2.1/meta/actors.jsonl").read_text().splitlines()
     ]
     assert [row["actor"] for row in names] == ["student", "expert", "random"]
     rows = pq.read_table(tmp_path / "3.0/data/chunk-000/file-000.parquet")

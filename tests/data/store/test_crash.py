@@ -86,14 +86,21 @@ def test_a_kill_between_any_two_steps_loses_at_most_the_last_episode(
         with open_shard(path) as shard:
             seen = len(shard)
         report = check(path)
-        assert report.clean and report.ok == seen and seen in (2, 3) and (seen == 3 or not finished)
+        assert (
+            report.clean
+            and report.ok == seen
+            and seen in (2, 3)
+            and (seen == 3 or not finished)
+        )
         with ShardWriter(path) as again:
             assert len(again.names) == seen
             if seen == 2:
                 again.append(numbered(template, 2))
             again.append(numbered(template, 3))
         assert (
-            check(path).ok == 4 and not journal_path(path).exists() and not lock_path(path).exists()
+            check(path).ok == 4
+            and not journal_path(path).exists()
+            and not lock_path(path).exists()
         )
         outcomes.add((seen, finished))
         if finished:
@@ -165,7 +172,9 @@ def test_real_kills_at_random_moments(tmp_path: Path, template: EpisodeData) -> 
     report = check(path)
     assert report.clean and report.ok == count > 10
     with ShardWriter(path) as writer:
-        assert sorted(writer.names) == [template.run.episode_name(0, i) for i in range(count)]
+        assert sorted(writer.names) == [
+            template.run.episode_name(0, i) for i in range(count)
+        ]
 
 
 def _write_until_killed(path: Path, template: EpisodeData, pipe: int) -> NoReturn:
@@ -202,7 +211,8 @@ def test_a_full_disk_stops_cleanly_and_the_next_run_goes_on(
         with monkeypatch.context() as patch:
             patch.setattr(jn.os, "pwrite", full)
             with pytest.raises(
-                StorageError, match=r"disk is full.*same command again.*finished before is safe"
+                StorageError,
+                match=r"disk is full.*same command again.*finished before is safe",
             ):
                 writer.append(numbered(template, 1))
         with pytest.raises(UsageError, match="has been closed"):
@@ -215,7 +225,9 @@ def test_a_full_disk_stops_cleanly_and_the_next_run_goes_on(
     assert check(path).ok == 3
 
 
-def test_a_full_disk_when_a_shard_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_when_a_shard_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -227,7 +239,9 @@ def test_a_full_disk_when_a_shard_is_made(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match=r"cannot write .*a.h5: (Not a directory|File exists)"):
+    with pytest.raises(
+        StorageError, match=r"cannot write .*a.h5: (Not a directory|File exists)"
+    ):
         ShardWriter(tmp_path / "file" / "a.h5")
 
 
@@ -258,7 +272,9 @@ def test_two_writers(tmp_path: Path, template: EpisodeData) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.h5"]
 
 
-def test_a_journal_of_another_file_is_not_applied(tmp_path: Path, template: EpisodeData) -> None:
+def test_a_journal_of_another_file_is_not_applied(
+    tmp_path: Path, template: EpisodeData
+) -> None:
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
         writer.append(numbered(template, 0))
@@ -274,7 +290,9 @@ def test_a_journal_of_another_file_is_not_applied(tmp_path: Path, template: Epis
     journal_path(path).write_bytes(body)
     before = path.read_bytes()
     for act in (open_shard, ShardWriter, repair):
-        with pytest.raises(DamagedError, match=r"does not belong to a.h5.*delete the journal"):
+        with pytest.raises(
+            DamagedError, match=r"does not belong to a.h5.*delete the journal"
+        ):
             act(path)
     assert path.read_bytes() == before and not lock_path(path).exists()
 
@@ -314,7 +332,14 @@ def test_overlay_reads_beside_a_short_page(tmp_path: Path) -> None:
     overlay = Overlay(fd, 16_384, {2: b"x" * 100})
     expected = bytearray(path.read_bytes())
     expected[8192:8292] = b"x" * 100
-    for at, size in ((8192, 50), (8250, 100), (8300, 100), (9000, 3000), (0, 16_384), (16_384, 5)):
+    for at, size in (
+        (8192, 50),
+        (8250, 100),
+        (8300, 100),
+        (9000, 3000),
+        (0, 16_384),
+        (16_384, 5),
+    ):
         overlay.seek(at)
         assert overlay.read(size) == bytes(expected[at : at + size])
     os.close(fd)
@@ -332,4 +357,6 @@ def test_plain_h5py_reads_a_shard(tmp_path: Path) -> None:
             == (records[0].steps, 13)
             == (episode.attrs["steps"], 13)
         )
-        assert str(dataset(episode, "signals/checks").attrs["columns"]).startswith("b'is_grasped,")
+        assert str(dataset(episode, "signals/checks").attrs["columns"]).startswith(
+            "b'is_grasped,"
+        )

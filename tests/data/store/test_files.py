@@ -95,7 +95,9 @@ def test_other_versions(shard: Path, version: int) -> None:
     with h5py.File(shard, "r+") as file:
         file.attrs["schema"] = version
         file.attrs["mjhab"] = "9.8"
-    how = "Update mjhab to 9.8 or later" if version > VERSION else "Read it with mjhab 9.8"
+    how = (
+        "Update mjhab to 9.8 or later" if version > VERSION else "Read it with mjhab 9.8"
+    )
     before = shard.read_bytes()
     for act in (open_shard, ShardWriter, repair, check):
         with pytest.raises(
@@ -127,14 +129,21 @@ def test_what_a_later_version_adds_is_passed_over(shard: Path) -> None:
         assert first.record.steps == first.steps and first.run.config["policy"] == {
             "name": "random"
         }
-        assert first.array("audio/left").shape == (5,) and first.attributes["colour"] == "red"
+        assert (
+            first.array("audio/left").shape == (5,)
+            and first.attributes["colour"] == "red"
+        )
 
 
 def test_places(tmp_path: Path, shard: Path) -> None:
     deep = tmp_path / "pick" / "bowl"
     deep.mkdir(parents=True)
     record(deep / "b.h5", range(1), seed=1)
-    assert shard_paths(tmp_path) == shard_paths([shard, tmp_path, deep]) == [shard, deep / "b.h5"]
+    assert (
+        shard_paths(tmp_path)
+        == shard_paths([shard, tmp_path, deep])
+        == [shard, deep / "b.h5"]
+    )
     assert len(list(episodes(tmp_path))) == 5
     (tmp_path / "none").mkdir()
     with pytest.raises(UsageError, match=r"no shards \(\*.h5\) in"):
@@ -154,7 +163,11 @@ def test_a_rotten_byte_is_found_and_the_rest_is_saved(shard: Path, data: str) ->
     before = {e.name: e.attributes for e in episodes(shard)}
     name = spoil(shard, data)
     report = check(shard)
-    assert list(report.damaged) == [(shard, name)] and report.ok == 3 and report.episodes == 4
+    assert (
+        list(report.damaged) == [(shard, name)]
+        and report.ok == 3
+        and report.episodes == 4
+    )
     done = repair(shard)
     assert (
         done.kept == 3
@@ -190,7 +203,8 @@ def test_a_cut_file(shard: Path) -> None:
     assert check(shard).ok == done.kept
     os.truncate(shard, 200)
     with pytest.raises(
-        DamagedError, match=r"no episode in .*/a.h5 can be read; the file was left as it is"
+        DamagedError,
+        match=r"no episode in .*/a.h5 can be read; the file was left as it is",
     ):
         repair(shard)
     assert shard.stat().st_size == 200
@@ -254,7 +268,9 @@ def test_episodes_may_be_kept_longer_than_their_shard_is_open(tmp_path: Path) ->
         places = now.frame_places("fetch_head", "rgb")
         assert before_places is not None and places is not None
         assert before_places[0] == places[0]
-        np.testing.assert_array_equal(episode.history(0)[1].success, now.history(0)[1].success)
+        np.testing.assert_array_equal(
+            episode.history(0)[1].success, now.history(0)[1].success
+        )
     kept[0].shard.path.unlink()
     with pytest.raises(UsageError, match="does not exist"):
         kept[0].array("actions")
@@ -290,7 +306,8 @@ def test_docs_show_the_schema() -> None:
     for field in FIELDS:
         path = f"`{field.path}`" + (" (optional)" if field.optional else "")
         assert (
-            f"| {path} | {field.shape} | {field.dtype} | {field.unit} | {field.meaning} |" in text
+            f"| {path} | {field.shape} | {field.dtype} | {field.unit} | {field.meaning} |"
+            in text
         )
     for name, meaning in ATTRIBUTES.items():
         assert f"| `{name}` | {meaning} |" in text

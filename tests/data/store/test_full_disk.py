@@ -28,7 +28,12 @@ Write = Callable[..., Any]
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
-    record(folder / "a.h5", range(3), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record(
+        folder / "a.h5",
+        range(3),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
     return folder
 
 
@@ -72,7 +77,11 @@ def check(write: Write, source: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("calls", [0, 1, 3, 5])
 @pytest.mark.parametrize("write", [maniskill, parts])
 def test_hdf5(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Write, calls: int
+    source: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    write: Write,
+    calls: int,
 ) -> None:
     monkeypatch.setattr(journal, "_write", full_after(calls, journal._write))
     check(write, source, tmp_path / "out", monkeypatch)

@@ -53,7 +53,9 @@ FIELDS: dict[str, Forge] = {
     "split": lambda r, name: replace(r, split=name),
     "subtask": lambda r, name: replace(r, subtask=name),
     "target": lambda r, name: replace(r, subtasks=(replace(r.subtasks[0], target=name),)),
-    "target of the plan": lambda r, name: replace(r, plan=(replace(r.plan[0], target=name),)),
+    "target of the plan": lambda r, name: replace(
+        r, plan=(replace(r.plan[0], target=name),)
+    ),
     "kind": lambda r, name: replace(r, subtasks=(replace(r.subtasks[0], kind=name),)),
     "label": lambda r, name: replace(r, subtasks=(replace(r.subtasks[0], label=name),)),
     "event": lambda r, name: replace(r, events=((1, name),)),
@@ -92,7 +94,8 @@ def test_a_name_in_a_record_leads_nowhere(
             act()
     report = check(path)
     assert (
-        list(report.damaged) == [(path, first)] and "is no name" in report.damaged[path, first][0]
+        list(report.damaged) == [(path, first)]
+        and "is no name" in report.damaged[path, first][0]
     )
     assert everything(tmp_path) == before
     assert repair(path).kept == 2
@@ -132,20 +135,44 @@ CHANGES: dict[str, tuple[str, Callable[[np.ndarray], Any], str]] = {
         spoilt(np.nan),
         r"actions has 13 numbers that are not finite, .*nan\) at \[1, 0\]",
     ),
-    "actions inf": ("actions", spoilt(np.inf), r"actions has 13 numbers that are not finite"),
+    "actions inf": (
+        "actions",
+        spoilt(np.inf),
+        r"actions has 13 numbers that are not finite",
+    ),
     "actions of 7": ("actions", narrow, "actions has 7 columns, not 13"),
-    "actions flat": ("actions", lambda a: a[:, 0], r"actions has shape \(20,\), not \(N, A\)"),
+    "actions flat": (
+        "actions",
+        lambda a: a[:, 0],
+        r"actions has shape \(20,\), not \(N, A\)",
+    ),
     "actions short": ("actions", lambda a: a[:-1], "actions has 19 rows, not 20"),
-    "actions wide": ("actions", lambda a: a.astype(np.float64), "actions is float64, not float32"),
+    "actions wide": (
+        "actions",
+        lambda a: a.astype(np.float64),
+        "actions is float64, not float32",
+    ),
     "actions of text": (
         "actions",
         lambda a: np.full(a.shape, b"left"),
         r"actions is \|S4, not float32",
     ),
-    "a number": ("actions", lambda _: np.float32(1.0), r"actions has shape \(\), not \(N, A\)"),
-    "qpos nan": ("states/qpos", spoilt(np.nan), "states/qpos has 30 numbers that are not finite"),
+    "a number": (
+        "actions",
+        lambda _: np.float32(1.0),
+        r"actions has shape \(\), not \(N, A\)",
+    ),
+    "qpos nan": (
+        "states/qpos",
+        spoilt(np.nan),
+        "states/qpos has 30 numbers that are not finite",
+    ),
     "qpos narrow": ("states/qpos", narrow, "states/qpos has 7 columns, not 30"),
-    "qvel inf": ("states/qvel", spoilt(-np.inf), "states/qvel has 28 numbers that are not finite"),
+    "qvel inf": (
+        "states/qvel",
+        spoilt(-np.inf),
+        "states/qvel has 28 numbers that are not finite",
+    ),
     "forces nan": (
         "signals/forces",
         spoilt(np.nan),
@@ -157,10 +184,22 @@ CHANGES: dict[str, tuple[str, Callable[[np.ndarray], Any], str]] = {
         spoilt(np.nan),
         "reward/total has 1 numbers that are not finite",
     ),
-    "terms nan": ("reward/terms", spoilt(np.nan), "reward/terms has 2 numbers that are not finite"),
-    "state nan": ("obs/state", spoilt(np.nan), "obs/state has 5 numbers that are not finite"),
+    "terms nan": (
+        "reward/terms",
+        spoilt(np.nan),
+        "reward/terms has 2 numbers that are not finite",
+    ),
+    "state nan": (
+        "obs/state",
+        spoilt(np.nan),
+        "obs/state has 5 numbers that are not finite",
+    ),
     "state narrow": ("obs/state", lambda a: a[:, :3], "obs/state has 3 columns, not 5"),
-    "state long": ("obs/state", lambda a: np.concatenate([a, a]), "obs/state has 42 rows, not 21"),
+    "state long": (
+        "obs/state",
+        lambda a: np.concatenate([a, a]),
+        "obs/state has 42 rows, not 21",
+    ),
     "late subtask": (
         "subtasks/step",
         lambda a: a + 99,
@@ -194,7 +233,9 @@ def test_numbers_no_episode_has(tmp_path: Path, picks: bytes, change: str) -> No
     with open_shard(path) as shard, pytest.raises(DamagedError, match=message):
         refuse_damage(shard.episode(name))
     before = everything(tmp_path)
-    with pytest.raises(DamagedError, match=rf"episode {name} of .*is damaged: .*mjhab data repair"):
+    with pytest.raises(
+        DamagedError, match=rf"episode {name} of .*is damaged: .*mjhab data repair"
+    ):
         to_maniskill(path, tmp_path / "set")
     assert not (tmp_path / "set").exists() and before <= everything(tmp_path)
     done = repair(path)
@@ -202,7 +243,10 @@ def test_numbers_no_episode_has(tmp_path: Path, picks: bytes, change: str) -> No
 
 
 RECORDS: dict[str, tuple[Callable[[EpisodeRecord], EpisodeRecord], str]] = {
-    "forces": (lambda r: replace(r, force=r.force[:-1]), "its record has 19 forces, not 20"),
+    "forces": (
+        lambda r: replace(r, force=r.force[:-1]),
+        "its record has 19 forces, not 20",
+    ),
     "nan": (
         lambda r: replace(r, peak_force=float("nan")),
         "its record has forces that are not finite",
@@ -222,7 +266,9 @@ RECORDS: dict[str, tuple[Callable[[EpisodeRecord], EpisodeRecord], str]] = {
 
 
 @pytest.mark.parametrize("change", RECORDS)
-def test_records_that_do_not_fit_their_episode(tmp_path: Path, picks: bytes, change: str) -> None:
+def test_records_that_do_not_fit_their_episode(
+    tmp_path: Path, picks: bytes, change: str
+) -> None:
     make, message = RECORDS[change]
     path = tmp_path / "a.h5"
     path.write_bytes(picks)
@@ -239,7 +285,9 @@ def test_records_that_do_not_fit_their_episode(tmp_path: Path, picks: bytes, cha
 # -- what an episode says of itself ------------------------------------------------------------------------------------
 
 
-def forged(path: Path, picks: bytes, change: Callable[[h5py.File, h5py.Group], None]) -> str:
+def forged(
+    path: Path, picks: bytes, change: Callable[[h5py.File, h5py.Group], None]
+) -> str:
     """Change the second episode of a copy, with a digest that fits; returns its name."""
     path.write_bytes(picks)
     with h5py.File(path, "r+") as file:
@@ -274,7 +322,9 @@ def test_attributes_that_contradict_the_record(
 
     def change(_: h5py.File, episode: h5py.Group) -> None:
         del episode.attrs[attribute]
-        put_attributes(episode, {attribute: value.decode() if isinstance(value, bytes) else value})
+        put_attributes(
+            episode, {attribute: value.decode() if isinstance(value, bytes) else value}
+        )
 
     name = forged(path, picks, change)
     report = check(path)
@@ -355,7 +405,10 @@ def large_header() -> bytes:
     ("frame", "message"),
     [
         (b"no picture", "frame 0 of images/head/depth: the bytes are no picture"),
-        (encode(np.zeros((4, 4, 3), np.uint8), "rgb", ImageFormat()), "pixels I;16 or I, not RGB"),
+        (
+            encode(np.zeros((4, 4, 3), np.uint8), "rgb", ImageFormat()),
+            "pixels I;16 or I, not RGB",
+        ),
         (encode(np.zeros((4, 5000, 1), int), "depth", ImageFormat()), "5000 x 4 pixels"),
         (large_header(), "the bytes are no picture"),
     ],
@@ -375,7 +428,9 @@ def test_frames_that_are_no_pictures(tmp_path: Path, frame: bytes, message: str)
 
     name = forged(path, source.read_bytes(), change)
     with open_shard(path) as shard:
-        (camera, output) = next(one for one in shard.episode(name).images if one[1] == "depth")
+        (camera, output) = next(
+            one for one in shard.episode(name).images if one[1] == "depth"
+        )
         with pytest.raises(DamagedError):
             shard.episode(name).frame(camera, output, 0)
     report = check(path)
@@ -388,7 +443,9 @@ def test_bombs_are_not_unpacked(tmp_path: Path, picks: bytes) -> None:
     path = tmp_path / "a.h5"
     path.write_bytes(picks)
     with h5py.File(path, "r+") as file:
-        first, second, third = (group(file, f"episodes/{name}") for name in group(file, "episodes"))
+        first, second, third = (
+            group(file, f"episodes/{name}") for name in group(file, "episodes")
+        )
         for episode, place, shape in (
             (first, "actions", (10**9, 13)),
             (second, "record", (10**11,)),
@@ -409,7 +466,13 @@ def test_bombs_are_not_unpacked(tmp_path: Path, picks: bytes) -> None:
     ("place", "make", "message"),
     [
         CHANGES[name]
-        for name in ("actions nan", "actions flat", "actions wide", "qpos nan", "state long")
+        for name in (
+            "actions nan",
+            "actions flat",
+            "actions wide",
+            "qpos nan",
+            "state long",
+        )
     ],
 )
 def test_the_writer_refuses_them(
@@ -428,9 +491,12 @@ def test_the_writer_refuses_them(
 
 def test_the_writer_knows_the_sizes_of_the_env(tmp_path: Path) -> None:
     whole: EpisodeData = one_episode(tmp_path)
-    run = replace(whole.run, layout={"actions": ["a"] * 7, "sizes": {"qpos": 3, "ctrl": 5}})
+    run = replace(
+        whole.run, layout={"actions": ["a"] * 7, "sizes": {"qpos": 3, "ctrl": 5}}
+    )
     with pytest.raises(
-        ValueError, match=r"actions has 13 columns, not 7; .*states/qpos has 30 columns, not 3"
+        ValueError,
+        match=r"actions has 13 columns, not 7; .*states/qpos has 30 columns, not 3",
     ):
         replace(whole, run=run)
 
@@ -438,7 +504,9 @@ def test_the_writer_knows_the_sizes_of_the_env(tmp_path: Path) -> None:
 class Odd(FakeEnv):
     """An env whose reward is not a number from the third step on."""
 
-    def step(self, actions: np.ndarray) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
         obs, reward, terminated, truncated, info = super().step(actions)
         return obs, np.where(reward > 1.0, np.nan, reward), terminated, truncated, info
 

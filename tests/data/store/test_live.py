@@ -41,7 +41,9 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> EpisodeData:
     return one_episode(tmp_path_factory.mktemp("template"))
 
 
-def test_who_reads_meets_whole_episodes_only(tmp_path: Path, template: EpisodeData) -> None:
+def test_who_reads_meets_whole_episodes_only(
+    tmp_path: Path, template: EpisodeData
+) -> None:
     path = tmp_path / "a.h5"
     count = 120
     with ShardWriter(path) as writer:
@@ -71,7 +73,9 @@ def test_who_opened_it_before_reads_on(tmp_path: Path, template: EpisodeData) ->
             actions = first.array("actions")
             for index in range(3, 200):
                 writer.append(numbered(template, index))
-            assert len(shard) == 3 and not any(problems_in(shard, name) for name in shard.names)
+            assert len(shard) == 3 and not any(
+                problems_in(shard, name) for name in shard.names
+            )
             np.testing.assert_array_equal(first.array("actions"), actions)
             assert first.run.config == {"a": 1}
             with ShardWriter(tmp_path / "b.h5") as copy:
@@ -80,7 +84,9 @@ def test_who_opened_it_before_reads_on(tmp_path: Path, template: EpisodeData) ->
     assert report.episodes == report.ok == 203 and len(report.doubled) == 3
 
 
-def test_a_shard_held_open_by_h5py_is_appended_to(tmp_path: Path, template: EpisodeData) -> None:
+def test_a_shard_held_open_by_h5py_is_appended_to(
+    tmp_path: Path, template: EpisodeData
+) -> None:
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
         writer.append(numbered(template, 0))

@@ -25,7 +25,9 @@ class PoseEnv(FakeEnv):
         obs = super()._observe()
         obs.pop("state")
         for k, name in enumerate(("tcp", "obj")):
-            pose = np.array([world.qpos[7 * k : 7 * k + 7] for world in self.worlds], np.float32)
+            pose = np.array(
+                [world.qpos[7 * k : 7 * k + 7] for world in self.worlds], np.float32
+            )
             pose[:, 3] = np.abs(pose[:, 3])
             obs[f"extra/{name}_pose_wrt_base"] = pose
         obs["state"] = np.concatenate(list(obs.values()), axis=1)
@@ -46,7 +48,9 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
             state = dataset(group(file, f"episodes/{name}"), "obs/state")
             values = state[()]
             for start in (5 + 3, 5 + 7 + 3):
-                values[:, start : start + 4] *= rng.choice([-1.0, 1.0], len(values))[:, None]
+                values[:, start : start + 4] *= rng.choice([-1.0, 1.0], len(values))[
+                    :, None
+                ]
             assert (values != state[()]).any()
             state[...] = values
     make_older(old)
@@ -67,7 +71,9 @@ def test_old_shards_are_read_as_canonical(shards: tuple[Path, Path]) -> None:
         for one, other in zip(a, b, strict=True):
             for key, values in states(one).items():
                 np.testing.assert_array_equal(states(other)[key], values)
-            np.testing.assert_array_equal(one.array("states/qpos"), other.array("states/qpos"))
+            np.testing.assert_array_equal(
+                one.array("states/qpos"), other.array("states/qpos")
+            )
 
 
 def test_windows_statistics_and_exports_of_old_and_new_agree(
@@ -76,11 +82,15 @@ def test_windows_statistics_and_exports_of_old_and_new_agree(
     one, other = (WindowDataset(path) for path in shards)
     for i in (0, len(one) // 2, len(one) - 1):
         np.testing.assert_array_equal(one[i]["state"], other[i]["state"])
-    np.testing.assert_array_equal(one.statistics.mean["state"], other.statistics.mean["state"])
+    np.testing.assert_array_equal(
+        one.statistics.mean["state"], other.statistics.mean["state"]
+    )
     found = []
     for path in shards:
         done = to_maniskill(path, tmp_path / path.stem)
         with h5py.File(done.files[0]) as file:
-            found.append(dataset(group(file, "traj_0"), "obs/extra/obj_pose_wrt_base")[()])
+            found.append(
+                dataset(group(file, "traj_0"), "obs/extra/obj_pose_wrt_base")[()]
+            )
     np.testing.assert_array_equal(*found)
     assert (found[0][:, 3] >= 0).all()

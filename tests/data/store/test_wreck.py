@@ -26,7 +26,9 @@ RUNS = 11
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int], dict[str, str]]:
+def made(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Path, list[int], dict[str, str]]:
     """A shard of many runs, its length after every episode, and the digest of every episode in order."""
     folder = tmp_path_factory.mktemp("whole")
     template = one_episode(folder)
@@ -36,11 +38,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int], dic
     with ShardWriter(path) as writer:
         for index in range(COUNT):
             data: EpisodeData = replace(
-                numbered(template, index), run=RunInfo({"a": 1}, {"part": index * RUNS // COUNT})
+                numbered(template, index),
+                run=RunInfo({"a": 1}, {"part": index * RUNS // COUNT}),
             )
             writer.append(data)
             lengths.append(path.stat().st_size)
-            digests[data.name] = str(open_shard(path).episode(data.name).attributes["digest"])
+            digests[data.name] = str(
+                open_shard(path).episode(data.name).attributes["digest"]
+            )
     return path, lengths, digests
 
 
@@ -55,7 +60,9 @@ def test_every_whole_episode_of_a_cut_shard_is_recovered(
     os.truncate(path, size)
     whole = list(digests)[: sum(length <= size for length in lengths)]
     done = repair(path)
-    saved = {episode.name: str(episode.attributes["digest"]) for episode in episodes(path)}
+    saved = {
+        episode.name: str(episode.attributes["digest"]) for episode in episodes(path)
+    }
     assert done.kept == len(saved) and set(whole) <= set(saved)
     # One more may be there: what is written last of it is the index of the shard.
     assert len(saved) <= len(whole) + 1
@@ -77,7 +84,9 @@ def test_a_turned_bit_in_a_cut_shard_is_still_found(
     for at in range(before + 100, lengths[4], (lengths[4] - before) // 6):
         path.write_bytes(good[:at] + bytes([good[at] ^ 16]) + good[at + 1 :])
         repair(path)
-        saved = {episode.name: str(episode.attributes["digest"]) for episode in episodes(path)}
+        saved = {
+            episode.name: str(episode.attributes["digest"]) for episode in episodes(path)
+        }
         assert saved == {name: digests[name] for name in saved}
         assert len(saved) >= COUNT // 2 - 1 and check(path).clean
 

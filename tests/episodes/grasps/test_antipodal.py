@@ -20,12 +20,18 @@ from mjhab.scenes.spec import Geom, ObjectType
 HAND = ROBOT.gripper
 
 
-def block(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> ObjectType:
+def block(
+    *boxes: tuple[tuple[float, float, float], tuple[float, float, float]],
+) -> ObjectType:
     """An object of boxes, each (half-extents, centre) [m]."""
     geoms = tuple(Geom("box", half, pos) for half, pos in boxes)
-    corners = np.concatenate([np.abs(np.array(pos)) + np.array(half) for half, pos in boxes])
+    corners = np.concatenate(
+        [np.abs(np.array(pos)) + np.array(half) for half, pos in boxes]
+    )
     half = corners.reshape(-1, 3).max(axis=0)
-    return ObjectType("block", 0.2, (half[0], half[1], half[2]), geoms, (), grasp_shape="mesh")
+    return ObjectType(
+        "block", 0.2, (half[0], half[1], half[2]), geoms, (), grasp_shape="mesh"
+    )
 
 
 BAR = block(((0.02, 0.06, 0.03), (0.0, 0.0, 0.0)))
@@ -54,16 +60,24 @@ def test_contacts_of_a_bar_lie_on_opposite_faces(on_bar: SurfaceGrasps) -> None:
     half = np.array(BAR.half)
     for ends in (first, last):
         assert (np.abs(ends) <= half + 1e-6).all()
-        np.testing.assert_allclose(np.abs(np.abs(ends) - half).min(axis=1), 0.0, atol=1e-6)
+        np.testing.assert_allclose(
+            np.abs(np.abs(ends) - half).min(axis=1), 0.0, atol=1e-6
+        )
     # The long axis, 12 cm, is wider than the hand opens.
     assert (np.abs(on_bar.closing[:, 1]) < np.sin(antipodal.MAX_SLANT_RAD) + 1e-6).all()
-    assert (on_bar.width <= HAND.usable).all() and (on_bar.most_open <= HAND.opening + 1e-9).all()
+    assert (on_bar.width <= HAND.usable).all() and (
+        on_bar.most_open <= HAND.opening + 1e-9
+    ).all()
     assert (on_bar.slant <= antipodal.MAX_SLANT_RAD).all()
-    np.testing.assert_allclose(np.einsum("mj,mj->m", on_bar.approach, on_bar.closing), 0, atol=1e-9)
+    np.testing.assert_allclose(
+        np.einsum("mj,mj->m", on_bar.approach, on_bar.closing), 0, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("name", ["on_bar", "on_cup"])
-def test_hand_and_fingers_keep_out_of_the_object(name: str, request: pytest.FixtureRequest) -> None:
+def test_hand_and_fingers_keep_out_of_the_object(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     grasps: SurfaceGrasps = request.getfixturevalue(name)
     solid = Solid.of(BAR if name == "on_bar" else CUP, {})
     rng = np.random.default_rng(0)
@@ -102,7 +116,9 @@ def test_a_cup_is_held_by_its_walls_with_a_finger_inside(on_cup: SurfaceGrasps) 
     assert (on_cup.most_open[walls] < HAND.opening).all()
 
 
-def test_the_same_grasps_every_time_and_others_with_less_friction(on_bar: SurfaceGrasps) -> None:
+def test_the_same_grasps_every_time_and_others_with_less_friction(
+    on_bar: SurfaceGrasps,
+) -> None:
     np.testing.assert_array_equal(surface_grasps(BAR, {}).pos, on_bar.pos)
     slippery = surface_grasps(BAR, {}, friction=0.1)
     assert slippery.slant.max() <= np.arctan(0.1) < on_bar.slant.max()
@@ -112,7 +128,11 @@ def test_nothing_to_hold_on_what_is_too_large() -> None:
     large = block(((0.1, 0.1, 0.1), (0.0, 0.0, 0.0)))
     assert len(surface_grasps(large, {})) == 0
     assert (
-        len(grasp_candidates(LyingObject.of(shape_of(large, {}), np.append(np.zeros(3), UP), -0.1)))
+        len(
+            grasp_candidates(
+                LyingObject.of(shape_of(large, {}), np.append(np.zeros(3), UP), -0.1)
+            )
+        )
         == 0
     )
 

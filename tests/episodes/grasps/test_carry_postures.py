@@ -65,7 +65,9 @@ def test_postures_are_those_that_pick_accepts() -> None:
 
 
 @pytest.mark.parametrize("kind", [APPLE, BOWL])
-def test_arms_are_many_and_hold_their_object_near_the_hand(sim: CpuSimulator, kind: str) -> None:
+def test_arms_are_many_and_hold_their_object_near_the_hand(
+    sim: CpuSimulator, kind: str
+) -> None:
     arms = library(sim).arms(kind)
     assert len(arms) == MAX_ARMS
     check_postures(np.array([one.arm for one in arms]))
@@ -106,7 +108,9 @@ def test_objects_are_still_held_after_some_steps(task: str, count: int) -> None:
     off = np.abs(robot[:, list(ROBOT.arm_columns)] - REST_ARM)
     assert off.max() > 0.5 and off.max() <= CONFIG.arm_tol_grasped + 0.2 + 1e-6
     np.testing.assert_allclose(
-        robot[:, [3, 4, 6]], np.tile(np.array(REST_QPOS)[[3, 4, 6]], (count, 1)), atol=1e-6
+        robot[:, [3, 4, 6]],
+        np.tile(np.array(REST_QPOS)[[3, 4, 6]], (count, 1)),
+        atol=1e-6,
     )
     for _ in range(HELD_STEPS):
         actions = env.controller.still(env.state)

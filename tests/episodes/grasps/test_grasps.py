@@ -28,7 +28,9 @@ def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
     pos = np.array([0.4, -0.2, 0.9])
     turn = quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(0.7))
     floor = pos[2] - kind.half[2]
-    grasps = grasp_candidates(LyingObject.of(shape_of(kind, {}), np.append(pos, turn), floor))
+    grasps = grasp_candidates(
+        LyingObject.of(shape_of(kind, {}), np.append(pos, turn), floor)
+    )
     assert len(grasps) > 0
     gripper = ROBOT.gripper
     assert (grasps.width < gripper.opening).all()
@@ -38,12 +40,16 @@ def test_candidates_fit_the_gripper_and_stay_off_the_support(name: str):
     # Finger tips, the lowest part of a gripper that points down, keep off the support.
     tips = grasps.pos + gripper.finger[0] * grasps.rot[:, :, 0]
     assert (tips[:, 2] > floor).all()
-    assert (np.linalg.norm(grasps.pos - pos, axis=1) < np.linalg.norm(kind.half) + 0.05).all()
+    assert (
+        np.linalg.norm(grasps.pos - pos, axis=1) < np.linalg.norm(kind.half) + 0.05
+    ).all()
 
 
 def test_neighbours_take_candidates_away():
     shape = ObjectShape("cylinder", (0.034, 0.034, 0.05))
-    alone = grasp_candidates(LyingObject.of(shape, np.append(np.zeros(3), UPRIGHT), -0.05))
+    alone = grasp_candidates(
+        LyingObject.of(shape, np.append(np.zeros(3), UPRIGHT), -0.05)
+    )
     walls = Boxes.of([[0.075, 0, 0.0], [-0.075, 0, 0.0]], [0.02, 0.3, 0.05])
     between = grasp_candidates(
         LyingObject.of(shape, np.append(np.zeros(3), UPRIGHT), -0.05), neighbours=walls

@@ -11,7 +11,13 @@ import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.grasps.candidates import LyingObject, grasp_candidates
-from mjhab.episodes.grasps.stable import MAX_GRASPS, MAX_OFFSET_M, StableGrasps, shape_of, spread
+from mjhab.episodes.grasps.stable import (
+    MAX_GRASPS,
+    MAX_OFFSET_M,
+    StableGrasps,
+    shape_of,
+    spread,
+)
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
@@ -56,7 +62,9 @@ def test_grasps_are_many_and_come_from_everywhere(sim: CpuSimulator, kind: str):
 def test_spread_takes_the_best_first_and_then_what_is_different():
     shape = shape_of(open_pack("builtin").objects["005_tomato_soup_can"], {})
     candidates = grasp_candidates(
-        LyingObject.of(shape, np.append(np.zeros(3), np.array([1.0, 0, 0, 0])), -shape.half[2])
+        LyingObject.of(
+            shape, np.append(np.zeros(3), np.array([1.0, 0, 0, 0])), -shape.half[2]
+        )
     )
     rows = list(spread(candidates, 16))
     assert rows[0] == 0 and len(set(rows)) == 16
@@ -84,7 +92,9 @@ def test_found_once_then_read_from_the_cache(
     assert again.digest(APPLE) == found.digest(APPLE)
 
 
-def test_harvested_grasps_are_tested_kept_and_used_on_request(sim: CpuSimulator, empty_cache: Path):
+def test_harvested_grasps_are_tested_kept_and_used_on_request(
+    sim: CpuSimulator, empty_cache: Path
+):
     own = library(sim, harvested=True)
     best = own.grasps(APPLE)[0]
     added = own.add(APPLE, best.pose, best.fingers)
@@ -117,14 +127,18 @@ def test_nonsense_is_not_added(
 
 
 def test_every_type_stays_in_the_gripper_of_the_environment():
-    env = envs.make(task="tidy_house", subtask="place", num_envs=9, autoreset="disabled", threads=1)
+    env = envs.make(
+        task="tidy_house", subtask="place", num_envs=9, autoreset="disabled", threads=1
+    )
     chosen: dict[str, int] = {}
     for index in range(200):
         obj = env.starts.start(env.make_episode(0, index)).plan.subtasks[0].obj
         chosen.setdefault(obj.split("_:")[0], index)
         if len(chosen) == 9:
             break
-    assert set(chosen) == set(roster("tidy_house")) and set(SIZES) - set(chosen) == {APPLE}
+    assert set(chosen) == set(roster("tidy_house")) and set(SIZES) - set(chosen) == {
+        APPLE
+    }
     env.reset(seed=0, options={"episode": list(chosen.values())})
     actions = np.zeros((9, len(env.action_table)), np.float32)
     actions[:, 7] = -1.0

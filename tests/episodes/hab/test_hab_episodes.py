@@ -67,10 +67,16 @@ def test_an_episode_comes_back_from_its_file(task: str, tmp_path: Path) -> None:
         read, rest = source.settled(k)
         assert rest.fallen == () and rest.moved.max() < 0.003
         assert (read.home, read.task, read.split) == (made.home, task, "train")
-        np.testing.assert_allclose(read.object_pose[:, :3], made.object_pose[:, :3], atol=0.003)
+        np.testing.assert_allclose(
+            read.object_pose[:, :3], made.object_pose[:, :3], atol=0.003
+        )
         np.testing.assert_allclose(read.link_q, made.link_q, atol=0.01)
         for a, b in zip(read.targets, made.targets, strict=True):
-            assert (a.obj, a.start_link, a.goal_link) == (b.obj, b.start_link, b.goal_link)
+            assert (a.obj, a.start_link, a.goal_link) == (
+                b.obj,
+                b.start_link,
+                b.goal_link,
+            )
             np.testing.assert_allclose(a.goal_pos, b.goal_pos, atol=2e-6)
             np.testing.assert_allclose(a.start_pos, b.start_pos, atol=0.003)
             np.testing.assert_allclose(a.handle_pos, b.handle_pos)
@@ -79,7 +85,9 @@ def test_an_episode_comes_back_from_its_file(task: str, tmp_path: Path) -> None:
 def test_receptacles_are_found_without_the_lists() -> None:
     for task in ("set_table", "prepare_groceries"):
         whole = hab(task)
-        bare = replace(whole, target_receptacles=(), goal_receptacles=(), name_to_receptacle={})
+        bare = replace(
+            whole, target_receptacles=(), goal_receptacles=(), name_to_receptacle={}
+        )
         told, found = (from_file(task, e).episode(0, 0).targets for e in (whole, bare))
         assert told == found
 
@@ -92,7 +100,10 @@ def test_links_are_numbered_as_in_the_benchmark() -> None:
     groceries = hab("prepare_groceries")
     assert groceries.ao_states["fridge_:0000"].keys() == {"2"}
     markers = {m.name: m.link for m in hab("set_table").markers}
-    assert markers["cab_push_point_5"] == "drawer3" and markers["fridge_push_point"] == "top_door"
+    assert (
+        markers["cab_push_point_5"] == "drawer3"
+        and markers["fridge_push_point"] == "top_door"
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,11 +123,18 @@ def test_both_ways_of_numbering_links_are_told_apart(
     sim, home, _ = world("set_table")
     plain = hab("set_table")
     listed = (("kitchen_counter_:0000", drawer), ("fridge_:0000", None))
-    episode = replace(plain, ao_states={"fridge_:0000": states}, target_receptacles=listed)
-    assert number_of_root(sim.layout, home, episode, object_poses(sim.layout, episode)) == root
+    episode = replace(
+        plain, ao_states={"fridge_:0000": states}, target_receptacles=listed
+    )
+    assert (
+        number_of_root(sim.layout, home, episode, object_poses(sim.layout, episode))
+        == root
+    )
     read = from_file("set_table", episode).episode(0, 0)
     door = sim.layout.link_ids.index("fridge/top_door")
-    assert read.link_q[door] == pytest.approx(FRIDGE_PREOPEN_RAD if states else 0.0, abs=0.05)
+    assert read.link_q[door] == pytest.approx(
+        FRIDGE_PREOPEN_RAD if states else 0.0, abs=0.05
+    )
     assert read.targets[0].start_link == "kitchen_counter/drawer3"
 
 
@@ -156,7 +174,9 @@ def test_roster_is_the_most_of_each_type() -> None:
 
 
 def test_an_object_that_does_not_exist_is_named() -> None:
-    odd = replace(hab("tidy_house"), rigid_objs=(("024_bowll.object_config.json", np.eye(4)),))
+    odd = replace(
+        hab("tidy_house"), rigid_objs=(("024_bowll.object_config.json", np.eye(4)),)
+    )
     with pytest.raises(
         UsageError,
         match=r"some\.json\.gz: episodes\[0\]\.rigid_objs\[0\]: .*Did you mean '024_bowl'",
@@ -230,7 +250,9 @@ def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:
     pack = open_pack("builtin")
     bare = replace(
         pack.homes[1],
-        articulations=tuple(p for p in pack.homes[1].articulations if p.template != "fridge"),
+        articulations=tuple(
+            p for p in pack.homes[1].articulations if p.template != "fridge"
+        ),
     )
     with pytest.raises(
         UsageError,
@@ -248,7 +270,8 @@ def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:
         EpisodeMaker(sim, "set_table", bare.split, home=bare.name)
     episode = replace(hab("set_table"), scene_id=f"{bare.name}.scene_instance.json")
     with pytest.raises(
-        UsageError, match=r"some\.json\.gz: episodes\[0\]\.scene_id: .*role 'fridge_shelf'"
+        UsageError,
+        match=r"some\.json\.gz: episodes\[0\]\.scene_id: .*role 'fridge_shelf'",
     ):
         FileEpisodes(sim, HabFile((episode,), path=PATH), "set_table")
 
@@ -256,15 +279,23 @@ def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:
 def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
     _, home, episodes = world("tidy_house")
     first = hab("tidy_house")
-    one = replace(first, targets={name: first.targets[name] for name in first.target_names[:1]})
+    one = replace(
+        first, targets={name: first.targets[name] for name in first.target_names[:1]}
+    )
     path = tmp_path / "two.json"
     write_hab(path, HabFile((hab("tidy_house", 1), one)))
     env = make(
-        task="tidy_house", num_envs=3, episodes_file=str(path), split="val", autoreset="disabled"
+        task="tidy_house",
+        num_envs=3,
+        episodes_file=str(path),
+        split="val",
+        autoreset="disabled",
     )
     _, info = env.reset(seed=3, options={"episode": np.array([0, 1, 2])})
     told = info["episode_spec"]
-    assert [e["index"] for e in told] == [0, 1, 2] and {e["home"] for e in told} == {home.name}
+    assert [e["index"] for e in told] == [0, 1, 2] and {e["home"] for e in told} == {
+        home.name
+    }
     assert [len(e["plan"]) for e in told] == [20, 4, 20]
     assert told[1]["plan"][1]["target"] == episodes[0].targets[0].obj
     assert told[2]["plan"] == told[0]["plan"], "after the last the file begins again"
@@ -280,7 +311,9 @@ def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
     )
     _, info = alone.reset(seed=0, options={"episode": np.array([0])})
     assert info["episode_spec"][0]["plan"][0]["target"].startswith(kind)
-    with pytest.raises(UsageError, match=r"none of its 2 episodes is in home 'builtin_m1_00'"):
+    with pytest.raises(
+        UsageError, match=r"none of its 2 episodes is in home 'builtin_m1_00'"
+    ):
         make(task="tidy_house", episodes_file=str(path), home="builtin_m1_00")
 
 
@@ -318,14 +351,19 @@ def test_states_of_furniture_that_is_welded_unless_asked_for() -> None:
     episode = replace(file.episodes[0], ao_states=states)
     welded, opening = (
         Layout(open_pack(name), file_roster(file, open_pack(name)))
-        for name in (folder, PackRequest(folder, ("kitchen_cupboards", "chest_of_drawers")))
+        for name in (
+            folder,
+            PackRequest(folder, ("kitchen_cupboards", "chest_of_drawers")),
+        )
     )
     with pytest.raises(
         ValueError,
         match=r"\['2'\]: 'kitchenCupboard_01' is welded shut in this pack \(--articulate",
     ):
         joint_positions(welded, episode, 0)
-    found = dict(zip(opening.link_ids, joint_positions(opening, episode, 0).tolist(), strict=True))
+    found = dict(
+        zip(opening.link_ids, joint_positions(opening, episode, 0).tolist(), strict=True)
+    )
     assert {name: q for name, q in found.items() if q} == {
         "kitchenCupboard_01/kitchencupboard_doorWhole_1L": 1.0,
         "kitchenCupboard_01/kitchencupboard_doorWhole_1R": 0.5,

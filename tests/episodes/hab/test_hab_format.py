@@ -25,7 +25,10 @@ from mjhab.episodes.hab.format import (
 )
 from tests.real_data import real_data
 
-FILES = ("tidy_house_v3_sc1_staging_01.json.gz", "habitat_lab_rearrange_format_demo.json.gz")
+FILES = (
+    "tidy_house_v3_sc1_staging_01.json.gz",
+    "habitat_lab_rearrange_format_demo.json.gz",
+)
 EYE = np.eye(4).tolist()
 
 
@@ -37,7 +40,10 @@ def row(**changes: Any) -> dict[str, Any]:
         "scene_dataset_config": "x.json",
         "start_position": [0, 0, 0],
         "start_rotation": [0, 0, 0, 1],
-        "info": {"object_labels": {"024_bowl_:0001": "any_targets|0"}, "difficulty": "easy"},
+        "info": {
+            "object_labels": {"024_bowl_:0001": "any_targets|0"},
+            "difficulty": "easy",
+        },
         "ao_states": {"fridge_:0000": {"2": 1.5}},
         "rigid_objs": [
             ["024_bowl.object_config.json", EYE],
@@ -79,7 +85,9 @@ def test_names_of_an_episode() -> None:
     assert episode.scene == "v3_sc0_staging_00"
     assert episode.types == ("024_bowl", "024_bowl")
     assert episode.instances == ("024_bowl_:0000", "024_bowl_:0001")
-    assert episode.target_names == ("024_bowl_:0001",), "object_labels say which and in which order"
+    assert episode.target_names == ("024_bowl_:0001",), (
+        "object_labels say which and in which order"
+    )
     assert from_json(row(info={})).target_names == ("013_apple_:0000", "024_bowl_:0001")
     assert episode.target_receptacles == (
         ("kitchen_counter_:0000", 7),
@@ -97,15 +105,19 @@ def test_the_same_episodes_give_the_same_bytes(tmp_path: Path) -> None:
         "config": None,
         "episodes": [row(), row(episode_id="8")],
     }
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.json.gz", "b.json.gz", "c.json"], (
-        "nothing half-written"
-    )
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "a.json.gz",
+        "b.json.gz",
+        "c.json",
+    ], "nothing half-written"
 
 
 def test_up_becomes_up_and_scans_keep_their_heading() -> None:
     matrix = np.eye(4)
     matrix[:3, 3] = (1.0, 0.8, -2.0)
-    np.testing.assert_allclose(pose_from_hab(matrix), (1.0, 2.0, 0.8, 1, 0, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(
+        pose_from_hab(matrix), (1.0, 2.0, 0.8, 1, 0, 0, 0), atol=1e-12
+    )
     # A quarter turn about +y of theirs is one about +z of ours.
     matrix[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     np.testing.assert_allclose(
@@ -118,7 +130,9 @@ def test_up_becomes_up_and_scans_keep_their_heading() -> None:
 
 @given(
     st.lists(st.floats(-20, 20), min_size=3, max_size=3),
-    st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(lambda v: np.linalg.norm(v) > 0.1),
+    st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(
+        lambda v: np.linalg.norm(v) > 0.1
+    ),
     st.floats(-3.1, 3.1),
     st.floats(-3.1, 3.1),
 )
@@ -130,7 +144,9 @@ def test_poses_survive_the_file(
     pose = np.concatenate([place, quat_from_axis_angle(unit, np.array(angle))])
     back = pose_from_hab(pose_to_hab(pose, scan_yaw), scan_yaw)
     np.testing.assert_allclose(back[:3], pose[:3], atol=1e-6)
-    np.testing.assert_allclose(mat_from_quat(back[3:]), mat_from_quat(pose[3:]), atol=3e-6)
+    np.testing.assert_allclose(
+        mat_from_quat(back[3:]), mat_from_quat(pose[3:]), atol=3e-6
+    )
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
@@ -166,7 +182,9 @@ BAD = {
         "episodes": [{"scene_id": "a", "targets": {}}]
     },
     r"episodes\[0\]\.scene_id: expected str": {"episodes": [row(scene_id=3)]},
-    r"episodes\[0\]\.rigid_objs\[0\]: expected \[file name": {"episodes": [row(rigid_objs=[EYE])]},
+    r"episodes\[0\]\.rigid_objs\[0\]: expected \[file name": {
+        "episodes": [row(rigid_objs=[EYE])]
+    },
     r"episodes\[0\]\.rigid_objs\[0\]\[1\]: expected a 4x4": {
         "episodes": [row(rigid_objs=[["a", [[1, 2], [3]]]])]
     },
@@ -176,17 +194,27 @@ BAD = {
     r"episodes\[0\]\.ao_states\['fridge'\]\['2'\]: expected a number": {
         "episodes": [row(ao_states={"fridge": {"2": "open"}})]
     },
-    r"episodes\[0\]\.markers\[0\]: expected name": {"episodes": [row(markers=[{"name": "x"}])]},
+    r"episodes\[0\]\.markers\[0\]: expected name": {
+        "episodes": [row(markers=[{"name": "x"}])]
+    },
     r"episodes\[0\]\.goal_receptacles\[0\]: expected \[handle": {
         "episodes": [row(goal_receptacles=[["a", "b"]])]
     },
-    r"episodes\[0\]\.scene_id: '\.\.' is no name": {"episodes": [row(scene_id="data/..")]},
-    r"episodes\[0\]\.rigid_objs\[0\]: '' is no name": {"episodes": [row(rigid_objs=[["a/", EYE]])]},
+    r"episodes\[0\]\.scene_id: '\.\.' is no name": {
+        "episodes": [row(scene_id="data/..")]
+    },
+    r"episodes\[0\]\.rigid_objs\[0\]: '' is no name": {
+        "episodes": [row(rigid_objs=[["a/", EYE]])]
+    },
     r"episodes\[0\]\.rigid_objs\[0\]: 'a b' is no name": {
         "episodes": [row(rigid_objs=[["a b", EYE]])]
     },
-    r"episodes\[0\]\.targets: '\.\./x' is no name": {"episodes": [row(targets={"../x": EYE})]},
-    r"episodes\[0\]\.ao_states: '/etc' is no name": {"episodes": [row(ao_states={"/etc": {}})]},
+    r"episodes\[0\]\.targets: '\.\./x' is no name": {
+        "episodes": [row(targets={"../x": EYE})]
+    },
+    r"episodes\[0\]\.ao_states: '/etc' is no name": {
+        "episodes": [row(ao_states={"/etc": {}})]
+    },
     r"episodes\[0\]\.ao_states\['a'\]: '\.\.' is no name": {
         "episodes": [row(ao_states={"a": {"..": 0}})]
     },

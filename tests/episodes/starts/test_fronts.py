@@ -38,9 +38,13 @@ def renamed(layout: Layout) -> tuple[Layout, Home]:
         for name, piece in pack.articulations.items()
     }
     home = pack.homes[0]
-    placed = tuple(dataclasses.replace(p, template=names[p.template]) for p in home.articulations)
+    placed = tuple(
+        dataclasses.replace(p, template=names[p.template]) for p in home.articulations
+    )
     other = dataclasses.replace(home, articulations=placed)
-    return Layout(dataclasses.replace(pack, homes=(other,), articulations=furniture), ()), other
+    return Layout(
+        dataclasses.replace(pack, homes=(other,), articulations=furniture), ()
+    ), other
 
 
 @pytest.fixture(scope="module")

@@ -56,7 +56,9 @@ class _Mood:
     def infer(self, request: Mapping[str, Any], batch: int | None) -> np.ndarray:
         self.asked += 1
         good = self.policy.infer(request, batch)
-        return np.asarray(self.policy.bad)[None] if self.spoils and self.asked > 2 else good
+        return (
+            np.asarray(self.policy.bad)[None] if self.spoils and self.asked > 2 else good
+        )
 
     def reset(self) -> None:
         pass
@@ -86,7 +88,9 @@ def test_a_wrong_answer_ends_its_episode_alone(bad: np.ndarray, error: str) -> N
     assert not records[1].success_once
 
 
-def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_executed() -> None:
+def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_executed() -> (
+    None
+):
     chunk = np.linspace(-0.3, 0.3, 4 * 9).reshape(4, 9)
     policy = Constant(chunk)
     with serving(policy) as server:
@@ -95,7 +99,9 @@ def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_execu
         assert facts.env_options["control_mode"] == "pd_ee_delta_pose"
         env = world(num_envs=1, **{**facts.env_options, "camera_size": 16})
         served = resolve_policy(address, env)
-        obs, info = env.reset(seed=0, options={"episode": [0], "reset_mask": np.ones(1, bool)})
+        obs, info = env.reset(
+            seed=0, options={"episode": [0], "reset_mask": np.ones(1, bool)}
+        )
         served.reset(np.ones(1, bool))
         acted = np.stack([served.act(obs, info)[0] for _ in range(6)])
         served.close()  # type: ignore[attr-defined]
@@ -117,7 +123,9 @@ def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_execu
         "base_yaw",
     ]
     columns = [names.index(name) for name in sent]
-    np.testing.assert_allclose(acted[:, columns], np.concatenate([chunk[:3]] * 2), rtol=1e-6)
+    np.testing.assert_allclose(
+        acted[:, columns], np.concatenate([chunk[:3]] * 2), rtol=1e-6
+    )
     assert not np.delete(acted, columns, axis=1).any()
     request = policy.seen[0]
     np.testing.assert_array_equal(
@@ -192,10 +200,14 @@ def test_a_student_acts_over_the_line_as_it_does_at_home() -> None:
     spec_at_home = "student:set_table/close/kitchen_counter/drawer3"
     with serving(TwinResponder(spec_at_home, PolicyOptions())) as server:
         facts = inspect_policy(spec(server.port))
-        assert facts.name == "served-student" and facts.identity["server"]["policy_sha256"]
+        assert (
+            facts.name == "served-student" and facts.identity["server"]["policy_sha256"]
+        )
         options = {**facts.env_options, "target": "kitchen_counter/drawer3"}
         env = world(**options)
-        at_home = rollout(env, resolve_policy(spec_at_home, env), [0, 1], seed=0, max_steps=10)
+        at_home = rollout(
+            env, resolve_policy(spec_at_home, env), [0, 1], seed=0, max_steps=10
+        )
         served = resolve_policy(spec(server.port), env)
         away = rollout(env, served, [0, 1], seed=0, max_steps=10)
         served.close()  # type: ignore[attr-defined]
@@ -207,7 +219,9 @@ def test_a_student_is_told_the_sentence_of_the_client(tmp_path: Path) -> None:
     inputs = InputConfig(cameras=(), image_size=0, condition=False, sentence=True)
     env = world(target="kitchen_counter/drawer3")
     path = str(tmp_path / "told.safetensors")
-    save_student(Path(path), make_student(config(inputs=inputs), layout_of(env, inputs, ())), {})
+    save_student(
+        Path(path), make_student(config(inputs=inputs), layout_of(env, inputs, ())), {}
+    )
 
     def final_states(policy: str, instruction: str = "") -> list[str]:
         acting: Any = resolve_policy(policy, env, PolicyOptions(instruction=instruction))
@@ -216,7 +230,10 @@ def test_a_student_is_told_the_sentence_of_the_client(tmp_path: Path) -> None:
         return [record.final_state for record in records]
 
     with serving(TwinResponder(path, PolicyOptions())) as server:
-        away = [final_states(spec(server.port)), final_states(spec(server.port), "shut it")]
+        away = [
+            final_states(spec(server.port)),
+            final_states(spec(server.port), "shut it"),
+        ]
     at_home = [final_states(path), final_states(path, "shut it")]
     assert away == at_home and at_home[0] != at_home[1]
 
@@ -224,12 +241,16 @@ def test_a_student_is_told_the_sentence_of_the_client(tmp_path: Path) -> None:
 def test_a_policy_that_reads_no_instruction_says_so() -> None:
     env = world(num_envs=1)
     with serving(TwinResponder("zero", PolicyOptions())) as server:
-        with pytest.raises(UsageError, match=r"zero that ws://\S+ serves reads no instruction"):
+        with pytest.raises(
+            UsageError, match=r"zero that ws://\S+ serves reads no instruction"
+        ):
             resolve_policy(spec(server.port), env, PolicyOptions(instruction="shut it"))
         served: Any = resolve_policy(spec(server.port), env)
         served.close()
     with serving(Constant(np.zeros((1, 13)))) as server:
-        other: Any = resolve_policy(spec(server.port), env, PolicyOptions(instruction="shut it"))
+        other: Any = resolve_policy(
+            spec(server.port), env, PolicyOptions(instruction="shut it")
+        )
         other.close()
 
 

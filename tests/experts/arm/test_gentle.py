@@ -11,7 +11,10 @@ from mjhab.experts.arm.gentle import BRISK, FIRM, WEAK, Care, care_for, eased
 
 def view_with(**objects: tuple[float, float]) -> Any:
     """A view with objects of a mass [kg] so far [m] from the hand."""
-    pose = {name: np.array([1.0, 2.0, 1.0 - far, 1, 0, 0, 0]) for name, (_, far) in objects.items()}
+    pose = {
+        name: np.array([1.0, 2.0, 1.0 - far, 1, 0, 0, 0])
+        for name, (_, far) in objects.items()
+    }
     return SimpleNamespace(
         tcp_pose=np.array([1.0, 2.0, 1.0, 1, 0, 0, 0]),
         object_names=tuple(objects),
@@ -47,6 +50,8 @@ def test_only_the_object_in_the_hand_counts():
 @pytest.mark.parametrize("care", [FIRM, WEAK])
 def test_speeds_change_by_little_and_turns_end_sooner_than_they_begin(care: Care):
     assert eased((1.0, 3.0), (0.0, 0.0), care) == pytest.approx((care.rise, care.change))
-    assert eased((0.0, 0.0), (1.0, 1.0), care) == pytest.approx((1.0 - care.rise, 1.0 - care.fall))
+    assert eased((0.0, 0.0), (1.0, 1.0), care) == pytest.approx(
+        (1.0 - care.rise, 1.0 - care.fall)
+    )
     assert eased((0.0, -3.0), (0.0, -care.spin), care) == pytest.approx((0.0, -care.spin))
     assert eased((0.0, 3.0), (0.0, -1.0), care)[1] == pytest.approx(-1.0 + care.fall)

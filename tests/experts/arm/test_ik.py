@@ -53,12 +53,16 @@ def test_a_compiled_step_is_that_of_the_batched_kinematics(far):
     q = np.repeat(REST[None], 40, axis=0)
     tip, turn = CHAIN.tip_pose(q)
     goal = tip + far * (pos - tip)
-    error = np.concatenate([goal - tip, rotation_vector(rot @ turn.swapaxes(1, 2))], axis=1)
+    error = np.concatenate(
+        [goal - tip, rotation_vector(rot @ turn.swapaxes(1, 2))], axis=1
+    )
     low = (CHAIN.lower - q)[:, DOFS]
     high = (CHAIN.upper - q)[:, DOFS]
     bounds = ik.step_limits(CHAIN)[DOFS]
     pull = np.zeros_like(low)
-    wanted = limited_step(error, CHAIN.jacobian(q)[:, :, DOFS], pull, StepBounds(low, high, bounds))
+    wanted = limited_step(
+        error, CHAIN.jacobian(q)[:, :, DOFS], pull, StepBounds(low, high, bounds)
+    )
     found = ik.servo(CHAIN, q, goal, rot, DOFS, rest=REST)
     np.testing.assert_allclose(found[:, DOFS], np.clip(wanted, low, high), atol=1e-9)
 
@@ -75,12 +79,19 @@ def test_solutions_reach_their_goals_inside_the_limits(mode):
     assert np.linalg.norm(tip - pos[good], axis=1).max() < 4e-3
     column = {"approach": 0, "closing": 1}.get(mode)
     if column is not None:
-        assert np.sum(turn[:, :, column] * rot[good][:, :, column], axis=1).min() > np.cos(0.04)
+        assert np.sum(
+            turn[:, :, column] * rot[good][:, :, column], axis=1
+        ).min() > np.cos(0.04)
     if mode == "pose":
-        assert np.linalg.norm(rotation_vector(rot[good] @ turn.swapaxes(1, 2)), axis=1).max() < 0.04
+        assert (
+            np.linalg.norm(rotation_vector(rot[good] @ turn.swapaxes(1, 2)), axis=1).max()
+            < 0.04
+        )
     assert (q >= CHAIN.lower - 1e-9).all() and (q <= CHAIN.upper + 1e-9).all()
     still = np.setdiff1d(np.arange(15), DOFS)
-    np.testing.assert_array_equal(q[:, still], np.repeat(REST[None, still], len(q), axis=0))
+    np.testing.assert_array_equal(
+        q[:, still], np.repeat(REST[None, still], len(q), axis=0)
+    )
 
 
 def fill_freed_memory_with_nan() -> None:
@@ -116,7 +127,9 @@ def test_the_base_can_help_to_reach_far_goals():
 
 
 def test_hopeless_goals_are_not_called_reached():
-    found = ik.solve(CHAIN, np.array([[3.0, 0, 1]]), np.eye(3)[None], REST[None], DOFS, rest=REST)
+    found = ik.solve(
+        CHAIN, np.array([[3.0, 0, 1]]), np.eye(3)[None], REST[None], DOFS, rest=REST
+    )
     assert not found.ok.any()
     assert np.isinf(found.best(np.zeros((1, 1)))[1]).all()
 
@@ -125,13 +138,22 @@ def test_hopeless_goals_are_not_called_reached():
 @given(st.integers(0, 10_000))
 def test_servo_steps_stay_within_speed_and_limits_and_come_nearer(seed):
     rng = np.random.default_rng(seed)
-    q = CHAIN.clip(REST + np.where(np.isin(np.arange(15), DOFS), rng.normal(0, 0.3, 15), 0))[None]
+    q = CHAIN.clip(
+        REST + np.where(np.isin(np.arange(15), DOFS), rng.normal(0, 0.3, 15), 0)
+    )[None]
     pos, rot = CHAIN.tip_pose(q)
     goal = pos + rng.normal(0, 0.02, (1, 3))
-    delta = ik.servo(CHAIN, q, goal, rot, DOFS, rest=REST, options=ik.ServoOptions(rest_gain=0.0))
+    delta = ik.servo(
+        CHAIN, q, goal, rot, DOFS, rest=REST, options=ik.ServoOptions(rest_gain=0.0)
+    )
     assert (np.abs(delta) <= ik.step_limits(CHAIN) + 1e-12).all()
-    assert (q + delta >= CHAIN.lower - 1e-12).all() and (q + delta <= CHAIN.upper + 1e-12).all()
-    assert np.linalg.norm(CHAIN.tip_pose(q + delta)[0] - goal) <= np.linalg.norm(pos - goal) + 1e-4
+    assert (q + delta >= CHAIN.lower - 1e-12).all() and (
+        q + delta <= CHAIN.upper + 1e-12
+    ).all()
+    assert (
+        np.linalg.norm(CHAIN.tip_pose(q + delta)[0] - goal)
+        <= np.linalg.norm(pos - goal) + 1e-4
+    )
 
 
 def test_servo_follows_a_straight_line_and_holds_still_while_the_base_drives():
@@ -156,8 +178,12 @@ def test_servo_follows_a_straight_line_and_holds_still_while_the_base_drives():
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
 def test_rotation_vectors_and_matrices_are_inverse(seed):
-    vector = np.random.default_rng(seed).uniform(-1.8, 1.8, (5, 3))  # shorter than half a turn
-    np.testing.assert_allclose(rotation_vector(mat_from_rotation_vector(vector)), vector, atol=1e-7)
+    vector = np.random.default_rng(seed).uniform(
+        -1.8, 1.8, (5, 3)
+    )  # shorter than half a turn
+    np.testing.assert_allclose(
+        rotation_vector(mat_from_rotation_vector(vector)), vector, atol=1e-7
+    )
 
 
 def test_unwinding_takes_whole_turns_of_continuous_joints_only():
@@ -169,7 +195,9 @@ def test_unwinding_takes_whole_turns_of_continuous_joints_only():
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.sampled_from([CAN, WIDE_CAN, BOX, BALL, BOWL]), st.floats(-3.2, 3.2), st.booleans())
+@given(
+    st.sampled_from([CAN, WIDE_CAN, BOX, BALL, BOWL]), st.floats(-3.2, 3.2), st.booleans()
+)
 def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
     quat = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
     height = shape.half[2]
@@ -182,7 +210,9 @@ def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
     found = grasp_candidates(LyingObject.of(shape, np.append(center, quat), 0.7))
     assert len(found) >= 6
     assert (np.diff(found.score) <= 1e-12).all()
-    assert (found.width < ROBOT.gripper.opening).all() and (found.opening > found.width).all()
+    assert (found.width < ROBOT.gripper.opening).all() and (
+        found.opening > found.width
+    ).all()
     tips = found.pos + 0.03 * found.rot[:, :, 0]
     assert (np.minimum(tips, found.pos)[:, 2] >= 0.7).all()
     palm = (center - (found.pos - 0.032 * found.rot[:, :, 0])) @ mat_from_quat(quat)
@@ -192,7 +222,9 @@ def test_grasps_respect_support_opening_and_geometry(shape, yaw, lying):
     elif shape.kind != "box":
         outside |= np.linalg.norm(palm[:, :2], axis=1) > shape.half[0]
     assert outside.all(), "the hand's front must stay outside the object"
-    np.testing.assert_allclose(found.pos - found.pre, 0.10 * found.rot[:, :, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        found.pos - found.pre, 0.10 * found.rot[:, :, 0], atol=1e-9
+    )
 
 
 def test_neighbours_and_robot_decide_what_comes_first():
@@ -217,7 +249,9 @@ def test_what_cannot_be_grasped_gives_no_candidates_and_unknown_shapes_are_named
         len(
             grasp_candidates(
                 LyingObject.of(
-                    slab, np.append(np.array([0, 0, 0.036]), np.array([1.0, 0, 0, 0])), 0.0
+                    slab,
+                    np.append(np.array([0, 0, 0.036]), np.array([1.0, 0, 0, 0])),
+                    0.0,
                 )
             )
         )

@@ -31,13 +31,19 @@ def fallen(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
     )
     body = spec.worldbody.add_body()
     body.add_freejoint()
-    kind = mujoco.mjtGeom.mjGEOM_BOX if shape.kind == "box" else mujoco.mjtGeom.mjGEOM_CYLINDER
+    kind = (
+        mujoco.mjtGeom.mjGEOM_BOX
+        if shape.kind == "box"
+        else mujoco.mjtGeom.mjGEOM_CYLINDER
+    )
     body.add_geom(type=kind, size=size, mass=0.5, friction=[1.0, 0.005, 0.001])
     model = spec.compile()
     data = mujoco.MjData(model)
     low = np.abs(rot[2]) @ np.array(shape.half)
     if shape.kind == "cylinder":
-        low = shape.half[0] * np.hypot(rot[2, 0], rot[2, 1]) + shape.half[2] * abs(rot[2, 2])
+        low = shape.half[0] * np.hypot(rot[2, 0], rot[2, 1]) + shape.half[2] * abs(
+            rot[2, 2]
+        )
     data.qpos[:] = [0.0, 0.0, low, *quat_from_mat(rot)]
     # Something slows it down, as fingers do.
     model.dof_damping[:] = [0.0, 0.0, 0.0, 0.01, 0.01, 0.01]
@@ -50,7 +56,8 @@ def leaning(tilt: float, about: float, yaw: float = 0.0) -> np.ndarray:
     """Rotation by ``yaw`` about the vertical, then by ``tilt`` about the level direction ``about`` [rad]."""
     axis = tilt * np.array([[np.cos(about), np.sin(about), 0.0]])
     return (
-        mat_from_rotation_vector(axis)[0] @ mat_from_rotation_vector(np.array([[0.0, 0.0, yaw]]))[0]
+        mat_from_rotation_vector(axis)[0]
+        @ mat_from_rotation_vector(np.array([[0.0, 0.0, yaw]]))[0]
     )
 
 
@@ -81,12 +88,15 @@ def test_a_leaning_object_tips_to_where_it_is_expected(
 def test_what_stands_or_rolls_does_not_tip():
     np.testing.assert_allclose(release.tipped(SUGAR, np.eye(3)), 0.0, atol=1e-9)
     np.testing.assert_array_equal(
-        release.tipped(ObjectShape("sphere", (0.04, 0.04, 0.04)), leaning(0.5, 0.0)), np.zeros(3)
+        release.tipped(ObjectShape("sphere", (0.04, 0.04, 0.04)), leaning(0.5, 0.0)),
+        np.zeros(3),
     )
 
 
 def test_a_leaning_cylinder_tips_alike_whichever_way_it_is_turned_about_its_axis():
-    tips = [release.tipped(CAN, leaning(0.8, about=0.3, yaw=yaw)) for yaw in (0.0, 0.7, 2.0)]
+    tips = [
+        release.tipped(CAN, leaning(0.8, about=0.3, yaw=yaw)) for yaw in (0.0, 0.7, 2.0)
+    ]
     np.testing.assert_allclose(tips[1:], tips[:1] * 2, atol=1e-9)
 
 
@@ -98,8 +108,12 @@ def test_a_leaning_cylinder_tips_alike_whichever_way_it_is_turned_about_its_axis
         (0.05, release.AWAY_SPEED_M_S),
     ],
 )
-def test_the_hand_leaves_slowly_where_the_fingers_brush_along(finger: float, speed: float):
-    view: Any = SimpleNamespace(robot=ROBOT, q=np.array([*REST_QPOS[:13], finger, finger]))
+def test_the_hand_leaves_slowly_where_the_fingers_brush_along(
+    finger: float, speed: float
+):
+    view: Any = SimpleNamespace(
+        robot=ROBOT, q=np.array([*REST_QPOS[:13], finger, finger])
+    )
     assert release.away_speed(view) == speed
 
 
@@ -128,7 +142,11 @@ def test_fingers_open_as_far_as_there_is_room(monkeypatch: pytest.MonkeyPatch):
     sides = [pos + side * (now / 2 + 0.045) * rot[:, 1] for side in (-1.0, 1.0)]
     boards = Boxes.of(sides, [[0.1, 0.005, 0.1]] * 2, [rot] * 2)
     monkeypatch.setattr(release, "surroundings", lambda *_: (boards, boards))
-    assert now < release.let_go_width(view, obj, pos, rot) < now + release.EXTRA_OPENINGS_M[-1]
+    assert (
+        now
+        < release.let_go_width(view, obj, pos, rot)
+        < now + release.EXTRA_OPENINGS_M[-1]
+    )
 
 
 def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fingers(
@@ -139,7 +157,8 @@ def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fin
     spot = release.drawn_back(view, obj, pos, rot, view.q)
     way = spot - pos
     assert (
-        0.0 < np.linalg.norm(way) <= max(release.DRAW_BACK_M) + 1e-9 and abs(way @ rot[:, 1]) < 1e-9
+        0.0 < np.linalg.norm(way) <= max(release.DRAW_BACK_M) + 1e-9
+        and abs(way @ rot[:, 1]) < 1e-9
     )
     found = ik.solve(
         ROBOT.chain,
@@ -154,12 +173,16 @@ def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fin
         motion.spheres(ROBOT).only(ROBOT.hand_links).clearance(found.q[0], target)[0]
         > release.FREE_CLEARANCE_M
     )
-    along = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(view.q[2]), -np.sin(view.q[2]), 0.0]])
+    along = np.array(
+        [-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(view.q[2]), -np.sin(view.q[2]), 0.0]]
+    )
     along -= (along @ rot[:, 1])[:, None] * rot[:, 1]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     assert (along @ way / np.linalg.norm(way)).max() > 1.0 - 1e-6
     # Something in the way of the palm: another way, or not as far.
     thing = Boxes.of([spot - 0.11 * rot[:, 0]], [[0.01] * 3])
-    monkeypatch.setattr(release, "surroundings", lambda *_: (Boxes.join([near, thing]), target))
+    monkeypatch.setattr(
+        release, "surroundings", lambda *_: (Boxes.join([near, thing]), target)
+    )
     other = release.drawn_back(view, obj, pos, rot, view.q) - pos
     assert other @ way / np.linalg.norm(way) < np.linalg.norm(way) - 0.015

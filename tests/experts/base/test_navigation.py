@@ -61,7 +61,9 @@ def drive(pilot: Pilot, pose: np.ndarray, steps: int = 900) -> tuple[int, np.nda
         for _ in range(round(STEP_SECONDS / 0.01)):
             speed += faster * (forward - speed)
             rate += turning * (turn - rate)
-            pose += 0.01 * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate])
+            pose += 0.01 * np.array(
+                [speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate]
+            )
     return -1, np.array(track)
 
 
@@ -77,7 +79,9 @@ def test_planned_ways_are_clear_and_driven_to_the_goal(seed, yaw, final):
     np.testing.assert_allclose(path[[0, -1]], [start, goal])
     for a, b in pairwise(path):
         assert planner.line_clearance(a, b[None])[0] >= planner.radius - 1e-9
-    steps, track = drive(Pilot(path, final, 1, DRIVE_LOOKAHEAD_M), np.array([*start, yaw]))
+    steps, track = drive(
+        Pilot(path, final, 1, DRIVE_LOOKAHEAD_M), np.array([*start, yaw])
+    )
     assert steps >= 0
     assert np.linalg.norm(track[-1, :2] - goal) <= 0.05
     assert abs(wrap(track[-1, 2] - final)) <= 0.1
@@ -120,15 +124,16 @@ def test_narrow_cells_are_passed_only_where_there_is_no_other_way():
     start = np.array([0.25, 1.95])
     goal = np.array([2.75, 1.95])
     assert (
-        Planner(FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29).plan(start, goal) is None
+        Planner(FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29).plan(start, goal)
+        is None
     )
     narrow = Planner(FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29, narrow=0.27)
     path = narrow.plan(start, goal)
     assert path is not None and path[:, 1].min() == pytest.approx(0.35, abs=0.06)
     clearance[15, 29] = 0.3
-    path = Planner(FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29, narrow=0.27).plan(
-        start, goal
-    )
+    path = Planner(
+        FloorClearance((0.0, 0.0), 0.1, clearance), radius=0.29, narrow=0.27
+    ).plan(start, goal)
     assert path is not None and path[:, 1].min() > 1.8
 
 

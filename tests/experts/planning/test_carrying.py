@@ -32,7 +32,12 @@ from mjhab.experts.base.route import (
     simulate,
     torso_gone,
 )
-from mjhab.experts.planning.base_poses import FAR_BASE_M, MAX_OVERREACH_M, base_poses, overreach
+from mjhab.experts.planning.base_poses import (
+    FAR_BASE_M,
+    MAX_OVERREACH_M,
+    base_poses,
+    overreach,
+)
 from mjhab.experts.planning.carry import CORNER_RADIUS_M, held_spheres
 from mjhab.experts.planning.workplace import Scene, Work, surroundings
 from mjhab.experts.skills.pick_plans import LOW_SHELF_OPTIONS, SHELF_OPTIONS
@@ -78,7 +83,9 @@ def test_a_drive_with_an_object_goes_as_expected():
     view = env.view(0)
     obj, _ = goal_of(view)
     arm = ROBOT.rest.copy()
-    arm[[ROBOT.joints.index("torso_lift_joint"), ROBOT.joints.index("elbow_flex_joint")]] -= [
+    arm[
+        [ROBOT.joints.index("torso_lift_joint"), ROBOT.joints.index("elbow_flex_joint")]
+    ] -= [
         0.2,
         0.5,
     ]
@@ -88,9 +95,13 @@ def test_a_drive_with_an_object_goes_as_expected():
     assert found is not None
     path, direction, lookahead, poses = found
     expected = _swept(ROBOT, view.q, poses, arm, 0)
-    route = Route(path, float(goal[2]), direction, lookahead, arm, 0, len(expected), 0.0, care=FIRM)
+    route = Route(
+        path, float(goal[2]), direction, lookahead, arm, 0, len(expected), 0.0, care=FIRM
+    )
     real = [view.q]
-    for action in islice(follow(view, route, gripper=motion.CLOSED, held=obj), len(expected) - 1):
+    for action in islice(
+        follow(view, route, gripper=motion.CLOSED, held=obj), len(expected) - 1
+    ):
         env.step(action[None])
         real.append(view.q)
     assert holds(view, obj) and len(real) > 20
@@ -116,13 +127,18 @@ def test_a_bend_is_driven_as_expected():
     poses = simulate(view.q[:3], path, yaw, 1, 0.3, FIRM)
     route = Route(path, yaw, 1, 0.3, view.q, 0, len(poses), 0.0, care=FIRM)
     real = [view.q[:3]]
-    for action in islice(follow(view, route, gripper=motion.CLOSED, held=obj), len(poses) - 1):
+    for action in islice(
+        follow(view, route, gripper=motion.CLOSED, held=obj), len(poses) - 1
+    ):
         env.step(action[None])
         real.append(view.q[:3])
     off = np.array(real) - poses[: len(real)]
     # It turns by more than half a turn, and slides on in the bends.
     assert np.ptp(poses[:, 2]) > 2.0 and len(real) > 30
-    assert np.linalg.norm(off[:, :2], axis=1).max() < 0.02 and np.abs(wrap(off[:, 2])).max() < 0.1
+    assert (
+        np.linalg.norm(off[:, :2], axis=1).max() < 0.02
+        and np.abs(wrap(off[:, 2])).max() < 0.1
+    )
 
 
 def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
@@ -157,7 +173,9 @@ def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():
     arm = motion.arm_spheres(ROBOT)
     whole = motion.spheres(ROBOT)
     links = {arm.chain.links[i] for i in arm.link}
-    assert not links & set(ROBOT.trunk_links) and links < {whole.chain.links[i] for i in whole.link}
+    assert not links & set(ROBOT.trunk_links) and links < {
+        whole.chain.links[i] for i in whole.link
+    }
     # It stays above the base, which the map of the floor keeps clear.
     chain = ROBOT.chain_with(ROBOT.trunk_links)
     frames = chain.forward(ROBOT.rest[None])
@@ -173,10 +191,13 @@ def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():
             corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * half
             turn = frames.rot[0, at] @ mat_from_quat(np.array(geom.quat, float))
             spots = (
-                frames.pos[0, at] + frames.rot[0, at] @ np.array(geom.pos, float) + corners @ turn.T
+                frames.pos[0, at]
+                + frames.rot[0, at] @ np.array(geom.pos, float)
+                + corners @ turn.T
             )
             reach[link] = max(
-                reach[link], float(np.linalg.norm(spots[:, :2] - ROBOT.rest[:2], axis=1).max())
+                reach[link],
+                float(np.linalg.norm(spots[:, :2] - ROBOT.rest[:2], axis=1).max()),
             )
     assert max(reach.values()) < reach["base_link"] + 0.02
     np.testing.assert_array_equal(
@@ -191,7 +212,10 @@ def test_spheres_reach_into_the_corners_of_a_held_box():
     assert view.object_shape(obj).kind == "box"
     pose = view.object_pose(obj)
     (tcp, rot) = motion.tcp(view)
-    corners = pose[:3] + (half * [[1, 1, 1], [-1, 1, -1], [1, -1, -1]]) @ mat_from_quat(pose[3:]).T
+    corners = (
+        pose[:3]
+        + (half * [[1, 1, 1], [-1, 1, -1], [1, -1, -1]]) @ mat_from_quat(pose[3:]).T
+    )
     local, radius = held_spheres(view, obj)
     gap = np.linalg.norm(corners[:, None] - (tcp + local @ rot.T), axis=2) - radius
     assert gap.min(axis=1).max() < CORNER_RADIUS_M
@@ -202,7 +226,11 @@ def test_bases_are_only_where_something_can_be_reached():
     obj, goal = goal_of(view)
     near, _ = surroundings(view, obj, goal)
     scene = Scene(
-        near, near.take(np.zeros(0, np.int64)), float(goal[2]), ROBOT, held_spheres(view, obj)
+        near,
+        near.take(np.zeros(0, np.int64)),
+        float(goal[2]),
+        ROBOT,
+        held_spheres(view, obj),
     )
     goals = hand_goals(view, obj, goal, Release(shelf=False, any_side=False))
     # Only what is put down half a metre further away counts.
@@ -219,7 +247,8 @@ def test_bases_are_only_where_something_can_be_reached():
     moved = np.linalg.norm(near_by[0][:, :2] - view.q[:2], axis=1) > 1e-9
     assert (
         moved.any()
-        and np.linalg.norm(near_by[0][moved, :2] - goal[:2], axis=1).max() <= FAR_BASE_M + 1e-9
+        and np.linalg.norm(near_by[0][moved, :2] - goal[:2], axis=1).max()
+        <= FAR_BASE_M + 1e-9
     )
     assert np.linalg.norm(anywhere[0][:, :2] - goal[:2], axis=1).max() > FAR_BASE_M
     assert anywhere[1].min() <= near_by[1].min()

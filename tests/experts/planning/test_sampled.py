@@ -34,7 +34,9 @@ def turned(pan: float) -> np.ndarray:
 LEFT = turned(0.9)
 RIGHT = turned(-0.9)
 # A wall that ends at the robot, between where the arm is and where it is to go, with and without a gap at half height.
-WALL = Boxes.of([[1.0, 0.0, 2.4], [1.0, 0.0, 0.5]], [[0.65, 0.01, 0.9], [0.65, 0.01, 0.5]])
+WALL = Boxes.of(
+    [[1.0, 0.0, 2.4], [1.0, 0.0, 0.5]], [[0.65, 0.01, 0.9], [0.65, 0.01, 0.5]]
+)
 SOLID = Boxes.of([[0.9, 0.0, 1.5]], [[0.65, 0.01, 1.5]])
 
 
@@ -76,14 +78,18 @@ def test_a_way_is_the_same_whatever_was_planned_before():
 def test_gives_up_after_so_many_rounds(monkeypatch: pytest.MonkeyPatch):
     looked = []
     edge = Free.edge
-    monkeypatch.setattr(Free, "edge", lambda self, a, b: looked.append(1) or edge(self, a, b))
+    monkeypatch.setattr(
+        Free, "edge", lambda self, a, b: looked.append(1) or edge(self, a, b)
+    )
     assert arm_way(LEFT, RIGHT, free(SOLID), rounds=20) is None
     few = len(looked)
     assert arm_way(LEFT, RIGHT, free(SOLID), rounds=60) is None
     assert 0 < few < len(looked) - few < 20 * 60
 
 
-def blocked_drive(monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarray, Boxes]:
+def blocked_drive(
+    monkeypatch: pytest.MonkeyPatch,
+) -> tuple[np.ndarray, np.ndarray, Boxes]:
     """A straight drive between posts that the arm at rest, swung to the side, does not pass."""
     goal = np.array([1.2, 0.0, 0.0])
     path = np.stack([np.zeros(2), goal[:2]])
@@ -94,21 +100,29 @@ def blocked_drive(monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, np.ndarr
     return goal, np.concatenate([goal, LEFT[3:]]), posts
 
 
-def test_drives_with_another_posture_where_the_arm_does_not_pass(monkeypatch: pytest.MonkeyPatch):
+def test_drives_with_another_posture_where_the_arm_does_not_pass(
+    monkeypatch: pytest.MonkeyPatch,
+):
     goal, arm, posts = blocked_drive(monkeypatch)
     view = view_of(LEFT)
     robot = motion.spheres(ROBOT)
     straight = route.plan_route(view, goal, arm, robot, posts)
     assert straight is not None and straight.room < sampled.MAX_DEFICIT_M
     found = plan_around(view, goal, arm, robot, posts)
-    assert found is not None and found.via is not None and 0 <= found.carried < len(found.via)
+    assert (
+        found is not None
+        and found.via is not None
+        and 0 <= found.carried < len(found.via)
+    )
     carried = np.repeat(found.via[found.carried][None], 40, axis=0)
     carried[:, :3] = np.linspace(np.zeros(3), goal, 40)
     assert robot.clearance(carried, posts).min() > 0.05
     assert found.lead + 30 <= found.steps and np.array_equal(found.arm, arm)
     again = plan_around(view, goal, arm, robot, posts)
     assert (
-        again is not None and again.via is not None and again.via.tobytes() == found.via.tobytes()
+        again is not None
+        and again.via is not None
+        and again.via.tobytes() == found.via.tobytes()
     )
 
 
@@ -180,7 +194,10 @@ def test_arm_passes_the_postures_of_a_route_one_after_the_other():
     assert arrived
     gaps = np.abs(np.array(view.passed)[:, None] - np.stack([*via, RIGHT])).max(axis=2)
     first = [int(np.argmax(gap < route.PASSED_RAD)) for gap in gaps.T]
-    assert 0 < first[0] < first[1] < first[2] and (gaps[first[0] : 20, 0] < route.PASSED_RAD).all()
+    assert (
+        0 < first[0] < first[1] < first[2]
+        and (gaps[first[0] : 20, 0] < route.PASSED_RAD).all()
+    )
     # It starts gently, when the base has arrived as well.
     speed = np.abs(np.diff(np.array(view.passed), axis=0)).max(axis=1)
     for start in (0, way.lead):

@@ -24,10 +24,16 @@ DOOR = "fridge/top_door"
 
 
 def play(
-    subtask: str, target: str, episode: int, *words: str, look: Callable[[WorldView], object] = bool
+    subtask: str,
+    target: str,
+    episode: int,
+    *words: str,
+    look: Callable[[WorldView], object] = bool,
 ) -> dict:
     """The record of one episode's subtask, run to its horizon by the expert; ``look`` is called after every step."""
-    env = make(task="set_table", subtask=subtask, target=target, num_envs=1, autoreset="disabled")
+    env = make(
+        task="set_table", subtask=subtask, target=target, num_envs=1, autoreset="disabled"
+    )
     policy = make_expert(env, Styles.parse(words))
     obs, info = env.reset(
         seed=0, options={"episode": [episode], "reset_mask": np.ones(1, dtype=bool)}
@@ -52,7 +58,9 @@ def test_expert_succeeds(subtask: str, target: str, episode: int) -> None:
 @pytest.mark.parametrize(("target", "episode"), [(DRAWER, 5), (DOOR, 13)])
 def test_a_handle_that_is_pulled_counts_as_held(target: str, episode: int) -> None:
     """Friction on the pads, which is large while the robot pulls, does not turn the contact forces."""
-    env = make(task="set_table", subtask="open", target=target, num_envs=1, autoreset="disabled")
+    env = make(
+        task="set_table", subtask="open", target=target, num_envs=1, autoreset="disabled"
+    )
     policy = make_expert(env)
     one = np.ones(1, dtype=bool)
     obs, info = env.reset(seed=0, options={"episode": [episode], "reset_mask": one})
@@ -69,8 +77,13 @@ def test_a_handle_that_is_pulled_counts_as_held(target: str, episode: int) -> No
 @pytest.mark.parametrize("episode", [3, 13])
 def test_a_door_stays_where_it_is_let_go_of(episode: int) -> None:
     angles: list[float] = []
-    ended = play("open", DOOR, episode, look=lambda view: angles.append(view.link_q(DOOR)))
-    assert ended["success_once"] and max(angles) - angles[-1] < 0.02 < max(angles) - angles[0]
+    ended = play(
+        "open", DOOR, episode, look=lambda view: angles.append(view.link_q(DOOR))
+    )
+    assert (
+        ended["success_once"]
+        and max(angles) - angles[-1] < 0.02 < max(angles) - angles[0]
+    )
 
 
 def test_a_door_is_pushed_all_the_way_or_thrown_as_asked() -> None:
@@ -84,7 +97,8 @@ def test_a_door_is_pushed_all_the_way_or_thrown_as_asked() -> None:
             if 0.05 < q < 0.5:
                 door_now = view.home.links[DOOR].boxes(q)
                 far[0] = max(
-                    far[0], float(sphere_box_distance(motion.tcp(view)[0][None], door_now).min())
+                    far[0],
+                    float(sphere_box_distance(motion.tcp(view)[0][None], door_now).min()),
                 )
 
         ended = play("close", DOOR, 13, *words, look=look)
@@ -137,12 +151,16 @@ def test_a_drawer_is_shut_with_its_handle_held_where_that_is_asked_for() -> None
 
 @pytest.fixture(scope="module")
 def env() -> SequentialTaskEnv:
-    return make(task="set_table", subtask="open", target=DRAWER, num_envs=1, autoreset="disabled")
+    return make(
+        task="set_table", subtask="open", target=DRAWER, num_envs=1, autoreset="disabled"
+    )
 
 
 def plan_link(env: SequentialTaskEnv, name: str) -> JointedLink:
     link = home_shapes(env.layout, env.layout.pack.homes[0].name).links[name]
-    return JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
+    return JointedLink(
+        link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)
+    )
 
 
 def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
@@ -176,7 +194,9 @@ def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
     assert hand.clearance(found.q[:, 0], link.boxes(link.range[1])).min() > 0.03
     pos, _ = ROBOT.chain.tip_pose(found.q[:, 0])
     origin, rot = link.pose(angles[0])
-    assert (((pos - origin) @ rot)[:, 0] > link.boxes(0.0).center[0, 0]).all()  # on its outside
+    assert (
+        ((pos - origin) @ rot)[:, 0] > link.boxes(0.0).center[0, 0]
+    ).all()  # on its outside
 
 
 def test_stances_belong_to_one_piece_of_furniture(env: SequentialTaskEnv) -> None:
@@ -215,7 +235,9 @@ def test_frame_round_trip(env: SequentialTaskEnv) -> None:
 
 
 def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
-    q = stances.cached(ROBOT, plan_link(env, DRAWER), "pull", drawer._pull_stances).q[:, 1]
+    q = stances.cached(ROBOT, plan_link(env, DRAWER), "pull", drawer._pull_stances).q[
+        :, 1
+    ]
     moved = door._withdrawn(ROBOT, q, 0.05)
     (start, rot) = ROBOT.chain.tip_pose(q)
     (end, _) = ROBOT.chain.tip_pose(moved)

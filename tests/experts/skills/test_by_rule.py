@@ -87,7 +87,10 @@ def test_the_stance_faces_the_object_at_a_fixed_distance() -> None:
         assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(stance.base[2])
         assert np.linalg.norm(pos) < 0.15
         np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-9)
-        assert motion.planner(view.home).clearance_at(stance.base[:2]) > view.robot.footprint.wide
+        assert (
+            motion.planner(view.home).clearance_at(stance.base[:2])
+            > view.robot.footprint.wide
+        )
 
 
 def test_shelves_are_left_to_the_search() -> None:

@@ -65,10 +65,16 @@ def test_way_leads_through_the_doorway_and_nothing_touches():
     track = driven(found[1], pose)
     assert np.linalg.norm(track[-1, :2] - [4.6, 1.0]) < 0.15
     crossing = track[np.argmin(np.abs(track[:, 0] - 62.5 * CELL))]
-    assert 58 * CELL + 0.285 < crossing[1] < 76 * CELL - 0.285  # the base fits between the posts
-    tip = track[:, :2] + REACH * np.stack([np.cos(track[:, 2]), np.sin(track[:, 2])], axis=1)
+    assert (
+        58 * CELL + 0.285 < crossing[1] < 76 * CELL - 0.285
+    )  # the base fits between the posts
+    tip = track[:, :2] + REACH * np.stack(
+        [np.cos(track[:, 2]), np.sin(track[:, 2])], axis=1
+    )
     cells = np.floor(tip / CELL).astype(int)
-    assert not two_rooms()[cells[:, 0], cells[:, 1]].any()  # nor does the arm go through the wall
+    assert not two_rooms()[
+        cells[:, 0], cells[:, 1]
+    ].any()  # nor does the arm go through the wall
     assert plan.room(track).min() > -0.03
 
 
@@ -76,7 +82,9 @@ def test_no_way_through_a_wall():
     taken = two_rooms()
     taken[62] = True
     lattice = Lattice(floorplan(taken))
-    assert lattice.search(np.array([1.5, 1.0, 0.0]), ending_at(lattice, (4.6, 1.0))) is None
+    assert (
+        lattice.search(np.array([1.5, 1.0, 0.0]), ending_at(lattice, (4.6, 1.0))) is None
+    )
 
 
 def test_robot_backs_out_of_a_passage_too_narrow_to_turn_in():
@@ -157,7 +165,9 @@ def test_drives_around_walls_and_faces_the_goal():
     q = env.state.robot_q[0]
     goal = env.focus.active.goal_pos[0]
     assert ended["success"] and ended["force"] == 0.0
-    assert ended["moves"].sum() > 1.3 * np.linalg.norm(q[:2] - ended["start"])  # not straight
+    assert ended["moves"].sum() > 1.3 * np.linalg.norm(
+        q[:2] - ended["start"]
+    )  # not straight
     assert ended["moves"].max() < 0.1
     assert np.linalg.norm(q[:2] - goal[:2]) <= 2.0
     assert abs(wrap(np.arctan2(*(goal[:2] - q[:2])[::-1]) - q[2])) <= 0.5
@@ -174,7 +184,9 @@ def test_keeps_what_it_holds():
 
 
 @pytest.mark.parametrize("watches", [True, False])
-def test_plans_anew_when_a_door_opens_in_its_way(monkeypatch: pytest.MonkeyPatch, watches: bool):
+def test_plans_anew_when_a_door_opens_in_its_way(
+    monkeypatch: pytest.MonkeyPatch, watches: bool
+):
     """By looking; and without it, by running into the door, which is pushed aside or gone round."""
     env = build("set_table")
     met = []
@@ -191,7 +203,9 @@ def test_plans_anew_when_a_door_opens_in_its_way(monkeypatch: pytest.MonkeyPatch
         env.state = env.sim.state()
 
     monkeypatch.setattr(navigate, "plan_trip", spy)
-    monkeypatch.setattr(navigate, "DOOR_MOVED", navigate.DOOR_MOVED if watches else np.inf)
+    monkeypatch.setattr(
+        navigate, "DOOR_MOVED", navigate.DOOR_MOVED if watches else np.inf
+    )
     ended = drive(env, 2, 400, open_the_door)
     assert active(env).link == FRIDGE and ended["success"]
     assert met == [0, 0] if watches else met in ([0], [0, 1])
@@ -212,7 +226,9 @@ def test_chain_teleports_unless_told_otherwise():
     for mode in ("teleport", "drive"):
         env = build("tidy_house", "", navigate=mode)
         env.reset(seed=0, options={"episode": [0]})
-        away[mode] = np.linalg.norm(env.state.robot_q[0, :2] - env.focus.active.goal_pos[0, :2])
+        away[mode] = np.linalg.norm(
+            env.state.robot_q[0, :2] - env.focus.active.goal_pos[0, :2]
+        )
     assert away["teleport"] <= 2.0 < away["drive"]
     assert build("tidy_house", "").task_config.ignore_arm
     with pytest.raises(UsageError, match=r"navigate mode 'fly'.*teleport"):

@@ -56,7 +56,9 @@ def test_either_end_is_pushed_in_no_further_than_it_needs():
     for push in pushes:
         assert np.degrees(push.turn) == pytest.approx(42.0)
         # Its front, near the end.
-        np.testing.assert_allclose([push.end[0], abs(push.end[1])], [-0.036, 0.070], atol=0.004)
+        np.testing.assert_allclose(
+            [push.end[0], abs(push.end[1])], [-0.036, 0.070], atol=0.004
+        )
         before = mat_from_quat(ACROSS[3:])
         after = mat_from_quat(push.pose_after(ACROSS, 0.6)[3:])
         corner = np.array([*push.end, 0.0]) @ before @ after.T
@@ -64,7 +66,9 @@ def test_either_end_is_pushed_in_no_further_than_it_needs():
 
 
 def test_an_end_is_not_pushed_into_what_stands_behind_it():
-    pushes = _pushes(ACROSS, BOX, shelf((0.09, 0.08, 0.03)), INWARD, turned_by(np.radians(30.0)))
+    pushes = _pushes(
+        ACROSS, BOX, shelf((0.09, 0.08, 0.03)), INWARD, turned_by(np.radians(30.0))
+    )
     assert [float(push.outer[1]) for push in pushes] == [-1.0]
 
 
@@ -73,7 +77,9 @@ def test_the_hand_pushes_low_and_stays_above_the_shelf():
     goals = _goals(ROBOT.gripper, push, np.zeros(2), 0.0, 0.214)
     assert len(goals)
     tips = goals.pos + ROBOT.gripper.finger[0] * goals.rot[:, :, 0]
-    assert (tips[:, 2] > ROBOT.gripper.finger[1] * 0.9).all() and (tips[:, 2] < 0.05).all()
+    assert (tips[:, 2] > ROBOT.gripper.finger[1] * 0.9).all() and (
+        tips[:, 2] < 0.05
+    ).all()
     # It begins before the box and ends beyond where the front was.
     assert (goals.pre[:, 0] + ROBOT.gripper.finger[0] < -0.036).all() and (
         tips[:, 0] > -0.036
@@ -82,7 +88,9 @@ def test_the_hand_pushes_low_and_stays_above_the_shelf():
 
 def test_only_boxes_that_stand_are_turned():
     view = SimpleNamespace(
-        object_pose=lambda obj: np.array([0.0, 0.0, 0.1, np.cos(0.3), np.sin(0.3), 0.0, 0.0]),
+        object_pose=lambda obj: np.array(
+            [0.0, 0.0, 0.1, np.cos(0.3), np.sin(0.3), 0.0, 0.0]
+        ),
         object_shape=lambda obj: BOX,
     )
     assert plan_nudge(view, "box", shelf(), INWARD, turned_by(0.0)) is None  # pyright: ignore[reportArgumentType]

@@ -16,16 +16,32 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_rotation_vector
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, Options, grasp_candidates
+from mjhab.episodes.grasps.candidates import (
+    LyingObject,
+    ObjectShape,
+    Options,
+    grasp_candidates,
+)
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import Pilot
-from mjhab.experts.base.route import LOOKAHEADS_M, LOST_STEPS, RouteWish, follow, plan_route
+from mjhab.experts.base.route import (
+    LOOKAHEADS_M,
+    LOST_STEPS,
+    RouteWish,
+    follow,
+    plan_route,
+)
 from mjhab.experts.planning.base_poses import way_out
 from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
 from mjhab.experts.planning.workplace import Scene, surroundings
-from mjhab.experts.skills.pick_plans import FREE_OFFSET_M, balanced, height_below, plan_pick
+from mjhab.experts.skills.pick_plans import (
+    FREE_OFFSET_M,
+    balanced,
+    height_below,
+    plan_pick,
+)
 from mjhab.experts.skills.place import Release, hand_goals
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import ANY
@@ -35,7 +51,9 @@ pick_module = importlib.import_module("mjhab.experts.skills.pick")
 UPRIGHT = np.eye(3)
 
 
-def build(task: str, subtask: str, target: str = "", worlds: int = 3) -> SequentialTaskEnv:
+def build(
+    task: str, subtask: str, target: str = "", worlds: int = 3
+) -> SequentialTaskEnv:
     return envs.make(
         task=task,
         subtask=subtask,
@@ -101,7 +119,9 @@ def test_bowl_carries_do_not_flicker() -> None:
     )
     expert = make_expert(env)
     fresh = np.ones(worlds, bool)
-    obs, info = env.reset(seed=0, options={"episode": np.arange(worlds), "reset_mask": fresh})
+    obs, info = env.reset(
+        seed=0, options={"episode": np.arange(worlds), "reset_mask": fresh}
+    )
     expert.reset(fresh)
     held = [info["is_grasped"].copy()]
     while len(held) < env.config.horizon and (held[-1] | ~info["at_goal"]).any():
@@ -121,7 +141,9 @@ def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray,
         forward, turn, done = pilot.step(pose)
         if done:
             return pose, step
-        pose = pose + 0.05 * np.array([forward * np.cos(pose[2]), forward * np.sin(pose[2]), turn])
+        pose = pose + 0.05 * np.array(
+            [forward * np.cos(pose[2]), forward * np.sin(pose[2]), turn]
+        )
     return pose, steps
 
 
@@ -136,7 +158,9 @@ def test_pilot_ends_near_the_goal_with_its_heading(lookahead: float, yaw: float)
 
 
 def test_pilot_drives_straight_back():
-    pose, steps = drive(Pilot(np.array([[0.0, 0.0], [-0.6, 0.0]]), 0.0, -1, 0.3), np.zeros(3))
+    pose, steps = drive(
+        Pilot(np.array([[0.0, 0.0], [-0.6, 0.0]]), 0.0, -1, 0.3), np.zeros(3)
+    )
     np.testing.assert_allclose(pose, [-0.6, 0.0, 0.0], atol=0.03)
     assert steps < 40
 
@@ -167,7 +191,9 @@ def test_height_below_centre(shape: ObjectShape, rot: np.ndarray, height: float)
 
 
 def test_gripper_action_for_an_opening():
-    assert grip(ROBOT, 0.10) == pytest.approx(1.0) and grip(ROBOT, -0.02) == pytest.approx(-1.0)
+    assert grip(ROBOT, 0.10) == pytest.approx(1.0) and grip(
+        ROBOT, -0.02
+    ) == pytest.approx(-1.0)
     assert grip(ROBOT, 0.04) == pytest.approx(0.0)
 
 
@@ -179,7 +205,10 @@ def test_plan_of_a_pick_is_clear_of_the_furniture():
     stance, goals, _ = found
     near, target = surroundings(view, obj, view.object_pose(obj)[:3])
     assert (
-        motion.spheres(ROBOT).clearance(stance.pre[None], type(near).join([near, target]))[0] > 0.0
+        motion.spheres(ROBOT).clearance(
+            stance.pre[None], type(near).join([near, target])
+        )[0]
+        > 0.0
     )
     pos, rot = ROBOT.chain.tip_pose(stance.at[None])
     np.testing.assert_allclose(pos[0], goals.pos[stance.goal], atol=0.01)
@@ -240,7 +269,9 @@ def test_hand_goals_put_the_object_upright_at_the_goal():
     # What leans is let go beside the place where it comes to rest.
     leans = np.linalg.norm(centres[:, :2] - goal[:2], axis=1) > 0.10 + 1e-9
     assert goals.score[leans].max(initial=-np.inf) < goals.score[~leans].max() - 0.2
-    assert np.linalg.norm(centres[goals.score > -1e-9, :2] - goal[:2], axis=1).max() < 1e-9
+    assert (
+        np.linalg.norm(centres[goals.score > -1e-9, :2] - goal[:2], axis=1).max() < 1e-9
+    )
     assert (centres[:, 2] > goal[2]).all() and np.abs(
         centres[goals.score > -1e-9, 2] - goal[2]
     ).max() < 0.02
@@ -263,7 +294,11 @@ def test_route_keeps_room_and_ends_at_the_goal():
     near, target = surroundings(view, the_object(view), np.array([*spot, 1.0]))
     rest = motion.rest_goal(view)
     route = plan_route(
-        view, np.array([*spot, 0.0]), rest, motion.spheres(ROBOT), type(near).join([near, target])
+        view,
+        np.array([*spot, 0.0]),
+        rest,
+        motion.spheres(ROBOT),
+        type(near).join([near, target]),
     )
     assert route is not None
     np.testing.assert_allclose(route.path[-1], spot)
@@ -282,7 +317,8 @@ def test_grasps_beside_the_centre_come_last():
 
     ordered = balanced(found, centre)
     before, after = (
-        np.abs(np.einsum("gj,gj->g", centre - g.pos, g.rot[:, :, 2])) for g in (found, ordered)
+        np.abs(np.einsum("gj,gj->g", centre - g.pos, g.rot[:, :, 2]))
+        for g in (found, ordered)
     )
     assert len(ordered) == len(found) and (np.diff(ordered.score) <= 0.0).all()
     assert after[:10].max() <= FREE_OFFSET_M < before.max()
@@ -293,7 +329,9 @@ def test_a_drive_ends_when_the_object_is_lost():
     view = view_of("tidy_house", "pick")
     boxes, _ = surroundings(view, the_object(view), view.tcp_pose[:3])
     ahead = view.q[:3] + np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
-    route = plan_route(view, ahead, view.q, motion.spheres(ROBOT), boxes, RouteWish(straight=True))
+    route = plan_route(
+        view, ahead, view.q, motion.spheres(ROBOT), boxes, RouteWish(straight=True)
+    )
     assert route is not None and route.steps > 2 * LOST_STEPS
     # The hand is empty.
     drive_with = follow(view, route, gripper=motion.CLOSED, held=the_object(view))

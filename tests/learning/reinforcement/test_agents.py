@@ -78,7 +78,9 @@ def test_ppo_learns_the_toy(privileged: bool, state_std: bool) -> None:
 
 
 def test_ppo_imitates_demonstrations_first() -> None:
-    config = changed(PPO_TOY, {"demonstrations": 1, "imitation_updates": 200, "critic_updates": 1})
+    config = changed(
+        PPO_TOY, {"demonstrations": 1, "imitation_updates": 200, "critic_updates": 1}
+    )
     place, width = worlds()
     shape = ReplayShape(WORLDS, 3 * HORIZON, 1, (0, 0, 0), width, 1)
     shown = ReplayBuffer(shape, place.device)
@@ -114,7 +116,9 @@ def test_the_critic_has_a_learning_rate_of_its_own() -> None:
     rollout, _ = learner.collect()
     learner.update(rollout, 0.0)
     after = list(agent.value.parameters())
-    assert all(torch.allclose(a, b, atol=1e-6) for a, b in zip(before, after, strict=True))
+    assert all(
+        torch.allclose(a, b, atol=1e-6) for a, b in zip(before, after, strict=True)
+    )
 
 
 def test_a_gradient_that_is_not_finite_ends_the_run() -> None:
@@ -187,7 +191,9 @@ def test_the_last_observation_of_an_episode_is_what_follows_its_last_step() -> N
 
 def test_first_episodes_end_at_different_times_and_as_by_time() -> None:
     env = Toy(WORLDS, terminates=True)
-    place = Worlds(env, Sight(env, LAYOUT, False), 0, TrainingRules(longest_first=HORIZON))
+    place = Worlds(
+        env, Sight(env, LAYOUT, False), 0, TrainingRules(longest_first=HORIZON)
+    )
     ends = []
     for _ in range(HORIZON - 1):
         happened = place.step(torch.zeros(WORLDS, 1))
@@ -242,10 +248,14 @@ def test_the_spread_depends_on_what_is_seen() -> None:
     before = agent.distribution(place.seen).log_std.exp()
     assert torch.allclose(before, torch.full_like(before, 0.3), atol=1e-5)
     assert agent.spread.weight is not None
-    torch.nn.init.normal_(agent.spread.weight, std=0.1, generator=torch.Generator().manual_seed(0))
+    torch.nn.init.normal_(
+        agent.spread.weight, std=0.1, generator=torch.Generator().manual_seed(0)
+    )
     after = agent.distribution(place.seen).log_std.exp()
     assert after.std().item() > 1e-3
-    assert float(after.min()) >= LEAST_STD - 1e-6 and float(after.max()) <= MOST_STD + 1e-6
+    assert (
+        float(after.min()) >= LEAST_STD - 1e-6 and float(after.max()) <= MOST_STD + 1e-6
+    )
 
 
 def test_the_learning_rate_follows_the_divergence() -> None:
@@ -263,7 +273,9 @@ def test_the_learning_rate_follows_the_divergence() -> None:
 def test_a_shifted_distribution_keeps_its_mean() -> None:
     sac = SacConfig(atoms=21, value_low=0.0, value_high=10.0)
     critics = Critics(SAC_TOY.student, sac, 1, 0, 1)
-    probabilities = torch.softmax(torch.randn(5, 21, generator=torch.Generator().manual_seed(0)), 1)
+    probabilities = torch.softmax(
+        torch.randn(5, 21, generator=torch.Generator().manual_seed(0)), 1
+    )
     targets = 1.3 + 0.7 * critics.support[None].expand(5, -1)
     projected = critics.project(probabilities, targets)
     assert torch.allclose(projected.sum(dim=1), torch.ones(5), atol=1e-5)
@@ -287,7 +299,9 @@ def test_an_actor_of_sac_begins_with_the_first_action_of_a_student() -> None:
     assert isinstance(student, BehaviourCloning)
     data = demonstrations(lengths=(60,))
     student.fit_normalizers(data)
-    torch.nn.init.normal_(student.head.bias, std=0.5, generator=torch.Generator().manual_seed(0))
+    torch.nn.init.normal_(
+        student.head.bias, std=0.5, generator=torch.Generator().manual_seed(0)
+    )
     actor = gaussian_of(student)
     vector, images = torch.from_numpy(data.vector), torch.from_numpy(data.images)
     nothing = torch.zeros(len(vector), 0)
@@ -300,7 +314,9 @@ def test_an_actor_of_sac_begins_with_the_first_action_of_a_student() -> None:
     assert torch.allclose(log_std.exp(), torch.full_like(log_std, START_STD), atol=1e-4)
     # The gradient passes the limit of the actions.
     actor.chunk(vector, images, nothing).sum().backward()
-    assert actor.mean.bias.grad is not None and bool(torch.all(actor.mean.bias.grad > 0.0))
+    assert actor.mean.bias.grad is not None and bool(
+        torch.all(actor.mean.bias.grad > 0.0)
+    )
     paper = preset_of("bc", "paper").student
     with pytest.raises(UsageError, match="preset paper"):
         gaussian_of(BehaviourCloning(paper, layout(paper.inputs)))
@@ -309,11 +325,15 @@ def test_an_actor_of_sac_begins_with_the_first_action_of_a_student() -> None:
 def linear_shapes(*parts: torch.nn.Module) -> list[tuple[int, ...]]:
     """Shapes of the weights of all linear and convolutional layers, sorted."""
     kinds = (torch.nn.Linear, torch.nn.Conv2d)
-    layers = [layer for part in parts for layer in part.modules() if isinstance(layer, kinds)]
+    layers = [
+        layer for part in parts for layer in part.modules() if isinstance(layer, kinds)
+    ]
     return sorted(tuple(layer.weight.shape) for layer in layers)
 
 
-def published(shapes: dict[str, tuple[int, ...]], *prefixes: str) -> list[tuple[int, ...]]:
+def published(
+    shapes: dict[str, tuple[int, ...]], *prefixes: str
+) -> list[tuple[int, ...]]:
     """Shapes of the same kind in a checkpoint of MS-HAB, of the parts with the prefixes."""
     return sorted(
         shape
@@ -356,8 +376,12 @@ def test_the_published_presets_have_the_published_layers() -> None:
 def test_the_published_students_act_like_the_original() -> None:
     """The weights of our network of preset paper, under the original's names, in plain functions."""
     paper = preset_of("bc", "paper").student
-    student = make_student(paper, dataclasses.replace(STATE_42, inputs=paper.inputs), seed=1)
-    ours = [value for name, value in student.state_dict().items() if "normalizer" not in name]
+    student = make_student(
+        paper, dataclasses.replace(STATE_42, inputs=paper.inputs), seed=1
+    )
+    ours = [
+        value for name, value in student.state_dict().items() if "normalizer" not in name
+    ]
     by_shape: dict[tuple[int, ...], list[torch.Tensor]] = {}
     for value in ours:
         by_shape.setdefault(tuple(value.shape), []).append(value)
@@ -385,10 +409,14 @@ def test_worlds_that_do_not_divide_into_minibatches_are_refused() -> None:
     with pytest.raises(UsageError, match=told):
         changed(paper, {"worlds": 7})
     for numbers in ({"worlds": 4}, {"worlds": 8}, {"worlds": 7, "minibatches": 14}):
-        assert changed(paper, {"minibatches": 16} | numbers if len(numbers) == 1 else numbers)
+        assert changed(
+            paper, {"minibatches": 16} | numbers if len(numbers) == 1 else numbers
+        )
 
 
-@pytest.mark.parametrize(("name", "value"), [("gamma", 7.0), ("gamma", 0.0), ("gae_lambda", 1.5)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("gamma", 7.0), ("gamma", 0.0), ("gae_lambda", 1.5)]
+)
 def test_discounts_lie_between_0_and_1(name: str, value: float) -> None:
     with pytest.raises(UsageError, match=f"{name} must"):
         changed(PPO_TOY, {name: value})
@@ -403,6 +431,11 @@ def test_the_published_presets_have_the_published_numbers() -> None:
     ppo = reinforcement_preset("ppo", "paper").ppo
     sac = reinforcement_preset("sac", "paper").sac
     assert ppo is not None and sac is not None
-    assert (ppo.rollout_steps, ppo.minibatches, ppo.clip, ppo.target_kl) == (100, 16, 0.2, 0.2)
+    assert (ppo.rollout_steps, ppo.minibatches, ppo.clip, ppo.target_kl) == (
+        100,
+        16,
+        0.2,
+        0.2,
+    )
     assert (sac.batch, sac.tau, sac.capacity, sac.atoms) == (512, 0.005, 1_000_000, 0)
     assert sac.updates_per_step == 0.0

@@ -76,12 +76,15 @@ def test_ppo_is_rewarded_as_on_the_cpu(tmp_path: Path) -> None:
 
 def test_sac_learns_on_the_device(tmp_path: Path) -> None:
     rows = train(TINY_SAC, tmp_path, "warp")
-    assert json.loads((tmp_path / "summary.json").read_text())["samples"] == TINY_SAC.samples
+    assert (
+        json.loads((tmp_path / "summary.json").read_text())["samples"] == TINY_SAC.samples
+    )
     assert all(math.isfinite(value) for row in rows for value in row.values())
     student = load_student(tmp_path / "student.safetensors")
     assert student.layout.profile == SCENE.profile
     untrained = make_student(TINY_SAC.student, student.layout, seed=0)
     trained = student.state_dict()
     assert any(
-        not torch.equal(value, trained[name]) for name, value in untrained.state_dict().items()
+        not torch.equal(value, trained[name])
+        for name, value in untrained.state_dict().items()
     )

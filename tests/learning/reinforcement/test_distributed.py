@@ -56,7 +56,8 @@ def test_two_processes_learn_what_one_learns_from_all() -> None:
     with tempfile.TemporaryDirectory() as folder:
         spawn(process, (folder,), nprocs=2)
         first, second = (
-            torch.load(Path(folder) / f"{number}.pt", weights_only=True) for number in range(2)
+            torch.load(Path(folder) / f"{number}.pt", weights_only=True)
+            for number in range(2)
         )
     alone = learn(slice(0, ROWS))
     for name, value in first.items():

@@ -12,13 +12,17 @@ from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sight import Seen
 
 CPU = torch.device("cpu")
-SHAPE = ReplayShape(worlds=3, steps=40, vector=2, images=(1, 4, 4), privileged=1, actions=1)
+SHAPE = ReplayShape(
+    worlds=3, steps=40, vector=2, images=(1, 4, 4), privileged=1, actions=1
+)
 
 
 def seen(episode: torch.Tensor, step: torch.Tensor) -> Seen:
     """Observations that tell episode and step of every world."""
     images = step[:, None, None, None].expand(-1, 1, 4, 4).to(torch.uint8)
-    return Seen(torch.stack([episode, step], dim=1).float(), images, step[:, None].float())
+    return Seen(
+        torch.stack([episode, step], dim=1).float(), images, step[:, None].float()
+    )
 
 
 def filled(steps: int, folder: Path | None = None, reserve: int = 0) -> ReplayBuffer:
@@ -43,7 +47,9 @@ def test_what_follows_is_the_next_step_of_the_same_episode() -> None:
     drawn = filled(200).draw(2000, torch.Generator().manual_seed(0))
     assert torch.equal(drawn.seen.vector[:, 0], drawn.next_seen.vector[:, 0])
     assert torch.equal(drawn.seen.vector[:, 1] + 1, drawn.next_seen.vector[:, 1])
-    assert torch.equal(drawn.next_seen.images[:, 0, 0, 0].float(), drawn.next_seen.vector[:, 1])
+    assert torch.equal(
+        drawn.next_seen.images[:, 0, 0, 0].float(), drawn.next_seen.vector[:, 1]
+    )
     assert torch.equal(drawn.reward, drawn.seen.vector[:, 1])
     assert set(drawn.seen.vector[:, 1].tolist()) == {0.0, 1.0, 2.0, 3.0, 4.0}
 
@@ -65,7 +71,9 @@ def test_all_transitions_are_equally_likely() -> None:
 
 def test_reserved_entries_are_not_drawn() -> None:
     buffer = filled(200, reserve=20)
-    oldest = float(buffer.draw(3000, torch.Generator().manual_seed(0)).seen.vector[:, 0].min())
+    oldest = float(
+        buffer.draw(3000, torch.Generator().manual_seed(0)).seen.vector[:, 0].min()
+    )
     assert oldest > float(
         filled(200).draw(3000, torch.Generator().manual_seed(0)).seen.vector[:, 0].min()
     )
@@ -83,7 +91,9 @@ def test_a_buffer_in_files_is_there_after_its_process(tmp_path: Path) -> None:
 
 def test_a_buffer_larger_than_the_memory_is_refused_with_what_fits() -> None:
     huge = ReplayShape(64, 10**9, 50, (2, 128, 128), 40, 13)
-    with pytest.raises(UsageError, match=r"does not fit: .* GiB are free\. A capacity of [\d,]+"):
+    with pytest.raises(
+        UsageError, match=r"does not fit: .* GiB are free\. A capacity of [\d,]+"
+    ):
         ReplayBuffer(huge, CPU)
 
 

@@ -38,13 +38,17 @@ def test_an_episode_that_goes_on_takes_the_value_of_what_follows() -> None:
 def test_time_that_is_up_leaves_the_value_of_the_last_observation() -> None:
     found = advantages(outcomes([False] * 3, [False, True, False]), GAMMA, LAMBDA)
     third = 4 + 0.5 * 40 - 30
-    second = 2 + 0.5 * 30 - 20  # nothing of the next episode, but what would have followed
+    second = (
+        2 + 0.5 * 30 - 20
+    )  # nothing of the next episode, but what would have followed
     first = (1 + 0.5 * 20 - 10) + 0.4 * second
     assert found.flatten().tolist() == pytest.approx([first, second, third])
 
 
 def test_after_success_or_failure_nothing_follows() -> None:
-    found = advantages(outcomes([False, True, False], [False, True, False]), GAMMA, LAMBDA)
+    found = advantages(
+        outcomes([False, True, False], [False, True, False]), GAMMA, LAMBDA
+    )
     second = 2.0 - 20
     first = (1 + 0.5 * 20 - 10) + 0.4 * second
     assert found.flatten().tolist()[:2] == pytest.approx([first, second])
@@ -59,7 +63,9 @@ def test_finite_horizon_averages_the_returns_of_all_lengths() -> None:
     assert float(found[0, 0]) == pytest.approx(weighted - 10)
 
 
-def test_with_lambda_1_and_time_up_at_the_end_both_kinds_of_ends_differ_by_the_value() -> None:
+def test_with_lambda_1_and_time_up_at_the_end_both_kinds_of_ends_differ_by_the_value() -> (
+    None
+):
     ends = [False, False, True]
     time_up = advantages(outcomes([False] * 3, ends), GAMMA, 1.0)
     failed = advantages(outcomes(ends, ends), GAMMA, 1.0)

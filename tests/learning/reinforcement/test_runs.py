@@ -33,10 +33,19 @@ from mjhab.learning.runs.run import Logbook
 from mjhab.learning.runs.training import BrokenLossError
 
 SCENE = Scene(
-    "set_table", "close", "kitchen_counter/drawer3", home="builtin_m0_00", profile="ms_hab"
+    "set_table",
+    "close",
+    "kitchen_counter/drawer3",
+    home="builtin_m0_00",
+    profile="ms_hab",
 )
 INPUTS = InputConfig(
-    cameras=(), image_size=0, previous_action=True, base_velocity=True, link_state=True, shift=0
+    cameras=(),
+    image_size=0,
+    previous_action=True,
+    base_velocity=True,
+    link_state=True,
+    shift=0,
 )
 NETWORK = NetworkConfig(hidden=16, layers=1)
 TINY = ReinforcementConfig(
@@ -44,7 +53,9 @@ TINY = ReinforcementConfig(
     "tiny",
     INPUTS,
     NETWORK,
-    ppo=PpoConfig(rollout_steps=8, minibatches=2, epochs=1, desired_kl=0.01, state_std=True),
+    ppo=PpoConfig(
+        rollout_steps=8, minibatches=2, epochs=1, desired_kl=0.01, state_std=True
+    ),
     samples=64,
     worlds=2,
     checkpoint_samples=32,
@@ -68,7 +79,12 @@ TINY_RLPD = dataclasses.replace(
     algorithm=RLPD,
     ppo=None,
     sac=SacConfig(
-        batch=8, warm_up=8, capacity=96, updates_per_step=0.25, demonstrations=1, critics=2
+        batch=8,
+        warm_up=8,
+        capacity=96,
+        updates_per_step=0.25,
+        demonstrations=1,
+        critics=2,
     ),
 )
 
@@ -161,13 +177,17 @@ def test_a_broken_loss_leaves_the_student_of_the_last_checkpoint(
 
 def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> None:
     told = dataclasses.replace(
-        request(dataclasses.replace(TINY, samples=16)), eval_episodes=1, budget_seconds=600.0
+        request(dataclasses.replace(TINY, samples=16)),
+        eval_episodes=1,
+        budget_seconds=600.0,
     )
     result = train_reinforcement(told, tmp_path / "run")
     assert result.summary["episodes"] == 1 and result.summary["algorithm"] == "ppo"
     shares = result.summary["time_shares"]
     assert sum(shares.values()) == pytest.approx(1.0, abs=1e-3) and shares["env"] > 0.0
-    assert load_student(tmp_path / "run" / "student.safetensors").layout.profile == "ms_hab"
+    assert (
+        load_student(tmp_path / "run" / "student.safetensors").layout.profile == "ms_hab"
+    )
     judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
     assert json.loads(judged.read_text(encoding="utf-8"))["profile"] == "ms_hab"
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
@@ -186,7 +206,9 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     # An actor of SAC takes over its trunk and its actions.
     other = train_reinforcement(
         dataclasses.replace(
-            request(dataclasses.replace(TINY_RLPD, samples=16)), start=start, eval_episodes=1
+            request(dataclasses.replace(TINY_RLPD, samples=16)),
+            start=start,
+            eval_episodes=1,
         ),
         tmp_path / "other",
     )
@@ -194,7 +216,8 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     assert kept.config.algorithm == "gaussian_actions" and other.summary["episodes"] == 1
     with pytest.raises(UsageError, match="of algorithm bc with"):
         train_reinforcement(
-            dataclasses.replace(request(TINY), start=other.summary["checkpoint"]), tmp_path / "ppo"
+            dataclasses.replace(request(TINY), start=other.summary["checkpoint"]),
+            tmp_path / "ppo",
         )
 
 
@@ -215,7 +238,9 @@ def test_the_student_is_the_best_evaluated_actor(
     assert result.summary["samples"] == 48 and next(rates, None) is None
 
 
-def test_horizon_and_stillness_of_training_may_differ_from_the_profile(tmp_path: Path) -> None:
+def test_horizon_and_stillness_of_training_may_differ_from_the_profile(
+    tmp_path: Path,
+) -> None:
     polishing = dataclasses.replace(
         TINY, horizon=200, reward_mode="sparse", success_ends=True, stillness="absolute"
     )
@@ -226,9 +251,13 @@ def test_horizon_and_stillness_of_training_may_differ_from_the_profile(tmp_path:
         assert session.layout.profile == "ms_hab"
 
 
-def test_a_stillness_of_the_command_goes_before_that_of_the_preset(tmp_path: Path) -> None:
+def test_a_stillness_of_the_command_goes_before_that_of_the_preset(
+    tmp_path: Path,
+) -> None:
     told = request(dataclasses.replace(TINY, stillness="absolute"))
-    told = dataclasses.replace(told, scene=dataclasses.replace(told.scene, stillness="published"))
+    told = dataclasses.replace(
+        told, scene=dataclasses.replace(told.scene, stillness="published")
+    )
     with sessions.open_reinforcement(told, tmp_path) as session:
         assert session.env.task_config.stillness == "published"
 
@@ -239,7 +268,11 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(tmp_path: Path) 
     )
     summary = train_reinforcement(told, tmp_path / "run").summary
     judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
-    assert summary["split"] == json.loads(judged.read_text(encoding="utf-8"))["split"] == "train"
+    assert (
+        summary["split"]
+        == json.loads(judged.read_text(encoding="utf-8"))["split"]
+        == "train"
+    )
     assert summary["episodes"] == 1 and summary["evaluated_samples"] == 16
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "1 episodes in homes of split train" in page
@@ -286,7 +319,9 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
 
     monkeypatch.setattr(owner, name, passes)
     # The expert's episodes take real time, which must not decide here.
-    monkeypatch.setattr(sessions.ReinforcementSession, "estimate_evaluation", lambda *_: None)
+    monkeypatch.setattr(
+        sessions.ReinforcementSession, "estimate_evaluation", lambda *_: None
+    )
     config = dataclasses.replace(TINY_IMITATING, samples=64)
     assert config.ppo is not None
     config = dataclasses.replace(
@@ -305,7 +340,12 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
 
 def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
     """One of two processes, as torchrun starts them."""
-    own = {"RANK": number, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    own = {
+        "RANK": number,
+        "WORLD_SIZE": 2,
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": port,
+    }
     os.environ |= {name: str(value) for name, value in own.items()}
     torch.set_num_threads(1)
     told = dataclasses.replace(request(TINY), budget_seconds=600.0)

@@ -9,12 +9,23 @@ import numpy as np
 
 from mjhab.learning.configs import InputConfig, NetworkConfig
 from mjhab.learning.layout import Layout
-from mjhab.learning.reinforcement.configs import PPO, SAC, PpoConfig, ReinforcementConfig, SacConfig
+from mjhab.learning.reinforcement.configs import (
+    PPO,
+    SAC,
+    PpoConfig,
+    ReinforcementConfig,
+    SacConfig,
+)
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 HORIZON = 8
 INPUTS = InputConfig(
-    cameras=(), image_size=0, previous_action=False, condition=False, normalize=True, shift=0
+    cameras=(),
+    image_size=0,
+    previous_action=False,
+    condition=False,
+    normalize=True,
+    shift=0,
 )
 LAYOUT = Layout(INPUTS, (("place", 1),), ("left_right",), (), ("pd", "forward"))
 NETWORK = NetworkConfig(hidden=32, layers=2)
@@ -32,7 +43,13 @@ SAC_TOY = ReinforcementConfig(
     INPUTS,
     NETWORK,
     sac=SacConfig(
-        gamma=0.8, batch=64, atoms=31, value_high=5.0, learning_rate=3e-3, warm_up=64, capacity=4096
+        gamma=0.8,
+        batch=64,
+        atoms=31,
+        value_high=5.0,
+        learning_rate=3e-3,
+        warm_up=64,
+        capacity=4096,
     ),
     worlds=16,
 )
@@ -66,13 +83,17 @@ class Toy:
         """Joints, for a privileged critic: the place."""
         nothing = np.zeros((self.num_envs, 0))
         place = self.place[:, None]
-        return SimpleNamespace(robot_q=place, robot_qd=nothing, link_q=nothing, link_qd=nothing)
+        return SimpleNamespace(
+            robot_q=place, robot_qd=nothing, link_q=nothing, link_qd=nothing
+        )
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[dict, dict]:
         if seed is not None:
             self._random = np.random.default_rng(seed)
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
-        self.place = np.where(mask, self._random.uniform(-1, 1, self.num_envs), self.place)
+        self.place = np.where(
+            mask, self._random.uniform(-1, 1, self.num_envs), self.place
+        )
         self.left = np.where(mask, HORIZON, self.left)
         self.forces = np.where(mask, 0.0, self.forces)
         return self._obs(), self._info()
@@ -83,14 +104,23 @@ class Toy:
         self.forces = self.forces + self.force
         over = self.left == 0
         terminated = over if self.terminates else np.zeros_like(over)
-        return self._obs(), 1.0 - np.abs(self.place), terminated, over & ~terminated, self._info()
+        return (
+            self._obs(),
+            1.0 - np.abs(self.place),
+            terminated,
+            over & ~terminated,
+            self._info(),
+        )
 
     def _obs(self) -> dict:
         return {"state": self.place[:, None].astype(np.float32)}
 
     def _info(self) -> dict:
         zeros = np.zeros(self.num_envs)
-        info: dict[str, Any] = {"steps_left": self.left, "success": np.abs(self.place) < 0.1}
+        info: dict[str, Any] = {
+            "steps_left": self.left,
+            "success": np.abs(self.place) < 0.1,
+        }
         info |= {"robot_force": self.force, "cumulative_force": self.forces}
         info["force_ok"] = self.forces <= 1000.0
         names = ("is_grasped", "at_goal", "ee_rest")

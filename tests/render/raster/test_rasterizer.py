@@ -71,7 +71,9 @@ def mesh_depth(eye, ray, mesh, center):
             side = np.cross(eye - a, b - a)
             v = (ray @ side) * inv
             t = (side @ (c - a)) * inv
-        best = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < best), t, best)
+        best = np.where(
+            (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < best), t, best
+        )
     return np.where(np.isfinite(best), best, 0.0)
 
 
@@ -116,7 +118,9 @@ def test_floor_under_the_camera_is_clipped_at_the_near_plane():
 def test_nothing_behind_or_nearer_than_the_near_plane_is_drawn():
     builder = SceneBuilder(1)
     builder.add_world_geom(Geom("box", (0.3, 0.3, 0.3), (-2.0, 0.0, 0.0)), seg="behind")
-    builder.add_world_geom(Geom("box", (0.004, 1.0, 1.0), (0.004, 0.0, 0.0)), seg="too near")
+    builder.add_world_geom(
+        Geom("box", (0.004, 1.0, 1.0), (0.004, 0.0, 0.0)), seg="too near"
+    )
     image = draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), cull=False)
     assert not image["seg"].any() and not image["depth"].any()
 
@@ -155,7 +159,9 @@ def test_any_mesh_pose_agrees_with_its_triangles():
         want[want < 0.01] = 0.0
         assert ((want > 0) == (image["seg"][0] > 0)).mean() > 0.999
         both = (want > 0) & (image["seg"][0] > 0)
-        assert np.median(np.abs(image["depth"][0] / np.maximum(want, 1e-9) - 1)[both]) < 1e-5
+        assert (
+            np.median(np.abs(image["depth"][0] / np.maximum(want, 1e-9) - 1)[both]) < 1e-5
+        )
         assert (np.abs(image["depth"][0] - want)[both] < 1e-3).mean() > 0.995
 
 
@@ -180,7 +186,9 @@ def test_instances_move_resize_and_vanish_per_home():
     blue = builder.add_material(Material((0.0, 0.0, 1.0)))
     pos = [[2.0, 0, 0], [3.0, 0, 0], [2.0, 0, 0]]
     scale = [[0.5] * 3, [0.5, 9.0, 9.0], [0.0] * 3]
-    builder.add_world_instance(unit, pos, scale=scale, material=[red, blue, red], seg="thing")
+    builder.add_world_instance(
+        unit, pos, scale=scale, material=[red, blue, red], seg="thing"
+    )
     image = draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), homes=(1, 2, 0, 1))
     middle = image["depth"][:, SIZE[1] // 2, SIZE[0] // 2]
     np.testing.assert_allclose(middle, [2.5, 0.0, 1.5, 2.5], atol=1e-5)
@@ -278,7 +286,9 @@ def test_lamps_cast_shadows_only_in_nice_pictures():
 
 
 def test_ssaa_smooths_rgb_and_leaves_depth_and_seg_alone():
-    plain, smooth = (draw(crowded(), (3.0, 2.0, 2.0), (0.0, 0.0, 0.8), ssaa=n) for n in (1, 2))
+    plain, smooth = (
+        draw(crowded(), (3.0, 2.0, 2.0), (0.0, 0.0, 0.8), ssaa=n) for n in (1, 2)
+    )
     np.testing.assert_array_equal(plain["depth"], smooth["depth"])
     np.testing.assert_array_equal(plain["seg"], smooth["seg"])
     assert (plain["rgb"] != smooth["rgb"]).any()
@@ -299,7 +309,13 @@ def test_shared_edges_leave_no_holes():
 def test_boxes_drawn_by_their_sides_look_like_their_triangles():
     # With faces seen from behind drawn too, boxes go through the triangles of their meshes.
     sides, triangles = (
-        draw(crowded(), (3.0, 2.0, 2.0), (0.0, 0.0, 0.8), cull=cull, outputs=("depth", "seg"))
+        draw(
+            crowded(),
+            (3.0, 2.0, 2.0),
+            (0.0, 0.0, 0.8),
+            cull=cull,
+            outputs=("depth", "seg"),
+        )
         for cull in (True, False)
     )
     assert (sides["seg"] == triangles["seg"]).mean() > 0.999
@@ -310,10 +326,12 @@ def test_boxes_drawn_by_their_sides_look_like_their_triangles():
 def test_mirrored_and_culled_faces():
     builder = SceneBuilder(1)
     mesh = builder.add_mesh("box", primitive_mesh(Geom("box", (1.0, 1.0, 1.0))))
-    builder.add_world_instance(mesh, (2.0, 0.0, 0.0), scale=(-0.5, 0.5, 0.5), seg="mirrored")
-    assert draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))["depth"].max() == pytest.approx(
-        1.5, abs=1e-5
+    builder.add_world_instance(
+        mesh, (2.0, 0.0, 0.0), scale=(-0.5, 0.5, 0.5), seg="mirrored"
     )
+    assert draw(builder, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))[
+        "depth"
+    ].max() == pytest.approx(1.5, abs=1e-5)
     inside = [
         draw(builder, (2.0, 0.0, 0.0), (3.0, 0.0, 0.0), cull=cull)["seg"].any()
         for cull in (True, False)
@@ -418,6 +436,9 @@ def test_bad_input_is_named():
 def test_probe_names_every_renderer_and_falls_back_to_the_rasterizer():
     probe = renderer_probe()
     assert set(probe) == {"rasterizer", *GL_BACKENDS} and probe["rasterizer"]
-    assert best_renderer(dict.fromkeys(GL_BACKENDS, False) | {"rasterizer": True}) == "rasterizer"
+    assert (
+        best_renderer(dict.fromkeys(GL_BACKENDS, False) | {"rasterizer": True})
+        == "rasterizer"
+    )
     assert best_renderer({"rasterizer": True, "egl": False, "osmesa": True}) == "osmesa"
     assert probe.get(best_renderer())

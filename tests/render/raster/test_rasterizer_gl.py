@@ -75,15 +75,20 @@ def away_from_edges(seg: np.ndarray) -> np.ndarray:
     return inner
 
 
-def test_depth_and_seg_agree_with_mujoco_where_opengl_works(tmp_path, record_testsuite_property):
+def test_depth_and_seg_agree_with_mujoco_where_opengl_works(
+    tmp_path, record_testsuite_property
+):
     backend = best_renderer()
     record_testsuite_property("opengl", backend if backend in GL_BACKENDS else "none")
     print(f"OpenGL: compared with {backend}")
     if backend not in GL_BACKENDS:
         warnings.warn(
-            "no OpenGL here: the rasterizer was not compared with mujoco.Renderer", stacklevel=1
+            "no OpenGL here: the rasterizer was not compared with mujoco.Renderer",
+            stacklevel=1,
         )
-        assert backend == "rasterizer" and not any(renderer_probe()[name] for name in GL_BACKENDS)
+        assert backend == "rasterizer" and not any(
+            renderer_probe()[name] for name in GL_BACKENDS
+        )
         return
     file = tmp_path / "gl.npz"
     subprocess.run(
@@ -100,7 +105,10 @@ def test_depth_and_seg_agree_with_mujoco_where_opengl_works(tmp_path, record_tes
     eye = EYE[None, None]
     mat = look_at(EYE, TARGET)[None, None]
     own = Rasterizer(builder.build(), 1).render(
-        np.zeros(1, int), np.zeros((1, 1, 3)), np.eye(3)[None, None], Cameras(eye, mat, FOVY, *SIZE)
+        np.zeros(1, int),
+        np.zeros((1, 1, 3)),
+        np.eye(3)[None, None],
+        Cameras(eye, mat, FOVY, *SIZE),
     )
     with np.load(file) as gl:
         alike = own["seg"][0, 0] == gl["seg"]

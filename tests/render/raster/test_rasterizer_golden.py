@@ -29,7 +29,9 @@ from mjhab.scenes.spec import Geom, Light
 FOLDER = Path(__file__).parent / "golden"
 SIZE = 96
 DEPTH_STEP = 0.0002
-View = tuple[tuple[float, float, float], tuple[float, float, float], float, Literal["fast", "nice"]]
+View = tuple[
+    tuple[float, float, float], tuple[float, float, float], float, Literal["fast", "nice"]
+]
 VIEWS: dict[str, View] = {
     "room": ((-1.9, -1.6, 1.7), (0.4, 0.4, 0.5), 1.3, "fast"),
     "table": ((-0.55, -0.55, 1.35), (0.2, 0.1, 0.75), 1.0, "fast"),
@@ -42,14 +44,18 @@ VIEWS: dict[str, View] = {
 def poster() -> Mesh:
     """A picture on a sheet of 0.8 m x 0.8 m: rings of colour and a white frame."""
     y, x = np.mgrid[-1:1:64j, -1:1:64j]
-    image = np.stack([128 + 120 * np.sin(9 * np.hypot(x, y)), 90 + 80 * x, 128 - 100 * y], -1).clip(
-        0, 255
-    )
+    image = np.stack(
+        [128 + 120 * np.sin(9 * np.hypot(x, y)), 90 + 80 * x, 128 - 100 * y], -1
+    ).clip(0, 255)
     image[np.maximum(np.abs(x), np.abs(y)) > 0.9] = 240
-    corners = np.array([[-0.4, 0, -0.4], [0.4, 0, -0.4], [0.4, 0, 0.4], [-0.4, 0, 0.4]], np.float32)
+    corners = np.array(
+        [[-0.4, 0, -0.4], [0.4, 0, -0.4], [0.4, 0, 0.4], [-0.4, 0, 0.4]], np.float32
+    )
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)[faces]
-    return Mesh(corners, faces, None, uv, np.zeros(2, np.int32), (image.astype(np.uint8),))
+    return Mesh(
+        corners, faces, None, uv, np.zeros(2, np.int32), (image.astype(np.uint8),)
+    )
 
 
 def room() -> SceneBuilder:
@@ -69,13 +75,20 @@ def room() -> SceneBuilder:
     for x in (-0.25, 0.65):
         for y in (-0.25, 0.45):
             builder.add_world_geom(
-                Geom("cylinder", (0.03, 0.34, 0), (x, y, 0.34), material="steel"), seg="table"
+                Geom("cylinder", (0.03, 0.34, 0), (x, y, 0.34), material="steel"),
+                seg="table",
             )
     for k, (name, kind) in enumerate(builtin_objects().items()):
-        at = np.array([[-0.15 + 0.18 * (k % 5), -0.1 + 0.35 * (k // 5), 0.72 + kind.half[2]]])
+        at = np.array(
+            [[-0.15 + 0.18 * (k % 5), -0.1 + 0.35 * (k // 5), 0.72 + kind.half[2]]]
+        )
         for geom in kind.visuals:
-            builder.add_world_geom(geom, at, np.array([about_z(0.5 * k)]), name, meshes=meshes)
-    builder.add_world_instance(builder.add_mesh("poster", poster()), (0.3, 1.94, 1.5), seg="poster")
+            builder.add_world_geom(
+                geom, at, np.array([about_z(0.5 * k)]), name, meshes=meshes
+            )
+    builder.add_world_instance(
+        builder.add_mesh("poster", poster()), (0.3, 1.94, 1.5), seg="poster"
+    )
     builder.add_light(0, Light((-0.5, -0.4, 2.4)))
     builder.add_light(0, Light((1.5, 1.0, 2.3), (1.0, 0.8, 0.6), 0.5))
     return builder
@@ -87,7 +100,9 @@ def drawn(view: str) -> dict[str, np.ndarray]:
         np.zeros(1, int),
         np.zeros((1, 1, 3)),
         np.eye(3)[None, None],
-        Cameras(np.array(eye)[None, None], look_at(eye, target)[None, None], fovy, SIZE, SIZE),
+        Cameras(
+            np.array(eye)[None, None], look_at(eye, target)[None, None], fovy, SIZE, SIZE
+        ),
         quality=quality,
     )
     return {name: image[0, 0] for name, image in images.items()}
@@ -104,7 +119,10 @@ def stored(view: str, images: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
             FOLDER / f"{view}_seg.png", optimize=True
         )
     files = {name: FOLDER / f"{view}_{name}.png" for name in ("rgb", "depth", "seg")}
-    return {name: np.asarray(Image.open(file)).astype(np.float64) for name, file in files.items()}
+    return {
+        name: np.asarray(Image.open(file)).astype(np.float64)
+        for name, file in files.items()
+    }
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -121,6 +139,8 @@ def test_pictures_look_as_they_did(view: str) -> None:
 def test_the_golden_views_show_what_they_are_for() -> None:
     seen = set()
     for view in VIEWS:
-        seen |= set(np.unique(np.asarray(Image.open(FOLDER / f"{view}_seg.png"))).tolist())
+        seen |= set(
+            np.unique(np.asarray(Image.open(FOLDER / f"{view}_seg.png"))).tolist()
+        )
     names = room().build().seg_names
     assert {names[k] for k in seen} == set(names)

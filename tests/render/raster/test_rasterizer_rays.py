@@ -62,14 +62,19 @@ def home() -> tuple[mujoco.MjModel, mujoco.MjData]:
         s = np.sin(yaw)
         where = here[0] + c * forward - s * left, here[1] + s * forward + c * left, height
         turn = rng.normal(size=4)
-        data.joint(model.body(name).jntadr[0]).qpos[:] = np.r_[where, turn / np.linalg.norm(turn)]
+        data.joint(model.body(name).jntadr[0]).qpos[:] = np.r_[
+            where, turn / np.linalg.norm(turn)
+        ]
     mujoco.mj_kinematics(model, data)
     root = model.body_rootid[model.body(fetch.LINKS[0]).id]
     for geom in range(model.ngeom):
         solid = model.geom_contype[geom] or model.geom_conaffinity[geom]
         own = model.body_rootid[model.geom_bodyid[geom]] == root
         kept = (
-            solid and not own and model.geom_type[geom] in KINDS and data.geom_xpos[geom, 2] > -20
+            solid
+            and not own
+            and model.geom_type[geom] in KINDS
+            and data.geom_xpos[geom, 2] > -20
         )
         model.geom_group[geom] = SHOWN if kept else HIDDEN
     return model, data
@@ -141,7 +146,9 @@ def rasterized(pos: np.ndarray, mat: np.ndarray, fovy: float) -> dict[str, np.nd
     return {"depth": images["depth"][0, 0], "seg": own[images["seg"][0, 0]]}
 
 
-def ray_cast(pos: np.ndarray, mat: np.ndarray, fovy: float) -> tuple[np.ndarray, np.ndarray]:
+def ray_cast(
+    pos: np.ndarray, mat: np.ndarray, fovy: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Planar depth (h, w), 0 where nothing is, and geom + 1."""
     model, data = home()
     focal = 0.5 * SIZE / np.tan(0.5 * fovy)
@@ -154,7 +161,18 @@ def ray_cast(pos: np.ndarray, mat: np.ndarray, fovy: float) -> tuple[np.ndarray,
     groups[SHOWN] = 1
     unit = np.ascontiguousarray((ray / length[:, None]).ravel())
     mujoco.mj_multiRay(
-        model, data, pos, unit, groups, True, -1, geom, distance, None, len(ray), mujoco.mjMAXVAL
+        model,
+        data,
+        pos,
+        unit,
+        groups,
+        True,
+        -1,
+        geom,
+        distance,
+        None,
+        len(ray),
+        mujoco.mjMAXVAL,
     )
     depth = np.where(geom >= 0, distance / length, 0.0)
     return depth.reshape(SIZE, SIZE), (geom + 1).reshape(SIZE, SIZE)

@@ -59,7 +59,10 @@ class Pair:
     def __init__(self, warp: ModuleType, pack: str, size: tuple[int, int] = SIZE) -> None:
         self.layout = Layout(open_pack(pack), ROSTER)
         self.size = size
-        self.sim, self.cpu = open_worlds(self.layout), CpuSimulator(self.layout, WORLDS, 1)
+        self.sim, self.cpu = (
+            open_worlds(self.layout),
+            CpuSimulator(self.layout, WORLDS, 1),
+        )
         self.cameras = warp.WarpCameras(self.sim, CAMERAS, size, OUTPUTS)
         self.renderer = HomeRenderer(self.cpu, 1)
         homes = self.layout.pack.homes
@@ -96,7 +99,9 @@ class Pair:
         return {name: image.numpy().copy() for name, image in self.cameras.draw().items()}
 
     def expected(self, homes: list[str]) -> dict[str, np.ndarray]:
-        return self.renderer.robot_views(self.cpu.state(), homes, self.size, OUTPUTS, CAMERAS)
+        return self.renderer.robot_views(
+            self.cpu.state(), homes, self.size, OUTPUTS, CAMERAS
+        )
 
     def check(self, homes: list[str]) -> None:
         """Both draw the same."""
@@ -107,7 +112,9 @@ def agree(got: dict[str, np.ndarray], want: dict[str, np.ndarray]) -> None:
     for world, camera in np.ndindex(*want["depth"].shape[:2]):
         off = np.abs(got["depth"][world, camera] - want["depth"][world, camera])
         assert np.median(off) < DEPTH_MEDIAN and np.quantile(off, 0.95) < DEPTH_P95
-        assert (got["seg"][world, camera] == want["seg"][world, camera]).mean() >= SEGMENTS
+        assert (
+            got["seg"][world, camera] == want["seg"][world, camera]
+        ).mean() >= SEGMENTS
         colors = got["rgb"][world, camera].astype(float) - want["rgb"][world, camera]
         assert np.abs(colors).mean() < COLOR
 
@@ -118,12 +125,17 @@ def pair(warp: ModuleType) -> Pair:
 
 
 def test_pictures_agree_with_the_cpu_renderer(pair: Pair) -> None:
-    pair.begin(pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)])
+    pair.begin(
+        pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)]
+    )
     got = pair.drawn()
     agree(got, pair.expected(pair.homes))
     kinds = {"rgb": ((3,), np.uint8), "depth": ((), np.float32), "seg": ((), np.int32)}
     for name, (tail, dtype) in kinds.items():
-        assert got[name].shape == (WORLDS, len(CAMERAS), *SIZE, *tail) and got[name].dtype == dtype
+        assert (
+            got[name].shape == (WORLDS, len(CAMERAS), *SIZE, *tail)
+            and got[name].dtype == dtype
+        )
     assert pair.cameras.segmentation_names == pair.renderer.scene.seg_names
     # Something of everything is in view: else the test proves little.
     seen = {pair.cameras.segmentation_names[k] for k in np.unique(got["seg"])}
@@ -147,9 +159,13 @@ def test_pictures_follow_the_worlds(pair: Pair) -> None:
 
 
 def test_camera_poses_agree_with_the_cpu_renderer(pair: Pair) -> None:
-    pair.begin(pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)])
+    pair.begin(
+        pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)]
+    )
     for got, want in zip(
-        pair.cameras.poses(), pair.renderer.camera_poses(pair.cpu.state(), CAMERAS), strict=True
+        pair.cameras.poses(),
+        pair.renderer.camera_poses(pair.cpu.state(), CAMERAS),
+        strict=True,
     ):
         assert got.shape == want.shape
         np.testing.assert_allclose(got.numpy(), want, atol=1e-5)
@@ -167,7 +183,9 @@ def test_trap_static_poses_each_world_shows_its_own_home(pair: Pair) -> None:
         assert (image[0] != image[1]).mean() > 0.2
 
 
-def test_trap_stale_trees_worlds_move_to_other_homes(pair: Pair, warp: ModuleType) -> None:
+def test_trap_stale_trees_worlds_move_to_other_homes(
+    pair: Pair, warp: ModuleType
+) -> None:
     qpos = [pair.start(home, place) for place, home in enumerate(pair.homes)]
     pair.begin(pair.homes, qpos)
     pair.drawn()
@@ -194,7 +212,9 @@ def test_trap_stale_trees_worlds_move_to_other_homes(pair: Pair, warp: ModuleTyp
 
 
 def test_trap_depth_is_not_clamped_at_one_metre(pair: Pair) -> None:
-    pair.begin(pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)])
+    pair.begin(
+        pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)]
+    )
     got = pair.drawn()["depth"]
     want = pair.expected(pair.homes)["depth"]
     far = want > 1.5
@@ -225,11 +245,14 @@ def test_trap_hidden_what_is_parked_is_not_drawn(pair: Pair) -> None:
     hand = robot[1]
     can = a.object_body[CAN]
     assert (
-        pair.drawn()["seg"] == pair.cameras.segmentation_names.index("005_tomato_soup_can_:0000")
+        pair.drawn()["seg"]
+        == pair.cameras.segmentation_names.index("005_tomato_soup_can_:0000")
     ).any()
     pos[:, can, 2] = -26.0
     try:
-        names = {pair.cameras.segmentation_names[k] for k in np.unique(pair.drawn()["seg"])}
+        names = {
+            pair.cameras.segmentation_names[k] for k in np.unique(pair.drawn()["seg"])
+        }
     finally:
         pos[:] = before
     assert "005_tomato_soup_can_:0000" not in names and before[0, hand, 2] > 0
@@ -248,7 +271,9 @@ def test_trap_faces_seen_from_behind_hide_nothing(pair: Pair) -> None:
     assert names.index("background") in want
 
 
-def test_a_world_that_diverged_gets_zeros_and_the_others_their_pictures(pair: Pair) -> None:
+def test_a_world_that_diverged_gets_zeros_and_the_others_their_pictures(
+    pair: Pair,
+) -> None:
     pair.begin(pair.homes, [pair.start(home) for home in pair.homes])
     before = pair.drawn()
     pos = pair.sim.engine.data.xpos.numpy()
@@ -292,7 +317,9 @@ def test_a_device_that_is_full_is_told(
 
     cameras = warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
     monkeypatch.setattr(warp.WarpCameras, "_draw", full)
-    with pytest.raises(UsageError, match="3 worlds do not fit into the memory of cpu; try 1 "):
+    with pytest.raises(
+        UsageError, match="3 worlds do not fit into the memory of cpu; try 1 "
+    ):
         cameras.draw()
     monkeypatch.setattr(warp.WarpCameras, "_make_images", full)
     with pytest.raises(UsageError, match="3 worlds do not fit"):
@@ -322,15 +349,25 @@ def test_patterns_are_seen(pair: Pair) -> None:
 
 def test_pictures_on_real_furniture_and_objects_are_seen(warp: ModuleType) -> None:
     pair = Pair(warp, str(real_data("replica_cad")), (96, 96))
-    pair.begin(pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)])
+    pair.begin(
+        pair.homes, [pair.start(home, place) for place, home in enumerate(pair.homes)]
+    )
     got = pair.drawn()
     want = pair.expected(pair.homes)
     agree(got, want)
-    alike(got, want, pair.cameras.segmentation_names.index("003_cracker_box_:0000"), spread=20.0)
+    alike(
+        got,
+        want,
+        pair.cameras.segmentation_names.index("003_cracker_box_:0000"),
+        spread=20.0,
+    )
 
 
 def alike(
-    got: dict[str, np.ndarray], want: dict[str, np.ndarray], segment: int, spread: float = 4.0
+    got: dict[str, np.ndarray],
+    want: dict[str, np.ndarray],
+    segment: int,
+    spread: float = 4.0,
 ) -> None:
     """The colours of a segment vary, and as those of the CPU renderer do."""
     both = (got["seg"] == segment) & (want["seg"] == segment)
@@ -351,7 +388,8 @@ def test_meshes_are_decimated_to_a_budget(pair: Pair) -> None:
         faces = scene.mesh_face_count[level]
         return int(
             max(
-                (present(scene)[:, ~moving] * faces[~moving]).sum(axis=1).max(), faces[moving].sum()
+                (present(scene)[:, ~moving] * faces[~moving]).sum(axis=1).max(),
+                faces[moving].sum(),
             )
         )
 

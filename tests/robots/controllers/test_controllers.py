@@ -72,7 +72,9 @@ def test_table_and_bounds_of_every_mode(mode: str, base: str):
     )
     assert controller.low.shape == controller.high.shape == (controller.dim,)
     assert len({row.name for row in controller.table}) == controller.dim
-    for row, low, high in zip(controller.table, controller.low, controller.high, strict=True):
+    for row, low, high in zip(
+        controller.table, controller.low, controller.high, strict=True
+    ):
         assert (low, high) == (
             (-1, 1) if row.normalized else (np.float32(row.low), np.float32(row.high))
         )
@@ -97,7 +99,9 @@ def test_table_and_bounds_of_every_mode(mode: str, base: str):
 @pytest.mark.parametrize("mode", CONTROL_MODES)
 def test_stationary_parts_keep_their_numbers_and_ignore_them(mode: str, base: str):
     state = still_state(3)
-    actions = np.random.default_rng(0).uniform(-1, 1, (3, make_controller(mode, base=base).dim))
+    actions = np.random.default_rng(0).uniform(
+        -1, 1, (3, make_controller(mode, base=base).dim)
+    )
     body = make_controller(mode).gripper + 1
     columns = {
         "head": [body, body + 1],
@@ -123,7 +127,9 @@ def original_default_mode(actions: np.ndarray, q: np.ndarray) -> np.ndarray:
     """What ``pd_joint_delta_pos`` is, joint by joint."""
     a = np.clip(actions, -1.0, 1.0).astype(np.float64)
     out = np.empty((len(a), 15))
-    for joint, column in zip((*ROBOT.arm_columns, 4, 6, 3), (*range(7), 8, 9, 10), strict=True):
+    for joint, column in zip(
+        (*ROBOT.arm_columns, 4, 6, 3), (*range(7), 8, 9, 10), strict=True
+    ):
         out[:, joint] = q[:, joint] + 0.1 * a[:, column]
     out[:, 13] = out[:, 14] = -0.01 + 0.5 * (a[:, 7] + 1.0) * (0.05 + 0.01)
     out[:, 0] = 1.0 * a[:, 11] * np.cos(q[:, 2])
@@ -137,7 +143,10 @@ def test_default_mode_is_unchanged_in_every_bit():
     actions = rng.uniform(-1.3, 1.3, (64, ROBOT.action.dim)).astype(np.float32)
     q = rng.normal(size=(64, 15))
     want = original_default_mode(actions, q)
-    assert make_controller("pd_joint_delta_pos", 64).command(actions, q).tobytes() == want.tobytes()
+    assert (
+        make_controller("pd_joint_delta_pos", 64).command(actions, q).tobytes()
+        == want.tobytes()
+    )
     assert len(make_controller().table) == ROBOT.action.dim
 
 
@@ -150,17 +159,24 @@ def test_drives_change_only_what_they_name():
     apply_drives(other, ROBOT, Drives())
     for field in fields:
         np.testing.assert_array_equal(getattr(plain, field), getattr(other, field))
-    apply_drives(other, ROBOT, Drives(velocity=("elbow_flex_joint",), stiff=("torso_lift_joint",)))
+    apply_drives(
+        other, ROBOT, Drives(velocity=("elbow_flex_joint",), stiff=("torso_lift_joint",))
+    )
     assert other.actuator("elbow_flex_joint").biasprm[:3].tolist() == [0.0, 0.0, -100.0]
     assert other.actuator("elbow_flex_joint").gainprm[0] == 100.0
     assert other.actuator("torso_lift_joint").biasprm[:3].tolist() == [0.0, -1e5, -1e5]
-    assert other.jnt_actfrcrange[other.joint("torso_lift_joint").id].tolist() == [-1e5, 1e5]
+    assert other.jnt_actfrcrange[other.joint("torso_lift_joint").id].tolist() == [
+        -1e5,
+        1e5,
+    ]
     rest = [
         i
         for i, name in enumerate(ROBOT.joints)
         if name not in ("elbow_flex_joint", "torso_lift_joint")
     ]
-    np.testing.assert_array_equal(plain.actuator_biasprm[rest], other.actuator_biasprm[rest])
+    np.testing.assert_array_equal(
+        plain.actuator_biasprm[rest], other.actuator_biasprm[rest]
+    )
     apply_drives(other, ROBOT, Drives())
     for field in fields:
         np.testing.assert_array_equal(getattr(plain, field), getattr(other, field))
@@ -172,7 +188,9 @@ def test_servos_belong_to_one_simulator():
     speed = simulator(Drives(velocity=ROBOT.group("arm")))
     home = layout().pack.homes[0].name
     assert speed.model(home).actuator("wrist_roll_joint").biasprm[1] == 0.0
-    assert simulator(Drives()).model(home).actuator("wrist_roll_joint").biasprm[1] == -1000.0
+    assert (
+        simulator(Drives()).model(home).actuator("wrist_roll_joint").biasprm[1] == -1000.0
+    )
 
 
 @pytest.mark.parametrize("mode", CONTROL_MODES)
@@ -240,7 +258,9 @@ def test_stiff_body_reaches_its_target_and_holds_what_is_stationary():
     )
 
 
-@pytest.mark.parametrize("mode", ["pd_joint_delta_pos", "pd_joint_vel", "pd_ee_target_delta_pose"])
+@pytest.mark.parametrize(
+    "mode", ["pd_joint_delta_pos", "pd_joint_vel", "pd_ee_target_delta_pose"]
+)
 def test_base_drives_forward_turns_and_strafes_in_its_own_frame(mode: str):
     yaw = 0.7
     b = bench(mode, yaw=yaw, base="holonomic")
@@ -338,13 +358,17 @@ def test_partial_reset_touches_no_other_world_and_state_makes_a_round_trip(mode:
     controller.reset(np.array([False, True, False]), moved)
     after = [controller.get_state(w) for w in range(3)]
     for key in saved[0]:
-        assert (after[0][key] == saved[0][key]).all() and (after[2][key] == saved[2][key]).all()
+        assert (after[0][key] == saved[0][key]).all() and (
+            after[2][key] == saved[2][key]
+        ).all()
         joints = ARM if key == "arm_target" else BODY
         np.testing.assert_array_equal(after[1][key], np.array(REST_QPOS)[joints])
     other = make_controller(mode, 3, stationary=("torso",))
     for w in range(3):
         other.set_state(w, after[w])
-    assert controller.ctrl(actions, state).tobytes() == other.ctrl(actions, state).tobytes()
+    assert (
+        controller.ctrl(actions, state).tobytes() == other.ctrl(actions, state).tobytes()
+    )
 
 
 @pytest.mark.parametrize("mode", [m for m in CONTROL_MODES if m not in REMEMBERING])

@@ -57,7 +57,10 @@ def test_end_effector_moves_along_its_frame(mode: str):
     if size == 6:
         turn = rotation_vector(b_rot @ rot.swapaxes(1, 2))
         about = rot[6, :, 0] if "align" in mode else np.array([1.0, 0.0, 0.0])
-        assert turn[6] @ about > 0.03 and np.linalg.norm(turn[6] - (turn[6] @ about) * about) < 0.01
+        assert (
+            turn[6] @ about > 0.03
+            and np.linalg.norm(turn[6] - (turn[6] @ about) * about) < 0.01
+        )
         assert np.linalg.norm(turn[:6], axis=1).max() < 0.01
 
 
@@ -79,9 +82,17 @@ def test_one_command_of_the_end_effector_is_met_and_its_turn_clipped_by_norm(mod
     )
     own = mode.endswith("align")
     move = 0.1 * actions[:, :3, None]
-    np.testing.assert_allclose(got_pos, pos + (rot @ move if own else move)[..., 0], atol=2e-4)
-    want = rot @ mat_from_rotation_vector(turn) if own else mat_from_rotation_vector(turn) @ rot
-    np.testing.assert_allclose(rotation_vector(want @ got_rot.swapaxes(1, 2)), 0.0, atol=2e-3)
+    np.testing.assert_allclose(
+        got_pos, pos + (rot @ move if own else move)[..., 0], atol=2e-4
+    )
+    want = (
+        rot @ mat_from_rotation_vector(turn)
+        if own
+        else mat_from_rotation_vector(turn) @ rot
+    )
+    np.testing.assert_allclose(
+        rotation_vector(want @ got_rot.swapaxes(1, 2)), 0.0, atol=2e-3
+    )
     assert np.linalg.norm(turn[0]) == pytest.approx(0.1)
 
 
@@ -124,18 +135,26 @@ SIDE = 0.1
 def square(time: float, speed: float) -> np.ndarray:
     """Point (2,) on a 10 cm square at a time [s] of one lap."""
     side, along = divmod(min(time * speed, 4 * SIDE - 1e-9), SIDE)
-    return np.array([(along, 0), (SIDE, along), (SIDE - along, SIDE), (0, SIDE - along)][int(side)])
+    return np.array(
+        [(along, 0), (SIDE, along), (SIDE - along, SIDE), (0, SIDE - along)][int(side)]
+    )
 
 
-def absolute(b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray) -> np.ndarray:
+def absolute(
+    b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray
+) -> np.ndarray:
     return np.concatenate([want, rotation_vector(rot)], axis=1)
 
 
-def from_target(b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray) -> np.ndarray:
+def from_target(
+    b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray
+) -> np.ndarray:
     return np.concatenate([(want - before) / 0.1, np.zeros_like(want)], axis=1)
 
 
-def from_measured(b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray) -> np.ndarray:
+def from_measured(
+    b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarray
+) -> np.ndarray:
     pos, now = b.tip()
     # The servos cover 1 - exp(-kp/kd * 50 ms) of a change in one control step.
     return (
@@ -155,7 +174,9 @@ def from_measured(b: Bench, want: np.ndarray, rot: np.ndarray, before: np.ndarra
         ("pd_ee_delta_pos", from_measured),
     ],
 )
-def test_end_effector_tracks_a_square_within_5_mm(mode: str, command: Callable[..., np.ndarray]):
+def test_end_effector_tracks_a_square_within_5_mm(
+    mode: str, command: Callable[..., np.ndarray]
+):
     """4 cm/s at 20 Hz from the rest pose; every world another square: planes xy, yz, xz, all turned four ways.
 
     Error: distance to where the point is at that time, so the lag of the servos counts. Forwards and upwards of the

@@ -47,20 +47,28 @@ def in_base(data: mujoco.MjData, body: str) -> np.ndarray:
 
 def test_rest_pose_reaches_the_published_tcp(model: mujoco.MjModel) -> None:
     data = at(model, REST)
-    np.testing.assert_allclose(in_base(data, fetch.TCP_LINK), (0.5104, -0.0046, 1.2493), atol=1e-3)
+    np.testing.assert_allclose(
+        in_base(data, fetch.TCP_LINK), (0.5104, -0.0046, 1.2493), atol=1e-3
+    )
     axes = data.body(fetch.TCP_LINK).xmat.reshape(3, 3).T
     np.testing.assert_allclose(axes[0], (-0.363, 0.142, -0.921), atol=1e-3)
     np.testing.assert_allclose(axes[1], (-0.224, 0.946, 0.234), atol=1e-3)
     np.testing.assert_allclose(axes[2], (0.905, 0.291, -0.312), atol=1e-3)
-    np.testing.assert_allclose(in_base(data, "torso_lift_link"), (-0.0869, 0.0, 0.7634), atol=1e-3)
+    np.testing.assert_allclose(
+        in_base(data, "torso_lift_link"), (-0.0869, 0.0, 0.7634), atol=1e-3
+    )
 
 
 def test_head_camera_sees_forward_and_down(model: mujoco.MjModel) -> None:
     data = at(model, REST)
     base = data.body("base_link").xpos
-    np.testing.assert_allclose(data.cam("fetch_head").xpos - base, (0.1673, 0.0, 1.4142), atol=1e-3)
+    np.testing.assert_allclose(
+        data.cam("fetch_head").xpos - base, (0.1673, 0.0, 1.4142), atol=1e-3
+    )
     axes = data.cam("fetch_head").xmat.reshape(3, 3)
-    np.testing.assert_allclose(-axes[:, 2], (np.cos(0.562), 0.0, -np.sin(0.562)), atol=1e-6)
+    np.testing.assert_allclose(
+        -axes[:, 2], (np.cos(0.562), 0.0, -np.sin(0.562)), atol=1e-6
+    )
     assert axes[2, 1] > 0, "the image is upside down"
     np.testing.assert_allclose(np.radians(model.cam_fovy), 2.0)
 
@@ -79,14 +87,21 @@ def test_joints_limits_and_servos_have_the_published_order_and_values(
             np.testing.assert_allclose(joint.range, ROBOT.joint_limits[i])
         assert model.actuator_trnid[i, 0] == joint.id
         np.testing.assert_allclose(model.actuator_biasprm[i, 1:3], (-gains.kp, -gains.kd))
-        np.testing.assert_allclose(model.jnt_actfrcrange[joint.id], (-gains.force, gains.force))
-    assert ROBOT.joint_limits[fetch.FETCH_JOINTS.index("shoulder_lift_joint")] == (-1.221, 1.518)
+        np.testing.assert_allclose(
+            model.jnt_actfrcrange[joint.id], (-gains.force, gains.force)
+        )
+    assert ROBOT.joint_limits[fetch.FETCH_JOINTS.index("shoulder_lift_joint")] == (
+        -1.221,
+        1.518,
+    )
 
 
 def test_masses_are_those_of_the_inertial_table(model: mujoco.MjModel) -> None:
     for link in fetch.LINKS:
         merged = [
-            t.link for t in fetch.KINEMATIC_TREE if t.parent == link and t.link not in fetch.LINKS
+            t.link
+            for t in fetch.KINEMATIC_TREE
+            if t.parent == link and t.link not in fetch.LINKS
         ]
         expected = INERTIALS[link].mass + sum(INERTIALS[m].mass for m in merged)
         assert model.body(link).mass[0] == pytest.approx(expected)
@@ -101,7 +116,9 @@ def test_the_robot_has_no_gravity(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("joint", MOVING)
 def test_no_self_contact_near_rest(model: mujoco.MjModel, joint: int) -> None:
-    low, high = np.clip(np.array(ROBOT.joint_limits[joint]), REST[joint] - 1.0, REST[joint] + 1.0)
+    low, high = np.clip(
+        np.array(ROBOT.joint_limits[joint]), REST[joint] - 1.0, REST[joint] + 1.0
+    )
     for value in np.linspace(low, high, 9):
         q = REST.copy()
         q[joint] = value
@@ -112,7 +129,9 @@ def test_the_arm_feels_the_head(model: mujoco.MjModel) -> None:
     q = REST.copy()
     q[fetch.FETCH_JOINTS.index("elbow_flex_joint")] = -2.2
     touching = {model.body(model.geom_bodyid[c.geom1]).name for c in at(model, q).contact}
-    touching |= {model.body(model.geom_bodyid[c.geom2]).name for c in at(model, q).contact}
+    touching |= {
+        model.body(model.geom_bodyid[c.geom2]).name for c in at(model, q).contact
+    }
     assert {"forearm_roll_link", "head_pan_link"} <= touching
 
 
@@ -159,7 +178,9 @@ def test_base_reaches_its_speed(model: mujoco.MjModel, joint: int, speed: float)
 
 
 @pytest.mark.parametrize("q", [0.0, 0.015, 0.05])
-def test_opening_between_the_pads_is_twice_the_joint(model: mujoco.MjModel, q: float) -> None:
+def test_opening_between_the_pads_is_twice_the_joint(
+    model: mujoco.MjModel, q: float
+) -> None:
     pose = REST.copy()
     pose[13:] = q
     data = at(model, pose)
@@ -170,22 +191,25 @@ def test_opening_between_the_pads_is_twice_the_joint(model: mujoco.MjModel, q: f
         opening = np.array(finger.opens)
         (pad, *_), (edge, *_) = (model.geom(f"{link}/{i}").size for i in (0, 1))
         at_pad, at_edge = (
-            hand.xmat.reshape(3, 3).T @ (data.geom(f"{link}/{i}").xpos - hand.xpos) for i in (0, 1)
+            hand.xmat.reshape(3, 3).T @ (data.geom(f"{link}/{i}").xpos - hand.xpos)
+            for i in (0, 1)
         )
         faces += [
             float(opening @ at_pad) - model.geom(f"{link}/0").size[1],
             float(opening @ at_edge) - edge,
         ]
-        assert at_pad[0] - pad == pytest.approx(-0.029) and at_edge[0] + edge == pytest.approx(
-            0.031
-        )
+        assert at_pad[0] - pad == pytest.approx(-0.029) and at_edge[
+            0
+        ] + edge == pytest.approx(0.031)
         assert np.abs([at_pad[2], at_edge[2]]).max() < 1e-9
     np.testing.assert_allclose(faces, q - 0.0004, atol=1e-9)
 
 
 def _corners(geom: Geom) -> np.ndarray:
     """Corners of the box around a geom, in the link frame."""
-    half = geom.size if geom.shape == "box" else (geom.size[0], geom.size[0], geom.size[1])
+    half = (
+        geom.size if geom.shape == "box" else (geom.size[0], geom.size[0], geom.size[1])
+    )
     signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.array(geom.quat))
@@ -212,7 +236,9 @@ def test_robot_meshes_are_sound_and_materials_known() -> None:
     assert sum(len(mesh.faces) for _, mesh, _ in parts) < 25_000
 
 
-def test_missing_mesh_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_mesh_package_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MjhabError, match=r"pip install .*gymnasium-robotics"):
         fetch_visuals.robot_meshes.__wrapped__()

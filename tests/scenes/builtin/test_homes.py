@@ -67,7 +67,11 @@ def test_names_and_splits() -> None:
         3: "val",
         4: "test",
     }
-    assert Counter(split_of(macro) for macro, _ in ALL) == {"train": 63, "val": 21, "test": 21}
+    assert Counter(split_of(macro) for macro, _ in ALL) == {
+        "train": 63,
+        "val": 21,
+        "test": 21,
+    }
 
 
 def test_the_pieces_that_tasks_name_are_there() -> None:
@@ -97,7 +101,9 @@ def test_the_pieces_that_tasks_name_are_there() -> None:
         assert {p.template for p in home.articulations} == {"kitchen_counter", "fridge"}
         placed = Counter(p.template for p in home.props)
         assert placed["chair_01"] == 4
-        assert all(placed[name] == 1 for name in ("table_01", "table_02", "tvstand", "sofa"))
+        assert all(
+            placed[name] == 1 for name in ("table_01", "table_02", "tvstand", "sofa")
+        )
 
 
 def test_every_material_and_mesh_exists_and_is_used() -> None:
@@ -117,7 +123,9 @@ def test_one_layout_stays_small() -> None:
     most: Counter[str] = Counter()
     for home in pack.homes:
         most |= Counter(p.template for p in home.props)
-    furniture = [pack.props[name] for name in most.elements()] + list(pack.articulations.values())
+    furniture = [pack.props[name] for name in most.elements()] + list(
+        pack.articulations.values()
+    )
     felt = sum(g.collide for t in furniture for g in all_geoms(t)) + max(
         len(h.walls) for h in pack.homes
     )
@@ -136,8 +144,12 @@ def test_a_robot_reaches_every_receptacle(macro: int, micro: int) -> None:
     pack = _pack()
     free = free_map(home, pack)
     assert free.navigable(0.3).sum() >= 0.94 * (free.clearance >= 0.3).sum()
-    assert {r.receptacle: r.center for r in reach(home, pack, free) if r.center > 0.9} == {}
-    assert {r.thing: r.farthest for r in reach(home, pack, free) if r.farthest > 1.0} == {}
+    assert {
+        r.receptacle: r.center for r in reach(home, pack, free) if r.center > 0.9
+    } == {}
+    assert {
+        r.thing: r.farthest for r in reach(home, pack, free) if r.farthest > 1.0
+    } == {}
 
 
 @pytest.mark.parametrize(("macro", "micro"), ALL)
@@ -147,7 +159,8 @@ def test_nothing_stands_in_something_else(macro: int, micro: int) -> None:
     areas = []
     for placement in (*home.props, *home.articulations):
         area = footprint(
-            placement, pack.props.get(placement.template) or pack.articulations[placement.template]
+            placement,
+            pack.props.get(placement.template) or pack.articulations[placement.template],
         )
         if area is not None:
             areas.append(area)
@@ -202,7 +215,9 @@ def test_hard_cases_open_toward_a_wall() -> None:
     free = {key: free_travel(home, pack) for key, home in hard.items()}
     blocked = free.pop((3, 20))
     ranges = {f"fridge/{k.name}": k.range[1] for k in pack.articulations["fridge"].links}
-    assert all(travel[name] == ranges[name] for travel in free.values() for name in ranges)
+    assert all(
+        travel[name] == ranges[name] for travel in free.values() for name in ranges
+    )
     # Open wide enough to count as open, with less room before the handle than a finger is thick.
     assert (
         0.75 * 2.3
@@ -224,7 +239,8 @@ def test_the_joint_ends_where_the_door_meets_the_wall() -> None:
     pack = dataclasses.replace(_pack(), homes=(make_home(3, 0), make_home(3, 20)))
     layout = Layout(pack, ())
     open_wide, blocked = (
-        compile_home(layout, home).joint("fridge/top_door").range[1] for home in pack.homes
+        compile_home(layout, home).joint("fridge/top_door").range[1]
+        for home in pack.homes
     )
     assert (open_wide, blocked) == (2.3, 1.85)
 
@@ -239,11 +255,16 @@ def test_fingers_fit_around_every_handle(thing: str) -> None:
         open_dir = np.cross(along, out)
         assert handle.thickness <= 0.024 and handle.half_length >= 0.07
         for side in (-1.0, 1.0):
-            mid = np.array(handle.pos) + side * (handle.thickness / 2 + 0.001 + 0.007) * open_dir
+            mid = (
+                np.array(handle.pos)
+                + side * (handle.thickness / 2 + 0.001 + 0.007) * open_dir
+            )
             room = np.abs(along) * 0.013 + np.abs(out) * 0.031 + np.abs(open_dir) * 0.007
             for g in (g for g in link.geoms if g.collide):
                 p = outline(g)
-                overlap = np.minimum(p.max(0), mid + room) - np.maximum(p.min(0), mid - room)
+                overlap = np.minimum(p.max(0), mid + room) - np.maximum(
+                    p.min(0), mid - room
+                )
                 assert not np.all(overlap > 0), (link.name, g)
         front = max(
             outline(g)[:, 0].max()
@@ -269,17 +290,27 @@ def test_set_table_drawer_shows_its_bowl_when_open() -> None:
 def test_receptacles_lie_on_a_surface_with_free_room_above(name: str) -> None:
     thing = builtin_articulations()[name]
     links = {k.name: k for k in thing.links}
-    boxes = [(outline(g).min(0), outline(g).max(0)) for g in all_geoms(thing) if g.collide]
+    boxes = [
+        (outline(g).min(0), outline(g).max(0)) for g in all_geoms(thing) if g.collide
+    ]
     for r in thing.receptacles:
         origin = np.array(links[r.link].pos) if r.link else np.zeros(3)
         p = np.array(r.pos) + origin
         corners = (
-            np.array([[sx * r.half[0], sy * r.half[1], 0.0] for sx in (-1, 1) for sy in (-1, 1)])
+            np.array(
+                [
+                    [sx * r.half[0], sy * r.half[1], 0.0]
+                    for sx in (-1, 1)
+                    for sy in (-1, 1)
+                ]
+            )
             + p
         )
         for c in corners:
             assert any(
-                np.all(c[:2] >= lo[:2]) and np.all(c[:2] <= hi[:2]) and abs(hi[2] - c[2]) < 1e-6
+                np.all(c[:2] >= lo[:2])
+                and np.all(c[:2] <= hi[:2])
+                and abs(hi[2] - c[2]) < 1e-6
                 for lo, hi in boxes
             ), (r.name, c)
         low = corners.min(0) + np.array([0.0, 0.0, 1e-4])
@@ -308,7 +339,9 @@ def test_homes_keep_their_geometry() -> None:
         home = make_home(macro, micro)
         for placement in (*home.props, *home.articulations):
             digest.update(
-                repr((placement.template, rounded(*placement.pos, placement.yaw))).encode()
+                repr(
+                    (placement.template, rounded(*placement.pos, placement.yaw))
+                ).encode()
             )
         for wall in home.walls:
             digest.update(repr(rounded(*wall.pos, *wall.size)).encode())
@@ -322,7 +355,9 @@ def test_furnished_homes_come_back_from_the_cache(
     keys = ((4, 0), (3, 20))
     first = builtin_homes(keys)
     (file,) = (tmp_path / "homes").iterdir()
-    monkeypatch.setattr(homes, "make_home", lambda macro, micro: pytest.fail("furnished again"))
+    monkeypatch.setattr(
+        homes, "make_home", lambda macro, micro: pytest.fail("furnished again")
+    )
     assert builtin_homes(keys) == first
     monkeypatch.undo()
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
@@ -334,11 +369,16 @@ def test_furnished_homes_come_back_from_the_cache(
 
 def test_the_layout_of_all_homes_is_that_of_five() -> None:
     """Micro layouts bring no pieces of their own, so a model does not grow with the number of homes."""
-    plans = Layout(dataclasses.replace(_pack(), homes=tuple(make_home(m, 0) for m in range(5))), ())
+    plans = Layout(
+        dataclasses.replace(_pack(), homes=tuple(make_home(m, 0) for m in range(5))), ()
+    )
     all_homes = Layout(
         dataclasses.replace(_pack(), homes=tuple(make_home(*key) for key in ALL)), ()
     )
-    assert all_homes.prop_slots == plans.prop_slots and all_homes.num_walls == plans.num_walls
+    assert (
+        all_homes.prop_slots == plans.prop_slots
+        and all_homes.num_walls == plans.num_walls
+    )
 
 
 def test_a_pack_survives_the_disk(tmp_path: Path) -> None:
@@ -355,10 +395,13 @@ def test_a_pack_survives_the_disk(tmp_path: Path) -> None:
 
 
 def test_unknown_packs_are_refused_with_a_hint(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"unknown asset pack 'bultin'\. Did you mean 'builtin'\?"):
+    with pytest.raises(
+        UsageError, match=r"unknown asset pack 'bultin'\. Did you mean 'builtin'\?"
+    ):
         open_pack("bultin")
     with pytest.raises(
-        UsageError, match=r"has no pack\.json; a pack folder must hold pack\.json and meshes\.npz"
+        UsageError,
+        match=r"has no pack\.json; a pack folder must hold pack\.json and meshes\.npz",
     ):
         open_pack(str(tmp_path))
     with pytest.raises(UsageError, match="does not exist"):
@@ -374,7 +417,11 @@ def test_unknown_packs_are_refused_with_a_hint(tmp_path: Path) -> None:
         ("format", "other", "'format' must be"),
         ("homes", None, "field 'homes' is missing"),
         ("props", [{"name": "a"}], r"props\[0\]: field 'geoms' is missing"),
-        ("props", [{"name": "a", "geoms": [], "wheels": 4}], r"props\[0\]: unknown field 'wheels'"),
+        (
+            "props",
+            [{"name": "a", "geoms": [], "wheels": 4}],
+            r"props\[0\]: unknown field 'wheels'",
+        ),
         (
             "props",
             [{"name": "a", "geoms": [{"shape": "cone", "size": [1, 1, 1]}]}],
@@ -414,7 +461,9 @@ def test_truncated_packs_are_refused(tmp_path: Path) -> None:
     save_pack(_pack(), tmp_path)
     whole = (tmp_path / "meshes.npz").read_bytes()
     (tmp_path / "meshes.npz").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(UsageError, match=r"meshes\.npz is no file of the meshes of a pack"):
+    with pytest.raises(
+        UsageError, match=r"meshes\.npz is no file of the meshes of a pack"
+    ):
         load_pack(tmp_path)
     text = (tmp_path / "pack.json").read_text()
     (tmp_path / "pack.json").write_text(text[: len(text) // 2])

@@ -67,7 +67,9 @@ def _solid(pieces: Iterable[Geom]) -> Callable[[np.ndarray], bool]:
     """Whether a point is in the hull of any piece."""
     meshes = object_meshes()
     planes = [ConvexHull(outline(g, meshes)).equations for g in pieces]
-    return lambda point: any(bool(np.all(p[:, :3] @ point + p[:, 3] <= 0.0)) for p in planes)
+    return lambda point: any(
+        bool(np.all(p[:, :3] @ point + p[:, 3] <= 0.0)) for p in planes
+    )
 
 
 def test_bowl_is_open() -> None:
@@ -85,7 +87,11 @@ def test_bowl_wall_has_no_gap_and_is_thin() -> None:
     solid = _solid(builtin_objects()["024_bowl"].collision)
     for angle in np.linspace(0.0, 2 * np.pi, 41):
         ray = np.arange(0.066, 0.086, 0.0005)
-        hit = [r for r in ray if solid(np.array([r * np.cos(angle), r * np.sin(angle), 0.02]))]
+        hit = [
+            r
+            for r in ray
+            if solid(np.array([r * np.cos(angle), r * np.sin(angle), 0.02]))
+        ]
         assert hit, angle
         assert 0.003 <= max(hit) - min(hit) + 0.0005 <= 0.0065
 
@@ -96,7 +102,9 @@ def test_apple_is_one_small_hull() -> None:
     assert len(outline(hull, object_meshes())) <= 48
 
 
-@pytest.mark.parametrize("name", ["apple_hull", "bowl_rim_piece", "bowl_base_piece", "apple_look"])
+@pytest.mark.parametrize(
+    "name", ["apple_hull", "bowl_rim_piece", "bowl_base_piece", "apple_look"]
+)
 def test_closed_meshes_face_outward(name: str) -> None:
     mesh = object_meshes()[name]
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
@@ -117,5 +125,7 @@ def test_rosters_have_the_counts_of_the_benchmark(task: str, count: int) -> None
 
 
 def test_unknown_task_names_the_tasks() -> None:
-    with pytest.raises(UsageError, match=r"unknown task 'settable'.*Did you mean 'set_table'"):
+    with pytest.raises(
+        UsageError, match=r"unknown task 'settable'.*Did you mean 'set_table'"
+    ):
         roster("settable")

@@ -7,7 +7,14 @@ import math
 import pytest
 
 from mjhab.scenes.builtin.home_plans import PLANS
-from mjhab.scenes.builtin.styles import MACROS, STYLES, drawn_out, mirrored, plan_of, styles_pack
+from mjhab.scenes.builtin.styles import (
+    MACROS,
+    STYLES,
+    drawn_out,
+    mirrored,
+    plan_of,
+    styles_pack,
+)
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home
 
@@ -33,11 +40,17 @@ def test_splits_differ_in_plan_and_style() -> None:
         ("style", style_of),
     ):
         kinds = [{of(home) for home in homes} for homes in parts.values()]
-        assert not (kinds[0] & kinds[1] or kinds[0] & kinds[2] or kinds[1] & kinds[2]), name
+        assert not (kinds[0] & kinds[1] or kinds[0] & kinds[2] or kinds[1] & kinds[2]), (
+            name
+        )
     used = {at.template for home in pack.homes for at in home.props}
     assert used <= set(pack.props)
     for home in pack.homes:
-        own = {t for t in (at.template for at in home.props) if t.endswith(("_chair", "_sofa"))}
+        own = {
+            t
+            for t in (at.template for at in home.props)
+            if t.endswith(("_chair", "_sofa"))
+        }
         assert own == {f"{style_of(home)}_chair", f"{style_of(home)}_sofa"}
 
 
@@ -47,7 +60,9 @@ def test_fridges_stand_on_either_side_and_rooms_have_many_sizes() -> None:
         counter, fridge = plan_of(macro, 0).kitchen
         yaw = math.radians(counter[3])
         # Along the y axis of the counter, to the left of who stands with the back to the wall.
-        away = -math.sin(yaw) * (fridge[1] - counter[1]) + math.cos(yaw) * (fridge[2] - counter[2])
+        away = -math.sin(yaw) * (fridge[1] - counter[1]) + math.cos(yaw) * (
+            fridge[2] - counter[2]
+        )
         sides.add(away > 0)
     assert sides == {True, False}
     assert len({plan_of(macro, 0).size for macro in range(len(MACROS))}) >= 8

@@ -64,7 +64,9 @@ def write_glb(
         "asset": {"version": "2.0"},
         "scene": 0,
         "meshes": meshes,
-        "nodes": nodes if nodes is not None else [{"mesh": k} for k in range(len(meshes))],
+        "nodes": nodes
+        if nodes is not None
+        else [{"mesh": k} for k in range(len(meshes))],
     }
     children = {c for node in document["nodes"] for c in node.get("children", [])}
     document["scenes"] = [
@@ -101,13 +103,18 @@ def write_glb(
 
 
 def box_glb(
-    path: Path, *halves: tuple[float, float, float], at: tuple[tuple[float, float, float], ...] = ()
+    path: Path,
+    *halves: tuple[float, float, float],
+    at: tuple[tuple[float, float, float], ...] = (),
 ) -> Path:
     """Write boxes of half-extents [m] (data set axes), each at a place (the origin by default)."""
     places = at or ((0.0, 0.0, 0.0),) * len(halves)
     return write_glb(
         path,
-        [(BOX * np.array(h) + np.array(p), BOX_FACES) for h, p in zip(halves, places, strict=True)],
+        [
+            (BOX * np.array(h) + np.array(p), BOX_FACES)
+            for h, p in zip(halves, places, strict=True)
+        ],
     )
 
 

@@ -32,9 +32,15 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 def test_node_transforms_of_parents_and_children_apply_in_order(tmp_path: Path) -> None:
     nodes = [
         {"scale": [0.01, 0.01, 0.01], "translation": [0, 3, 0], "children": [1]},
-        {"mesh": 0, "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)], "translation": [100, 0, 0]},
+        {
+            "mesh": 0,
+            "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)],
+            "translation": [100, 0, 0],
+        },
     ]
-    (part,) = read_glb(write_glb(tmp_path / "a.glb", [(BOX * [3, 2, 1], BOX_FACES)], nodes))
+    (part,) = read_glb(
+        write_glb(tmp_path / "a.glb", [(BOX * [3, 2, 1], BOX_FACES)], nodes)
+    )
     # A quarter turn about z swaps x and y; the outer node scales centimetres and lifts.
     assert np.allclose(part.vertices.min(0), [0.98, 2.97, -0.01])
     assert np.allclose(part.vertices.max(0), [1.02, 3.03, 0.01])
@@ -56,7 +62,9 @@ def test_hulls_are_read_one_per_mesh_with_their_distinct_points(tmp_path: Path) 
     )
     assert [h.shape for h in hulls] == [(8, 3), (8, 3)]
     assert np.allclose(hulls[1].mean(0), 4)
-    with pytest.raises(UsageError, match=r"flat\.glb: mesh 'part_0' has 3 distinct points"):
+    with pytest.raises(
+        UsageError, match=r"flat\.glb: mesh 'part_0' has 3 distinct points"
+    ):
         read_hulls(write_glb(tmp_path / "flat.glb", [(BOX[:3], np.array([[0, 1, 2]]))]))
 
 
@@ -68,7 +76,9 @@ def test_any_cut_off_file_is_one_error_that_names_it(
     whole = box_glb(tmp_path_factory.mktemp("glb") / "thing.glb", (1, 2, 3))
     raw = whole.read_bytes()
     whole.write_bytes(raw[: int(share * len(raw))])
-    with pytest.raises(UsageError, match=r"thing\.glb: .*download (the file|it) again") as error:
+    with pytest.raises(
+        UsageError, match=r"thing\.glb: .*download (the file|it) again"
+    ) as error:
         read_glb(whole)
     assert "\n" not in str(error.value)
 
@@ -101,7 +111,9 @@ def test_a_broken_document_is_one_error(
 def test_missing_files_and_other_files_say_so(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no\.glb: cannot be read"):
         read_glb(tmp_path / "no.glb")
-    (tmp_path / "text.glb").write_text("version https://git-lfs.github.com/spec/v1 and so on")
+    (tmp_path / "text.glb").write_text(
+        "version https://git-lfs.github.com/spec/v1 and so on"
+    )
     with pytest.raises(UsageError, match="not a binary glTF file"):
         read_glb(tmp_path / "text.glb")
 
@@ -119,7 +131,8 @@ def test_a_textured_quad_keeps_its_picture_on_both_sides(tmp_path: Path) -> None
     np.testing.assert_array_equal(mesh.textures[0], image)
     # Every corner of both sides keeps its place in the picture.
     want = {
-        tuple(p): tuple(q) for p, q in zip(QUAD.round(5).tolist(), QUAD_UV.tolist(), strict=True)
+        tuple(p): tuple(q)
+        for p, q in zip(QUAD.round(5).tolist(), QUAD_UV.tolist(), strict=True)
     }
     for face, uv in zip(mesh.faces, mesh.uv, strict=True):
         for corner, place in zip(mesh.vertices[face].round(5).tolist(), uv, strict=True):
@@ -129,7 +142,9 @@ def test_a_textured_quad_keeps_its_picture_on_both_sides(tmp_path: Path) -> None
 def test_textures_become_no_finer_than_can_be_seen(tmp_path: Path) -> None:
     image = np.zeros((64, 128, 3), np.uint8)
     image[::2] = 100
-    small = write_glb(tmp_path / "a.glb", [(QUAD * 0.02, QUAD_FACES)], uv=QUAD_UV, image=image)
+    small = write_glb(
+        tmp_path / "a.glb", [(QUAD * 0.02, QUAD_FACES)], uv=QUAD_UV, image=image
+    )
     (shrunk,) = textured_mesh(read_glb(small)).textures
     assert shrunk.shape == (16, 32, 3) and (shrunk == 50).all()
     # 16 x 32 texels on 2 cm: the next finer picture would be above the limit.
@@ -160,8 +175,12 @@ def test_texture_transform_moves_the_picture(tmp_path: Path) -> None:
     )
     uv = textured_mesh(read_glb(moved)).uv
     assert uv is not None
-    np.testing.assert_allclose([uv[..., 0].min(), uv[..., 0].max()], [0.55, 0.95], atol=1e-6)
-    np.testing.assert_allclose([uv[..., 1].min(), uv[..., 1].max()], [0.0, 0.4], atol=1e-6)
+    np.testing.assert_allclose(
+        [uv[..., 0].min(), uv[..., 0].max()], [0.55, 0.95], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        [uv[..., 1].min(), uv[..., 1].max()], [0.0, 0.4], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("value", [np.nan, 1e30])
@@ -169,5 +188,7 @@ def test_vertices_that_are_nowhere(value: float, tmp_path: Path) -> None:
     vertices = QUAD.copy()
     vertices[1, 2] = value
     path = write_glb(tmp_path / "a.glb", [(vertices, QUAD_FACES)])
-    with pytest.raises(UsageError, match=r"a\.glb: mesh .* has vertices that are not finite"):
+    with pytest.raises(
+        UsageError, match=r"a\.glb: mesh .* has vertices that are not finite"
+    ):
         read_glb(path)

@@ -29,12 +29,20 @@ def read(tmp_path: Path, text: str):
 def test_links_joints_and_number_lists_with_commas(tmp_path: Path) -> None:
     urdf = read(tmp_path, TEXT)
     (box,) = urdf.links["body"].boxes
-    assert np.allclose(box.half, [0.1, 0.2, 0.3]) and np.allclose(box.pose[:3, 3], [1, 2, 3])
+    assert np.allclose(box.half, [0.1, 0.2, 0.3]) and np.allclose(
+        box.pose[:3, 3], [1, 2, 3]
+    )
     assert np.allclose(box.pose[:3, 0], [0, 1, 0], atol=1e-12)
     assert urdf.links["body"].mass == 3.5 and urdf.links["lid"].mass == 0.0
-    assert urdf.root == "root" and urdf.moving("body") == "root" and urdf.moving("lid") == "lid"
+    assert (
+        urdf.root == "root"
+        and urdf.moving("body") == "root"
+        and urdf.moving("lid") == "lid"
+    )
     assert np.allclose(urdf.pose("lid")[:3, 3], [0.5, 0, 1])
-    assert np.allclose(urdf.joints["lid"].axis, [0, 0, 1]) and urdf.joints["lid"].limits == (
+    assert np.allclose(urdf.joints["lid"].axis, [0, 0, 1]) and urdf.joints[
+        "lid"
+    ].limits == (
         0.0,
         1.5,
     )
@@ -65,7 +73,9 @@ def test_links_joints_and_number_lists_with_commas(tmp_path: Path) -> None:
         ("</robot>", "", "not valid XML"),
     ],
 )
-def test_what_it_does_not_know_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_what_it_does_not_know_is_named(
+    old: str, new: str, message: str, tmp_path: Path
+) -> None:
     assert old in TEXT
     with pytest.raises(UsageError, match=message) as error:
         read(tmp_path, TEXT.replace(old, new, 1))

@@ -53,7 +53,9 @@ def test_y_up_becomes_z_up(folder: Path) -> None:
     pack = open_pack(str(folder))
     # Translation (1, 0.4, 2); (0.6, 0, 0.8, 0) turns about the data set's y by 2 acos(0.6).
     points = corners(pack, "table")
-    assert np.allclose(points.mean(0)[:2], [1, -2]) and points[:, 2].max() == pytest.approx(0.8)
+    assert np.allclose(points.mean(0)[:2], [1, -2]) and points[
+        :, 2
+    ].max() == pytest.approx(0.8)
     at = next(p for p in pack.homes[0].props if p.template == "table")
     assert at.quat is None and at.yaw == pytest.approx(2 * np.arccos(0.6))
     low = corners(pack, "mat").min(0)
@@ -88,7 +90,9 @@ def test_receptacles_lie_on_the_surface_and_inside_its_edges(folder: Path) -> No
     assert top.name == "top" and top.pos == pytest.approx((0, 0, 0.4), abs=1e-6)
     assert 0.45 < top.half[0] <= 0.5 and top.half[1] == pytest.approx(0.2)
     (placed,) = placed_receptacles(Layout(pack, ()), pack.homes[0])
-    assert placed.id == "table_0/top" and placed.pos == pytest.approx((1, -2, 0.8), abs=1e-6)
+    assert placed.id == "table_0/top" and placed.pos == pytest.approx(
+        (1, -2, 0.8), abs=1e-6
+    )
 
 
 def test_it_compiles_and_survives_the_disk(folder: Path, tmp_path: Path) -> None:
@@ -115,7 +119,9 @@ def test_tilted_things_keep_their_tilt(folder: Path) -> None:
     at = next(p for p in pack.homes[0].props if p.template == "table")
     assert at.quat is not None and np.allclose(at.quat, [half, half, 0, 0])
     points = corners(pack, "table")
-    assert points[:, 2].max() == pytest.approx(0.7) and points[:, 2].min() == pytest.approx(0.1)
+    assert points[:, 2].max() == pytest.approx(0.7) and points[
+        :, 2
+    ].min() == pytest.approx(0.1)
 
 
 def test_a_missing_stage_gives_floor_and_one_warning(
@@ -125,7 +131,10 @@ def test_a_missing_stage_gives_floor_and_one_warning(
         pack = open_replica_cad(folder)
         open_replica_cad(folder)
     (record,) = caplog.records
-    assert "stages/Stage.glb missing" in record.message and "--stage-mesh FILE" in record.message
+    assert (
+        "stages/Stage.glb missing" in record.message
+        and "--stage-mesh FILE" in record.message
+    )
     home = pack.homes[0]
     assert home.walls == ()
     x0, y0, x1, y1 = home.floor
@@ -139,20 +148,26 @@ def test_stage_mesh_of_the_data_set_or_of_the_user(
     with caplog.at_level(logging.WARNING, "mjhab"):
         home = open_replica_cad(folder).homes[0]
     assert (
-        not caplog.records and len(home.walls) == 4 and home.floor == pytest.approx((-4, -3, 4, 3))
+        not caplog.records
+        and len(home.walls) == 4
+        and home.floor == pytest.approx((-4, -3, 4, 3))
     )
     other = box_glb(folder.parent / "other.glb", (5.0, 1.5, 3.0), at=((0, 1.5, 0),))
     staged = open_pack(PackRequest(str(folder), stage_mesh=str(other)))
     assert staged.homes[0].floor == pytest.approx((-5, -3, 5, 3))
     with pytest.raises(UsageError, match=r"stage mesh '.*none\.glb' does not exist"):
         open_pack(PackRequest(str(folder), stage_mesh=str(folder / "none.glb")))
-    with pytest.raises(UsageError, match="kind 'builtin', which takes no option 'stage_mesh'"):
+    with pytest.raises(
+        UsageError, match="kind 'builtin', which takes no option 'stage_mesh'"
+    ):
         open_pack(PackRequest(stage_mesh=str(other)))
 
 
 def test_options_of_a_pack_travel_as_a_dataclass_and_through_files(folder: Path) -> None:
     stage = box_glb(folder.parent / "stage.glb", (5.0, 1.5, 3.0), at=((0, 1.5, 0),))
-    request = PackRequest(str(folder), ("kitchen_cupboards", "cabinet"), str(stage), (SCENE,))
+    request = PackRequest(
+        str(folder), ("kitchen_cupboards", "cabinet"), str(stage), (SCENE,)
+    )
     assert open_pack(request).homes[0].floor == pytest.approx((-5, -3, 5, 3))
     assert open_pack(json.loads(json.dumps(request.as_json()))) is open_pack(request)
     assert pack_request(f"{folder}?articulate=cabinet?stage={stage}") == PackRequest(
@@ -160,7 +175,8 @@ def test_options_of_a_pack_travel_as_a_dataclass_and_through_files(folder: Path)
     )
     assert PackRequest("builtin").as_json() == "builtin"
     with pytest.raises(
-        UsageError, match=r"unknown furniture to articulate 'cabinets'\. Did you mean 'cabinet'\?"
+        UsageError,
+        match=r"unknown furniture to articulate 'cabinets'\. Did you mean 'cabinet'\?",
     ):
         open_pack(PackRequest(str(folder), ("cabinets",)))
     with pytest.raises(
@@ -173,25 +189,34 @@ def test_options_of_a_pack_travel_as_a_dataclass_and_through_files(folder: Path)
 
 def test_scenes_may_be_an_option(folder: Path) -> None:
     scenes = folder / "configs" / "scenes"
-    shutil.copy(scenes / f"{SCENE}.scene_instance.json", scenes / "apt_0.scene_instance.json")
+    shutil.copy(
+        scenes / f"{SCENE}.scene_instance.json", scenes / "apt_0.scene_instance.json"
+    )
     (home,) = open_pack(PackRequest(str(folder), scenes=("apt_*",))).homes
     assert home.name == "apt_0"
 
 
 def test_other_scenes_by_their_file(folder: Path) -> None:
     scenes = folder / "configs" / "scenes"
-    shutil.copy(scenes / f"{SCENE}.scene_instance.json", scenes / "apt_0.scene_instance.json")
+    shutil.copy(
+        scenes / f"{SCENE}.scene_instance.json", scenes / "apt_0.scene_instance.json"
+    )
     assert [h.name for h in open_replica_cad(folder).homes] == [SCENE]
     (home,) = open_pack(str(scenes / "apt_0.scene_instance.json")).homes
     assert (home.name, home.split) == ("apt_0", "train")
-    with pytest.raises(UsageError, match=r"unknown scene 'apt_1'\. Did you mean 'apt_0'\?"):
+    with pytest.raises(
+        UsageError, match=r"unknown scene 'apt_1'\. Did you mean 'apt_0'\?"
+    ):
         open_replica_cad(folder, ("apt_1",))
 
 
 def test_other_scenes_by_their_names(folder: Path) -> None:
     scenes = folder / "configs" / "scenes"
     for name in ("apt_0", "apt_1"):
-        shutil.copy(scenes / f"{SCENE}.scene_instance.json", scenes / f"{name}.scene_instance.json")
+        shutil.copy(
+            scenes / f"{SCENE}.scene_instance.json",
+            scenes / f"{name}.scene_instance.json",
+        )
     for names, expected in {
         "apt_0": ["apt_0"],
         "apt_*": ["apt_0", "apt_1"],
@@ -201,7 +226,9 @@ def test_other_scenes_by_their_names(folder: Path) -> None:
     (outer := folder.parent / "outer").mkdir()
     folder.rename(outer / "replica_cad")
     assert [home.name for home in open_pack(f"{outer}/apt_1").homes] == ["apt_1"]
-    with pytest.raises(UsageError, match=r"unknown scene 'apt_2'\. Did you mean 'apt_[01]'\?"):
+    with pytest.raises(
+        UsageError, match=r"unknown scene 'apt_2'\. Did you mean 'apt_[01]'\?"
+    ):
         open_pack(f"{outer}/apt_0,apt_2")
 
 
@@ -217,7 +244,9 @@ def test_objects_that_may_move_stand_fixed_with_one_warning(
         assert open_replica_cad(folder).homes[0].props == still
         open_replica_cad(folder)
     (told,) = [r.message for r in caplog.records if "DYNAMIC" in r.message]
-    assert f"objects that may move in {SCENE} (motion_type DYNAMIC) stand fixed here" in told
+    assert (
+        f"objects that may move in {SCENE} (motion_type DYNAMIC) stand fixed here" in told
+    )
 
 
 def test_the_data_set_inside_a_folder_is_found(folder: Path) -> None:
@@ -232,7 +261,8 @@ def test_the_data_set_inside_a_folder_is_found(folder: Path) -> None:
 def test_a_folder_that_is_not_the_data_set(folder: Path) -> None:
     shutil.rmtree(folder / "urdf")
     with pytest.raises(
-        UsageError, match=r"not a whole ReplicaCAD data set: urdf missing; `mjhab assets fetch"
+        UsageError,
+        match=r"not a whole ReplicaCAD data set: urdf missing; `mjhab assets fetch",
     ):
         open_pack(str(folder))
 

@@ -32,7 +32,12 @@ from mjhab.scenes.spec import Pack
 from tests.real_data import real_data
 
 EVERYTHING = ("kitchen_cupboards", "cabinet", "chest_of_drawers")
-EVERY_MACRO = ("v3_sc0_staging_00", "v3_sc1_staging_01", "v3_sc2_staging_10", "v3_sc3_staging_20")
+EVERY_MACRO = (
+    "v3_sc0_staging_00",
+    "v3_sc1_staging_01",
+    "v3_sc2_staging_10",
+    "v3_sc3_staging_20",
+)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +79,9 @@ def test_all_84_scenes_are_homes_of_one_layout(pack: Pack, layout: Layout) -> No
     # 15 joints of the robot, 7 drawers, 2 doors.
     assert first.nv == 24 and first.ngeom < 520
     copies = Counter(slot.template for slot in layout.prop_slots)
-    assert copies.pop("chair_01") == copies.pop("beanbag") == 2 and set(copies.values()) == {1}
+    assert copies.pop("chair_01") == copies.pop("beanbag") == 2 and set(
+        copies.values()
+    ) == {1}
 
 
 def test_every_hull_of_the_data_set_is_read(folder: Path) -> None:
@@ -91,7 +98,10 @@ def test_every_urdf_of_the_data_set_is_read(folder: Path) -> None:
     assert len(found) == 12
     counter = found["kitchen_counter"]
     assert np.allclose(counter.links["body"].boxes[-1].half, [0.3085, 0.0725, 0.447])
-    assert counter.joints["drawer3"].limits == (0.0, 0.5) and counter.links["drawer3"].mass == 4
+    assert (
+        counter.joints["drawer3"].limits == (0.0, 0.5)
+        and counter.links["drawer3"].mass == 4
+    )
 
 
 def _walkable(folder: Path, name: str, xy: np.ndarray) -> np.ndarray:
@@ -102,7 +112,9 @@ def _walkable(folder: Path, name: str, xy: np.ndarray) -> np.ndarray:
         if corners[:, 2].max() < 0.25:
             edge = np.roll(corners, -1, axis=0)[:, :2] - corners[:, :2]
             off = xy[:, None] - corners[:, :2]
-            found |= (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0] >= 0).all(axis=1)
+            found |= (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0] >= 0).all(
+                axis=1
+            )
     return found
 
 
@@ -111,9 +123,9 @@ def test_ways_are_as_long_as_on_the_data_sets_walkable_areas(
     name: str, folder: Path, pack: Pack
 ) -> None:
     free = free_map(next(h for h in pack.homes if h.name == name), pack)
-    walkable = _walkable(folder, name, free.to_xy(np.argwhere(np.ones_like(free.blocked)))).reshape(
-        free.blocked.shape
-    )
+    walkable = _walkable(
+        folder, name, free.to_xy(np.argwhere(np.ones_like(free.blocked)))
+    ).reshape(free.blocked.shape)
     theirs = replace(free, blocked=~walkable, clearance=np.where(walkable, 1.0, 0.0))
     both = np.argwhere(theirs.navigable() & free.navigable())
     rng = np.random.default_rng(1)
@@ -128,7 +140,9 @@ def test_ways_are_as_long_as_on_the_data_sets_walkable_areas(
 
 
 @pytest.mark.parametrize("name", EVERY_MACRO)
-def test_the_data_sets_walkable_areas_are_free(name: str, folder: Path, pack: Pack) -> None:
+def test_the_data_sets_walkable_areas_are_free(
+    name: str, folder: Path, pack: Pack
+) -> None:
     home = next(h for h in pack.homes if h.name == name)
     free = free_map(home, pack)
     cells = np.argwhere(np.ones_like(free.blocked))
@@ -146,9 +160,13 @@ def test_scale_origins_and_fronts(pack: Pack) -> None:
     drawer = links["drawer3"]
     # uniform_scale 0.98: lengths and travel by s, mass by s^3.
     assert drawer.pos == pytest.approx((-0.167635 * 0.98, 1.0264 * 0.98, 0.53 * 0.98))
-    assert drawer.range == pytest.approx((0.0, 0.49)) and drawer.mass == pytest.approx(4 * 0.98**3)
+    assert drawer.range == pytest.approx((0.0, 0.49)) and drawer.mass == pytest.approx(
+        4 * 0.98**3
+    )
     assert drawer.axis == pytest.approx((1, 0, 0))
-    assert links["top_door"].axis[2] == pytest.approx(-1, abs=1e-4) and links["top_door"].range == (
+    assert links["top_door"].axis[2] == pytest.approx(-1, abs=1e-4) and links[
+        "top_door"
+    ].range == (
         0.0,
         2.3,
     )
@@ -157,7 +175,9 @@ def test_scale_origins_and_fronts(pack: Pack) -> None:
     assert at.pos[2] + worktop.pos[2] == pytest.approx(0.859, abs=0.002)
 
 
-def test_receptacles_of_the_tasks_carry_what_stands_on_them(pack: Pack, layout: Layout) -> None:
+def test_receptacles_of_the_tasks_carry_what_stands_on_them(
+    pack: Pack, layout: Layout
+) -> None:
     home = pack.homes[22]
     found = {r.id: r for r in placed_receptacles(layout, home)}
     wanted = {
@@ -179,18 +199,29 @@ def test_receptacles_of_the_tasks_carry_what_stands_on_them(pack: Pack, layout: 
         r = found[name]
         placed = {p.template: p for p in (*home.props, *home.articulations)}
         if r.template == "chair_01":
-            placed["chair_01"] = [p for p in home.props if p.template == "chair_01"][int(name[9])]
+            placed["chair_01"] = [p for p in home.props if p.template == "chair_01"][
+                int(name[9])
+            ]
         at = placed[r.template]
         template = pack.props.get(r.template) or pack.articulations[r.template]
         turn = mat_from_quat(np.array(at.rotation)).T
-        pieces = [outline(g, pack.meshes) @ turn + at.pos for g in all_geoms(template) if g.collide]
+        pieces = [
+            outline(g, pack.meshes) @ turn + at.pos
+            for g in all_geoms(template)
+            if g.collide
+        ]
         u, v = np.meshgrid(
-            np.linspace(-0.97, 0.97, 9) * r.half[0], np.linspace(-0.97, 0.97, 9) * r.half[1]
+            np.linspace(-0.97, 0.97, 9) * r.half[0],
+            np.linspace(-0.97, 0.97, 9) * r.half[1],
         )
-        points = np.array([r.point(a, b) for a, b in zip(u.ravel(), v.ravel(), strict=True)])
+        points = np.array(
+            [r.point(a, b) for a, b in zip(u.ravel(), v.ravel(), strict=True)]
+        )
         low, high = (
             np.array(x)
-            for x in zip(*(vertical_extent(p, points[:, :2]) for p in pieces), strict=True)
+            for x in zip(
+                *(vertical_extent(p, points[:, :2]) for p in pieces), strict=True
+            )
         )
         below = np.where(high < r.pos[2] + 0.05, high, -np.inf).max(axis=0)
         above = np.where(high >= r.pos[2] + 0.05, low, np.inf).min(axis=0)
@@ -219,7 +250,10 @@ def test_handles_stand_free_and_are_narrower_than_the_gripper(
 
     def inside(point: np.ndarray) -> bool:
         return bool(
-            (np.abs(np.einsum("kij,ki->kj", boxes.rot, point - boxes.center)) <= boxes.half)
+            (
+                np.abs(np.einsum("kij,ki->kj", boxes.rot, point - boxes.center))
+                <= boxes.half
+            )
             .all(axis=1)
             .any()
         )
@@ -227,7 +261,9 @@ def test_handles_stand_free_and_are_narrower_than_the_gripper(
     assert link.handle.thickness < 0.09 and out @ [1, 0, 0] > 0.999
     deep = pos - 0.02 * out
     # The bar is between the fingers, and a finger of 14 mm fits beside it down to the fingertips, 31 mm ahead.
-    assert all(inside(deep + s * 0.45 * link.handle.thickness * across) for s in (-1.0, 1.0))
+    assert all(
+        inside(deep + s * 0.45 * link.handle.thickness * across) for s in (-1.0, 1.0)
+    )
     for side in (-1.0, 1.0):
         for depth in np.linspace(0.0, 0.03, 7):
             for off in (0.002, 0.016):
@@ -260,18 +296,24 @@ def test_published_handle_points_are_those_of_the_frames_of_the_urdf(
     published = np.array(handle.published)
     assert np.linalg.norm(published) == pytest.approx(np.linalg.norm(point))
     assert np.linalg.norm(published - own) == pytest.approx(off, abs=0.005)
-    assert handle.point("published") == handle.published and handle.point("ours") == handle.pos
+    assert (
+        handle.point("published") == handle.published
+        and handle.point("ours") == handle.pos
+    )
 
 
 def test_parts_without_a_published_handle_point_keep_ours(layout: Layout) -> None:
     having = {ref.id for ref in layout.links if ref.link.handle.published}
     assert having == {ref.id for ref in layout.links} - {"fridge/bottom_door"}
-    lower = next(ref.link.handle for ref in layout.links if ref.id == "fridge/bottom_door")
+    lower = next(
+        ref.link.handle for ref in layout.links if ref.id == "fridge/bottom_door"
+    )
     assert lower.point("published") == lower.pos
 
 
 @pytest.mark.parametrize(
-    ("subtask", "target"), [("open", "kitchen_counter/drawer3"), ("close", "fridge/top_door")]
+    ("subtask", "target"),
+    [("open", "kitchen_counter/drawer3"), ("close", "fridge/top_door")],
 )
 def test_observation_and_reward_take_the_handle_points_asked_for(
     subtask: str, target: str, folder: Path
@@ -297,7 +339,11 @@ def test_observation_and_reward_take_the_handle_points_asked_for(
         c = np.cos(yaw)
         s = np.sin(yaw)
         at = np.array(
-            [x + c * goal[0] - s * goal[1], y + s * goal[0] + c * goal[1], goal[2] + BASE_HEIGHT]
+            [
+                x + c * goal[0] - s * goal[1],
+                y + s * goal[0] + c * goal[1],
+                goal[2] + BASE_HEIGHT,
+            ]
         )
         index = env.layout.link_ids.index(target)
         body = env.sim.addresses.link_body[index]
@@ -315,11 +361,20 @@ def test_observation_and_reward_take_the_handle_points_asked_for(
     np.testing.assert_array_equal(seen["ours"][1], seen["published"][1])
 
 
-def test_the_front_of_a_drawer_agrees_with_its_render_mesh(folder: Path, pack: Pack) -> None:
+def test_the_front_of_a_drawer_agrees_with_its_render_mesh(
+    folder: Path, pack: Pack
+) -> None:
     """Seen along the front's normal, collision shape and render mesh are equally deep."""
-    part = read_glb(folder / "urdf" / "kitchen_counter" / "drawer3.glb", textures=False)[0]
-    link = next(k for k in pack.articulations["kitchen_counter"].links if k.name == "drawer3")
-    mesh = np.stack([part.vertices[:, 0], -part.vertices[:, 2], part.vertices[:, 1]], axis=1) * 0.98
+    part = read_glb(folder / "urdf" / "kitchen_counter" / "drawer3.glb", textures=False)[
+        0
+    ]
+    link = next(
+        k for k in pack.articulations["kitchen_counter"].links if k.name == "drawer3"
+    )
+    mesh = (
+        np.stack([part.vertices[:, 0], -part.vertices[:, 2], part.vertices[:, 1]], axis=1)
+        * 0.98
+    )
     rng = np.random.default_rng(0)
     shapes = [outline(g) for g in link.geoms if g.collide]
     # Look from the front: x becomes height.
@@ -333,13 +388,17 @@ def test_the_front_of_a_drawer_agrees_with_its_render_mesh(folder: Path, pack: P
             continue
         st = np.linalg.solve(basis, (yz - a[:2]).T)
         hit = (st >= 0).all(axis=0) & (st.sum(axis=0) <= 1)
-        seen = np.where(hit, np.maximum(seen, a[2] + st[0] * (b - a)[2] + st[1] * (c - a)[2]), seen)
+        seen = np.where(
+            hit, np.maximum(seen, a[2] + st[0] * (b - a)[2] + st[1] * (c - a)[2]), seen
+        )
     gap = np.abs(solid - seen)
     # The walls of the recess slope in the mesh; there the two differ.
     assert (gap < 0.005).mean() > 0.95
 
 
-def test_doors_and_drawers_move_through_their_whole_range(pack: Pack, layout: Layout) -> None:
+def test_doors_and_drawers_move_through_their_whole_range(
+    pack: Pack, layout: Layout
+) -> None:
     model = compile_home(layout, pack.homes[0])
     data = mujoco.MjData(model)
     data.qpos[:2] = 30.0
@@ -353,7 +412,9 @@ def test_doors_and_drawers_move_through_their_whole_range(pack: Pack, layout: La
             mujoco.mj_step(model, data)
         assert np.abs(data.qpos[model.jnt_qposadr[ids]] - low_high[:, end]).max() < 0.02
     bodies = [model.body(name).id for name in layout.link_ids]
-    assert model.body_mass[bodies] == pytest.approx([ref.link.mass for ref in layout.links])
+    assert model.body_mass[bodies] == pytest.approx(
+        [ref.link.mass for ref in layout.links]
+    )
 
 
 def test_cupboards_cabinet_and_chest_open_when_asked_for(
@@ -388,10 +449,17 @@ def test_cupboards_cabinet_and_chest_open_when_asked_for(
 
 def test_optional_links_keep_the_numbers_of_the_data_set(folder: Path) -> None:
     pack = open_pack(PackRequest(str(folder), EVERYTHING))
-    links = {f"{a.name}/{k.name}": k for a in pack.articulations.values() for k in a.links}
-    left, right = (links[f"kitchenCupboard_01/kitchencupboard_doorWhole_1{side}"] for side in "LR")
+    links = {
+        f"{a.name}/{k.name}": k for a in pack.articulations.values() for k in a.links
+    }
+    left, right = (
+        links[f"kitchenCupboard_01/kitchencupboard_doorWhole_1{side}"] for side in "LR"
+    )
     # Hinges open outwards: the left one counts downwards in the data set, both upwards here. uniform_scale 0.38.
-    assert (left.mirrored, right.mirrored) == (True, False) and left.range == right.range == (
+    assert (left.mirrored, right.mirrored) == (
+        True,
+        False,
+    ) and left.range == right.range == (
         0.0,
         2.3,
     )
@@ -404,7 +472,11 @@ def test_optional_links_keep_the_numbers_of_the_data_set(folder: Path) -> None:
         (1, 0, 0), abs=1e-3
     )
     slide = links["cabinet/right_door"]
-    assert slide.mirrored and slide.range == (0.0, 0.76) and slide.axis == pytest.approx((-1, 0, 0))
+    assert (
+        slide.mirrored
+        and slide.range == (0.0, 0.76)
+        and slide.axis == pytest.approx((-1, 0, 0))
+    )
     # Bars and knobs are narrower than the gripper opens; the cabinet's doors have none.
     assert all(
         link.handle.thickness < 0.09
@@ -421,8 +493,12 @@ def test_walls_of_the_stage_mesh(folder: Path, pack: Pack) -> None:
     assert extent == pytest.approx((-2.677, -8.165, 4.582, 4.834), abs=0.001)
     mesh = read_navmesh(folder / "navmeshes" / "empty_stage.navmesh")
     assert extent == pytest.approx(mesh.bounds, abs=2e-4)
-    triangles = np.concatenate([p.vertices[p.faces] for p in read_glb(file, textures=False)])
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    triangles = np.concatenate(
+        [p.vertices[p.faces] for p in read_glb(file, textures=False)]
+    )
+    normal = np.cross(
+        triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    )
     upright = np.abs(normal[:, 1]) < 0.05 * np.linalg.norm(normal, axis=1)
     area = np.linalg.norm(normal[upright], axis=1).sum() / 2
     assert sum(4 * w.size[1] * w.size[2] for w in walls) == pytest.approx(area, rel=0.01)
@@ -441,6 +517,13 @@ def test_walls_of_the_stage_mesh(folder: Path, pack: Pack) -> None:
 @pytest.mark.parametrize("name", EVERY_MACRO)
 def test_receptacles_of_the_tasks_are_in_reach(name: str, pack: Pack) -> None:
     home = next(h for h in pack.homes if h.name == name)
-    far = {f"{r.thing}/{r.receptacle}": r.center for r in reach(home, pack, free_map(home, pack))}
-    for wanted in ("fridge/middle_top", "kitchen_counter/counter_right", "table_01/tbl1_top1"):
+    far = {
+        f"{r.thing}/{r.receptacle}": r.center
+        for r in reach(home, pack, free_map(home, pack))
+    }
+    for wanted in (
+        "fridge/middle_top",
+        "kitchen_counter/counter_right",
+        "table_01/tbl1_top1",
+    ):
         assert far[wanted] < 1.2

@@ -15,7 +15,14 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.imports.ms_hab_layout import SCANNED_YAWS
 from mjhab.scenes.builtin.objects import MASSES, SIZES, builtin_objects
-from mjhab.scenes.replica_cad.ycb import SCAN, Scan, hull_of, object_from_scan, read_scan, read_ycb
+from mjhab.scenes.replica_cad.ycb import (
+    SCAN,
+    Scan,
+    hull_of,
+    object_from_scan,
+    read_scan,
+    read_ycb,
+)
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE, Mesh
 from mjhab.scenes.shapes.simplify import simplify
 from mjhab.scenes.spec import Geom, ObjectType
@@ -51,7 +58,9 @@ def scan(name: str) -> Scan:
 def test_shapes_and_masses() -> None:
     types, _ = ycb()
     assert {name: kind.mass for name, kind in types.items()} == MASSES
-    assert {name for name, kind in types.items() if kind.collision[0].shape == "box"} == set(BOXES)
+    assert {
+        name for name, kind in types.items() if kind.collision[0].shape == "box"
+    } == set(BOXES)
     cans = {
         name
         for name, kind in types.items()
@@ -63,7 +72,9 @@ def test_shapes_and_masses() -> None:
         # Upright sizes as in the data set's bounds along the object's own axes, sides within the tolerance.
         sides = np.sort(2 * np.array(kind.half[:2])), np.sort(SIZES[name][:2])
         np.testing.assert_allclose(*sides, atol=0.0065, err_msg=name)
-        np.testing.assert_allclose(2 * kind.half[2], SIZES[name][2], atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(
+            2 * kind.half[2], SIZES[name][2], atol=1e-4, err_msg=name
+        )
 
 
 def test_boxes_look_along_the_axes_and_know_their_scan() -> None:
@@ -74,16 +85,20 @@ def test_boxes_look_along_the_axes_and_know_their_scan() -> None:
         c = np.cos(kind.scan_yaw)
         s = np.sin(kind.scan_yaw)
         turned = np.stack(
-            [c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1
+            [c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]],
+            axis=1,
         )
         assert np.abs(np.abs(turned).max(axis=0) - kind.half[:2]).max() < 0.0035, name
     assert abs(types["008_pudding_box"].scan_yaw) > 0.4
     text = (Path(__file__).parents[3] / "docs" / "assets.md").read_text(encoding="utf-8")
     for name, kind in types.items():
         own, builtin = (
-            round(float(np.degrees(k.scan_yaw)), 1) + 0.0 for k in (kind, builtin_objects()[name])
+            round(float(np.degrees(k.scan_yaw)), 1) + 0.0
+            for k in (kind, builtin_objects()[name])
         )
-        assert (f"| `{name}` | {own}° | {builtin}° |" in text) == (own != 0.0 or builtin != 0.0)
+        assert (f"| `{name}` | {own}° | {builtin}° |" in text) == (
+            own != 0.0 or builtin != 0.0
+        )
     turned_types = {name: kind.scan_yaw for name, kind in types.items() if kind.scan_yaw}
     assert turned_types == pytest.approx(SCANNED_YAWS, abs=1e-5)
     assert all(types[name].scan_yaw == 0.0 for name in (*CANS, APPLE, BOWL))
@@ -92,7 +107,9 @@ def test_boxes_look_along_the_axes_and_know_their_scan() -> None:
 def test_origin_is_the_centre_of_the_bounding_box() -> None:
     for name in MASSES:
         points = scan(name).vertices
-        np.testing.assert_allclose(points.min(axis=0) + points.max(axis=0), 0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            points.min(axis=0) + points.max(axis=0), 0.0, atol=1e-12
+        )
 
 
 def test_looks_are_textured_and_in_place() -> None:
@@ -101,7 +118,9 @@ def test_looks_are_textured_and_in_place() -> None:
         points = scan(name).vertices
         (texture,) = look.textures
         assert max(texture.shape) <= MAX_TEXTURE and texture.std() > 20
-        assert look.uv is not None and look.uv.min() > -1e-3 and look.uv.max() < 1.0 + 1e-3
+        assert (
+            look.uv is not None and look.uv.min() > -1e-3 and look.uv.max() < 1.0 + 1e-3
+        )
         np.testing.assert_allclose(
             np.ptp(look.vertices[:, 2]), np.ptp(points[:, 2]), atol=1e-6, err_msg=name
         )
@@ -112,7 +131,9 @@ def seen_color(name: str) -> np.ndarray:
     look = mesh(f"{name}_look")
     assert look.uv is not None
     (texture,) = look.textures
-    column, row = (look.uv.mean(axis=1) * (texture.shape[1], texture.shape[0])).astype(int).T
+    column, row = (
+        (look.uv.mean(axis=1) * (texture.shape[1], texture.shape[0])).astype(int).T
+    )
     return np.median(texture[row, column] / 255.0, axis=0)
 
 
@@ -128,7 +149,9 @@ def test_apple_hull_is_close_to_the_scan() -> None:
     points = scan(APPLE).vertices
     planes = ConvexHull(hull.vertices).equations
     assert (points @ planes[:, :3].T + planes[:, 3]).max() < 0.0015
-    np.testing.assert_allclose(np.ptp(hull.vertices, axis=0), np.ptp(points, axis=0), atol=1e-6)
+    np.testing.assert_allclose(
+        np.ptp(hull.vertices, axis=0), np.ptp(points, axis=0), atol=1e-6
+    )
 
 
 def bowl_model(extra: str) -> mujoco.MjModel:
@@ -143,7 +166,9 @@ def bowl_model(extra: str) -> mujoco.MjModel:
     for geom in kind.collision:
         is_mesh = geom.shape == "mesh"
         added = body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH if is_mesh else mujoco.mjtGeom.mjGEOM_CYLINDER,
+            type=mujoco.mjtGeom.mjGEOM_MESH
+            if is_mesh
+            else mujoco.mjtGeom.mjGEOM_CYLINDER,
             pos=geom.pos,
             quat=geom.quat,
         )
@@ -158,7 +183,9 @@ def test_an_apple_sized_ball_falls_into_the_bowl_and_stays() -> None:
     radius = SIZES[APPLE][0] / 2
     # Rolling friction as the objects of a home have it: without it a ball never comes to rest.
     geom = f'<geom type="sphere" size="{radius}" mass="0.07" condim="6" friction="1 0.01 0.003"/>'
-    model = bowl_model(f'<body name="ball" pos="0.02 0.01 0.15"><freejoint/>{geom}</body>')
+    model = bowl_model(
+        f'<body name="ball" pos="0.02 0.01 0.15"><freejoint/>{geom}</body>'
+    )
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 1500)
     bowl = data.body("bowl").xpos
@@ -179,7 +206,9 @@ def test_bowl_pieces_follow_the_scan() -> None:
     points = scan(BOWL).vertices[::7]
     points = points[np.hypot(points[:, 0], points[:, 1]) > 0.047]
     # Farthest plane of the nearest piece: outside by so much; the wall is 4.5 mm thick.
-    outside = np.min([(points @ p[:, :3].T + p[:, 3]).max(axis=1) for p in planes], axis=0)
+    outside = np.min(
+        [(points @ p[:, :3].T + p[:, 3]).max(axis=1) for p in planes], axis=0
+    )
     assert np.percentile(outside, 98) < 0.003
 
 
@@ -193,7 +222,9 @@ def copy_of(tmp_path: Path, *, without: str = "") -> Path:
 
 
 def test_a_missing_scan_is_named_with_the_command_that_gets_it(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"no 013_apple/textured\.glb.*mjhab assets fetch ycb"):
+    with pytest.raises(
+        UsageError, match=r"no 013_apple/textured\.glb.*mjhab assets fetch ycb"
+    ):
         read_ycb(copy_of(tmp_path, without=APPLE))
 
 
@@ -201,7 +232,9 @@ def test_a_missing_scan_is_named_with_the_command_that_gets_it(tmp_path: Path) -
 def test_a_broken_scan_is_named(tmp_path: Path, damage: str) -> None:
     whole = real_data("ycb", BOWL, SCAN).read_bytes()
     path = tmp_path / SCAN
-    path.write_bytes({"cut": whole[: len(whole) // 3], "text": b"not a glb", "empty": b""}[damage])
+    path.write_bytes(
+        {"cut": whole[: len(whole) // 3], "text": b"not a glb", "empty": b""}[damage]
+    )
     with pytest.raises(
         UsageError, match=r"textured\.glb: .*download (it|the file) again"
     ) as caught:
@@ -222,11 +255,12 @@ def test_a_scan_of_another_size_says_what_to_do(
 
 def sphere(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
     u, v = np.meshgrid(
-        np.linspace(0, 2 * np.pi, 2 * count, endpoint=False), np.linspace(0.02, np.pi - 0.02, count)
+        np.linspace(0, 2 * np.pi, 2 * count, endpoint=False),
+        np.linspace(0.02, np.pi - 0.02, count),
     )
-    points = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1).reshape(
-        -1, 3
-    )
+    points = np.stack(
+        [np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], axis=-1
+    ).reshape(-1, 3)
     hull = ConvexHull(points)
     faces = hull.simplices.copy()
     a, b, c = (points[faces[:, k]] for k in range(3))
@@ -259,13 +293,17 @@ def test_a_hull_keeps_extremes_and_faces_outward() -> None:
     points = np.random.default_rng(0).normal(size=(3000, 3)) * (0.03, 0.02, 0.05)
     hull = hull_of(points)
     assert len(hull.vertices) <= 160 and volume(hull.vertices, hull.faces) > 0
-    np.testing.assert_allclose(np.ptp(hull.vertices, axis=0), np.ptp(points, axis=0), rtol=1e-6)
+    np.testing.assert_allclose(
+        np.ptp(hull.vertices, axis=0), np.ptp(points, axis=0), rtol=1e-6
+    )
 
 
 def test_a_lump_becomes_one_hull_and_a_crate_a_box() -> None:
     vertices, faces = sphere(24)
     lump, meshes = object_from_scan(APPLE, Scan(vertices * (0.05, 0.04, 0.03), faces))
-    assert lump.collision == (Geom("mesh", (1.0, 1.0, 1.0), mesh=f"{APPLE}_hull", visual=False),)
+    assert lump.collision == (
+        Geom("mesh", (1.0, 1.0, 1.0), mesh=f"{APPLE}_hull", visual=False),
+    )
     assert set(meshes) == {f"{APPLE}_hull", f"{APPLE}_look"}
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * (
         0.04,

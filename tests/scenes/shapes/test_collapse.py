@@ -50,7 +50,9 @@ def test_levels_follow_each_other_and_name_the_faces_they_keep() -> None:
     rng = np.random.default_rng(0)
     vertices, faces = grid(14, 0.05 * rng.normal(size=(14, 14)))
     levels = collapse(vertices, faces, [150, 70, 30])
-    assert [len(few.faces) <= n for (few, _), n in zip(levels, (150, 70, 30), strict=True)]
+    assert [
+        len(few.faces) <= n for (few, _), n in zip(levels, (150, 70, 30), strict=True)
+    ]
     for few, merged in levels:
         # A corner of a kept face is the vertex that its own has been merged into.
         np.testing.assert_array_equal(merged[faces[few.source]], few.faces)
@@ -60,7 +62,9 @@ def test_levels_follow_each_other_and_name_the_faces_they_keep() -> None:
 
 def test_distance_to_a_triangle() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    points = np.array([[0.2, 0.2, 0.3], [2.0, 0, 0], [-1, -1, 0], [0.5, -0.5, 0], [1, 1, 0]])
+    points = np.array(
+        [[0.2, 0.2, 0.3], [2.0, 0, 0], [-1, -1, 0], [0.5, -0.5, 0], [1, 1, 0]]
+    )
     want = [0.3, 1.0, np.sqrt(2), 0.5, np.sqrt(0.5)]
     got = distance_to_faces(points, np.tile(corners, (5, 1, 1)))
     np.testing.assert_allclose(got, want, atol=1e-12)

@@ -12,12 +12,16 @@ from mjhab.scenes.shapes.hulls import boxed_hull, hull_mesh, smallest_box, verti
 from mjhab.scenes.spec import Geom, Pack
 from tests.scenes.formats.glb import BOX
 
-quats = st.tuples(*[st.floats(-1, 1) for _ in range(4)]).filter(lambda q: np.linalg.norm(q) > 0.1)
+quats = st.tuples(*[st.floats(-1, 1) for _ in range(4)]).filter(
+    lambda q: np.linalg.norm(q) > 0.1
+)
 
 
 @settings(max_examples=30, deadline=None)
 @given(quat=quats, half=st.tuples(*[st.floats(0.02, 1.0) for _ in range(3)]))
-def test_the_box_of_a_box_is_that_box(quat: tuple[float, ...], half: tuple[float, ...]) -> None:
+def test_the_box_of_a_box_is_that_box(
+    quat: tuple[float, ...], half: tuple[float, ...]
+) -> None:
     rot = mat_from_quat(np.array(quat) / np.linalg.norm(quat))
     center, found, turn = smallest_box(BOX * half @ rot.T + [1, 2, 3])
     assert np.allclose(center, [1, 2, 3], atol=1e-6)
@@ -39,7 +43,9 @@ def test_a_box_holds_all_points(seed: int) -> None:
 def test_boxed_hull_keeps_the_pose_of_the_geom() -> None:
     mesh = hull_mesh(BOX * [1, 0.5, 0.25] + [1, 0, 0])
     pack = Pack("p", {}, {}, (), {}, {"m": mesh})
-    geom = Geom("mesh", (1.0, 1.0, 1.0), (0, 0, 5), (np.sqrt(0.5), 0, 0, np.sqrt(0.5)), mesh="m")
+    geom = Geom(
+        "mesh", (1.0, 1.0, 1.0), (0, 0, 5), (np.sqrt(0.5), 0, 0, np.sqrt(0.5)), mesh="m"
+    )
     box = boxed_hull(geom, pack)
     assert box.shape == "box" and np.allclose(box.pos, [0, 1, 5], atol=1e-6)
     assert np.allclose(np.sort(box.size), [0.25, 0.5, 1.0], atol=1e-6)

@@ -30,13 +30,17 @@ def test_a_steady_push_opens_everything(key: tuple[int, int]) -> None:
     data.qpos[base] = 15.0  # the robot stands aside and holds still
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     joints = [model.joint(name).id for name in layout.link_ids]
-    data.qfrc_applied[model.jnt_dofadr[joints]] = [PUSH[ref.link.joint] for ref in layout.links]
+    data.qfrc_applied[model.jnt_dofadr[joints]] = [
+        PUSH[ref.link.joint] for ref in layout.links
+    ]
     for _ in range(400):
         mujoco.mj_step(model, data)
     limits = dict(home.open_limits)
     ends = np.array([limits.get(ref.id, ref.link.range[1]) for ref in layout.links])
     np.testing.assert_allclose(data.qpos[model.jnt_qposadr[joints]], ends, atol=0.03)
-    assert all(limit <= free_travel(home, layout.pack)[name] for name, limit in limits.items())
+    assert all(
+        limit <= free_travel(home, layout.pack)[name] for name, limit in limits.items()
+    )
 
 
 def test_a_box_in_the_way_stops_a_drawer_where_it_stands() -> None:
@@ -47,7 +51,9 @@ def test_a_box_in_the_way_stops_a_drawer_where_it_stands() -> None:
     assert counter.yaw == 0.0
     handle = 0.323 + 0.05 + 0.02
     box = Geom(
-        "box", (0.05, 0.3, 0.1), (counter.pos[0] + handle + 0.30 + 0.05, counter.pos[1] + 1.0, 0.45)
+        "box",
+        (0.05, 0.3, 0.1),
+        (counter.pos[0] + handle + 0.30 + 0.05, counter.pos[1] + 1.0, 0.45),
     )
     found = free_travel(dataclasses.replace(home, walls=(*home.walls, box)), pack)
     free = free_travel(home, pack)
@@ -60,6 +66,8 @@ def test_a_door_above_a_shelf_swings_free() -> None:
     """The fridge of the hard case on a plinth higher than its wall: nothing is in the way of its doors."""
     home = make_home(3, 20)
     pack = builtin_pack()
-    lifted = tuple(dataclasses.replace(p, pos=(*p.pos[:2], 2.7)) for p in home.articulations)
+    lifted = tuple(
+        dataclasses.replace(p, pos=(*p.pos[:2], 2.7)) for p in home.articulations
+    )
     free = free_travel(dataclasses.replace(home, articulations=lifted), pack)
     assert (free["fridge/top_door"], free["fridge/bottom_door"]) == (2.3, 2.5)

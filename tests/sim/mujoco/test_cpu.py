@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, TOUCH_SENSOR_WIDTH, pair_force
+from mjhab.layout.contact_sensors import (
+    FORCE_SENSOR_WIDTH,
+    TOUCH_SENSOR_WIDTH,
+    pair_force,
+)
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import FINGER_LINKS, REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
@@ -39,7 +43,17 @@ def test_all_homes_share_one_layout(layout: Layout):
     sim = CpuSimulator(layout, 1, 1)
     models = [sim.model(h.name) for h in layout.pack.homes]
     for model in models[1:]:
-        for size in ("nq", "nv", "nu", "nbody", "ngeom", "nmesh", "nsensor", "nsensordata", "njnt"):
+        for size in (
+            "nq",
+            "nv",
+            "nu",
+            "nbody",
+            "ngeom",
+            "nmesh",
+            "nsensor",
+            "nsensordata",
+            "njnt",
+        ):
             assert getattr(model, size) == getattr(models[0], size)
         np.testing.assert_array_equal(model.geom_type, models[0].geom_type)
         np.testing.assert_array_equal(model.geom_contype, models[0].geom_contype)
@@ -84,7 +98,9 @@ def test_contact_sensors_match_the_contact_forces_of_the_engine(layout: Layout):
     mujoco.mju_mulQuat(turn, quat, np.array([np.sqrt(0.5), 0, -np.sqrt(0.5), 0]))
     data.qpos[a.object_q[0] : a.object_q[0] + 7] = [*tcp, *turn]
     for i in range(model.nu):
-        data.ctrl[i] = data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]] if i > 2 else 0.0
+        data.ctrl[i] = (
+            data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]] if i > 2 else 0.0
+        )
     data.ctrl[-2:] = -0.01
     mujoco.mj_step(model, data, 30)
     # A second object against the outer side of the left finger: the contacts of one finger are told apart.
@@ -144,7 +160,9 @@ def test_the_end_effector_is_gripper_link_and_fingers(
     sim.reset([0], [home], qpos[None])
     state = sim.state()
     assert state.touch[0].tolist() == [True] + [False] * (state.touch.shape[1] - 1)
-    assert state.ee_contact[0].tolist() == [by_hand] + [False] * (state.touch.shape[1] - 1)
+    assert state.ee_contact[0].tolist() == [by_hand] + [False] * (
+        state.touch.shape[1] - 1
+    )
     # The palm alone counts, too.
     assert bool(np.any(state.finger_force[0, :, 0])) == (offset == (0.0, 0.0, 0.0))
 

@@ -31,7 +31,9 @@ def homes_of(layout: Layout, count: int = WORLDS) -> list[str]:
 def on_table(layout: Layout, world: int) -> np.ndarray:
     """A point (3,) on the first dining table of a world's home."""
     at = next(p for p in chosen(layout)[world].props if p.template == "table_01")
-    return np.array([at.pos[0], at.pos[1], layout.pack.props["table_01"].receptacles[0].pos[2]])
+    return np.array(
+        [at.pos[0], at.pos[1], layout.pack.props["table_01"].receptacles[0].pos[2]]
+    )
 
 
 def up(height: float) -> np.ndarray:
@@ -67,7 +69,9 @@ def holding(cpu: CpuSimulator, home: str) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_kinematics(model, data)
     body = a.robot_body["gripper_link"]
     turn = np.zeros(4)
-    mujoco.mju_mulQuat(turn, data.xquat[body], np.array([np.sqrt(0.5), 0, -np.sqrt(0.5), 0]))
+    mujoco.mju_mulQuat(
+        turn, data.xquat[body], np.array([np.sqrt(0.5), 0, -np.sqrt(0.5), 0])
+    )
     start = a.object_q[CAN]
     data.qpos[start : start + 7] = [*data.xpos[body], *turn]
     ctrl = data.ctrl[:] = hold(cpu, data.qpos, fingers=-0.01)
@@ -79,14 +83,18 @@ def hold(cpu: CpuSimulator, qpos: np.ndarray, fingers: float | None = None) -> n
     """(nu,) commands that keep the robot of a state where it is."""
     model = cpu.model(homes_of(cpu.layout)[0])
     joints = model.actuator_trnid[:, 0]
-    ctrl = np.where(model.actuator_biasprm[:, 1] != 0.0, qpos[model.jnt_qposadr[joints]], 0.0)
+    ctrl = np.where(
+        model.actuator_biasprm[:, 1] != 0.0, qpos[model.jnt_qposadr[joints]], 0.0
+    )
     if fingers is not None:
         ctrl[-2:] = fingers
     return ctrl
 
 
-def bits_of(taint: object) -> list[set[str]]:
-    return [{name for i, name in enumerate(TAINTS) if int(mask) >> i & 1} for mask in taint]  # type: ignore[attr-defined]
+def bits_of(taint: np.ndarray) -> list[set[str]]:
+    return [
+        {name for i, name in enumerate(TAINTS) if int(mask) >> i & 1} for mask in taint
+    ]
 
 
 def rows_of(sim, world: int) -> list[bytes]:

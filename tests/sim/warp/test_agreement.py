@@ -29,13 +29,17 @@ from tests.sim.warp.start import (
 need_warp()
 
 
-def test_states_agree_with_the_cpu_simulator(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_states_agree_with_the_cpu_simulator(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     qpos = starts(cpu, drop=0.05)
     rng = np.random.default_rng(0)
     for sim in (shared, cpu):
         sim.reset(range(WORLDS), homes_of(layout), qpos)
     for step in range(12):
-        ctrl = np.stack([hold(cpu, q) for q in qpos]) + rng.uniform(-0.2, 0.2, (WORLDS, 15))
+        ctrl = np.stack([hold(cpu, q) for q in qpos]) + rng.uniform(
+            -0.2, 0.2, (WORLDS, 15)
+        )
         for sim in (shared, cpu):
             sim.step(ctrl)
         if step in (0, 11):
@@ -77,8 +81,12 @@ def test_forces_of_a_grasp_agree_with_the_cpu_simulator(
         want = cpu.state()
         pinch = np.linalg.norm(want.finger_force[0, :, CAN], axis=-1)
         assert (pinch > 20.0).all()
-        np.testing.assert_allclose(got.finger_force, want.finger_force, atol=limit * pinch.max())
-        np.testing.assert_allclose(got.link_force, want.link_force, atol=limit * pinch.max())
+        np.testing.assert_allclose(
+            got.finger_force, want.finger_force, atol=limit * pinch.max()
+        )
+        np.testing.assert_allclose(
+            got.link_force, want.link_force, atol=limit * pinch.max()
+        )
         np.testing.assert_array_equal(got.touch, want.touch)
         np.testing.assert_array_equal(got.ee_contact, want.ee_contact)
         assert got.touch[0, CAN] and not got.touch[0, BOX]
@@ -122,7 +130,9 @@ def test_trap_static_poses_each_world_rests_on_its_own_furniture(
         shared.step(np.stack([hold(cpu, q) for q in starts(cpu)]))
     for world in range(WORLDS):
         top = on_table(layout, world)[2] + layout.objects[CAN].half[2]
-        assert float(shared.state().object_pose[world, CAN, 2]) == pytest.approx(top, abs=0.003)
+        assert float(shared.state().object_pose[world, CAN, 2]) == pytest.approx(
+            top, abs=0.003
+        )
 
 
 def test_a_world_moves_to_another_home(shared, cpu: CpuSimulator, layout: Layout) -> None:

@@ -28,11 +28,15 @@ def cuda(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(wp, "get_cuda_driver_version", lambda: told["driver"])
     monkeypatch.setattr(wp, "is_cuda_available", lambda: told["there"])
     monkeypatch.setattr(wp, "is_conditional_graph_supported", lambda: told["graphs"])
-    monkeypatch.setattr(wp, "get_devices", lambda: ["cpu", "cuda:0"] if told["there"] else ["cpu"])
+    monkeypatch.setattr(
+        wp, "get_devices", lambda: ["cpu", "cuda:0"] if told["there"] else ["cpu"]
+    )
     monkeypatch.setattr(
         wp,
         "get_device",
-        lambda name: device if name.startswith("cuda") else SimpleNamespace(is_cuda=False),
+        lambda name: (
+            device if name.startswith("cuda") else SimpleNamespace(is_cuda=False)
+        ),
     )
     return told
 
@@ -88,7 +92,10 @@ def test_a_full_device_is_told_in_one_line() -> None:
         warp_device.room_for(1, device),
     ):
         raise RuntimeError("CUDA error 2: out of memory")
-    for other in ("something else", "CUDA error 700: an illegal memory access was encountered"):
+    for other in (
+        "something else",
+        "CUDA error 700: an illegal memory access was encountered",
+    ):
         with pytest.raises(RuntimeError, match=other), warp_device.room_for(4096, device):
             raise RuntimeError(other)
 
@@ -136,11 +143,16 @@ def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str]) -> N
         == "/CACHE/WP_MUJOCO_WARP._SRC.SOLVER_1A2B3C4D.CU"
     )
     compiler("/cache/wp_mjhab.sim.warp.kernels_1a2b3c4d.cpp")
-    clock[0] = 21.0 + warp_builds.LINE_EVERY - 20.0  # the third comes too early for a line
+    clock[0] = (
+        21.0 + warp_builds.LINE_EVERY - 20.0
+    )  # the third comes too early for a line
     compiler("/cache/wp_other_1a2b3c4d.cpp")
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2 and (progress.count, progress.seconds) == (3, 60.0)
-    assert "module 1 (mujoco_warp._src.solver), 0 s so far. Some minutes the first time" in lines[0]
+    assert (
+        "module 1 (mujoco_warp._src.solver), 0 s so far. Some minutes the first time"
+        in lines[0]
+    )
     assert "module 2 (mjhab.sim.warp.kernels), 20 s so far" in lines[1]
 
 
@@ -152,10 +164,16 @@ def test_a_terminal_gets_one_line_that_goes_away(
     for _ in range(2):
         compiler("/cache/wp_solver_1a2b3c4d.cu")
     told = capsys.readouterr().err
-    assert "\n" not in told and told.endswith("\r\033[K") and told.count("module 2 (solver)") == 1
+    assert (
+        "\n" not in told
+        and told.endswith("\r\033[K")
+        and told.count("module 2 (solver)") == 1
+    )
 
 
-def test_what_warp_compiles_is_told(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_warp_compiles_is_told(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On the real compiler: opening a device is enough, and what the cache holds is not compiled again."""
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     warp_device.open_device("cpu")

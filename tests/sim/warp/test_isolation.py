@@ -51,7 +51,9 @@ def test_trap_masked_reset_other_worlds_keep_every_bit(
     assert ends[0] == ends[1]
 
 
-def test_a_reset_wakes_nothing_in_other_worlds(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_a_reset_wakes_nothing_in_other_worlds(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     # In world 1 the box, awake, has just come to touch the sleeping can.
     qpos = starts(cpu)
     can = on_table(layout, 1) + up(layout.objects[CAN].half[2])
@@ -61,13 +63,17 @@ def test_a_reset_wakes_nothing_in_other_worlds(shared, cpu: CpuSimulator, layout
     shared.engine.asleep_t[1, tree] = int(tree)
     assert any(
         w == 1
-        for w in shared.engine.data.contact.worldid.numpy()[: shared.engine.data.nacon.numpy()[0]]
+        for w in shared.engine.data.contact.worldid.numpy()[
+            : shared.engine.data.nacon.numpy()[0]
+        ]
     )
     shared.reset([0], homes_of(layout)[:1], qpos[:1])
     assert int(shared.engine.asleep_t[1, tree]) == int(tree)
 
 
-def test_a_replay_after_reset_is_bit_equal(shared, cpu: CpuSimulator, layout: Layout) -> None:
+def test_a_replay_after_reset_is_bit_equal(
+    shared, cpu: CpuSimulator, layout: Layout
+) -> None:
     ends = []
     for _ in range(2):
         shared.reset(range(WORLDS), homes_of(layout), starts(cpu, drop=0.02))
@@ -103,9 +109,15 @@ def test_what_lies_still_starts_asleep_and_what_falls_does_not(
     qpos[0] = starts(cpu)[0]
     shared.reset(range(WORLDS), homes_of(layout), qpos)
     model = cpu.model(homes_of(layout)[0])
-    can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))
+    can, box = (
+        int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX)
+    )
     assert (shared.engine.asleep_t[:, box] >= 0).all()
-    assert [int(counter) >= 0 for counter in shared.engine.asleep_t[:, can]] == [True, False, False]
+    assert [int(counter) >= 0 for counter in shared.engine.asleep_t[:, can]] == [
+        True,
+        False,
+        False,
+    ]
     assert shared.engine.data.nv_awake.numpy().tolist() == [15, 21, 21]
 
 
@@ -118,7 +130,9 @@ def test_trap_a_teleport_wakes_what_it_moves_and_nothing_else(
     for _ in range(6):
         shared.step(ctrl)
     model = cpu.model(homes_of(layout)[0])
-    can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))
+    can, box = (
+        int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX)
+    )
     assert (shared.engine.asleep_t[:, [can, box]] >= 0).all()
     others = [rows_of(shared, world) for world in (0, 2)]
     lifted = shared.qpos[1].numpy().copy()
@@ -140,7 +154,9 @@ def test_a_teleport_wakes_what_lay_on_what_it_moves(
 ) -> None:
     # The box stands on the can.
     model = cpu.model(homes_of(layout)[1])
-    can, box = (int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX))
+    can, box = (
+        int(model.body_treeid[cpu.addresses.object_body[slot]]) for slot in (CAN, BOX)
+    )
     qpos = starts(cpu)
     top = layout.objects[CAN].half[2] + layout.objects[BOX].half[2]
     put(cpu, qpos[1], BOX, qpos[1][cpu.addresses.object_q[CAN] :][:3] + up(top))

@@ -32,7 +32,9 @@ def sims() -> Any:
 def places(sims: Any) -> Any:
     """Names of homes, and a state (3, nq) in them."""
     homes = [home.name for home in sims[0].layout.pack.homes[:WORLDS]]
-    return homes, np.stack([start(sims[0], home, world) for world, home in enumerate(homes)])
+    return homes, np.stack(
+        [start(sims[0], home, world) for world, home in enumerate(homes)]
+    )
 
 
 @pytest.fixture
@@ -48,12 +50,18 @@ def both(sims: Any, places: Any) -> Any:
 
 def start(sim: Any, home: str, world: int) -> np.ndarray:
     """The can stands on a table, the box on the floor beside it, the robot is out of the home."""
-    table = next(p for p in sim.layout.pack.homes[world].props if p.template == "table_01")
+    table = next(
+        p for p in sim.layout.pack.homes[world].props if p.template == "table_01"
+    )
     height = sim.layout.pack.props["table_01"].receptacles[0].pos[2]
     qpos = sim.model(home).qpos0.copy()
     for slot, z in enumerate((height, 0.0)):
         first = sim.addresses.object_q[slot]
-        at = (table.pos[0] + 1.5 * slot, table.pos[1], z + sim.layout.objects[slot].half[2] + 0.002)
+        at = (
+            table.pos[0] + 1.5 * slot,
+            table.pos[1],
+            z + sim.layout.objects[slot].half[2] + 0.002,
+        )
         qpos[first : first + 3] = at
     return settle(sim.model(home), sim.addresses, qpos)[0]
 
@@ -68,7 +76,9 @@ def everything(sim: Any, world: int) -> dict[str, np.ndarray]:
     }
     more |= {"asleep": engine.asleep_t[world], "taint": engine.taint_t[world]}
     more |= {name: values[world] for name, values in engine.homes._worlds.items()}
-    return sim.get_world(world) | {name: value.numpy().copy() for name, value in more.items()}
+    return sim.get_world(world) | {
+        name: value.numpy().copy() for name, value in more.items()
+    }
 
 
 def same(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> None:
@@ -85,7 +95,11 @@ def test_a_masked_reset_is_a_reset_of_these_worlds(both: Any) -> None:
     kept = [everything(sim, world) for world in (0, 2)]
     rows, ctrl, rings = sim.start_rows(other, starts)
     sim.reset_masked(
-        torch.tensor([False, True, False]), rows, torch.as_tensor(starts).float(), ctrl, rings
+        torch.tensor([False, True, False]),
+        rows,
+        torch.as_tensor(starts).float(),
+        ctrl,
+        rings,
     )
     plain.reset([1], [other[1]], starts[1:2])
     same(everything(sim, 1), everything(plain, 1))
@@ -123,7 +137,11 @@ def test_nothing_is_computed_where_nothing_is_due(both: Any) -> None:
         sim.mend_broken()
         assert not torch.equal(poses, right)
     sim.reset_masked(
-        torch.tensor([False, True, False]), rows, torch.as_tensor(states).float(), ctrl, rings
+        torch.tensor([False, True, False]),
+        rows,
+        torch.as_tensor(states).float(),
+        ctrl,
+        rings,
     )
     np.testing.assert_array_equal(poses[0], right[0])
 
@@ -138,14 +156,18 @@ def test_a_world_that_broke_lies_still_where_it_was(both: Any) -> None:
     np.testing.assert_allclose(sim.qpos[1], where, atol=0.02)
     for values in everything(sim, 1).values():
         assert np.isfinite(values).all()
-    assert sim.engine.overflown() == [], "what a broken world needs says nothing about the buffers"
+    assert sim.engine.overflown() == [], (
+        "what a broken world needs says nothing about the buffers"
+    )
 
 
 def test_other_buffer_sizes_are_checked(sims: Any) -> None:
     from mjhab.sim.warp.sizes import changed_sizes
 
     sizes = sims[0].engine.sizes
-    assert changed_sizes(sizes, {"rows": 7}).rows == 7 and changed_sizes(sizes, {}) == sizes
+    assert (
+        changed_sizes(sizes, {"rows": 7}).rows == 7 and changed_sizes(sizes, {}) == sizes
+    )
     with pytest.raises(UsageError, match="unknown buffer 'row'"):
         changed_sizes(sizes, {"row": 7})
     with pytest.raises(UsageError, match="'rows' must be a whole number"):

@@ -65,15 +65,25 @@ def test_a_step_copies_nothing_to_the_host(
 
 
 def test_buffer_sizes_are_measured_once_and_hold_the_stress(
-    warp: ModuleType, cpu: CpuSimulator, layout: Layout, monkeypatch: pytest.MonkeyPatch, shared
+    warp: ModuleType,
+    cpu: CpuSimulator,
+    layout: Layout,
+    monkeypatch: pytest.MonkeyPatch,
+    shared,
 ) -> None:
     from mjhab.sim.warp import sizes as warp_sizes
 
     monkeypatch.setattr(warp_sizes, "measure_demand", None)
-    sizes = warp_sizes.buffer_sizes(layout, cpu.model, cpu.addresses, WORLDS, shared.device)
+    sizes = warp_sizes.buffer_sizes(
+        layout, cpu.model, cpu.addresses, WORLDS, shared.device
+    )
     assert sizes == shared.engine.sizes
-    many = warp_sizes.buffer_sizes(layout, cpu.model, cpu.addresses, 100 * WORLDS, shared.device)
-    assert sizes.contacts < many.contacts < 100 * sizes.contacts and many.rows == sizes.rows
+    many = warp_sizes.buffer_sizes(
+        layout, cpu.model, cpu.addresses, 100 * WORLDS, shared.device
+    )
+    assert (
+        sizes.contacts < many.contacts < 100 * sizes.contacts and many.rows == sizes.rows
+    )
     home = layout.pack.homes[0]
     run = warp_sizes.stress(layout, home, cpu.model(home.name), cpu.addresses, 70)
     assert run.rows <= sizes.rows and len(run.states) < WORLDS
@@ -141,7 +151,9 @@ def test_trap_captured_work_takes_the_memory_of_its_first_run(
     with arena.closed():
         assert sorted(arena.allocate(size) for size in (128, 64, 64)) == sorted(first)
         # A block that a graph allocates is its own, but the arena would lend it to other graphs.
-        with pytest.raises(RuntimeError, match="takes 64 bytes that its first run did not take"):
+        with pytest.raises(
+            RuntimeError, match="takes 64 bytes that its first run did not take"
+        ):
             arena.allocate(64)
 
 
@@ -164,7 +176,9 @@ def test_captured_work_needs_no_memory_but_that_of_its_first_run(
 
     monkeypatch.setattr(warp_graphs._Arena, "closed", watched)
     monkeypatch.setattr(
-        warp_graphs.wp, "ScopedCapture", lambda device: nullcontext(SimpleNamespace(graph=None))
+        warp_graphs.wp,
+        "ScopedCapture",
+        lambda device: nullcontext(SimpleNamespace(graph=None)),
     )
     sim = warp.WarpSimulator(
         layout, 2, "cpu", sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512)
@@ -226,7 +240,9 @@ def test_work_is_captured_once_replayed_and_captured_anew_when_asked(
     monkeypatch.setattr(warp_graphs.wp, "Stream", lambda device: "own stream")
     for name in ("ScopedAllocator", "ScopedDevice", "ScopedStream"):
         monkeypatch.setattr(warp_graphs.wp, name, nullcontext_of)
-    monkeypatch.setattr(warp_graphs.wp, "synchronize_device", lambda device: log.append("wait"))
+    monkeypatch.setattr(
+        warp_graphs.wp, "synchronize_device", lambda device: log.append("wait")
+    )
     monkeypatch.setattr(warp_graphs, "torch_stream", lambda device: torch_works_on[0])
     graphs = warp_graphs.Graphs(cast(Any, SimpleNamespace(is_cuda=True)))
     for _ in range(3):
@@ -243,7 +259,9 @@ def test_work_is_captured_once_replayed_and_captured_anew_when_asked(
     assert log == first
 
 
-def test_without_the_engine_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_engine_the_error_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delitem(sys.modules, "mjhab.sim.warp.simulator", raising=False)
     monkeypatch.setitem(sys.modules, "warp", None)
     with pytest.raises(UsageError, match=r"needs warp, .*pip install .*\[gpu\]'"):

@@ -48,7 +48,9 @@ def fixed_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_interact_runs_on_warp_as_on_the_cpu(scene: InteractScene) -> None:
     runs = [
-        bench_interact.InteractBench(scene, backend, 2, render=False, device="cpu", threads=1)
+        bench_interact.InteractBench(
+            scene, backend, 2, render=False, device="cpu", threads=1
+        )
         for backend in ("warp", "cpu")
     ]
     for run in runs:
@@ -66,7 +68,9 @@ def test_interact_runs_on_warp_as_on_the_cpu(scene: InteractScene) -> None:
 def test_interact_draws_the_same_on_both_backends(scene: InteractScene) -> None:
     found = []
     for backend in ("warp", "cpu"):
-        run = bench_interact.InteractBench(scene, backend, 2, render=True, device="cpu", threads=1)
+        run = bench_interact.InteractBench(
+            scene, backend, 2, render=True, device="cpu", threads=1
+        )
         times, views = bench_interact.stage_times(run, 2)
         assert min(times["physics_ms"] or 0.0, times["render_ms"] or 0.0) > 0.0
         found.append(views)
@@ -78,7 +82,12 @@ def test_interact_draws_the_same_on_both_backends(scene: InteractScene) -> None:
 
 def test_parity_of_an_environment(tmp_path: Path) -> None:
     options = BenchParityOptions(
-        worlds=1, steps=2, grasp_seconds=0.0, device="cpu", threads=1, log=tmp_path / "log"
+        worlds=1,
+        steps=2,
+        grasp_seconds=0.0,
+        device="cpu",
+        threads=1,
+        log=tmp_path / "log",
     )
     found = bench_parity.measure_parity(options)
     assert found["steps"] == [1] and set(found["qpos_max"]) == set(KINDS)
@@ -94,22 +103,36 @@ def test_parity_of_an_environment(tmp_path: Path) -> None:
 def test_the_twin_gets_the_same_actions_and_resets() -> None:
     """Two episodes one after the other in one world, cut short: the second begins alike on both, too."""
     rows: dict[int, dict[str, Any]] = {}
-    run_equal(Leg("set_table", "close", threads=1, worlds=1), [3, 5], rows.__setitem__, max_steps=2)
+    run_equal(
+        Leg("set_table", "close", threads=1, worlds=1),
+        [3, 5],
+        rows.__setitem__,
+        max_steps=2,
+    )
     assert set(rows) == {3, 5}
     for row in rows.values():
         assert row["steps"] == row["close"] == 2 and row["label"] == [None, None]
-        assert 0.0 < row["drift"]["1"]["robot"] < 1e-4 and row["drift"]["1"]["objects"] < 1e-3
+        assert (
+            0.0 < row["drift"]["1"]["robot"] < 1e-4
+            and row["drift"]["1"]["objects"] < 1e-3
+        )
     assert rows[3]["reward"] != rows[5]["reward"]
 
 
 def test_the_expert_acts_on_warp_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[HostTwin] = []
     make = Leg.make_twin
-    monkeypatch.setattr(Leg, "make_twin", lambda leg: (env := make(leg), made.append(env.sim))[0])
-    monkeypatch.setattr(parity_episodes, "rollout", functools.partial(rollout, max_steps=2))
+    monkeypatch.setattr(
+        Leg, "make_twin", lambda leg: (env := make(leg), made.append(env.sim))[0]
+    )
+    monkeypatch.setattr(
+        parity_episodes, "rollout", functools.partial(rollout, max_steps=2)
+    )
     rows: dict[int, dict[str, Any]] = {}
     run_own(Leg("set_table", "close", threads=1, worlds=1), [3], rows.__setitem__)
-    assert isinstance(made[0], HostTwin) and rows[3]["steps"] == 2 and rows[3]["taint"] == []
+    assert (
+        isinstance(made[0], HostTwin) and rows[3]["steps"] == 2 and rows[3]["taint"] == []
+    )
     assert rows[3]["success"] is False and 0.0 < rows[3]["reward"] < 1.0
 
 
@@ -135,7 +158,9 @@ def test_a_device_env_is_timed_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -
         0,
     )
     assert list(point["stages"]) == list(STAGES) and min(point["stages"].values()) > 0.0
-    assert point["env_sps"] > 0.0 and point["engine_sps"] > 0.0 and point["reset_ms"] > 0.0
+    assert (
+        point["env_sps"] > 0.0 and point["engine_sps"] > 0.0 and point["reset_ms"] > 0.0
+    )
     assert point["device_mb"] is None and point["rss_mb"] > 100.0
 
 
@@ -146,7 +171,10 @@ def test_sleep_saves_and_hardly_changes() -> None:
     ]
     for asleep, awake in (rows[:2], rows[2:]):
         assert asleep["awake_dofs"] < 0.2 * awake["awake_dofs"] <= 0.2 * awake["nv"]
-        assert awake["difference"]["robot"] < 1e-5 and 0.0 < awake["difference"]["objects"] < 1e-3
+        assert (
+            awake["difference"]["robot"] < 1e-5
+            and 0.0 < awake["difference"]["objects"] < 1e-3
+        )
     assert [row["tainted"] for row in rows] == [0, 0, 0, 0]
 
 
@@ -158,7 +186,9 @@ def test_warmup_compiles_all_of_a_device_env(monkeypatch: pytest.MonkeyPatch) ->
     stepped: list[int] = []
     step = DeviceEnv.step
     monkeypatch.setattr(
-        DeviceEnv, "step", lambda env, actions: stepped.append(env.num_envs) or step(env, actions)
+        DeviceEnv,
+        "step",
+        lambda env, actions: stepped.append(env.num_envs) or step(env, actions),
     )
     seconds = warmup.warmup(WarmupOptions(task="set_table", device="cpu"), "warp")
     parts = ["2 homes", "rasterizer", "planning of the experts", "MuJoCo Warp"]

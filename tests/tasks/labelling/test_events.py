@@ -14,7 +14,13 @@ from mjhab.tasks.labelling.state import History
 from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.subtasks.registry import event_columns, spec_of
-from tests.tasks.build import HISTORY_FIELDS, assert_same, history, random_history, to_torch
+from tests.tasks.build import (
+    HISTORY_FIELDS,
+    assert_same,
+    history,
+    random_history,
+    to_torch,
+)
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
 X = "excessive_collisions"
@@ -25,12 +31,15 @@ def stream(kind: int, record: History) -> list[list[str]]:
     kinds = np.array([kind])
     steps = range(1, record.success.shape[0])
     return [
-        event_names(kinds, step_events(kinds, record.row(t - 1), record.row(t)))[0] for t in steps
+        event_names(kinds, step_events(kinds, record.row(t - 1), record.row(t)))[0]
+        for t in steps
     ]
 
 
 def test_pick_events() -> None:
-    record = history(contact="01110", is_grasped="00110", success="00010", force_ok="11110")
+    record = history(
+        contact="01110", is_grasped="00110", success="00010", force_ok="11110"
+    )
     assert stream(PICK, record) == [
         ["contact"],
         ["grasped"],
@@ -49,7 +58,9 @@ def test_place_events_tell_where_the_object_was_let_go() -> None:
         ["at_goal", "released_at_goal"],
         ["left_goal"],
     ]
-    assert stream(PLACE, history(is_grasped="10", at_goal="00")) == [["released_outside_goal"]]
+    assert stream(PLACE, history(is_grasped="10", at_goal="00")) == [
+        ["released_outside_goal"]
+    ]
     assert stream(PLACE, history(is_grasped="10", at_goal="10")) == [
         ["released_outside_goal", "left_goal"]
     ]
@@ -70,7 +81,11 @@ def test_excess_is_told_once() -> None:
 
 def test_open_and_close_events() -> None:
     record = history(
-        contact="01110", opened="00100", slightly_opened="01110", closed="10001", success="00100"
+        contact="01110",
+        opened="00100",
+        slightly_opened="01110",
+        closed="10001",
+        success="00100",
     )
     assert stream(OPEN, record) == [
         ["contact", "slightly_opened"],
@@ -79,7 +94,11 @@ def test_open_and_close_events() -> None:
         ["closed", "lost_contact"],
     ]
     record = history(
-        contact="0111", closed="0010", slightly_closed="0110", opened="1101", success="0010"
+        contact="0111",
+        closed="0010",
+        slightly_closed="0110",
+        opened="1101",
+        success="0010",
     )
     assert stream(CLOSE, record) == [
         ["contact", "slightly_closed"],
@@ -91,7 +110,9 @@ def test_open_and_close_events() -> None:
 def test_a_finished_plan_has_no_events_and_kinds_have_only_theirs() -> None:
     rng = np.random.default_rng(0)
     worlds = 2000
-    rows = [History(**{n: rng.random(worlds) < 0.5 for n in HISTORY_FIELDS}) for _ in range(2)]
+    rows = [
+        History(**{n: rng.random(worlds) < 0.5 for n in HISTORY_FIELDS}) for _ in range(2)
+    ]
     for kind in range(-1, 5):
         kinds = np.full(worlds, kind)
         flags = step_events(kinds, *rows)
@@ -102,13 +123,17 @@ def test_a_finished_plan_has_no_events_and_kinds_have_only_theirs() -> None:
 
 def test_torch_flags_the_same_in_value_and_dtype() -> None:
     rng = np.random.default_rng(1)
-    rows = [History(**{n: rng.random(600) < 0.5 for n in HISTORY_FIELDS}) for _ in range(2)]
+    rows = [
+        History(**{n: rng.random(600) < 0.5 for n in HISTORY_FIELDS}) for _ in range(2)
+    ]
     kinds = rng.integers(-1, 5, 600)
     flags = step_events(kinds, *rows)
     others = [to_torch(row) for row in rows]
     torch_kinds = to_torch(History(**dict.fromkeys(HISTORY_FIELDS, kinds))).success
     assert_same(flags, step_events(torch_kinds, *others))
-    assert event_names(kinds, flags) == event_names(torch_kinds, step_events(torch_kinds, *others))
+    assert event_names(kinds, flags) == event_names(
+        torch_kinds, step_events(torch_kinds, *others)
+    )
     assert_same(blank(rows[0]).force_ok, blank(others[0]).force_ok)
 
 
@@ -124,7 +149,12 @@ LEGACY = [
     (PICK, "contact grasped success", True, "straightforward_success"),
     (PICK, "contact grasped dropped grasped success", True, "winding_success"),
     (PICK, "contact grasped success contact", True, "success_then_drop"),
-    (PICK, f"contact grasped success {X} dropped", True, "success_then_excessive_collisions"),
+    (
+        PICK,
+        f"contact grasped success {X} dropped",
+        True,
+        "success_then_excessive_collisions",
+    ),
     (PICK, "grasped success", True, "success_then_excessive_collisions"),
     (PICK, f"contact {X}", False, "excessive_collision_failure"),
     (PICK, "", False, "mobility_failure"),
@@ -139,13 +169,28 @@ LEGACY = [
     ),
     (PLACE, "at_goal success left_goal", True, "dubious_success"),
     (PLACE, "grasped at_goal released_at_goal success", True, "placed_in_goal_success"),
-    (PLACE, "grasped released_outside_goal at_goal success", True, "dropped_to_goal_success"),
-    (PLACE, "grasped at_goal left_goal at_goal released_at_goal success", True, "winding_success"),
+    (
+        PLACE,
+        "grasped released_outside_goal at_goal success",
+        True,
+        "dropped_to_goal_success",
+    ),
+    (
+        PLACE,
+        "grasped at_goal left_goal at_goal released_at_goal success",
+        True,
+        "winding_success",
+    ),
     (PLACE, X, False, "excessive_collision_failure"),
     (PLACE, "", False, "didnt_grasp_failure"),
     (PLACE, "grasped", False, "didnt_reach_goal_failure"),
     (PLACE, "grasped at_goal released_at_goal left_goal", False, "place_in_goal_failure"),
-    (PLACE, "grasped at_goal released_outside_goal left_goal", False, "drop_to_goal_failure"),
+    (
+        PLACE,
+        "grasped at_goal released_outside_goal left_goal",
+        False,
+        "drop_to_goal_failure",
+    ),
     (PLACE, "grasped at_goal", False, "wont_let_go_failure"),
     (PLACE, "grasped at_goal released_at_goal", False, "too_slow_failure"),
     (NAVIGATE, f"success {X}", True, "success_then_excessive_collisions"),
@@ -209,7 +254,9 @@ def test_published_events_count_from_nothing_at_the_first_action() -> None:
         "the reset itself is not looked at"
     )
     flicker = history(contact="0101111", is_grasped="0000111", success="0000001")
-    assert legacy_history(PICK, flicker) == ["straightforward_success"], "repeats are dropped"
+    assert legacy_history(PICK, flicker) == ["straightforward_success"], (
+        "repeats are dropped"
+    )
     regrasp = history(contact="0110111", is_grasped="0010000", success="0000000")
     assert legacy_history(PICK, regrasp) == ["drop_failure"]
 
@@ -225,12 +272,16 @@ def test_tracker_agrees_with_recorded_histories(kind: SubtaskKind) -> None:
     live = np.ones(60, dtype=bool)
     told: list[list[str]] = [[] for _ in range(60)]
     for t in range(1, 12):
-        for w, names in enumerate(tracker.step(kinds, record.row(t), np.full(60, t), live)):
+        for w, names in enumerate(
+            tracker.step(kinds, record.row(t), np.full(60, t), live)
+        ):
             told[w] += names
     frozen = tracker.step(kinds, junk.row(2), np.full(60, 99), ~live)
     assert frozen == [[]] * 60
     assert tracker.labels(kinds) == label_names(kinds, label_history(kinds, record))
-    assert [tracker.legacy_label(w, kind) for w in range(60)] == legacy_history(kind, record)
+    assert [tracker.legacy_label(w, kind) for w in range(60)] == legacy_history(
+        kind, record
+    )
     assert [[name for _, name in tracker.events(w)] for w in range(60)] == told
     assert all(1 <= step <= 11 for w in range(60) for step, _ in tracker.events(w))
 
@@ -246,7 +297,8 @@ def test_tracker_restarts_only_the_worlds_asked_for() -> None:
         if t == 3:
             tracker.restart(np.array([True, False]), record.row(3))
     assert (
-        tracker.events(1) == whole.events(1) and tracker.labels(kinds)[1] == whole.labels(kinds)[1]
+        tracker.events(1) == whole.events(1)
+        and tracker.labels(kinds)[1] == whole.labels(kinds)[1]
     )
     assert all(step > 3 for step, _ in tracker.events(0))
 
@@ -281,7 +333,12 @@ DIFFERENT: dict[str, tuple[int, dict[str, Any], str, str]] = {
         "success_then_drop",
         "winding_success",
     ),
-    "touched by the palm": (PICK, {"ee_contact": "0110"}, "mobility_failure", "cant_grasp_failure"),
+    "touched by the palm": (
+        PICK,
+        {"ee_contact": "0110"},
+        "mobility_failure",
+        "cant_grasp_failure",
+    ),
     "handle touched by the palm, open": (
         OPEN,
         {"ee_contact": "0110"},
@@ -320,7 +377,12 @@ DIFFERENT: dict[str, tuple[int, dict[str, Any], str, str]] = {
     ),
     "open for a moment": (
         OPEN,
-        {"contact": "01111", "ee_contact": "01111", "slightly_opened": "00111", "opened": "00110"},
+        {
+            "contact": "01111",
+            "ee_contact": "01111",
+            "slightly_opened": "00111",
+            "opened": "00110",
+        },
         "slightly_open_failure",
         "closed_after_open_failure",
     ),
@@ -332,7 +394,12 @@ DIFFERENT: dict[str, tuple[int, dict[str, Any], str, str]] = {
     ),
     "lost on the way": (
         NAVIGATE,
-        {"is_grasped": "1101111", "near": "0000111", "success": "0000011", "must_hold": True},
+        {
+            "is_grasped": "1101111",
+            "near": "0000111",
+            "success": "0000011",
+            "must_hold": True,
+        },
         "success_then_dropped",
         "navigation_success",
     ),

@@ -112,7 +112,11 @@ def expected_joint_label(kind: int, h: History) -> str:
     there = (h.opened if opening else h.closed)[:, 0].tolist()
     if h.success.any():
         return (
-            "dubious_success" if not there[-1] else "open_success" if opening else "closed_success"
+            "dubious_success"
+            if not there[-1]
+            else "open_success"
+            if opening
+            else "closed_success"
         )
     if not h.ee_contact.any():
         return "cant_reach_articulation_failure"
@@ -153,7 +157,9 @@ EXAMPLES: dict[tuple[int, str], History] = {
     ),
     (0, "success_then_drop"): history(is_grasped="0110", success="0010"),
     (0, "winding_success"): history(is_grasped="01011", success="00001"),
-    (0, "straightforward_success"): history(is_grasped="0011", ee_contact="0111", success="0001"),
+    (0, "straightforward_success"): history(
+        is_grasped="0011", ee_contact="0111", success="0001"
+    ),
     (0, "excessive_collision_failure"): history(is_grasped="0111", force_ok="1110"),
     (0, "mobility_failure"): history(steps=4),
     (0, "cant_grasp_failure"): history(ee_contact="0100"),
@@ -163,10 +169,18 @@ EXAMPLES: dict[tuple[int, str], History] = {
         at_goal="0111", success="0010", force_ok="1110"
     ),
     (1, "dubious_success"): history(is_grasped="1000", at_goal="0110", success="0010"),
-    (1, "winding_success"): history(is_grasped="111100", at_goal="010111", success="000001"),
-    (1, "dropped_to_goal_success"): history(is_grasped="1100", at_goal="0001", success="0001"),
-    (1, "placed_in_goal_success"): history(is_grasped="1100", at_goal="0111", success="0001"),
-    (1, "excessive_collision_failure"): history(is_grasped="1100", at_goal="0011", force_ok="1110"),
+    (1, "winding_success"): history(
+        is_grasped="111100", at_goal="010111", success="000001"
+    ),
+    (1, "dropped_to_goal_success"): history(
+        is_grasped="1100", at_goal="0001", success="0001"
+    ),
+    (1, "placed_in_goal_success"): history(
+        is_grasped="1100", at_goal="0111", success="0001"
+    ),
+    (1, "excessive_collision_failure"): history(
+        is_grasped="1100", at_goal="0011", force_ok="1110"
+    ),
     (1, "didnt_grasp_failure"): history(at_goal="0011"),
     (1, "didnt_reach_goal_failure"): history(is_grasped="1100"),
     (1, "wont_let_go_failure"): history(is_grasped="1111", at_goal="0011"),
@@ -174,7 +188,9 @@ EXAMPLES: dict[tuple[int, str], History] = {
     (1, "place_in_goal_failure"): history(is_grasped="1100", at_goal="0110"),
     (1, "drop_to_goal_failure"): history(is_grasped="1110", at_goal="0100"),
     (2, "success_then_excessive_collisions"): history(success="0100", force_ok="1100"),
-    (2, "success_then_dropped"): history(success="0100", is_grasped="1110", must_hold=True),
+    (2, "success_then_dropped"): history(
+        success="0100", is_grasped="1110", must_hold=True
+    ),
     (2, "navigation_success"): history(success="0100", is_grasped="1110"),
     (2, "excessive_collision_failure"): history(force_ok="1110"),
     (2, "dropped_failure"): history(is_grasped="1100", must_hold=True),
@@ -205,7 +221,9 @@ EXAMPLES: dict[tuple[int, str], History] = {
 
 
 def test_there_is_an_example_of_every_label() -> None:
-    assert set(EXAMPLES) == {(int(kind), name) for kind in KINDS for name in spec_of(kind).labels}
+    assert set(EXAMPLES) == {
+        (int(kind), name) for kind in KINDS for name in spec_of(kind).labels
+    }
 
 
 @pytest.mark.parametrize(("kind", "name"), EXAMPLES)
@@ -225,7 +243,9 @@ RELEVANT: dict[int, set[str]] = {
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_a_label_depends_on_its_signals_only(kind: SubtaskKind, data: st.DataObject) -> None:
+def test_a_label_depends_on_its_signals_only(
+    kind: SubtaskKind, data: st.DataObject
+) -> None:
     record = data.draw(real_history(kind))
     other = None
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
@@ -242,18 +262,27 @@ def test_a_label_depends_on_its_signals_only(kind: SubtaskKind, data: st.DataObj
 def test_contact_flicker_never_changes_a_pick_label(data: st.DataObject) -> None:
     record = data.draw(real_history(SubtaskKind.PICK))
     flicker = (
-        np.random.default_rng(data.draw(st.integers(0, 1000))).random(record.contact.shape) < 0.5
+        np.random.default_rng(data.draw(st.integers(0, 1000))).random(
+            record.contact.shape
+        )
+        < 0.5
     )
     # Contact comes and goes after the first one, as while the fingers slide along the object.
-    touched = np.maximum.accumulate(np.asarray(record.ee_contact | record.is_grasped), axis=0)
+    touched = np.maximum.accumulate(
+        np.asarray(record.ee_contact | record.is_grasped), axis=0
+    )
     first = touched & ~np.roll(touched, 1, axis=0)
     first[0] = touched[0]
-    other = replace(record, ee_contact=touched & (first | flicker), touch=flicker, contact=flicker)
+    other = replace(
+        record, ee_contact=touched & (first | flicker), touch=flicker, contact=flicker
+    )
     assert labels_of(0, record) == labels_of(0, other)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_touch_by_another_link_than_the_end_effector_reaches_nothing(kind: SubtaskKind) -> None:
+def test_a_touch_by_another_link_than_the_end_effector_reaches_nothing(
+    kind: SubtaskKind,
+) -> None:
     elbow = history(touch="0111")
     nothing = history(steps=4)
     assert labels_of(kind, elbow) == labels_of(kind, nothing)
@@ -265,7 +294,11 @@ def test_a_row_of_a_version_without_ee_contact_takes_it_from_touch() -> None:
     row = WATCHED.index("ee_contact")
     for w in range(40):
         whole = get_row(state, w)
-        old = {**whole, "now": np.delete(whole["now"], row), "seen": np.delete(whole["seen"], row)}
+        old = {
+            **whole,
+            "now": np.delete(whole["now"], row),
+            "seen": np.delete(whole["seen"], row),
+        }
         again = get_row(set_row(state, 0, old), 0)
         for name, values in whole.items():
             np.testing.assert_array_equal(again[name], values, err_msg=name)
@@ -298,7 +331,9 @@ def test_placed_in_goal_means_at_the_goal_at_the_last_release_and_at_the_end(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_running_state_with_restarts_equals_the_fold_of_each_part(kind: SubtaskKind) -> None:
+def test_running_state_with_restarts_equals_the_fold_of_each_part(
+    kind: SubtaskKind,
+) -> None:
     record = random_history(np.random.default_rng(5), kind, 20, 500)
     kinds = np.full(500, int(kind), dtype=np.int64)
     cut = np.random.default_rng(6).integers(1, 19, 500)
@@ -313,7 +348,9 @@ def test_running_state_with_restarts_equals_the_fold_of_each_part(kind: SubtaskK
     steps = np.arange(20)[:, None]
     np.testing.assert_array_equal(ended, label_history(kinds, record, steps <= cut))
     for w in range(0, 500, 25):
-        rest = History(**{n: getattr(record, n)[cut[w] :, w : w + 1] for n in HISTORY_FIELDS})
+        rest = History(
+            **{n: getattr(record, n)[cut[w] :, w : w + 1] for n in HISTORY_FIELDS}
+        )
         assert label_history(kinds[:1], rest)[0] == label(state, kinds)[w]
 
 

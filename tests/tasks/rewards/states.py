@@ -50,20 +50,32 @@ def speeds(*entries: tuple[int, float]) -> list[float]:
 
 
 def view_of(
-    kinds: list[int], config: Any = CONFIG, must_hold: Any = False, force: Any = 0.0, **over: Any
+    kinds: list[int],
+    config: Any = CONFIG,
+    must_hold: Any = False,
+    force: Any = 0.0,
+    **over: Any,
 ) -> RewardView:
     """Worlds that do one subtask each, place and navigation goals at ``GOAL``; the robot at rest at the origin."""
     subtasks = [
-        Subtask(SubtaskKind(k), "bowl", "kitchen_counter/drawer3", GOAL, must_hold) for k in kinds
+        Subtask(SubtaskKind(k), "bowl", "kitchen_counter/drawer3", GOAL, must_hold)
+        for k in kinds
     ]
     plan = stack_plans([TaskPlan("test", (s,)) for s in subtasks], config)
-    extra: dict[str, Any] = {name: np.zeros((len(kinds), *shape)) for name, shape in EXTRA.items()}
-    extra |= {"joint_ideal": extra["joint_ideal"] + 1.0, "closed_near": extra["closed_near"] > 0}
+    extra: dict[str, Any] = {
+        name: np.zeros((len(kinds), *shape)) for name, shape in EXTRA.items()
+    }
+    extra |= {
+        "joint_ideal": extra["joint_ideal"] + 1.0,
+        "closed_near": extra["closed_near"] > 0,
+    }
     for name in set(over) & set(EXTRA):
-        extra[name] = np.broadcast_to(np.asarray(over.pop(name)), extra[name].shape).astype(
-            extra[name].dtype
-        )
-    world = resting(1, len(kinds), **{"plan_obj_pos": extra["object_pos"][:, None], **over})
+        extra[name] = np.broadcast_to(
+            np.asarray(over.pop(name)), extra[name].shape
+        ).astype(extra[name].dtype)
+    world = resting(
+        1, len(kinds), **{"plan_obj_pos": extra["object_pos"][:, None], **over}
+    )
     return look(world, plan, config, force, extra)
 
 
@@ -75,7 +87,9 @@ def look(
     signals = measure(world, plan, progress, config)
     goal = plan.goal_pos[:, 0]
     open_frac = plan.open_frac[:, 0]
-    return RewardView(world=world, signals=signals, goal_pos=goal, open_frac=open_frac, **extra)
+    return RewardView(
+        world=world, signals=signals, goal_pos=goal, open_frac=open_frac, **extra
+    )
 
 
 BEST: dict[int, dict[str, Any]] = {
@@ -116,14 +130,18 @@ def random_view(seed: int, worlds: int, chance: float = 0.7) -> RewardView:
         over = {name: draw(rng) for name, draw in RANDOM.items() if rng.random() < chance}
         must_hold = bool(rng.random() < 0.5)
         force = rng.exponential(5000)
-        views.append(view_of([kind], must_hold=must_hold, force=force, **BEST[kind] | over))
+        views.append(
+            view_of([kind], must_hold=must_hold, force=force, **BEST[kind] | over)
+        )
     return join(views)
 
 
 def join(records: list[Any]) -> Any:
     """One record of many, their rows one after the other."""
     first = records[0]
-    values = {f.name: [getattr(r, f.name) for r in records] for f in dataclasses.fields(first)}
+    values = {
+        f.name: [getattr(r, f.name) for r in records] for f in dataclasses.fields(first)
+    }
     merged = {
         k: join(v) if dataclasses.is_dataclass(v[0]) else np.concatenate(v)
         for k, v in values.items()
@@ -132,4 +150,6 @@ def join(records: list[Any]) -> Any:
 
 
 def rows(record: Any, index: Any) -> Any:
-    return map_record(lambda x: rows(x, index) if dataclasses.is_dataclass(x) else x[index], record)
+    return map_record(
+        lambda x: rows(x, index) if dataclasses.is_dataclass(x) else x[index], record
+    )

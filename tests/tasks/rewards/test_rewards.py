@@ -64,7 +64,10 @@ def test_pick_before_the_grasp() -> None:
         "above": 1 - tanh(1.5),
     }
     expect(
-        view_of([PICK], force=5000.0, **state), **common, force_limit=2.0, torso_still=1 - tanh(0.5)
+        view_of([PICK], force=5000.0, **state),
+        **common,
+        force_limit=2.0,
+        torso_still=1 - tanh(0.5),
     )
     expect(view_of([PICK], force=5000.1, **state), **common, torso_still=1 - tanh(0.5))
     # Within 0.3 m of the object the torso may move; 200 N are free.
@@ -105,9 +108,16 @@ def test_pick_after_the_grasp() -> None:
         "base_still": 1.0,
         "at_rest": 2.0,
     }
-    expect(view_of([PICK], robot_qd=speeds((12, 0.3)), **held), **rest, still=1 - tanh(0.3))
+    expect(
+        view_of([PICK], robot_qd=speeds((12, 0.3)), **held), **rest, still=1 - tanh(0.3)
+    )
     # Fingers do not count as moving. Everything is reached: the largest reward there is.
-    expect(view_of([PICK], robot_qd=speeds((13, 0.3)), **held), **rest, still=1.0, success=3.0)
+    expect(
+        view_of([PICK], robot_qd=speeds((13, 0.3)), **held),
+        **rest,
+        still=1.0,
+        success=3.0,
+    )
 
 
 def test_place_on_the_way() -> None:
@@ -127,7 +137,12 @@ def test_place_on_the_way() -> None:
         "transport": 6 * (1 - (tanh(d_object) + tanh(d_hand)) / 2),
         "height": 4 * (1 - tanh((0.2 + 0.3) / 2)),
     }
-    expect(view_of([PLACE], finger_force=squeeze(), **state), **way, slow_object=3.0, grasp=2.0)
+    expect(
+        view_of([PLACE], finger_force=squeeze(), **state),
+        **way,
+        slow_object=3.0,
+        grasp=2.0,
+    )
     expect(view_of([PLACE], **state), **way, slow_object=3 * (1 - tanh(7 / 5)))
     rising = state | {"robot_qd": speeds((3, 0.1))}
     expect(
@@ -190,7 +205,11 @@ def test_open_in_its_stages() -> None:
     # Drawer 0 .. 0.5 m, open from 0.9 of it: 0.45. At 0.15 m a third of the way is done.
     part: dict[str, Any] = {"joint_q": 0.15, "handle_distance": 0.4, "joint_qd": -1.0}
     expect(
-        view_of([OPEN], **part), reach=3 * (1 - tanh(0.4)), progress=2.0, started=3.0, gentle=3.0
+        view_of([OPEN], **part),
+        reach=3 * (1 - tanh(0.4)),
+        progress=2.0,
+        started=3.0,
+        gentle=3.0,
     )
     expect(
         view_of([OPEN], finger_force=squeeze(), **part),
@@ -209,7 +228,11 @@ def test_open_in_its_stages() -> None:
         )
     door = part | {"joint_qd": 1.1, "joint_ideal": 2.0}
     expect(
-        view_of([OPEN], **door), reach=3 * (1 - tanh(0.4)), progress=2.0, started=3.0, gentle=3.0
+        view_of([OPEN], **door),
+        reach=3 * (1 - tanh(0.4)),
+        progress=2.0,
+        started=3.0,
+        gentle=3.0,
     )
     # Not started at 1 cm; pressed beyond its closed end there is no negative progress.
     nothing = {"reach": 3 * (1 - tanh(0.4)), "gentle": 3.0}
@@ -224,9 +247,20 @@ def test_open_once_it_is_open() -> None:
         "torso_up": 0.5,
         "finger_force": squeeze(),
     }
-    stage = {"opened": 6.0, "progress": 6.0, "started": 3.0, "gentle": 3.0, "torso_up": 0.5}
+    stage = {
+        "opened": 6.0,
+        "progress": 6.0,
+        "started": 3.0,
+        "gentle": 3.0,
+        "torso_up": 0.5,
+    }
     away = opened | {"tcp_pos": [0.5, 0.3, 1.27], "robot_q": off((9, 0.3))}
-    expect(view_of([OPEN], **away), **stage, posture=2 * (1 - tanh(0.3)), rest=2 * (1 - tanh(0.3)))
+    expect(
+        view_of([OPEN], **away),
+        **stage,
+        posture=2 * (1 - tanh(0.3)),
+        rest=2 * (1 - tanh(0.3)),
+    )
     at_rest = {"posture": 2.0, "rest": 2.0}
     expect(
         view_of([OPEN], robot_qd=speeds((12, 0.4)), **opened),
@@ -269,7 +303,11 @@ def test_close_in_its_stages() -> None:
     # Closed from afar earns no credit for it, and no success; opened to the end there is no progress.
     shut = part | {"joint_q": 0.002, "robot_q": REST}
     expect(
-        view_of([CLOSE], **shut), reach=7 * (1 - tanh(0.4)), progress=5.0, gentle=5.0, posture=1.0
+        view_of([CLOSE], **shut),
+        reach=7 * (1 - tanh(0.4)),
+        progress=5.0,
+        gentle=5.0,
+        posture=1.0,
     )
     expect(
         view_of([CLOSE], **part | {"joint_q": 0.51}),
@@ -287,7 +325,11 @@ def test_close_once_it_is_closed_by_the_hand() -> None:
         "closed_near": True,
     }
     stage = {"closed": 8.0, "progress": 5.0, "gentle": 5.0, "torso_up": 0.5}
-    away = shut | {"tcp_pos": [0.5, 0.3, 1.27], "robot_q": off((9, 0.4)), "finger_force": squeeze()}
+    away = shut | {
+        "tcp_pos": [0.5, 0.3, 1.27],
+        "robot_q": off((9, 0.4)),
+        "finger_force": squeeze(),
+    }
     expect(
         view_of([CLOSE], **away),
         **stage,
@@ -335,7 +377,9 @@ def test_navigate_on_the_way() -> None:
     )
     # What is to be carried has been lost: only the terms that are always given.
     expect(view_of([NAVIGATE], must_hold=True, **far), **always)
-    expect(view_of([NAVIGATE], must_hold=True, held_force=squeeze(), **far), **always, **way)
+    expect(
+        view_of([NAVIGATE], must_hold=True, held_force=squeeze(), **far), **always, **way
+    )
 
 
 def test_navigate_at_the_goal() -> None:
@@ -388,7 +432,9 @@ def test_without_a_force_limit_its_term_is_always_given() -> None:
         assert terms_of(view, DenseReward(free))["force_limit"] == 2.0
 
 
-def test_closed_near_is_earned_at_the_handle_kept_while_closed_and_lost_by_opening() -> None:
+def test_closed_near_is_earned_at_the_handle_kept_while_closed_and_lost_by_opening() -> (
+    None
+):
     def run(closed: str, at_handle: str) -> str:
         near = np.array([False])
         seen = ""
@@ -399,7 +445,9 @@ def test_closed_near_is_earned_at_the_handle_kept_while_closed_and_lost_by_openi
             seen += str(int(near[0]))
         return seen
 
-    assert run("0111", "1100") == "0111"  # shut at the handle, then the hand goes back to rest
+    assert (
+        run("0111", "1100") == "0111"
+    )  # shut at the handle, then the hand goes back to rest
     assert run("0111", "1000") == "0000"  # it fell shut after the hand had left
     assert run("0111", "0001") == "0001"  # the hand comes later
     assert run("11011", "10000") == "11000"  # it opened again
@@ -416,7 +464,10 @@ def test_other_scales_change_the_term_and_the_normaliser() -> None:
     )
     assert changed.score(view).normaliser[0] == 29 - 1 - 2.5
     # Terms of stages that exclude each other do not add up: the grasp replaces the reach.
-    assert reward_table("close").scaled("close", {"reach": 100.0}).attainable == 100 + 5 + 5 + 1
+    assert (
+        reward_table("close").scaled("close", {"reach": 100.0}).attainable
+        == 100 + 5 + 5 + 1
+    )
     assert reward_table("pick").scaled("pick", {"above": -1.0}).attainable == 29
 
 
@@ -453,7 +504,9 @@ def test_a_kind_that_was_not_announced_is_refused() -> None:
 def test_tables_are_sound(name: str) -> None:
     table = reward_table(name)
     names = [t.name for t in table.terms]
-    assert len(set(names)) == len(names) and all(t.about and t.scale > 0 for t in table.terms)
+    assert len(set(names)) == len(names) and all(
+        t.about and t.scale > 0 for t in table.terms
+    )
     when, _ = table.raw(view_of([number_of(name)]), CONFIG)
     assert {t.when for t in table.terms} == {*when, "always"}
     assert {c for case in table.cases for c in case} == set(when)

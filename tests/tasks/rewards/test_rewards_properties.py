@@ -73,7 +73,9 @@ def test_no_state_earns_more_than_the_normaliser(seed: int, chance: float) -> No
 def test_no_state_earns_more_than_the_normaliser_of_other_scales(
     seed: int, drawn: list[float]
 ) -> None:
-    scales = {name: {table_of(k).terms[k + 2].name: drawn[k]} for k, name in enumerate(SUBTASKS)}
+    scales = {
+        name: {table_of(k).terms[k + 2].name: drawn[k]} for k, name in enumerate(SUBTASKS)
+    }
     scored = DenseReward(CONFIG, RewardOptions(scales)).score(random_view(seed, 20))
     assert (scored.total <= scored.normaliser * (1 + 1e-12)).all()
     np.testing.assert_allclose(scored.terms.sum(0), scored.total, rtol=1e-12, atol=1e-12)
@@ -107,8 +109,12 @@ def test_nearer_is_better(kind: SubtaskKind, near: float, more: float) -> None:
 @pytest.mark.parametrize("kind", (OPEN, CLOSE))
 @settings(max_examples=25, deadline=None)
 @given(q=st.floats(0.02, 0.43), more=st.floats(0.001, 0.02))
-def test_moving_the_joint_towards_its_end_is_better(kind: int, q: float, more: float) -> None:
-    less_open, more_open = (FULL.score(view_of([kind], joint_q=x)).total[0] for x in (q, q + more))
+def test_moving_the_joint_towards_its_end_is_better(
+    kind: int, q: float, more: float
+) -> None:
+    less_open, more_open = (
+        FULL.score(view_of([kind], joint_q=x)).total[0] for x in (q, q + more)
+    )
     assert more_open > less_open if kind == OPEN else less_open > more_open
 
 
@@ -129,7 +135,10 @@ def test_numpy_and_torch_agree(seed: int, dtype: str) -> None:
     for name in ("terms", "total", "normaliser"):
         assert getattr(ours, name).dtype == dtype
         assert_same(
-            getattr(ours, name), getattr(theirs, name), name, 1e-12 if dtype == "float64" else 1e-5
+            getattr(ours, name),
+            getattr(theirs, name),
+            name,
+            1e-12 if dtype == "float64" else 1e-5,
         )
 
 

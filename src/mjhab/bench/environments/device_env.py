@@ -7,7 +7,12 @@ from collections.abc import Callable
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from mjhab.bench.environments.stages import Stopwatch, resident_mb, stage_seconds, watch_env
+from mjhab.bench.environments.stages import (
+    Stopwatch,
+    resident_mb,
+    stage_seconds,
+    watch_env,
+)
 from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.simulation.engine import sway
 from mjhab.bench.specs import EnvBenchSpec

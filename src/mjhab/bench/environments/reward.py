@@ -73,11 +73,16 @@ def measure_rewards(spec: RewardSpec) -> dict[str, dict[str, Any]]:
     found = {kind: summary(curve) for kind, curve in curves.items()}
     figures = {f"reward-{kind}": figure(curve) for kind, curve in curves.items()}
     body = f"<h1>Dense reward of the expert</h1><p>Profile {spec.profile}.</p>" + "".join(
-        section(kind, _sentence(found[kind]), f'<div id="reward-{kind}"></div>') for kind in kinds
+        section(kind, _sentence(found[kind]), f'<div id="reward-{kind}"></div>')
+        for kind in kinds
     )
-    page = render_page("Dense reward of the expert", body, {"plots": figures, "force": []})
+    page = render_page(
+        "Dense reward of the expert", body, {"plots": figures, "force": []}
+    )
     spec.out.mkdir(parents=True, exist_ok=True)
-    write_atomic(spec.out / REPORT, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    write_atomic(
+        spec.out / REPORT, lambda temporary: temporary.write_text(page, encoding="utf-8")
+    )
     return found
 
 
@@ -133,7 +138,9 @@ def auc(score: np.ndarray, good: np.ndarray) -> float | None:
     losses = int((~good).sum())
     if not wins or not losses:
         return None
-    return round(float((rankdata(score)[good].sum() - wins * (wins + 1) / 2) / (wins * losses)), 4)
+    return round(
+        float((rankdata(score)[good].sum() - wins * (wins + 1) / 2) / (wins * losses)), 4
+    )
 
 
 def figure(curves: list[tuple[bool, np.ndarray]]) -> Figure:
@@ -187,7 +194,11 @@ def _mean(values: np.ndarray) -> float | None:
 
 
 def _sentence(found: dict[str, Any]) -> str:
-    told = "no failure to compare with" if found["auc"] is None else f"AUC {found['auc']:.3f}"
+    told = (
+        "no failure to compare with"
+        if found["auc"] is None
+        else f"AUC {found['auc']:.3f}"
+    )
     return (
         f"{found['successes']} of {found['episodes']} episodes succeed; {told}. Lines: median of the episodes; bands: "
         "the middle half."

@@ -19,12 +19,16 @@ def watch_env(watch: Stopwatch, env: TaskLoop) -> None:
             watch.time(owner, method, stage)
 
 
-def stage_seconds(watch: Stopwatch, total: float, num_envs: int) -> tuple[dict[str, float], float]:
+def stage_seconds(
+    watch: Stopwatch, total: float, num_envs: int
+) -> tuple[dict[str, float], float]:
     """Stop a watch: seconds of each of STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
     seconds = watch.stop()
     seconds["other"] = total - sum(seconds.values())
     reset_ms = 1000 * seconds.get("reset", 0.0) / num_envs
-    return {stage: round(seconds.get(stage, 0.0), 5) for stage in STAGES}, round(reset_ms, 3)
+    return {stage: round(seconds.get(stage, 0.0), 5) for stage in STAGES}, round(
+        reset_ms, 3
+    )
 
 
 class Stopwatch:
@@ -72,7 +76,9 @@ def resident_mb() -> float:
     try:
         with open("/proc/self/status") as status:
             return round(
-                next(int(line.split()[1]) for line in status if line.startswith("VmRSS")) / 1024, 1
+                next(int(line.split()[1]) for line in status if line.startswith("VmRSS"))
+                / 1024,
+                1,
             )
     except (OSError, StopIteration):
         return 0.0

@@ -52,7 +52,9 @@ def render_experts(
             plots[f"chains-{pack}"] = _chain_figure(
                 [chain for chain in chains if chain.pack == pack]
             )
-            places += f'<h3>{escape(pack)} homes</h3><div id="chains-{escape(pack)}"></div>'
+            places += (
+                f'<h3>{escape(pack)} homes</h3><div id="chains-{escape(pack)}"></div>'
+            )
         body.append(parts.section("Whole tasks", hint, _chain_table(chains) + places))
     for kind in SUBTASKS:
         members = [result for result in singles if result.subtask == kind]
@@ -61,10 +63,14 @@ def render_experts(
     errors = [result for result in results if result.error]
     if errors:
         body.append(
-            parts.section("Not measured", "These rows stopped with an error.", _errors(errors))
+            parts.section(
+                "Not measured", "These rows stopped with an error.", _errors(errors)
+            )
         )
     body.append(
-        parts.section("Run", "What all rows have in common.", parts.config_list(_flat(config)))
+        parts.section(
+            "Run", "What all rows have in common.", parts.config_list(_flat(config))
+        )
     )
     return render_page("Experts", "\n".join(body), {"plots": plots})
 
@@ -81,7 +87,10 @@ _GENTLE = "< 1,400 N: success once while the forces on the robot summed up to le
 
 def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
     shown = [
-        ("homes", f"{', '.join(dict.fromkeys(r.pack for r in results))}, {config['split']}"),
+        (
+            "homes",
+            f"{', '.join(dict.fromkeys(r.pack for r in results))}, {config['split']}",
+        ),
         ("seed", config["seed"]),
         ("rules", rules_of(config)),
         ("starts", config["spawn_rule"]),
@@ -126,7 +135,11 @@ def _cards(singles: Sequence[Result], chains: Sequence[Result]) -> str:
         both = [r.over_paper for r in singles if r.over_paper is not None]
         better = sum(points > 0 for points in both)
         values.append(
-            ("above the paper", f"{better} / {len(both)}", f"rows, against {PAPER_POLICY}")
+            (
+                "above the paper",
+                f"{better} / {len(both)}",
+                f"rows, against {PAPER_POLICY}",
+            )
         )
     if chains:
         count = sum(r.episodes for r in chains)
@@ -139,9 +152,13 @@ def _cards(singles: Sequence[Result], chains: Sequence[Result]) -> str:
             )
         )
     asked = [r.met for r in (*singles, *chains) if r.met is not None]
-    values.append(("as much as asked", f"{sum(asked)} / {len(asked)}", "rows, by their rates"))
+    values.append(
+        ("as much as asked", f"{sum(asked)} / {len(asked)}", "rows, by their rates")
+    )
     tainted = sum(r.tainted for r in (*singles, *chains))
-    values.append(("tainted episodes", f"{tainted}", "flagged by the simulation, counted"))
+    values.append(
+        ("tainted episodes", f"{tainted}", "flagged by the simulation, counted")
+    )
     tiles = (
         f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'
         f'<div class="more">{escape(more)}</div></div>'
@@ -156,7 +173,9 @@ def _kind_section(kind: str, members: Sequence[Result], plots: dict[str, Figure]
         plots[f"paper-{kind}"] = _paper_figure(members)
         body += f'<div id="paper-{kind}"></div>'
     body += _table(members)
-    counts = {_bar_name(result): Counter(result.labels) for result in members if result.episodes}
+    counts = {
+        _bar_name(result): Counter(result.labels) for result in members if result.episodes
+    }
     if counts:
         figure = labels_figure(counts, tuple(counts))
         height = 90 + _ROW_HEIGHT * len(counts)
@@ -200,7 +219,8 @@ def _table(results: Sequence[Result]) -> str:
     if not any(result.tainted for result in results):
         alike.add("tainted")
     return _html_table(
-        [head for head in heads if head[0] not in alike], [_cells(result) for result in results]
+        [head for head in heads if head[0] not in alike],
+        [_cells(result) for result in results],
     )
 
 
@@ -245,7 +265,9 @@ def _chain_table(chains: Sequence[Result]) -> str:
     return _html_table(heads, [_cells(result) for result in chains])
 
 
-def _html_table(heads: Sequence[tuple[str, str]], rows: Sequence[Mapping[str, str]]) -> str:
+def _html_table(
+    heads: Sequence[tuple[str, str]], rows: Sequence[Mapping[str, str]]
+) -> str:
     head = "".join(f'<th class="{css}">{escape(name)}</th>' for name, css in heads)
     body = "".join(f"<tr>{''.join(row[name] for name, _ in heads)}</tr>" for row in rows)
     table = (
@@ -256,9 +278,7 @@ def _html_table(heads: Sequence[tuple[str, str]], rows: Sequence[Mapping[str, st
 
 
 def _number(value: float | None, text: str, style: str = "") -> str:
-    return (
-        f'<td class="n" data-value="{"" if value is None else value}" style="{style}">{text}</td>'
-    )
+    return f'<td class="n" data-value="{"" if value is None else value}" style="{style}">{text}</td>'
 
 
 def _rate(value: float | None) -> str:
@@ -291,7 +311,9 @@ def _sign(r: Result) -> str:
 
 def _failures(r: Result) -> str:
     named = list(r.failures.items())[:_MOST_FAILURES]
-    words = [f"{n} {name.removesuffix('_failure').replace('_', ' ')}" for name, n in named]
+    words = [
+        f"{n} {name.removesuffix('_failure').replace('_', ' ')}" for name, n in named
+    ]
     more = len(r.failures) - len(named)
     return escape(", ".join(words) + (f" and {more} more" if more > 0 else ""))
 
@@ -311,14 +333,20 @@ def _paper_figure(results: Sequence[Result]) -> Figure:
     names = list(dict.fromkeys(_short(result) for result in results))
     data: list[dict[str, Any]] = []
     for pack, color in zip(
-        dict.fromkeys(result.pack for result in results), _COLORS * len(results), strict=False
+        dict.fromkeys(result.pack for result in results),
+        _COLORS * len(results),
+        strict=False,
     ):
         mine = [r for r in results if r.pack == pack and r.success_once is not None]
         rates = [r.success_once or 0.0 for r in mine]
         above = [
-            high - rate for rate, high in zip(rates, (r.interval[1] for r in mine), strict=True)
+            high - rate
+            for rate, high in zip(rates, (r.interval[1] for r in mine), strict=True)
         ]
-        below = [rate - low for rate, low in zip(rates, (r.interval[0] for r in mine), strict=True)]
+        below = [
+            rate - low
+            for rate, low in zip(rates, (r.interval[0] for r in mine), strict=True)
+        ]
         bars = {
             "type": "bar",
             "name": f"expert, {pack} homes",
@@ -335,9 +363,16 @@ def _paper_figure(results: Sequence[Result]) -> Figure:
         }
         hover = "%{x}<br>%{y:.1%}<extra></extra>"
         data.append(
-            {**bars, "marker": {"color": color}, "error_y": whiskers, "hovertemplate": hover}
+            {
+                **bars,
+                "marker": {"color": color},
+                "error_y": whiskers,
+                "hovertemplate": hover,
+            }
         )
-    known = {_short(result): result.paper for result in results if result.paper is not None}
+    known = {
+        _short(result): result.paper for result in results if result.paper is not None
+    }
     data.append(
         {
             "type": "bar",
@@ -395,8 +430,15 @@ def _chain_figure(chains: Sequence[Result]) -> Figure:
         "layout": {
             "height": 380,
             "legend": {"orientation": "h", "y": -0.24},
-            "yaxis": {"range": [0, 1.04], "tickformat": ".0%", "title": {"text": "episodes"}},
-            "xaxis": {"title": {"text": "completed at least so many subtasks"}, "dtick": 2},
+            "yaxis": {
+                "range": [0, 1.04],
+                "tickformat": ".0%",
+                "title": {"text": "episodes"},
+            },
+            "xaxis": {
+                "title": {"text": "completed at least so many subtasks"},
+                "dtick": 2,
+            },
         },
     }
 

@@ -97,7 +97,8 @@ class MeasuredEpisode:
     def of(cls, record: EpisodeRecord) -> MeasuredEpisode:
         """Take it from a record."""
         first = min(
-            (step for step, name in record.events if name == "success"), default=record.steps
+            (step for step, name in record.events if name == "success"),
+            default=record.steps,
         )
         return cls(
             record.index,
@@ -202,7 +203,9 @@ def make_rows(spec: ExpertsSpec) -> list[Row]:
     return rows
 
 
-def _rows_of(spec: ExpertsSpec, pack: str, assets: str, task: str, subtask: str) -> list[Row]:
+def _rows_of(
+    spec: ExpertsSpec, pack: str, assets: str, task: str, subtask: str
+) -> list[Row]:
     if subtask == CHAIN:
         modes = dict.fromkeys(spec.navigate)
         return [Row(pack, assets, task, subtask, "", mode, spec.chains) for mode in modes]
@@ -210,7 +213,9 @@ def _rows_of(spec: ExpertsSpec, pack: str, assets: str, task: str, subtask: str)
     if not SUBTASKS[subtask].navigates:
         layout = Layout(open_pack(assets), roster(task))
         targets = valid_targets(EnvConfig(task=task, subtask=subtask), layout)
-    return [Row(pack, assets, task, subtask, target, "", spec.episodes) for target in targets]
+    return [
+        Row(pack, assets, task, subtask, target, "", spec.episodes) for target in targets
+    ]
 
 
 def _check(spec: ExpertsSpec) -> None:
@@ -247,18 +252,26 @@ def row_folder(out: Path, row: Row) -> Path:
     return out / "rows" / row.name
 
 
-def result_of(row: Row, split: str, episodes: Sequence[MeasuredEpisode], error: str = "") -> Result:
+def result_of(
+    row: Row, split: str, episodes: Sequence[MeasuredEpisode], error: str = ""
+) -> Result:
     """The table's row for the episodes measured so far; ``error``: why there are no more."""
     once = sum(episode.success_once for episode in episodes)
     chain = row.subtask == CHAIN
-    paper = None if chain else paper_row(row.task, row.subtask, split, row.target, PAPER_POLICY)
+    paper = (
+        None
+        if chain
+        else paper_row(row.task, row.subtask, split, row.target, PAPER_POLICY)
+    )
     curve: tuple[float, ...] = ()
     if chain and episodes:
         counts = [episode.completed for episode in episodes]
         plan = max(episode.planned for episode in episodes)
         curve = tuple(progressive(counts, plan).round(4).tolist())
     failed = (
-        f"{e.last} {e.label}".strip() if chain else e.label for e in episodes if not e.success_once
+        f"{e.last} {e.label}".strip() if chain else e.label
+        for e in episodes
+        if not e.success_once
     )
     return Result(
         row.pack,
@@ -276,7 +289,8 @@ def result_of(row: Row, split: str, episodes: Sequence[MeasuredEpisode], error: 
         success_at_end=_share(episode.success_at_end for episode in episodes),
         gentle=None if chain else _share(episode.gentle for episode in episodes),
         gentle_peak=_share(
-            episode.success_once and episode.peak_force < SAFE_FORCE_N for episode in episodes
+            episode.success_once and episode.peak_force < SAFE_FORCE_N
+            for episode in episodes
         ),
         tainted=sum(bool(episode.taint) for episode in episodes),
         labels=_counts(episode.label for episode in episodes),
@@ -289,9 +303,13 @@ def result_of(row: Row, split: str, episodes: Sequence[MeasuredEpisode], error: 
     )
 
 
-def together(measured: Sequence[tuple[Row, Sequence[MeasuredEpisode]]], split: str) -> list[Result]:
+def together(
+    measured: Sequence[tuple[Row, Sequence[MeasuredEpisode]]], split: str
+) -> list[Result]:
     """One row for all targets of every (pack, task, subtask), as in the paper's Tables 6 to 9."""
-    groups: dict[tuple[str, str, str, str], list[tuple[Row, Sequence[MeasuredEpisode]]]] = {}
+    groups: dict[
+        tuple[str, str, str, str], list[tuple[Row, Sequence[MeasuredEpisode]]]
+    ] = {}
     for row, episodes in measured:
         if row.subtask != CHAIN:
             groups.setdefault((row.pack, row.assets, row.task, row.subtask), []).append(
@@ -301,7 +319,11 @@ def together(measured: Sequence[tuple[Row, Sequence[MeasuredEpisode]]], split: s
     for names, members in groups.items():
         every = [episode for _, episodes in members for episode in episodes]
         found.append(
-            result_of(Row(*names, ALL, "", sum(row.episodes for row, _ in members)), split, every)
+            result_of(
+                Row(*names, ALL, "", sum(row.episodes for row, _ in members)),
+                split,
+                every,
+            )
         )
     return found
 

@@ -61,7 +61,9 @@ class Measurement:
 def measure_experts(
     spec: ExpertsSpec,
     stopped: Callable[[], bool] = bool,
-    watch: Callable[[Measured], AbstractContextManager[Callable[[Row, int], None]]] = unwatched,
+    watch: Callable[
+        [Measured], AbstractContextManager[Callable[[Row, int], None]]
+    ] = unwatched,
 ) -> Measurement:
     """Measure all rows of ``spec`` that are not measured yet, and write the results after each.
 
@@ -91,7 +93,9 @@ def measure_experts(
             measured[row] = read_row(spec, row)
             tell(row, len(measured[row]))
             write_results(spec, measured, errors)
-    left = sum(row.episodes - len(found) for row, found in measured.items() if row not in errors)
+    left = sum(
+        row.episodes - len(found) for row, found in measured.items() if row not in errors
+    )
     return Measurement(write_results(spec, measured, errors), errors, left)
 
 
@@ -131,18 +135,26 @@ def read_row(spec: ExpertsSpec, row: Row) -> list[MeasuredEpisode]:
     folder = row_folder(spec.out, row)
     if not any(folder.glob("*.h5")):
         return []
-    found = {e.record.index: MeasuredEpisode.of(e.record) for e in recorded_episodes(folder)}
+    found = {
+        e.record.index: MeasuredEpisode.of(e.record) for e in recorded_episodes(folder)
+    }
     return [found[index] for index in sorted(found) if index < row.episodes]
 
 
-def write_results(spec: ExpertsSpec, measured: Measured, errors: Mapping[Row, str]) -> list[Result]:
+def write_results(
+    spec: ExpertsSpec, measured: Measured, errors: Mapping[Row, str]
+) -> list[Result]:
     """Write every file of results for what is measured so far; returns the rows."""
     results = [
-        result_of(row, spec.split, found, errors.get(row, "")) for row, found in measured.items()
+        result_of(row, spec.split, found, errors.get(row, ""))
+        for row, found in measured.items()
     ]
     # Some targets alone are not what the paper's rows over all targets are about.
     groups = [] if spec.target else together(list(measured.items()), spec.split)
-    config = {**_config(spec), "assets": {row.pack: _short(row.assets) for row in measured}}
+    config = {
+        **_config(spec),
+        "assets": {row.pack: _short(row.assets) for row in measured},
+    }
     document = {
         "what": "success of mjhab's scripted experts",
         "config": config,
@@ -242,7 +254,14 @@ def _csv(results: Sequence[Result], profile: str) -> str:
         low, high = r.interval if r.episodes else (None, None)
         rates = (
             _percent(value)
-            for value in (r.success_once, low, high, r.success_at_end, r.gentle, r.gentle_peak)
+            for value in (
+                r.success_once,
+                low,
+                high,
+                r.success_at_end,
+                r.gentle,
+                r.gentle_peak,
+            )
         )
         writer.writerow(
             (

@@ -25,7 +25,9 @@ PAPER = (
 def interact_figure(found: dict[str, Any]) -> Figure:
     """Speed over memory of every point: of the GPU, or of the process where there is none."""
     points = sorted(found["points"], key=lambda point: point["worlds"])
-    memory = [(p["rss_mb"] if p["device_mb"] is None else p["device_mb"]) / 1024 for p in points]
+    memory = [
+        (p["rss_mb"] if p["device_mb"] is None else p["device_mb"]) / 1024 for p in points
+    ]
     ours = {
         "x": memory,
         "y": [p["sps_mean"] for p in points],
@@ -68,9 +70,13 @@ def interact_page(found: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> 
         found: see ``measure_interact``.
         pictures: "rgb" (C, h, w, 3) uint8 and "depth" (C, h, w) float32 [m] of one world, or none.
     """
-    cameras = "two 128 x 128 RGB-D pictures in every step" if found["render"] else "no pictures"
+    cameras = (
+        "two 128 x 128 RGB-D pictures in every step" if found["render"] else "no pictures"
+    )
     memory = (
-        "of the process" if found["points"][0]["device_mb"] is None else "of the GPU, all processes"
+        "of the process"
+        if found["points"][0]["device_mb"] is None
+        else "of the GPU, all processes"
     )
     hint = (
         f"{found['steps']} control steps in {found['home']}, {found['seeds']} runs of each point, {cameras}; whiskers: "
@@ -137,8 +143,8 @@ def _strip(pictures: Mapping[str, np.ndarray]) -> str:
         tiles += [rgb, np.repeat(grey[..., None], 3, axis=2)]
     strip = Image.fromarray(np.concatenate(tiles, axis=1))
     buffer = io.BytesIO()
-    strip.resize((_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST).save(
-        buffer, "PNG"
-    )
+    strip.resize(
+        (_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST
+    ).save(buffer, "PNG")
     data = base64.b64encode(buffer.getvalue()).decode("ascii")
     return f'<img style="max-width:100%" alt="head and hand, colour and depth" src="data:image/png;base64,{data}">'

@@ -109,7 +109,9 @@ def main(words: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: they are no such command.
     """
-    parser = argparse.ArgumentParser("python -m mjhab.bench.interact.recipe", description=__doc__)
+    parser = argparse.ArgumentParser(
+        "python -m mjhab.bench.interact.recipe", description=__doc__
+    )
     parser.add_argument(
         "path", type=Path, metavar="FILE.csv", help="it is written anew if it exists"
     )

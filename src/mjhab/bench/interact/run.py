@@ -91,7 +91,12 @@ class InteractBench:
             check_device_memory(worlds, pictures, device, copies=0, world_mb=WORLD_MB)
         controller = make_controller(CONTROL_MODE, 1)
         self.sim: Any = open_simulator(
-            backend, scene.layout, worlds, threads=threads, device=device, drives=controller.drives
+            backend,
+            scene.layout,
+            worlds,
+            threads=threads,
+            device=device,
+            drives=controller.drives,
         )
         self._start = np.tile(scene.qpos, (worlds, 1))
         self._homes = [scene.home] * worlds
@@ -112,12 +117,17 @@ class InteractBench:
             from mjhab.render.warp.cameras import WarpCameras
 
             return WarpCameras(
-                self.sim, self.scene.layout.robot.camera_names, (CAMERA_SIZE, CAMERA_SIZE), OUTPUTS
+                self.sim,
+                self.scene.layout.robot.camera_names,
+                (CAMERA_SIZE, CAMERA_SIZE),
+                OUTPUTS,
             ).draw
         from mjhab.render.home_scene import HomeRenderer
 
         renderer = HomeRenderer(self.sim, threads)
-        return lambda: renderer.robot_views(self.sim.state(), self._homes, CAMERA_SIZE, OUTPUTS)
+        return lambda: renderer.robot_views(
+            self.sim.state(), self._homes, CAMERA_SIZE, OUTPUTS
+        )
 
     def reset(self) -> None:
         """Put all worlds at the start."""
@@ -147,7 +157,9 @@ class InteractBench:
     def moved(self) -> list[str]:
         """Objects of world 0 that are not where they started."""
         start = self._start[0, self.sim.addresses.object_q[:, None] + np.arange(3)]
-        way = np.linalg.norm(to_numpy(self.sim.state().object_pose)[0, :, :3] - start, axis=1)
+        way = np.linalg.norm(
+            to_numpy(self.sim.state().object_pose)[0, :, :3] - start, axis=1
+        )
         return [name for name, far in zip(OBJECTS, way > MOVED, strict=True) if far]
 
     def tainted(self) -> int:
@@ -213,16 +225,20 @@ def measure_interact(
             warm(bench)
             mine = []
             for seed in range(1, spec.seeds + 1):
-                mine.append({"worlds": worlds, "seed": seed} | measure_run(bench, spec.steps))
+                mine.append(
+                    {"worlds": worlds, "seed": seed} | measure_run(bench, spec.steps)
+                )
                 advance()
             points.append(
-                summarize(mine) | {"moved": bench.moved(), "tainted_worlds": bench.tainted()}
+                summarize(mine)
+                | {"moved": bench.moved(), "tainted_worlds": bench.tainted()}
             )
             stages, pictures = stage_times(bench, min(spec.steps, STAGE_STEPS))
             points[-1] |= stages
             device = str(getattr(bench.sim, "device", "cpu"))
             runs += [
-                {"backend": backend, "device": device, "render": render, **run} for run in mine
+                {"backend": backend, "device": device, "render": render, **run}
+                for run in mine
             ]
             del bench
     common = {
@@ -266,7 +282,9 @@ def measure_run(bench: InteractBench, steps: int) -> dict[str, Any]:
     }
 
 
-def stage_times(bench: InteractBench, steps: int) -> tuple[dict[str, float | None], Pictures]:
+def stage_times(
+    bench: InteractBench, steps: int
+) -> tuple[dict[str, float | None], Pictures]:
     """Mean time of a control step of all worlds by stage, "physics_ms" and "render_ms" (None without pictures), each
     waited for, so that on a GPU they add up to more than a step takes; and what world 0 sees at the end."""
     spent = {"physics": 0.0, "render": 0.0}
@@ -303,7 +321,9 @@ def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
         "worlds": runs[0]["worlds"],
         "sps_mean": round(float(sps.mean()), 2),
         "sps_ci95": None if ci is None else round(ci, 2),
-        "reset_and_step_sps": round(float(np.mean([run["reset_and_step_sps"] for run in runs])), 2),
+        "reset_and_step_sps": round(
+            float(np.mean([run["reset_and_step_sps"] for run in runs])), 2
+        ),
         "device_mb": max(device) if device else None,
         "rss_mb": max(run["rss_mb"] for run in runs),
     }
@@ -322,6 +342,10 @@ def write_results(
 
     text = json.dumps(found, indent=1) + "\n"
     page = interact_page(found, pictures)
-    write_atomic(out / "interact.json", lambda path: path.write_text(text, encoding="utf-8"))
+    write_atomic(
+        out / "interact.json", lambda path: path.write_text(text, encoding="utf-8")
+    )
     write_atomic(out / "interact.csv", table)
-    write_atomic(out / "report.html", lambda path: path.write_text(page, encoding="utf-8"))
+    write_atomic(
+        out / "report.html", lambda path: path.write_text(page, encoding="utf-8")
+    )

@@ -88,14 +88,17 @@ class InteractScene:
 def interact_actions(scene: InteractScene) -> np.ndarray:
     """(200, A) float32 actions of CONTROL_MODE: the recorded arm, head and torso held, all others zero."""
     text = files("mjhab.bench.interact").joinpath(ACTION_FILE).read_text(encoding="utf-8")
-    arm = np.loadtxt(text.splitlines(), delimiter=",", comments="#", dtype=np.float32, ndmin=2)
+    arm = np.loadtxt(
+        text.splitlines(), delimiter=",", comments="#", dtype=np.float32, ndmin=2
+    )
     return with_body(scene, arm)
 
 
 def with_body(scene: InteractScene, arm: np.ndarray) -> np.ndarray:
     """(T, A) float32 actions that move the arm by ``arm`` (T, 7) and hold head and torso."""
     actions = np.pad(
-        arm.astype(np.float32), ((0, 0), (0, scene.layout.robot.action.dim - arm.shape[1]))
+        arm.astype(np.float32),
+        ((0, 0), (0, scene.layout.robot.action.dim - arm.shape[1])),
     )
     robot = scene.layout.robot
     actions[:, robot.action.body] = scene.robot[list(robot.body_columns)]
@@ -123,9 +126,13 @@ def interact_scene(assets: str = "builtin") -> InteractScene:
     )
 
 
-def _places(pack: Pack, home: Home) -> Iterator[tuple[Home, PlacedReceptacle, np.ndarray]]:
+def _places(
+    pack: Pack, home: Home
+) -> Iterator[tuple[Home, PlacedReceptacle, np.ndarray]]:
     """Surfaces of a home without its other furniture, and base poses (x, y, yaw) before them."""
-    for surface in placed_receptacles(Layout(dataclasses.replace(pack, homes=(home,)), ()), home):
+    for surface in placed_receptacles(
+        Layout(dataclasses.replace(pack, homes=(home,)), ()), home
+    ):
         if (
             surface.link
             or surface.kind != "open"
@@ -133,7 +140,9 @@ def _places(pack: Pack, home: Home) -> Iterator[tuple[Home, PlacedReceptacle, np
         ):
             continue
         own = [
-            p for p in home.props if p.template == surface.template and _near(p.pos, surface.pos)
+            p
+            for p in home.props
+            if p.template == surface.template and _near(p.pos, surface.pos)
         ]
         stripped = dataclasses.replace(home, props=tuple(own))
         floor = free_map(stripped, pack)

@@ -68,7 +68,8 @@ class Leg:
 
         env = self.make_env()
         env.sim = HostTwin(
-            WarpSimulator(env.layout, env.num_envs, self.device, env.controller.drives), env.sim
+            WarpSimulator(env.layout, env.num_envs, self.device, env.controller.drives),
+            env.sim,
         )
         env.state = env.sim.state()
         return env
@@ -97,7 +98,8 @@ class Log:
             for line in lines[:-1] if lines and not lines[-1].endswith("\n") else lines:
                 self._take(line)
             path.write_text(
-                "".join(json.dumps(row) + "\n" for row in self.rows.values()), encoding="utf-8"
+                "".join(json.dumps(row) + "\n" for row in self.rows.values()),
+                encoding="utf-8",
             )
 
     def _take(self, line: str) -> None:
@@ -122,11 +124,17 @@ class Log:
         """Those of the episodes that have no row."""
         return [index for index in episodes if leg.key(acting, index) not in self.rows]
 
-    def of(self, leg: Leg, acting: str, episodes: Sequence[int] | None = None) -> list[Row]:
+    def of(
+        self, leg: Leg, acting: str, episodes: Sequence[int] | None = None
+    ) -> list[Row]:
         """Rows of the episodes, of all that there are by default, in the order of their indices."""
         begin = leg.key(acting, 0)[:-1]
         found = {key[-1]: row for key, row in self.rows.items() if key[:-1] == begin}
-        return [found[index] for index in sorted(found) if episodes is None or index in episodes]
+        return [
+            found[index]
+            for index in sorted(found)
+            if episodes is None or index in episodes
+        ]
 
 
 def run_equal(
@@ -144,7 +152,14 @@ def run_equal(
     from mjhab.experts import make_expert
 
     env = leg.make_env()
-    rollout(env, make_expert(env), episodes, leg.seed, [Twin(leg.make_twin(), done)], max_steps)
+    rollout(
+        env,
+        make_expert(env),
+        episodes,
+        leg.seed,
+        [Twin(leg.make_twin(), done)],
+        max_steps,
+    )
 
 
 def run_own(leg: Leg, episodes: Sequence[int], done: Callable[[int, Row], None]) -> None:
@@ -168,7 +183,9 @@ class Twin(Sink[SequentialTaskEnv]):
         self._done = done
         self._runs: list[_Run] = [_Run() for _ in range(twin.num_envs)]
 
-    def on_reset(self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         """Begin the same episodes in the twin."""
         worlds = np.flatnonzero(mask)
         specs = [info["episode_spec"][w] for w in worlds]
@@ -191,7 +208,9 @@ class Twin(Sink[SequentialTaskEnv]):
                     kind: float(f"{rows[w]:.4g}") for kind, rows in drift.items()
                 }
 
-    def on_episode_end(self, env: SequentialTaskEnv, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(
+        self, env: SequentialTaskEnv, world: int, record: EpisodeRecord
+    ) -> None:
         """Hand on the row of the episode."""
         self._done(record.index, self._runs[world].row(record.steps))
 
@@ -206,7 +225,9 @@ class _Run:
         self.labels: list[str | None] = [None, None]
         self.drift: dict[str, dict[str, float]] = {}
 
-    def add(self, side: int, world: int, reward: np.ndarray, info: Mapping[str, Any]) -> None:
+    def add(
+        self, side: int, world: int, reward: np.ndarray, info: Mapping[str, Any]
+    ) -> None:
         self.rewards[side].append(float(reward[world]))
         self.taint[side] |= int(info["taint"][world])
         self.won[side] |= bool(info["success"][world])
@@ -261,7 +282,9 @@ def difference(a: SimState, b: SimState) -> dict[str, np.ndarray]:
     )
     by_kind = {
         "robot": np.abs(a.robot_q - b.robot_q),
-        "objects": np.linalg.norm(a.object_pose[..., :3] - b.object_pose[..., :3], axis=-1),
+        "objects": np.linalg.norm(
+            a.object_pose[..., :3] - b.object_pose[..., :3], axis=-1
+        ),
         "turns": 2 * np.arccos(np.clip(dot / norms, 0.0, 1.0)),
         "links": np.abs(a.link_q - b.link_q),
     }

@@ -28,7 +28,9 @@ PLACE = (14.0, 14.0)
 """Where the robots stand [m]: beyond the home, on its endless floor."""
 
 
-def grasp_parity(seconds: float, device: str, threads: int, seed: int) -> list[dict[str, Any]]:
+def grasp_parity(
+    seconds: float, device: str, threads: int, seed: int
+) -> list[dict[str, Any]]:
     """Shake every object of the grasp bench for ``seconds`` on both backends, a world for each.
 
     Returns:
@@ -37,7 +39,10 @@ def grasp_parity(seconds: float, device: str, threads: int, seed: int) -> list[d
     """
     pack = open_pack("builtin")
     layout = Layout(dataclasses.replace(pack, homes=pack.homes[:1]), BENCH_OBJECTS)
-    slips = {name: _shake(layout, name, seconds, device, threads, seed) for name in ("cpu", "warp")}
+    slips = {
+        name: _shake(layout, name, seconds, device, threads, seed)
+        for name in ("cpu", "warp")
+    }
     return [
         {"object": obj}
         | {
@@ -99,4 +104,6 @@ def _in_hand(sim: Any) -> np.ndarray:
     own = np.arange(sim.num_worlds)
     pos = to_numpy(state.object_pose).astype(np.float64)[own, own, :3]
     turn = mat_from_quat(to_numpy(state.body_quat).astype(np.float64)[:, hand])
-    return np.einsum("wji,wj->wi", turn, pos - to_numpy(state.body_pos).astype(np.float64)[:, hand])
+    return np.einsum(
+        "wji,wj->wi", turn, pos - to_numpy(state.body_pos).astype(np.float64)[:, hand]
+    )

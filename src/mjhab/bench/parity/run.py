@@ -139,7 +139,10 @@ def divergence(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def shares(
-    log: Log, acting: str, legs: Sequence[Leg], reduce: Callable[[Sequence[Any]], dict[str, Any]]
+    log: Log,
+    acting: str,
+    legs: Sequence[Leg],
+    reduce: Callable[[Sequence[Any]], dict[str, Any]],
 ) -> dict[str, dict[str, Any]]:
     """``reduce`` of the episodes in the log, for every leg by its name and for "all" of them; empty without any."""
     found = {f"{leg.task} {leg.subtask}": log.of(leg, acting) for leg in legs}
@@ -185,7 +188,10 @@ def own_shares(pairs_of_rows: Sequence[tuple[Row, Row]]) -> dict[str, Any]:
         "success": share([a["success"][0] == b["success"] for a, b in pairs_of_rows]),
         "label": share([a["label"][0] == b["label"] for a, b in pairs_of_rows]),
         "reward": share(
-            [abs(a["reward"][0] - b["reward"]) <= REWARD_TOLERANCE for a, b in pairs_of_rows]
+            [
+                abs(a["reward"][0] - b["reward"]) <= REWARD_TOLERANCE
+                for a, b in pairs_of_rows
+            ]
         ),
         "success_cpu": share([a["success"][0] for a, _ in pairs_of_rows]),
         "success_warp": share([b["success"] for _, b in pairs_of_rows]),

@@ -44,7 +44,9 @@ def measure_engine(spec: EngineSpec) -> dict[str, Any]:
     return found | {"threads": spec.threads or cores()}
 
 
-def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> dict[str, Any]:
+def measure_sps(
+    env: SequentialTaskEnv, steps: int, rounds: int, seed: int
+) -> dict[str, Any]:
     """Time ``env.step`` and the bare engine on the same physics: same starts, same commands, moving robots.
 
     Every round takes ``num_envs`` fresh episodes. The environment runs them once untimed, which records the actuator
@@ -84,7 +86,9 @@ def measure_sps(env: SequentialTaskEnv, steps: int, rounds: int, seed: int) -> d
             commands.append(env.ctrl)
         for name in ("engine", "env") if number % 2 else ("env", "engine"):
             times["reset"].append(begin())
-            call, inputs = (env.step, actions) if name == "env" else (env.sim.bare_step, commands)
+            call, inputs = (
+                (env.step, actions) if name == "env" else (env.sim.bare_step, commands)
+            )
             times[name].append(_seconds(call, inputs))
     engine, whole = (worlds * steps / median(times[name]) for name in ("engine", "env"))
     return {

@@ -96,7 +96,9 @@ def grasp_table(
 def bench_model(name: str, robot: Robot | None = None) -> mujoco.MjModel:
     """A robot (the default one if not given) and one object on an empty floor, with the options of every home."""
     kind: ObjectType = builtin_objects()[name]
-    home = Home("grasp_bench", "bench", "train", 0, 0, (), (-5.0, -5.0, 5.0, 5.0), "", (), ())
+    home = Home(
+        "grasp_bench", "bench", "train", 0, 0, (), (-5.0, -5.0, 5.0, 5.0), "", (), ()
+    )
     pack = Pack("bench", {}, {}, (home,), {name: kind}, dict(object_meshes()))
     return build_spec(Layout(pack, (name,), robot), home).compile()
 
@@ -127,7 +129,11 @@ class GraspBench:
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, (turn @ axes).ravel())
         start = self.model.joint(self.object).qposadr[0]
-        self.data.qpos[start : start + 3] = hand.xpos + turn @ (grasp.depth, grasp.side, 0.0)
+        self.data.qpos[start : start + 3] = hand.xpos + turn @ (
+            grasp.depth,
+            grasp.side,
+            0.0,
+        )
         self.data.qpos[start + 3 : start + 7] = quat
         mujoco.mj_forward(self.model, self.data)
 

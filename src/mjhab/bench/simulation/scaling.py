@@ -50,7 +50,9 @@ class StepTime:
         parts = np.stack([np.ones_like(worlds), worlds, worlds / threads], axis=1)
         found, _ = nnls(parts / times[:, None], np.ones_like(times))
         fixed, serial, parallel = (float(value) for value in found)
-        return cls(fixed, serial, parallel, float(np.abs(parts @ found / times - 1.0).max()))
+        return cls(
+            fixed, serial, parallel, float(np.abs(parts @ found / times - 1.0).max())
+        )
 
     def speed(self, worlds: int, threads: int) -> float:
         """Control steps/s over all worlds."""
@@ -58,7 +60,9 @@ class StepTime:
 
     def as_json(self) -> dict[str, float]:
         """The parts [microseconds] and the error [fraction]."""
-        parts = {name: 1e6 * getattr(self, name) for name in ("fixed", "serial", "parallel")}
+        parts = {
+            name: 1e6 * getattr(self, name) for name in ("fixed", "serial", "parallel")
+        }
         return {f"{name}_us": round(value, 2) for name, value in parts.items()} | {
             "error": round(self.error, 4)
         }

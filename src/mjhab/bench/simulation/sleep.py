@@ -52,7 +52,9 @@ def sleep_cost(leg: Leg, steps: int) -> list[dict[str, Any]]:
             for kind, rows in difference(asleep_end, awake_end).items()
         }
         rows.append(
-            {"engine": engine, "sleep": True} | asleep | {"difference": dict.fromkeys(KINDS, 0.0)}
+            {"engine": engine, "sleep": True}
+            | asleep
+            | {"difference": dict.fromkeys(KINDS, 0.0)}
         )
         rows.append({"engine": engine, "sleep": False} | awake | {"difference": apart})
     return rows
@@ -74,7 +76,9 @@ def _record(leg: Leg, steps: int) -> Recording:
     return Recording(env, homes, qpos, np.stack(commands))
 
 
-def _run_c(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, Any], SimState]:
+def _run_c(
+    recording: Recording, leg: Leg, sleep: bool
+) -> tuple[dict[str, Any], SimState]:
     env = recording.env
     sim = CpuSimulator(env.layout, leg.worlds, leg.threads, env.controller.drives)
     if not sleep:
@@ -87,11 +91,16 @@ def _run_c(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, Any],
         sim.step(command)
         spent += time.process_time() - begun
         if number:  # everything is awake in the first ten substeps
-            awake = max(awake, *(sim.batch.get_data(world).nv_awake for world in range(leg.worlds)))
+            awake = max(
+                awake,
+                *(sim.batch.get_data(world).nv_awake for world in range(leg.worlds)),
+            )
     return _row(spent, recording, awake, sim), _copy(sim.state())
 
 
-def _without_sleep(model_of: Callable[[str], mujoco.MjModel]) -> Callable[[str], mujoco.MjModel]:
+def _without_sleep(
+    model_of: Callable[[str], mujoco.MjModel],
+) -> Callable[[str], mujoco.MjModel]:
     """Gives models of homes of its own, in which nothing falls asleep."""
 
     @cache
@@ -103,13 +112,17 @@ def _without_sleep(model_of: Callable[[str], mujoco.MjModel]) -> Callable[[str],
     return wakeful
 
 
-def _run_warp(recording: Recording, leg: Leg, sleep: bool) -> tuple[dict[str, Any], SimState]:
+def _run_warp(
+    recording: Recording, leg: Leg, sleep: bool
+) -> tuple[dict[str, Any], SimState]:
     from mjhab.sim.warp.probe import synchronize
     from mjhab.sim.warp.simulator import BufferSizes, WarpSimulator
 
     env = recording.env
     sizes = (
-        None if sleep else BufferSizes(contacts=2048 * leg.worlds, ccd=1024 * leg.worlds, rows=4096)
+        None
+        if sleep
+        else BufferSizes(contacts=2048 * leg.worlds, ccd=1024 * leg.worlds, rows=4096)
     )
     sim = WarpSimulator(env.layout, leg.worlds, leg.device, env.controller.drives, sizes)
     rows, ctrl, rings = sim.start_rows(recording.homes, recording.qpos)

@@ -110,7 +110,9 @@ def _act_at_random(spec: SoakSpec) -> dict[str, Any]:
     with progress_bar("random actions", rounds) as advance:
         for number in range(rounds):
             for env in envs:
-                *_, info = env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))
+                *_, info = env.step(
+                    rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+                )
                 if "final_info" in info:
                     done = info["_final_info"]
                     final = info["final_info"]

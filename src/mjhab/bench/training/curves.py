@@ -50,7 +50,9 @@ def measure_curves(spec: CurvesSpec) -> dict[str, Any]:
     return found
 
 
-def train_curve(preset: str, seed: int, samples: int, run: Path) -> list[tuple[int, float]]:
+def train_curve(
+    preset: str, seed: int, samples: int, run: Path
+) -> list[tuple[int, float]]:
     """Train one run, or what is missing of it; returns its samples and success at each evaluation.
 
     Raises:
@@ -74,7 +76,9 @@ def train_curve(preset: str, seed: int, samples: int, run: Path) -> list[tuple[i
             raise KeyboardInterrupt
     lines = (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
     rows = [json.loads(line) for line in lines]
-    return [(row["samples"], row["success_once"]) for row in rows if "success_once" in row]
+    return [
+        (row["samples"], row["success_once"]) for row in rows if "success_once" in row
+    ]
 
 
 def _is_through(summary: Path, samples: int) -> bool:
@@ -87,6 +91,8 @@ def _is_through(summary: Path, samples: int) -> bool:
 def samples_to(curve: Sequence[tuple[int, float]]) -> dict[str, int | None]:
     """Samples at the first evaluation that reaches each of LEVELS."""
     return {
-        str(level): next((samples for samples, success in curve if success >= level), None)
+        str(level): next(
+            (samples for samples, success in curve if success >= level), None
+        )
         for level in LEVELS
     }

@@ -84,7 +84,9 @@ def measure_ppo(spec: LearnerSpec) -> dict[str, Any]:
         alone, _ = _timed(lambda: _step_alone(worlds, actions))  # noqa: B023
         if number:  # the first round compiles and warms up
             rows.append((collecting + updating, within, updating, alone))
-    whole, within, updating, alone = (median(column) for column in zip(*rows, strict=True))
+    whole, within, updating, alone = (
+        median(column) for column in zip(*rows, strict=True)
+    )
     samples = steps * config.worlds
     return {
         "worlds": config.worlds,
@@ -148,7 +150,9 @@ def _buffer(like: Seen, actions: int) -> ReplayBuffer:
     for _ in range(BUFFER_STEPS):
         seen = Seen(
             torch.randn(rows, shape.vector, generator=random),
-            torch.randint(256, (rows, *shape.images), generator=random, dtype=torch.uint8),
+            torch.randint(
+                256, (rows, *shape.images), generator=random, dtype=torch.uint8
+            ),
             torch.randn(rows, shape.privileged, generator=random),
         )
         acted = 2.0 * torch.rand(rows, actions, generator=random) - 1.0

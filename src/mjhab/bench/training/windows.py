@@ -36,7 +36,9 @@ def measure_windows(spec: WindowsSpec) -> dict[str, Any]:
             "the episodes have no images: record them with `mjhab generate --images depth`, or draw them with "
             "`mjhab replay --render`."
         )
-    data = WindowDataset(spec.places, Window(history=spec.history, chunk=spec.chunk, images=images))
+    data = WindowDataset(
+        spec.places, Window(history=spec.history, chunk=spec.chunk, images=images)
+    )
     torch.set_num_threads(1)
     sampler = SeededSampler(len(data), spec.seed)
     passes = {"first": _read(data, sampler, spec.batch, 0.0)}

@@ -36,6 +36,8 @@ def bench_curves(options: BenchCurvesOptions) -> int:
         reached = [run["samples_to"][str(level)] or "not reached" for level in LEVELS]
         rows.append((name, *reached, f"{100 * run['curve'][-1][1]:.0f}"))
     print_table(
-        "PPO, set_table close drawer, success once", ("run", *columns, "at the end [%]"), rows
+        "PPO, set_table close drawer, success once",
+        ("run", *columns, "at the end [%]"),
+        rows,
     )
     return 0

@@ -38,12 +38,16 @@ def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> Non
         "cold_start_s": "cold start [s]",
         "tainted": "tainted worlds",
     }
-    rows = [(told, point[name]) for name, told in names.items() if point.get(name) is not None]
+    rows = [
+        (told, point[name]) for name, told in names.items() if point.get(name) is not None
+    ]
     print_table(
         f"{options.env}, {options.obs}, {point['worlds']} worlds, {backend}",
         ("what", "value"),
         rows,
     )
     steps = point["profiled_steps"]
-    stages = [(stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES]
+    stages = [
+        (stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES
+    ]
     print_table("where the time of a step of all worlds goes", ("stage", "ms"), stages)

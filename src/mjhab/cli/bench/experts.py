@@ -62,7 +62,9 @@ def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
             if gained > 0:
                 left = round((whole - first - gained) * hours / gained * 60)
                 what = f"{gained / hours:,.0f}/h, {left // 60} h {left % 60:02d} min left"
-            bar.update(task, description=row.name, completed=sum(done.values()), what=what)
+            bar.update(
+                task, description=row.name, completed=sum(done.values()), what=what
+            )
 
         yield tell
 
@@ -70,7 +72,8 @@ def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
 def _weight(counts: Mapping[Row, int]) -> float:
     """Work of the given numbers of episodes per row, in units of single subtasks."""
     return sum(
-        count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0) for row, count in counts.items()
+        count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0)
+        for row, count in counts.items()
     )
 
 
@@ -93,8 +96,12 @@ def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> N
                 "profile": options.profile,
                 "rows": len(results),
                 "episodes": sum(result.episodes for result in results),
-                "success_once": {name_of(result): result.success_once for result in results},
-                "below_asked": [name_of(result) for result in results if result.met is False],
+                "success_once": {
+                    name_of(result): result.success_once for result in results
+                },
+                "below_asked": [
+                    name_of(result) for result in results if result.met is False
+                ],
                 "tainted": sum(result.tainted for result in results),
                 "failed_rows": [row.name for row in errors],
                 "left": left,
@@ -104,15 +111,35 @@ def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> N
         )
         return
     for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
-        rows = [_cells(result) for result in singles if (result.pack, result.task) == (pack, task)]
-        columns = ("subtask", "target", "n", "once", "95 %", "< 1,400 N", "asked", "paper")
+        rows = [
+            _cells(result)
+            for result in singles
+            if (result.pack, result.task) == (pack, task)
+        ]
+        columns = (
+            "subtask",
+            "target",
+            "n",
+            "once",
+            "95 %",
+            "< 1,400 N",
+            "asked",
+            "paper",
+        )
         print_table(
             f"{task}, {pack} homes, {options.split}, profile {options.profile}: success once [%]",
             columns,
             rows,
         )
     if chains:
-        columns = ("chain", "n", "complete", "95 %", "asked", "completed 1, 2, ... subtasks")
+        columns = (
+            "chain",
+            "n",
+            "complete",
+            "95 %",
+            "asked",
+            "completed 1, 2, ... subtasks",
+        )
         print_table(
             f"Progressive completion, {options.split}, profile {options.profile} [%]",
             columns,
@@ -128,7 +155,13 @@ def name_of(result: Result) -> str:
 
 
 def _cells(r: Result) -> tuple[object, ...]:
-    rates = (_text(r.success_once), _interval(r), _text(r.gentle), _text(r.asked), _text(r.paper))
+    rates = (
+        _text(r.success_once),
+        _interval(r),
+        _text(r.gentle),
+        _text(r.asked),
+        _text(r.paper),
+    )
     return r.subtask, r.target, r.episodes, *rates
 
 

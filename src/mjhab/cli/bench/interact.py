@@ -30,8 +30,12 @@ def bench_interact(options: BenchInteractOptions) -> int:
     if options.json:
         print_json(found)
         return 0
-    kind = "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
-    rows = [[len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]]
+    kind = (
+        "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
+    )
+    rows = [
+        [len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]
+    ]
     print_table(
         f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms",
         tuple(_HEADS.values()),

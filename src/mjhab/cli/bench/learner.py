@@ -9,7 +9,13 @@ from mjhab.learning.require import require_learn
 
 def bench_learner(options: BenchLearnerOptions) -> int:
     """Print the results of `measure_learner`."""
-    for name, least in (("worlds", 0), ("rounds", 1), ("updates", 1), ("threads", 0), ("seed", 0)):
+    for name, least in (
+        ("worlds", 0),
+        ("rounds", 1),
+        ("updates", 1),
+        ("threads", 0),
+        ("seed", 0),
+    ):
         if getattr(options, name) is not None:
             at_least(name, getattr(options, name), least)
     at_least("batches", min(options.batches, default=0), 2)
@@ -29,10 +35,17 @@ def bench_learner(options: BenchLearnerOptions) -> int:
         "learner_share": "share of the time in updates",
     }
     rows = [(told, ppo[name]) for name, told in names.items()]
-    print_table(f"PPO, {ppo['worlds']} worlds, {found['threads']} threads", ("what", "value"), rows)
+    print_table(
+        f"PPO, {ppo['worlds']} worlds, {found['threads']} threads",
+        ("what", "value"),
+        rows,
+    )
     print_table(
         "SAC",
         ("inputs", "batch", "updates/s"),
-        [(row["inputs"], row["batch"], row["updates_per_second"]) for row in found["sac"]],
+        [
+            (row["inputs"], row["batch"], row["updates_per_second"])
+            for row in found["sac"]
+        ],
     )
     return 0

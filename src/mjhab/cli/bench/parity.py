@@ -25,11 +25,17 @@ def bench_parity(options: BenchParityOptions) -> int:
         ("median", "median over the worlds"),
     ):
         rows = [
-            [f"{kind} [{KINDS[kind]}]", *(f"{x:.2g}" for x in found[f"qpos_{name}"][kind])]
+            [
+                f"{kind} [{KINDS[kind]}]",
+                *(f"{x:.2g}" for x in found[f"qpos_{name}"][kind]),
+            ]
             for kind in KINDS
         ]
         print_table(title, ("what", *marks), rows)
-    for acting, title in (("equal", "the same actions"), ("own", "the expert on each by itself")):
+    for acting, title in (
+        ("equal", "the same actions"),
+        ("own", "the expert on each by itself"),
+    ):
         legs = found[f"episodes_{acting}"]
         if legs:
             print_table(
@@ -46,7 +52,13 @@ def bench_parity(options: BenchParityOptions) -> int:
             ]
             for row in found["grasps"]
         ]
-        columns = ("object", "cpu slip [mm]", "cpu dropped", "warp slip [mm]", "warp dropped")
+        columns = (
+            "object",
+            "cpu slip [mm]",
+            "cpu dropped",
+            "warp slip [mm]",
+            "warp dropped",
+        )
         print_table(f"{options.grasp_seconds:g} s of shaking", columns, rows)
     print(f"Not compared: {NOT_COMPARED}.")
     return 0

@@ -6,7 +6,12 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from mjhab.bench.simulation.scaling import MEASURED, MOST_CELLS, measure_scaling, threads_of
+from mjhab.bench.simulation.scaling import (
+    MEASURED,
+    MOST_CELLS,
+    measure_scaling,
+    threads_of,
+)
 from mjhab.cli.options.engine import BenchScalingOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
@@ -31,7 +36,9 @@ def bench_scaling(options: BenchScalingOptions) -> int:
     at_least("seed", options.seed, 0)
     cells = len(options.worlds) * len(options.threads or threads_of(cores()))
     if cells > MOST_CELLS:
-        raise UsageError(f"{cells} combinations of --worlds and --threads; at most {MOST_CELLS}.")
+        raise UsageError(
+            f"{cells} combinations of --worlds and --threads; at most {MOST_CELLS}."
+        )
     found = measure_scaling(options, _told)
     if options.json:
         print_json(found)
@@ -56,7 +63,13 @@ def bench_scaling(options: BenchScalingOptions) -> int:
 
 
 def _cells(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return (row["threads"], row["worlds"], row["engine_sps"], row["env_sps"], row["ratio"])
+    return (
+        row["threads"],
+        row["worlds"],
+        row["engine_sps"],
+        row["env_sps"],
+        row["ratio"],
+    )
 
 
 def _told(row: Mapping[str, Any]) -> None:

@@ -16,8 +16,12 @@ def bench_serving(options: BenchServingOptions) -> int:
     if options.json:
         print_json(found)
     else:
-        rows = [(name, cost["p50"], cost["p99"]) for name, cost in found["requests"].items()]
+        rows = [
+            (name, cost["p50"], cost["p99"]) for name, cost in found["requests"].items()
+        ]
         title = f"A request with two images of {IMAGE_SIZE_PX} px [ms]"
         print_table(title, ("dialect", "median", "99 %"), rows)
-        print_table("A server that is killed", ("what", "value"), list(found["restarted"].items()))
+        print_table(
+            "A server that is killed", ("what", "value"), list(found["restarted"].items())
+        )
     return 1 if found["lost"] or found["slowest_ms"] > MAX_ADDED_MS else 0

@@ -36,8 +36,12 @@ def _write(options: BenchSoakOptions, found: dict[str, Any]) -> None:
     name = "generation with the expert" if options.generate else "random actions"
     picture = memory_picture({name: found})
     text = json.dumps(found, indent=1) + "\n"
-    write_atomic(options.out / RESULTS, lambda path: path.write_text(text, encoding="utf-8"))
-    write_atomic(options.out / PICTURE, lambda path: path.write_text(picture, encoding="utf-8"))
+    write_atomic(
+        options.out / RESULTS, lambda path: path.write_text(text, encoding="utf-8")
+    )
+    write_atomic(
+        options.out / PICTURE, lambda path: path.write_text(picture, encoding="utf-8")
+    )
 
 
 def _print(found: dict[str, Any]) -> None:

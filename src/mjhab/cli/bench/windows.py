@@ -15,7 +15,9 @@ def bench_windows(options: BenchWindowsOptions) -> int:
         at_least(name, getattr(options, name), 1)
     at_least("seed", options.seed, 0)
     if not 0 < options.seconds <= 3600:
-        raise UsageError(f"--seconds must be above 0 and at most 3600, got {options.seconds}.")
+        raise UsageError(
+            f"--seconds must be above 0 and at most 3600, got {options.seconds}."
+        )
     require_learn()
     found = measure_windows(options)
     if options.json:
@@ -23,7 +25,10 @@ def bench_windows(options: BenchWindowsOptions) -> int:
         return 0
     rows = [
         (name, f"{found[key]['per_s']:,.0f}", f"{found[key]['per_cpu_s']:,.0f}")
-        for name, key in (("first pass, which decodes", "first"), ("later passes", "later"))
+        for name, key in (
+            ("first pass, which decodes", "first"),
+            ("later passes", "later"),
+        )
     ]
     title = f"{found['windows']:,} windows of {found['bytes_per_window']:,} bytes: {', '.join(found['images'])}"
     print_table(title, ("pass", "windows/s", "windows per second of CPU"), rows)

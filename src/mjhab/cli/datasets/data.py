@@ -104,8 +104,18 @@ def _stats(options: DataStatsOptions) -> int:
     if options.json:
         print_json(numbers)
         return 0
-    columns = ("task", "subtask", "target", "episodes", "success %", "median N", "largest N")
-    print_table("Recorded episodes", columns, [_stats_row(row) for row in numbers["rows"]])
+    columns = (
+        "task",
+        "subtask",
+        "target",
+        "episodes",
+        "success %",
+        "median N",
+        "largest N",
+    )
+    print_table(
+        "Recorded episodes", columns, [_stats_row(row) for row in numbers["rows"]]
+    )
     labels = [
         (row["task"], row["subtask"], row["target"], label or "none", count)
         for row in numbers["rows"]
@@ -149,7 +159,13 @@ def _report(options: DataReportOptions) -> int:
 def _merge(options: DataMergeOptions) -> int:
     done = merge(options.places, options.out, read_filter(options.where, options.preset))
     if options.json:
-        print_json({"written": done.written, "left_out": done.left_out, "repeated": done.repeated})
+        print_json(
+            {
+                "written": done.written,
+                "left_out": done.left_out,
+                "repeated": done.repeated,
+            }
+        )
     else:
         print(
             f"{done.written} episodes written to {options.out}; {done.left_out} left out by the filter, "
@@ -162,7 +178,9 @@ def _split(options: DataSplitOptions) -> int:
     if options.by not in GROUPINGS:
         raise unknown_name("--by", options.by, GROUPINGS)
     at_least("seed", options.seed, 0)
-    sizes = split(options.places, options.out, _parts(options.parts), options.by, options.seed)
+    sizes = split(
+        options.places, options.out, _parts(options.parts), options.by, options.seed
+    )
     if options.json:
         print_json({"parts": sizes})
     else:
@@ -203,11 +221,20 @@ def _import(options: DataImportOptions) -> int:
     present = sum(each.present for each in done)
     if options.json:
         print_json(
-            {"episodes": episodes, "frames": frames, "present": present, "lacks": list(ABSENT)}
+            {
+                "episodes": episodes,
+                "frames": frames,
+                "present": present,
+                "lacks": list(ABSENT),
+            }
         )
         return 0
-    print(f"{episodes} episodes, {frames:,} frames in {options.out}; {present} were there already")
-    print(f"The data lack {', '.join(ABSENT)}: they cannot be replayed, rendered or relabelled.")
+    print(
+        f"{episodes} episodes, {frames:,} frames in {options.out}; {present} were there already"
+    )
+    print(
+        f"The data lack {', '.join(ABSENT)}: they cannot be replayed, rendered or relabelled."
+    )
     return 0
 
 
@@ -215,7 +242,8 @@ def _check(options: DataCheckOptions) -> int:
     with progress_bar("checking", len(shard_paths(options.places))) as advance:
         report = check(options.places, advance)
     damaged = [
-        (str(path), name, "; ".join(wrong)) for (path, name), wrong in report.damaged.items()
+        (str(path), name, "; ".join(wrong))
+        for (path, name), wrong in report.damaged.items()
     ]
     unreadable = [(str(path), "", wrong) for path, wrong in report.unreadable.items()]
     if options.json:
@@ -237,7 +265,9 @@ def _check(options: DataCheckOptions) -> int:
         return 0 if report.clean else 1
     if damaged or unreadable:
         print_table(
-            "Damaged", ("shard", "episode", "what is wrong"), (damaged + unreadable)[:_MOST_ROWS]
+            "Damaged",
+            ("shard", "episode", "what is wrong"),
+            (damaged + unreadable)[:_MOST_ROWS],
         )
     for path in report.unfinished:
         print(
@@ -276,7 +306,11 @@ def _repair(options: DataRepairOptions) -> int:
         return 0
     for each in done:
         print(_repaired(each))
-    more = "" if indexed else "; how many more are lost is unknown, because an index is damaged"
+    more = (
+        ""
+        if indexed
+        else "; how many more are lost is unknown, because an index is damaged"
+    )
     print(f"{kept} episodes kept, {lost} lost{more}")
     return 0
 
@@ -288,20 +322,28 @@ def _repaired(done: Repair) -> str:
             if done.indexed
             else f"at least {len(done.lost)} lost (its index is damaged)"
         )
-        return (
-            f"{done.path}: {done.kept} episodes saved, {lost}; the damaged file is {done.kept_as}"
-        )
-    what = "an interrupted write was completed or undone" if done.finished else "nothing to do"
+        return f"{done.path}: {done.kept} episodes saved, {lost}; the damaged file is {done.kept_as}"
+    what = (
+        "an interrupted write was completed or undone"
+        if done.finished
+        else "nothing to do"
+    )
     return f"{done.path}: {done.kept} episodes, {what}"
 
 
 def _fields(options: DataFieldsOptions) -> int:
     names = [(fact.name, fact.kind, fact.meaning) for fact in facts().values()]
-    names += [(f"{name}(event)", "a number", meaning) for name, (meaning, _) in FUNCTIONS.items()]
+    names += [
+        (f"{name}(event)", "a number", meaning)
+        for name, (meaning, _) in FUNCTIONS.items()
+    ]
     presets = [(name, text, meaning) for name, (text, meaning) in PRESETS.items()]
     if options.json:
         print_json(
-            {"fields": [list(row) for row in names], "presets": [list(row) for row in presets]}
+            {
+                "fields": [list(row) for row in names],
+                "presets": [list(row) for row in presets],
+            }
         )
         return 0
     print_table("Names in filters", ("name", "is", "meaning"), names)
@@ -323,7 +365,8 @@ def _label(options: LabelOptions) -> int:
                 episodes += 1
                 subtasks = subtasks + len(record.subtasks)
                 changes += [
-                    (episode.name, str(c.subtask), c.what, str(c.old), str(c.new)) for c in changed
+                    (episode.name, str(c.subtask), c.what, str(c.old), str(c.new))
+                    for c in changed
                 ]
                 if changed:
                     new[episode.name] = record

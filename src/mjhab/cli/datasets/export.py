@@ -73,7 +73,9 @@ def _lerobot(options: ExportLerobotOptions) -> int:
         raise UsageError(
             f"LeRobot data sets need pyarrow; install it with: {install_extra('data')}"
         ) from error
-    choice = Choice(not options.no_rgb, not options.no_depth, not options.no_seg, options.until)
+    choice = Choice(
+        not options.no_rgb, not options.no_depth, not options.no_seg, options.until
+    )
     films = FilmTools(
         functools.partial(FilmWriter, quality=options.quality, keyframes=_KEYFRAMES),
         join_films,
@@ -84,7 +86,13 @@ def _lerobot(options: ExportLerobotOptions) -> int:
             _request(options), films, version=options.version, choice=choice, begin=begin
         )
     if options.json:
-        print_json({"episodes": done.episodes, "frames": done.frames, "images": list(done.images)})
+        print_json(
+            {
+                "episodes": done.episodes,
+                "frames": done.frames,
+                "images": list(done.images),
+            }
+        )
         return 0
     images = (
         f"with {', '.join(done.images)}"
@@ -97,7 +105,9 @@ def _lerobot(options: ExportLerobotOptions) -> int:
 
 def _maniskill(options: ExportManiskillOptions) -> int:
     with late_bar("exporting") as begin:
-        done = export_maniskill(_request(options), until=Until.parse(options.until), begin=begin)
+        done = export_maniskill(
+            _request(options), until=Until.parse(options.until), begin=begin
+        )
     if options.json:
         print_json(
             {

@@ -89,7 +89,10 @@ def _progress(spec: GenerateSpec) -> Iterator[Callable[[Standing], None]]:
             rate = now.written / (time.perf_counter() - begun) * 3600
             share = f", yield {100 * now.passed / now.tried:.0f} %" if now.tried else ""
             bar.update(
-                task, completed=done, total=max(total, 1), what=f"{share}, {rate:,.0f} episodes/h"
+                task,
+                completed=done,
+                total=max(total, 1),
+                what=f"{share}, {rate:,.0f} episodes/h",
             )
 
         yield tell

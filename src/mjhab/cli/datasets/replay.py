@@ -39,7 +39,14 @@ def _verify(options: ReplayOptions) -> int:
     if options.json:
         error = found.max_error if math.isfinite(found.max_error) else None
         others = {"unlike": len(found.unlike), "moved": len(found.moved)}
-        print_json({"episodes": found.episodes, "exact": found.exact, "max_error": error, **others})
+        print_json(
+            {
+                "episodes": found.episodes,
+                "exact": found.exact,
+                "max_error": error,
+                **others,
+            }
+        )
     else:
         if found.wrong:
             rows = [
@@ -47,7 +54,9 @@ def _verify(options: ReplayOptions) -> int:
                 for name, what in found.wrong.items()
             ]
             print_table(
-                "Not as recorded", ("episode", "other model", "what differs"), rows[:_MOST_ROWS]
+                "Not as recorded",
+                ("episode", "other model", "what differs"),
+                rows[:_MOST_ROWS],
             )
         print(
             f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}"
@@ -66,9 +75,15 @@ def _verify(options: ReplayOptions) -> int:
 
 def _render(options: ReplayOptions) -> int:
     if options.out is None:
-        raise UsageError("--render needs --out FILE.h5: the recorded shard is not changed.")
-    if any(path.resolve() == options.out.resolve() for path in shard_paths(options.places)):
-        raise UsageError(f"--out {options.out} is one of the shards to replay; give a new file.")
+        raise UsageError(
+            "--render needs --out FILE.h5: the recorded shard is not changed."
+        )
+    if any(
+        path.resolve() == options.out.resolve() for path in shard_paths(options.places)
+    ):
+        raise UsageError(
+            f"--out {options.out} is one of the shards to replay; give a new file."
+        )
     if len(options.camera_size) > 2:
         raise UsageError(
             f"--camera-size is one number or height and width, got {options.camera_size}."
@@ -111,7 +126,11 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], RecordedEnv]:
     if options.cameras is not None:
         robot_cameras = tuple(name for name in options.cameras if name != FOLLOW)
     drawn = options.render if robot_cameras != () else "state"
-    size = options.camera_size[0] if len(options.camera_size) == 1 else tuple(options.camera_size)
+    size = (
+        options.camera_size[0]
+        if len(options.camera_size) == 1
+        else tuple(options.camera_size)
+    )
     sight: dict[str, Any] = {"obs_mode": "state"}
     if options.render is not None:
         sight = {"obs_mode": drawn, "camera_size": size}
@@ -119,6 +138,8 @@ def _maker(options: ReplayOptions) -> Callable[[RunInfo], RecordedEnv]:
             sight["cameras"] = robot_cameras
 
     def make_env(run: RunInfo) -> RecordedEnv:
-        return recorded_env(run, **sight, num_envs=options.worlds, threads=options.threads)
+        return recorded_env(
+            run, **sight, num_envs=options.worlds, threads=options.threads
+        )
 
     return make_env

@@ -71,7 +71,9 @@ def diagnose() -> dict[str, Any]:
 def _print(found: dict[str, Any]) -> None:
     mujoco = found["mujoco"] or "missing"
     if found["mujoco"] != PINNED_MUJOCO:
-        mujoco += f"; mjhab needs {PINNED_MUJOCO}: {pip_install(f'mujoco=={PINNED_MUJOCO}')}"
+        mujoco += (
+            f"; mjhab needs {PINNED_MUJOCO}: {pip_install(f'mujoco=={PINNED_MUJOCO}')}"
+        )
     rows = [("mjhab", __version__), ("python", found["python"]), ("mujoco", mujoco)]
     rows += [
         (name, installed(name) or "missing")
@@ -81,14 +83,18 @@ def _print(found: dict[str, Any]) -> None:
     extras = []
     for name, modules in EXTRAS.items():
         here = all(importlib.util.find_spec(module) for module in modules)
-        extras.append((name, ", ".join(modules), "yes" if here else f"no: {install_extra(name)}"))
+        extras.append(
+            (name, ", ".join(modules), "yes" if here else f"no: {install_extra(name)}")
+        )
     print_table("extras", ("extra", "modules", "installed"), extras)
     robots = [
-        (name, f"no: {missing}" if missing else "yes") for name, missing in found["robots"].items()
+        (name, f"no: {missing}" if missing else "yes")
+        for name, missing in found["robots"].items()
     ]
     print_table("robots", ("robot", "available"), robots)
     renderers = [
-        (name, "works" if works else _advice(name)) for name, works in found["renderers"].items()
+        (name, "works" if works else _advice(name))
+        for name, works in found["renderers"].items()
     ]
     print_table("renderers", ("renderer", "state"), renderers)
     gpu = found["gpu"] or "none found (the CPU is all that is needed)"
@@ -97,12 +103,17 @@ def _print(found: dict[str, Any]) -> None:
         ("gpu", gpu),
         ("cache", found["cache"]),
         ("cache size", _size(found["cache"])),
-        ("cache in memory", f"{found['memory_cache_mb']:g} MB at most (${LIMIT_VARIABLE})"),
+        (
+            "cache in memory",
+            f"{found['memory_cache_mb']:g} MB at most (${LIMIT_VARIABLE})",
+        ),
     ]
     print_table("machine", ("what", "value"), machine)
     if found["plugins"]:
         print_table(
-            "plugins", ("plugin", "where", "registered"), map(_plugin_row, found["plugins"])
+            "plugins",
+            ("plugin", "where", "registered"),
+            map(_plugin_row, found["plugins"]),
         )
 
 

@@ -82,7 +82,9 @@ def copy_examples(folder: Path) -> int:
     places = {path: folder / path.relative_to(SOURCE) for path in _files()}
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder} is a file; the examples need a folder.")
-    changed = [str(p) for f, p in places.items() if p.exists() and not filecmp.cmp(f, p, False)]
+    changed = [
+        str(p) for f, p in places.items() if p.exists() and not filecmp.cmp(f, p, False)
+    ]
     if changed:
         raise UsageError(
             f"{folder} has files that differ from the examples: {', '.join(changed)}. They are not overwritten; "

@@ -29,7 +29,9 @@ def run_warmup(options: WarmupOptions) -> int:
     if options.json:
         print_json({"backend": backend, "seconds": seconds})
     else:
-        print_table(f"ready for backend {backend}", ("what", "seconds"), list(seconds.items()))
+        print_table(
+            f"ready for backend {backend}", ("what", "seconds"), list(seconds.items())
+        )
     return 0
 
 

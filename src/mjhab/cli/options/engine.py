@@ -5,7 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mjhab.bench.specs import EngineSpec, ScalingSpec
-from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, Numbers, StageMesh
+from mjhab.cli.options.common import (
+    Assets,
+    Joints,
+    MaybeName,
+    Name,
+    Number,
+    Numbers,
+    StageMesh,
+)
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,10 @@ class RobotsShowOptions:
 class RobotsCommand:
     """List and describe robots."""
 
-    command: Annotated[RobotsListOptions, Sub("list")] | Annotated[RobotsShowOptions, Sub("show")]
+    command: (
+        Annotated[RobotsListOptions, Sub("list")]
+        | Annotated[RobotsShowOptions, Sub("show")]
+    )
 
 
 EnvId = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ID")]
@@ -89,7 +92,8 @@ class EnvsCommand:
     """List environments and describe their observations, actions and rewards."""
 
     command: (
-        Annotated[EnvsListOptions, Sub("list")] | Annotated[EnvsDescribeOptions, Sub("describe")]
+        Annotated[EnvsListOptions, Sub("list")]
+        | Annotated[EnvsDescribeOptions, Sub("describe")]
     )
 
 

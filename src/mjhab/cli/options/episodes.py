@@ -8,7 +8,15 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.cli.options.common import Assets, Joints, MaybeName, Name, Number, StageMesh, Sub
+from mjhab.cli.options.common import (
+    Assets,
+    Joints,
+    MaybeName,
+    Name,
+    Number,
+    StageMesh,
+    Sub,
+)
 
 
 @dataclass(frozen=True)
@@ -75,5 +83,6 @@ class EpisodesCommand:
     """Make or check files of episodes."""
 
     command: (
-        Annotated[EpisodesMakeOptions, Sub("make")] | Annotated[EpisodesCheckOptions, Sub("check")]
+        Annotated[EpisodesMakeOptions, Sub("make")]
+        | Annotated[EpisodesCheckOptions, Sub("check")]
     )

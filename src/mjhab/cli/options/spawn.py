@@ -70,7 +70,9 @@ class SpawnsListOptions:
     `mjhab spawns list spawns`
     """
 
-    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|FILE")] = Path()
+    path: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER|FILE")] = (
+        Path()
+    )
     """A set of starts, or a folder of sets."""
     json: bool = False
     """Print one line of JSON instead of a table."""
@@ -80,7 +82,10 @@ class SpawnsListOptions:
 class SpawnsCommand:
     """Make or list sets of starts."""
 
-    command: Annotated[SpawnsMakeOptions, Sub("make")] | Annotated[SpawnsListOptions, Sub("list")]
+    command: (
+        Annotated[SpawnsMakeOptions, Sub("make")]
+        | Annotated[SpawnsListOptions, Sub("list")]
+    )
 
 
 @dataclass(frozen=True)

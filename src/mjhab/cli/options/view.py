@@ -40,7 +40,8 @@ class ViewOptions(PolicyProfileOptions):
     """
 
     places: Annotated[
-        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[SHARD|FOLDER ...]")
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="[SHARD|FOLDER ...]"),
     ] = ()
     """Shards (*.h5) or folders of shards to view. Without any, new worlds run."""
     task: Name = "set_table"

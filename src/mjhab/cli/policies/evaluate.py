@@ -8,7 +8,13 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.evaluate import DemoOptions, EvalOptions
@@ -111,7 +117,9 @@ class ProgressSink(Sink[RolloutEnv]):
         )
         self._total = spec.episodes
         name = f"{spec.task} {spec.subtask or ''}".strip()
-        self._task = self._bar.add_task(name, total=spec.episodes, start=False, rate="", success="")
+        self._task = self._bar.add_task(
+            name, total=spec.episodes, start=False, rate="", success=""
+        )
         self._started = 0.0
         self._shown = 0.0
         self._steps = 0
@@ -135,21 +143,28 @@ class ProgressSink(Sink[RolloutEnv]):
         now = time.perf_counter()
         if now - self._shown > self.REFRESH:
             self._shown = now
-            self._bar.update(self._task, rate=f"{self._steps / (now - self._started):,.0f} steps/s")
+            self._bar.update(
+                self._task, rate=f"{self._steps / (now - self._started):,.0f} steps/s"
+            )
 
     def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Advance the bar by one episode."""
         self._done += 1
         self._won += record.success_once
         self._bar.update(
-            self._task, advance=1, success=f", {100 * self._won / self._done:.0f} % success"
+            self._task,
+            advance=1,
+            success=f", {100 * self._won / self._done:.0f} % success",
         )
 
 
 def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
     summary = run.summary
     if run.film_problem:
-        print(f"mjhab: films stopped, the evaluation went on: {run.film_problem}", file=sys.stderr)
+        print(
+            f"mjhab: films stopped, the evaluation went on: {run.film_problem}",
+            file=sys.stderr,
+        )
     if interrupted:
         print(
             f"mjhab: interrupted; {summary['episodes']} of {options.episodes} episodes are kept in {run.path}. "
@@ -176,19 +191,39 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
     )
     latency = summary.get("latency_ms", {"p50": None})
     if latency["p50"] is not None:
-        print(f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms")
+        print(
+            f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms"
+        )
     print(f"report: {run.report}")
 
 
 def _print_rows(title: str, rows: Sequence[SubtaskRow]) -> None:
-    columns = ("#", "subtask", "target", "reached", "success once", "95 % interval", "at end")
+    columns = (
+        "#",
+        "subtask",
+        "target",
+        "reached",
+        "success once",
+        "95 % interval",
+        "at end",
+    )
     print_table(title, columns, [_cells(row) for row in rows])
 
 
 def _cells(row: SubtaskRow) -> tuple[object, ...]:
-    head = ("" if row.position is None else row.position + 1, row.kind, row.target, row.reached)
+    head = (
+        "" if row.position is None else row.position + 1,
+        row.kind,
+        row.target,
+        row.reached,
+    )
     if not row.reached:
         return (*head, "-", "-", "-")
     low, high = row.interval
     interval = f"{100 * low:.0f} to {100 * high:.0f} %"
-    return (*head, f"{100 * row.success_once:.1f} %", interval, f"{100 * row.success_at_end:.1f} %")
+    return (
+        *head,
+        f"{100 * row.success_once:.1f} %",
+        interval,
+        f"{100 * row.success_at_end:.1f} %",
+    )

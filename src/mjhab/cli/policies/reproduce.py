@@ -70,7 +70,10 @@ def tell(
 ) -> None:
     """Print the table, or its JSON."""
     if interrupted:
-        print("mjhab: interrupted. The same command with --resume continues.", file=sys.stderr)
+        print(
+            "mjhab: interrupted. The same command with --resume continues.",
+            file=sys.stderr,
+        )
     if options.json:
         print_json({"rows": list(results), "report": str(options.out / REPORT)})
         return

@@ -39,7 +39,9 @@ def run_score(options: ScoreOptions) -> int:
     if options.table:
         return _table(options)
     if options.starts:
-        count = write_starts(options.track, options.split, options.worlds, options.threads)
+        count = write_starts(
+            options.track, options.split, options.worlds, options.threads
+        )
         print(f"{count} starts of {options.track}/{options.split} written")
         return 0
     return _score(options)

@@ -33,7 +33,9 @@ def run_serve(options: ServeOptions) -> int:
 
     dialect = dialect_named(options.dialect)
     spec = full_spec(options.policy, options.task, options.subtask, options.target)
-    responder = TwinResponder(spec, PolicyOptions(options.seed, options.style), options.assets)
+    responder = TwinResponder(
+        spec, PolicyOptions(options.seed, options.style), options.assets
+    )
     token = os.environ.get(TOKEN_VARIABLE, "")
     made_up = not token and options.host not in LOCAL_HOSTS
     if made_up:

@@ -80,7 +80,9 @@ def _train(options: RunOptions) -> TrainingResult:
     if isinstance(options, ReinforcementOptions):
         from mjhab.learning.reinforcement.train import train_reinforcement
 
-        return train_reinforcement(reinforcement_request(options), options.out, options.resume)
+        return train_reinforcement(
+            reinforcement_request(options), options.out, options.resume
+        )
     assert isinstance(options, TrainOptions)
     from mjhab.learning.runs.train import train
 
@@ -97,7 +99,14 @@ def make_scene(options: RunOptions) -> Scene:
 
     TASKS.check(options.task)
     SUBTASKS.check(options.subtask)
-    for name in ("eval_episodes", "round_episodes", "films", "seed", "threads", "budget_minutes"):
+    for name in (
+        "eval_episodes",
+        "round_episodes",
+        "films",
+        "seed",
+        "threads",
+        "budget_minutes",
+    ):
         at_least(name.replace("_", "-"), getattr(options, name), 0)
     profile_named(options.profile or DEFAULT_PROFILE)
     return Scene(
@@ -184,7 +193,9 @@ def make_request(options: TrainOptions) -> Request:
         config=resolved(options),
         scene=scene,
         means=Means(
-            options.worlds, options.workers, options.threads or max(1, cores() // options.workers)
+            options.worlds,
+            options.workers,
+            options.threads or max(1, cores() // options.workers),
         ),
         seed=options.seed,
         data=options.data,
@@ -225,9 +236,13 @@ def resolved(options: TrainOptions) -> TrainConfig:
     from mjhab.learning.changes import with_changes
     from mjhab.learning.configs import preset_of
 
-    config = with_changes(preset_of(ALGORITHMS[type(options)], options.preset), options.set)
+    config = with_changes(
+        preset_of(ALGORITHMS[type(options)], options.preset), options.set
+    )
     words = tuple(Styles.parse(options.style).words) or None
-    student = _changed(config.student, demos=options.demos, updates=options.updates, style=words)
+    student = _changed(
+        config.student, demos=options.demos, updates=options.updates, style=words
+    )
     dagger = config.dagger
     if isinstance(options, TrainDaggerOptions) and dagger is not None:
         changes: dict[str, int] = {}
@@ -275,5 +290,9 @@ def _kept(out: Path, summary: Mapping[str, Any]) -> str:
     """What an interrupted run has left, and what --resume makes of it."""
     if (out / TRAINING).is_file():
         return f"the last checkpoint is kept in {out}. The same command with --resume continues."
-    kept = f"the policy is kept in {out}" if summary["checkpoint"] else "there is no checkpoint yet"
+    kept = (
+        f"the policy is kept in {out}"
+        if summary["checkpoint"]
+        else "there is no checkpoint yet"
+    )
     return f"{kept}. The same command with --resume trains from the beginning."

@@ -32,7 +32,10 @@ from mjhab.core.files.cache import assets_dir
 
 
 def run_assets(
-    options: AssetsListOptions | AssetsFetchOptions | AssetsVerifyOptions | AssetsWhereOptions,
+    options: AssetsListOptions
+    | AssetsFetchOptions
+    | AssetsVerifyOptions
+    | AssetsWhereOptions,
 ) -> int:
     """Run one of the four commands and return the exit code."""
     if isinstance(options, AssetsListOptions):
@@ -65,7 +68,9 @@ def list_assets(options: AssetsListOptions) -> int:
         (row["name"], row["title"], row["licence"], "yes" if row["installed"] else "no")
         for row in rows
     ]
-    print_table(f"data sets, in {assets_dir()}", ("name", "what", "licence", "installed"), shown)
+    print_table(
+        f"data sets, in {assets_dir()}", ("name", "what", "licence", "installed"), shown
+    )
     return 0
 
 
@@ -73,7 +78,9 @@ def fetch_assets(options: AssetsFetchOptions) -> int:
     """Install one data set, from the hub or from an archive."""
     source = source_named(options.name)
     source = replace(
-        source, repo=options.repo or source.repo, revision=options.revision or source.revision
+        source,
+        repo=options.repo or source.repo,
+        revision=options.revision or source.revision,
     )
     _agree(source, options.accept_licence)
     if options.offline is not None:
@@ -97,7 +104,9 @@ def fetch_assets(options: AssetsFetchOptions) -> int:
             }
         )
     else:
-        print(f"{source.name}: {len(record['files'])} files, {size / 1e6:.1f} MB in {folder}")
+        print(
+            f"{source.name}: {len(record['files'])} files, {size / 1e6:.1f} MB in {folder}"
+        )
     return 0
 
 
@@ -107,7 +116,10 @@ def _agree(source: Source, accepted: bool) -> None:
     Raises:
         UsageError: the licence is not accepted.
     """
-    print(f"{source.title}\nLicence: {source.licence}\nTerms: {source.terms}", file=sys.stderr)
+    print(
+        f"{source.title}\nLicence: {source.licence}\nTerms: {source.terms}",
+        file=sys.stderr,
+    )
     if accepted:
         return
     if not sys.stdin.isatty():
@@ -116,7 +128,9 @@ def _agree(source: Source, accepted: bool) -> None:
         )
     print("Do you accept these terms? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise UsageError(f"the terms of {source.name} were not accepted; nothing was installed.")
+        raise UsageError(
+            f"the terms of {source.name} were not accepted; nothing was installed."
+        )
 
 
 @contextmanager
@@ -176,7 +190,9 @@ def verify_assets(options: AssetsVerifyOptions) -> int:
 
 def where(options: AssetsWhereOptions) -> int:
     """Print the folder of a data set, or of all data sets."""
-    folder = assets_dir() / source_named(options.name).name if options.name else assets_dir()
+    folder = (
+        assets_dir() / source_named(options.name).name if options.name else assets_dir()
+    )
     if options.json:
         print_json({"folder": str(folder), "installed": folder.is_dir()})
     else:

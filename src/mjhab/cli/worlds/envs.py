@@ -11,7 +11,11 @@ from mjhab.config.profile_choice import profile_options
 
 def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:
     """Run one of the commands and return the exit code."""
-    return list_envs(options) if isinstance(options, EnvsListOptions) else describe_env(options)
+    return (
+        list_envs(options)
+        if isinstance(options, EnvsListOptions)
+        else describe_env(options)
+    )
 
 
 def list_envs(options: EnvsListOptions) -> int:
@@ -92,11 +96,15 @@ def description(options: EnvsDescribeOptions) -> dict[str, Any]:
             {k: _plain(v) for k, v in row.items()} for row in env.observer.describe(kinds)
         ],
         "actions": [
-            {k: _plain(v) for k, v in dataclasses.asdict(row).items()} for row in env.action_table
+            {k: _plain(v) for k, v in dataclasses.asdict(row).items()}
+            for row in env.action_table
         ],
         "reward_mode": env.config.reward,
         "reward_terms": [
-            {"subtask": kind, **{k: _plain(v) for k, v in dataclasses.asdict(row).items()}}
+            {
+                "subtask": kind,
+                **{k: _plain(v) for k, v in dataclasses.asdict(row).items()},
+            }
             for kind, table in tables.items()
             if table is not None
             for row in table.terms
@@ -112,7 +120,9 @@ def _plain(value: Any) -> Any:
         return [_plain(v) for v in value]
     if isinstance(value, float) and abs(value) == float("inf"):
         return str(value)
-    return value if isinstance(value, int | float | str | list | bool | None) else str(value)
+    return (
+        value if isinstance(value, int | float | str | list | bool | None) else str(value)
+    )
 
 
 def _text(value: Any) -> Any:

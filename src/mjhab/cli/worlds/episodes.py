@@ -8,7 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from mjhab.cli.options.episodes import EpisodesCheckOptions, EpisodesMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
@@ -48,15 +54,23 @@ def make(options: EpisodesMakeOptions) -> int:
     from mjhab.episodes.files import COUNTS, Recipe, make_file, manifest_path
 
     count = COUNTS[options.split] if options.count is None else options.count
-    recipe = Recipe(options.task, options.split, options.seed, options.assets, options.first, count)
+    recipe = Recipe(
+        options.task, options.split, options.seed, options.assets, options.first, count
+    )
     started = time.perf_counter()
     with _bar() as bar:
-        line = bar.add_task(f"{options.task} {options.split}", total=count, note="", visible=False)
+        line = bar.add_task(
+            f"{options.task} {options.split}", total=count, note="", visible=False
+        )
 
         def tell(done: int, rejected: int) -> None:
-            bar.update(line, visible=True, completed=done, note=f"{rejected} draws rejected")
+            bar.update(
+                line, visible=True, completed=done, note=f"{rejected} draws rejected"
+            )
 
-        made = make_file(recipe, options.out, options.workers or cores(), tell, options.overwrite)
+        made = make_file(
+            recipe, options.out, options.workers or cores(), tell, options.overwrite
+        )
     seconds = round(time.perf_counter() - started, 2)
     if options.json:
         print_json({**made, "seconds": seconds})
@@ -102,7 +116,13 @@ def check(options: EpisodesCheckOptions) -> int:
             }
         )
         return 0
-    columns = ("object", "copies", "moved > 2 cm or tipped > 10 deg", "share [%]", "farthest [mm]")
+    columns = (
+        "object",
+        "copies",
+        "moved > 2 cm or tipped > 10 deg",
+        "share [%]",
+        "farthest [mm]",
+    )
     rows = [
         (
             kind,

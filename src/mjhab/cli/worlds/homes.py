@@ -42,7 +42,9 @@ def list_homes(options: HomesListOptions) -> int:
     else:
         columns = ("name", "pack", "split", "macro", "micro")
         print_table(
-            f"{len(homes)} homes", columns, [[home[key] for key in columns] for home in homes]
+            f"{len(homes)} homes",
+            columns,
+            [[home[key] for key in columns] for home in homes],
         )
         print(_variety(homes))
     return 0

@@ -36,7 +36,11 @@ def unasked_roles(pack: Any, homes: Sequence[Any]) -> list[tuple[str, str]]:
     from mjhab.tasks.household.registry import TASKS
 
     # Clutter stands on open surfaces and on the fridge shelf, whatever the task.
-    asked = {OPEN_SURFACE, FRIDGE_SHELF, *(role for spec in TASKS.values() for role in spec.roles)}
+    asked = {
+        OPEN_SURFACE,
+        FRIDGE_SHELF,
+        *(role for spec in TASKS.values() for role in spec.roles),
+    }
     asked |= {*pack.roles.places, *pack.roles.links}
     found = []
     for home in homes:
@@ -44,7 +48,9 @@ def unasked_roles(pack: Any, homes: Sequence[Any]) -> list[tuple[str, str]]:
         for role in sorted(set(own) - asked):
             near = difflib.get_close_matches(role, asked, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
-            found.append((home.name, f"no registered task asks for the role {role!r}{hint}"))
+            found.append(
+                (home.name, f"no registered task asks for the role {role!r}{hint}")
+            )
     return found
 
 

@@ -30,12 +30,16 @@ def render(options: HomesRenderOptions) -> int:
     check_out(options.out, (PNG, HTML) if options.all else (PNG,))
     if options.all:
         if options.name:
-            raise UsageError(f"give a home or --all, not both (got {options.name!r} and --all).")
+            raise UsageError(
+                f"give a home or --all, not both (got {options.name!r} and --all)."
+            )
         return render_sheet(options, *size)
     if options.split:
         raise UsageError("--split needs --all: one home is drawn by its name.")
     if not options.name:
-        raise UsageError("name a home (see: mjhab homes list), or draw all of them with --all.")
+        raise UsageError(
+            "name a home (see: mjhab homes list), or draw all of them with --all."
+        )
     return render_one(options, *size)
 
 
@@ -48,7 +52,9 @@ def check_out(out: Path, endings: tuple[str, ...]) -> None:
     if out.suffix.lower() not in endings:
         raise UsageError(f"--out must end with {' or '.join(endings)}, got {out}.")
     if out.is_dir():
-        raise UsageError(f"--out {out} is a folder; give the name of a {endings[0]} file.")
+        raise UsageError(
+            f"--out {out} is a folder; give the name of a {endings[0]} file."
+        )
 
 
 def render_one(options: HomesRenderOptions, width: int, height: int) -> int:
@@ -88,9 +94,13 @@ def render_sheet(options: HomesRenderOptions, width: int, height: int) -> int:
     homes = homes_of_split(pack, options.split)
     tiles = []
     with progress_bar("drawing homes", len(homes)) as advance:
-        images = render_homes(pack, [home.name for home in homes], options.view, width, height)
+        images = render_homes(
+            pack, [home.name for home in homes], options.view, width, height
+        )
         for home, image in zip(homes, images, strict=True):
-            tiles.append(Tile(home.name, f"{home.split}, layout {home.macro}", home.note, image))
+            tiles.append(
+                Tile(home.name, f"{home.split}, layout {home.macro}", home.note, image)
+            )
             advance()
     options.out.parent.mkdir(parents=True, exist_ok=True)
     save = save_png if options.out.suffix.lower() == PNG else save_html

@@ -11,7 +11,11 @@ from mjhab.cli.output import print_json, print_table
 
 def run_robots(options: RobotsListOptions | RobotsShowOptions) -> int:
     """Run one of the commands and return the exit code."""
-    return list_robots(options) if isinstance(options, RobotsListOptions) else show_robot(options)
+    return (
+        list_robots(options)
+        if isinstance(options, RobotsListOptions)
+        else show_robot(options)
+    )
 
 
 def list_robots(options: RobotsListOptions) -> int:
@@ -22,7 +26,10 @@ def list_robots(options: RobotsListOptions) -> int:
         return 0
     heads = ("name", "joints", "action", "state", "available")
     sizes = ("name", "dofs", "action_dim", "state_dim")
-    shown = [(*(row[key] for key in sizes), "yes" if row["available"] else "no") for row in rows]
+    shown = [
+        (*(row[key] for key in sizes), "yes" if row["available"] else "no")
+        for row in rows
+    ]
     print_table("robots", heads, shown)
     for row in rows:
         if row["missing"]:
@@ -36,7 +43,9 @@ def show_robot(options: RobotsShowOptions) -> int:
     from mjhab.robots.registry import robot_named
 
     robot = robot_named(options.robot)
-    group_of = {joint: group for group, joints in robot.groups.items() for joint in joints}
+    group_of = {
+        joint: group for group, joints in robot.groups.items() for joint in joints
+    }
     joints = [
         {
             "name": name,

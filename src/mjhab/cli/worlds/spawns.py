@@ -6,7 +6,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.options.spawn import BenchSpawnOptions, SpawnsListOptions, SpawnsMakeOptions
+from mjhab.cli.options.spawn import (
+    BenchSpawnOptions,
+    SpawnsListOptions,
+    SpawnsMakeOptions,
+)
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.config.profile_choice import resolved_profile
 from mjhab.core.errors import UsageError
@@ -47,7 +51,9 @@ def make(options: SpawnsMakeOptions) -> int:
     )
     begun = time.perf_counter()
     shown = 0
-    with progress_bar(f"{options.task} {options.subtask or 'chain'}", options.count) as advance:
+    with progress_bar(
+        f"{options.task} {options.subtask or 'chain'}", options.count
+    ) as advance:
 
         def tell(done: int, fallbacks: int) -> None:
             nonlocal shown
@@ -168,7 +174,9 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
     factory = SpawnFactory(recipe)
     threads = options.threads or cores()
     # Index count + i is another start in the same arrangement: this caches homes, maps and grasps before the timing.
-    warm = [factory.episode(options.count + i) for i in range(max(options.pool, 2 * threads))]
+    warm = [
+        factory.episode(options.count + i) for i in range(max(options.pool, 2 * threads))
+    ]
     factory.starts.starts(warm, threads)
     episodes = [factory.episode(i) for i in range(options.count)]
     begun = time.perf_counter()

@@ -66,7 +66,9 @@ class Arrays(Mapping[str, np.ndarray]):
         # A small file may state, and hold, any size.
         self._left -= info.file_size
         if self._left < 0:
-            raise ValueError(f"its arrays hold more than the {self._most_mb:g} MB that are read")
+            raise ValueError(
+                f"its arrays hold more than the {self._most_mb:g} MB that are read"
+            )
         with self._file.open(info) as stream:
             _check_size(name, stream, info.file_size)
         with self._file.open(info) as stream:
@@ -80,7 +82,10 @@ def _check_size(name: str, stream: IO[bytes], size: int) -> None:
         shape, _, kind = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, _, kind = np.lib.format.read_array_header_2_0(stream)
-    if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != size - stream.tell():
+    if (
+        min(shape, default=0) < 0
+        or math.prod(shape) * kind.itemsize != size - stream.tell()
+    ):
         raise ValueError(f"array {name!r} has another size than its shape {shape} says")
 
 
@@ -104,7 +109,9 @@ def open_arrays(
         with zipfile.ZipFile(path) as file:
             yield Arrays(file, most_mb)
     except KeyError as error:
-        raise UsageError(f"{path}: array {error} is missing; this is no {what}.") from error
+        raise UsageError(
+            f"{path}: array {error} is missing; this is no {what}."
+        ) from error
     except _DAMAGE as error:
         raise UsageError(
             f"{path} is no {what}, or is damaged ({reason(error)}); {remedy}."

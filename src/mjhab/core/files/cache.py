@@ -117,7 +117,9 @@ def write_cached(path: Path, write: Callable[[Path], object]) -> Path:
         try:
             write_atomic(moved, write)
         except OSError as full:
-            raise MjhabError(f"{moved} cannot be written ({full.strerror or full}).") from full
+            raise MjhabError(
+                f"{moved} cannot be written ({full.strerror or full})."
+            ) from full
         return moved
 
 
@@ -159,7 +161,9 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # Not mkstemp: the file keeps the permissions that the user's umask gives to new files.
-    temporary = path.with_name(f".{path.stem}-{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
+    temporary = path.with_name(
+        f".{path.stem}-{os.getpid()}-{secrets.token_hex(4)}{path.suffix}"
+    )
     try:
         write(temporary)
         os.replace(temporary, path)

@@ -22,7 +22,9 @@ def code_digest(*names: str) -> bytes:
     digest = hashlib.sha256()
     for name in names:
         place = _ROOT.joinpath(*name.split("."))
-        files = sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
+        files = (
+            sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
+        )
         for file in files:
             digest.update(file.relative_to(_ROOT).as_posix().encode())
             digest.update(file.read_bytes())

@@ -45,7 +45,9 @@ class WriteLock:
             # The owner before deleted the file between our two calls.
             os.close(self._fd)
         os.ftruncate(self._fd, 0)
-        os.pwrite(self._fd, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+        os.pwrite(
+            self._fd, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0
+        )
 
     def _is_current(self) -> bool:
         try:

@@ -49,7 +49,9 @@ def check_file(path: Path, suffix: str, option: str = "--out") -> None:
     example = path.with_suffix(suffix)
     if path.is_dir():
         example = path / f"report{suffix}"
-        raise UsageError(f"{option} {_shown(path)} is a folder; give a file such as {example}.")
+        raise UsageError(
+            f"{option} {_shown(path)} is a folder; give a file such as {example}."
+        )
     if path.suffix.lower() != suffix:
         raise UsageError(
             f"{option} {_shown(path)} must end with {suffix}, for instance {_shown(example)}."
@@ -79,4 +81,8 @@ def _probe(path: Path) -> None:
 
 def _shown(path: Path) -> str:
     text = str(path)
-    return text if len(text) <= _MAX_SHOWN_CHARACTERS else f"{text[:_MAX_SHOWN_CHARACTERS]}..."
+    return (
+        text
+        if len(text) <= _MAX_SHOWN_CHARACTERS
+        else f"{text[:_MAX_SHOWN_CHARACTERS]}..."
+    )

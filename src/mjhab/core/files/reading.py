@@ -32,7 +32,9 @@ def check_file(path: Path, most_mb: float = math.inf) -> None:
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: cannot be read ({reason(error)}).") from error
     if size > most_mb * _MB:
-        raise UsageError(f"{path}: {size / _MB:,.0f} MB; at most {most_mb:g} MB are read.")
+        raise UsageError(
+            f"{path}: {size / _MB:,.0f} MB; at most {most_mb:g} MB are read."
+        )
 
 
 def read_bytes(path: Path, most_mb: float = MAX_JSON_MB) -> bytes:
@@ -71,7 +73,9 @@ def beside(path: Path, name: str) -> Path:
         found.is_file()
         return found
     except (OSError, ValueError) as error:
-        raise ValueError(f"{shown(name)} is no name of a file ({reason(error)})") from error
+        raise ValueError(
+            f"{shown(name)} is no name of a file ({reason(error)})"
+        ) from error
 
 
 def unpack_gzip(raw: bytes, most_mb: float = MAX_JSON_MB) -> bytes:
@@ -93,7 +97,9 @@ def unpack_gzip(raw: bytes, most_mb: float = MAX_JSON_MB) -> bytes:
             raise ValueError(f"the gzip data is damaged ({error})") from error
         size += len(part)
         if size > limit:
-            raise ValueError(f"the gzip data hold more than the {most_mb:g} MB that are read")
+            raise ValueError(
+                f"the gzip data hold more than the {most_mb:g} MB that are read"
+            )
         if not stream.eof:
             raise ValueError("the gzip data is cut off")
         parts.append(part)
@@ -101,7 +107,9 @@ def unpack_gzip(raw: bytes, most_mb: float = MAX_JSON_MB) -> bytes:
     return b"".join(parts)
 
 
-def parse_json(text: str | bytes, restore: Callable[[dict[str, Any]], Any] | None = None) -> Any:
+def parse_json(
+    text: str | bytes, restore: Callable[[dict[str, Any]], Any] | None = None
+) -> Any:
     """The value of a JSON text.
 
     Args:
@@ -158,4 +166,8 @@ def reason(error: BaseException) -> str:
 def one_line(text: str) -> str:
     """A text of others on one short line."""
     line = " ".join(text.split())
-    return line if len(line) <= _MAX_SHOWN_CHARACTERS else f"{line[:_MAX_SHOWN_CHARACTERS]}..."
+    return (
+        line
+        if len(line) <= _MAX_SHOWN_CHARACTERS
+        else f"{line[:_MAX_SHOWN_CHARACTERS]}..."
+    )

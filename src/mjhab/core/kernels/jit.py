@@ -53,7 +53,11 @@ def compiler(*modules: str, **options: Any) -> Decorator:
     """
     _announce()
     digest = code_digest("core.kernels.jit", *modules).hex()[:8]
-    settings: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy"} | options
+    settings: dict[str, Any] = {
+        "nogil": True,
+        "cache": True,
+        "error_model": "numpy",
+    } | options
 
     def decorate(function: Callable[..., Any]) -> Any:
         # The name is part of the cache file's name.

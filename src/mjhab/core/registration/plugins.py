@@ -76,7 +76,9 @@ def load_plugins() -> tuple[Plugin, ...]:
     global _done
     if not _done:
         _done = True
-        for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
+        for entry in sorted(
+            entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name
+        ):
             _entries[entry.name] = entry
             _load(entry.name, f"entry point {entry.value}", entry.load)
         for path in _paths(os.environ.get(PATHS_VARIABLE, "")):
@@ -99,7 +101,9 @@ def _place(path: str | Path) -> Path:
     try:
         place = Path(path).expanduser().resolve()
     except (TypeError, ValueError, RuntimeError, OSError) as error:
-        raise UsageError(f"{shown(path)} is no path of a plugin ({reason(error)}).") from error
+        raise UsageError(
+            f"{shown(path)} is no path of a plugin ({reason(error)})."
+        ) from error
     return place.parent if place.name == "__init__.py" else place
 
 
@@ -167,7 +171,9 @@ def _load(name: str, origin: str, run: Callable[[], object]) -> Plugin:
 def _warn(message: str) -> None:
     """A `PluginWarning` at the line outside of mjhab that imports it; the outermost line if there is none."""
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_code.co_filename.startswith((_PACKAGE, "<frozen")):
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(
+        (_PACKAGE, "<frozen")
+    ):
         frame = frame.f_back
     warnings.warn_explicit(
         message,
@@ -186,10 +192,19 @@ def _import_path(path: Path) -> None:
     """
     file = path / "__init__.py" if path.is_dir() else path
     if not file.is_file() or file.suffix != ".py":
-        raise UsageError(f"{path} is neither a Python file nor a folder with an __init__.py.")
-    name = _MODULE_PREFIX + path.stem + "_" + hashlib.sha256(str(path).encode()).hexdigest()[:8]
+        raise UsageError(
+            f"{path} is neither a Python file nor a folder with an __init__.py."
+        )
+    name = (
+        _MODULE_PREFIX
+        + path.stem
+        + "_"
+        + hashlib.sha256(str(path).encode()).hexdigest()[:8]
+    )
     folders = [str(path)] if path.is_dir() else None
-    spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=folders)
+    spec = importlib.util.spec_from_file_location(
+        name, file, submodule_search_locations=folders
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     # Under its name before it runs: relative imports, dataclasses and pickle look it up.
@@ -250,7 +265,9 @@ def raised_text(error: BaseException) -> str:
     """An exception in code of others, in words: its type, its message, and the line that raised it."""
     text = f"{type(error).__name__}: {error}".rstrip(" .:")
     frames = traceback.extract_tb(error.__traceback__)
-    outside = [frame for frame in frames if not frame.filename.startswith((_PACKAGE, "<frozen"))]
+    outside = [
+        frame for frame in frames if not frame.filename.startswith((_PACKAGE, "<frozen"))
+    ]
     if not outside:
         return text
     return f"{text} ({outside[-1].filename}, line {outside[-1].lineno})"
@@ -269,7 +286,9 @@ def referred(reference: str) -> object:
     """
     module, colon, name = reference.partition(":")
     if not (module and colon and name):
-        raise UsageError(f"{reference!r} is no reference; expected 'package.module:name'.")
+        raise UsageError(
+            f"{reference!r} is no reference; expected 'package.module:name'."
+        )
     try:
         found = importlib.import_module(module)
     except MjhabError:
@@ -280,5 +299,7 @@ def referred(reference: str) -> object:
             f"module {module!r}, which {reference!r} refers to, cannot be imported: {raised_text(error)}."
         ) from error
     if not hasattr(found, name):
-        raise UsageError(f"module {module!r} has no {name!r}, which {reference!r} refers to.")
+        raise UsageError(
+            f"module {module!r} has no {name!r}, which {reference!r} refers to."
+        )
     return getattr(found, name)

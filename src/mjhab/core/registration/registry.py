@@ -58,7 +58,9 @@ class Registry(Generic[Item]):
             UsageError: nobody has registered the name.
         """
         if name not in self._names or name in self._references:
-            raise UsageError(f"{self._what} {name!r} has not been registered by a plugin.")
+            raise UsageError(
+                f"{self._what} {name!r} has not been registered by a plugin."
+            )
         del self._items[name]
         del self._names[name]
         self.version += 1
@@ -110,7 +112,11 @@ class Registry(Generic[Item]):
     def told(self, name: str) -> str:
         """An item in words for messages, with the plugin that registered it: "subtask 'push' of plugin 'push.py'"."""
         source = self._names.get(name, "")
-        return f"{self._what} {name!r} of plugin {source!r}" if source else f"{self._what} {name!r}"
+        return (
+            f"{self._what} {name!r} of plugin {source!r}"
+            if source
+            else f"{self._what} {name!r}"
+        )
 
     def source(self, name: str) -> str:
         """Name of the plugin that registered an item, "" for mjhab itself and for code outside of plugins."""
@@ -130,7 +136,11 @@ def check_item(function: str, item: object, kind: type) -> None:
     """
     if isinstance(item, kind):
         return
-    given = "the class itself" if item is kind else f"{reprlib.repr(item)} ({type(item).__name__})"
+    given = (
+        "the class itself"
+        if item is kind
+        else f"{reprlib.repr(item)} ({type(item).__name__})"
+    )
     raise UsageError(
         f"mjhab.{function} expects a {kind.__name__}, got {given}. "
         f"Make one first: mjhab.{function}({kind.__name__}(...))."

@@ -63,8 +63,12 @@ def fitting(name: str, hint: Any, value: Any) -> Any:
         found = _read(name, kind, value)
         if found is not _UNFIT:
             return found
-    expected = " or ".join(_WORDS.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds)
-    raise UsageError(f"{name} must be {expected}, got {shown(value)} ({type(value).__name__}).")
+    expected = " or ".join(
+        _WORDS.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds
+    )
+    raise UsageError(
+        f"{name} must be {expected}, got {shown(value)} ({type(value).__name__})."
+    )
 
 
 _UNFIT = object()
@@ -123,7 +127,9 @@ def _tuple(name: str, kinds: tuple[Any, ...], value: list[Any] | tuple[Any, ...]
         kinds = (kinds[0],) * len(value)
     if len(kinds) != len(value):
         return _UNFIT
-    found = tuple(_read(name, kind, entry) for kind, entry in zip(kinds, value, strict=True))
+    found = tuple(
+        _read(name, kind, entry) for kind, entry in zip(kinds, value, strict=True)
+    )
     return _UNFIT if any(entry is _UNFIT for entry in found) else found
 
 

@@ -44,11 +44,14 @@ def read_record(kind: Any, value: Any, where: str) -> Any:
         if not isinstance(value, dict):
             raise ValueError(f"{where}: expected an object.")
         return {
-            key: read_record(args[1], entry, f"{where}[{key!r}]") for key, entry in value.items()
+            key: read_record(args[1], entry, f"{where}[{key!r}]")
+            for key, entry in value.items()
         }
     if origin is typing.Literal:
         if value not in args:
-            raise ValueError(f"{where}: {shown(value)} is not one of {', '.join(map(str, args))}.")
+            raise ValueError(
+                f"{where}: {shown(value)} is not one of {', '.join(map(str, args))}."
+            )
         return value
     if kind is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -71,16 +74,22 @@ def _float(value: int | float) -> float:
 
 def _read_fields(kind: Any, value: Any, where: str) -> Any:
     if not isinstance(value, dict):
-        raise ValueError(f"{where}: expected an object with the fields of {kind.__name__}.")
+        raise ValueError(
+            f"{where}: expected an object with the fields of {kind.__name__}."
+        )
     hints = typing.get_type_hints(kind)
     fields = {f.name: f for f in dataclasses.fields(kind)}
     unknown = sorted(set(value) - set(fields))
     if unknown:
-        raise ValueError(f"{where}: unknown field {unknown[0]!r}; fields are {', '.join(fields)}.")
+        raise ValueError(
+            f"{where}: unknown field {unknown[0]!r}; fields are {', '.join(fields)}."
+        )
     read = {}
     for name, f in fields.items():
         if name in value:
             read[name] = read_record(hints[name], value[name], f"{where}.{name}")
-        elif f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING:
+        elif (
+            f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+        ):
             raise ValueError(f"{where}: field {name!r} is missing.")
     return kind(**read)

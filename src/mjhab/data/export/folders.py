@@ -112,7 +112,9 @@ def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """Describe how the job of an unfinished folder differs from the present one; "" if they are equal."""
     other = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
-    values = "; ".join(f"{key}: {before.get(key)!r}, now {now.get(key)!r}" for key in other)
+    values = "; ".join(
+        f"{key}: {before.get(key)!r}, now {now.get(key)!r}" for key in other
+    )
     return f"{', '.join(other)} ({values})" if other else ""
 
 
@@ -130,7 +132,9 @@ def broken(out: Path, error: Exception) -> StorageError:
 
 def _stopped(out: Path, error: Exception) -> StorageError:
     what, then = (
-        ("the disk is full", "free some space") if is_full(error) else (_reason(error), "fix that")
+        ("the disk is full", "free some space")
+        if is_full(error)
+        else (_reason(error), "fix that")
     )
     return StorageError(
         f"cannot write {out}: {what}. Finished parts are kept; {then} and run the same command with --resume."

@@ -142,7 +142,9 @@ class _File:
             change_file(
                 self._path,
                 lambda file: _put(
-                    file.create_group(f"{TRAJECTORY}{number}", track_order=True), episode, steps
+                    file.create_group(f"{TRAJECTORY}{number}", track_order=True),
+                    episode,
+                    steps,
                 ),
             )
         self._episodes.append(_episode_info(number, episode, steps))
@@ -159,7 +161,9 @@ class _File:
                 if subtask
                 else "SequentialTask-v0",
                 "env_kwargs": env,
-                "max_episode_steps": max(each["elapsed_steps"] for each in self._episodes),
+                "max_episode_steps": max(
+                    each["elapsed_steps"] for each in self._episodes
+                ),
             },
             "commit_info": {"mjhab": [run["commit"] for run in self._runs.values()]},
             "source_type": SOURCE_TYPE,
@@ -168,7 +172,9 @@ class _File:
             "runs": self._runs,
             "episodes": self._episodes,
         }
-        self._path.with_suffix(".json").write_text(json.dumps(value, indent=2), encoding="utf-8")
+        self._path.with_suffix(".json").write_text(
+            json.dumps(value, indent=2), encoding="utf-8"
+        )
 
 
 def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
@@ -191,7 +197,9 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     ends[-1] = True
     terminated = episode.terminated and steps == episode.steps
     group["actions"] = episode.array("actions")[:steps].astype(np.float32)
-    group["actions_intended"] = episode.array("actions_intended")[:steps].astype(np.float32)
+    group["actions_intended"] = episode.array("actions_intended")[:steps].astype(
+        np.float32
+    )
     group["actor"] = episode.array("actor")[:steps]
     group["terminated"] = ends & terminated
     group["truncated"] = ends & (not terminated)
@@ -201,14 +209,21 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     group["is_teleported"] = teleported_steps(episode)[:steps]
 
 
-def _observations(episode: RecordedEpisode, rows: int) -> Iterator[tuple[str, np.ndarray]]:
+def _observations(
+    episode: RecordedEpisode, rows: int
+) -> Iterator[tuple[str, np.ndarray]]:
     """Pairs of observation key and array (rows, ...): the parts of the state in order, then camera images."""
     yaws = scan_yaws(episode)
     for key, whole in episode.table("obs/state").items():
         values = whole[:rows]
         if key == OBJECT_POSE and yaws is not None:
             values = to_scan_axes(values, yaws[:rows])
-        yield key, values.astype(bool).reshape(-1) if key.rpartition("/")[2] in TRUTHS else values
+        yield (
+            key,
+            values.astype(bool).reshape(-1)
+            if key.rpartition("/")[2] in TRUTHS
+            else values,
+        )
     for path in episode.paths:
         if path.startswith("obs/sensor_param/"):
             yield path.removeprefix("obs/"), episode.array(path)[:rows]
@@ -227,11 +242,18 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
         "episode_seed": [record.seed],
         # Indices into MS-HAB's asset files have no counterpart; home and index identify the episode.
         **dict.fromkeys(
-            ("build_config_idx", "task_plan_idx", "init_config_idx", "spawn_selection_idx")
+            (
+                "build_config_idx",
+                "task_plan_idx",
+                "init_config_idx",
+                "spawn_selection_idx",
+            )
         ),
         "home": record.home,
         "episode_index": record.index,
-        "control_mode": episode.run.config.get("env", {}).get("control_mode", "pd_joint_delta_pos"),
+        "control_mode": episode.run.config.get("env", {}).get(
+            "control_mode", "pd_joint_delta_pos"
+        ),
         "elapsed_steps": steps,
         "navigation": "teleport" if navigates_by_teleport(episode) else "drive",
         "actors": list(episode.actors),
@@ -239,7 +261,9 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
         "object_axes": OBJECT_AXES if scan_yaws(episode) is None else SCAN_AXES,
         "label": last_label(record),
         "legacy_label": record.subtasks[-1].legacy_label if record.subtasks else None,
-        "target": record.subtasks[-1].target if record.subtasks else record.plan[0].target,
+        "target": record.subtasks[-1].target
+        if record.subtasks
+        else record.plan[0].target,
         "split": record.split,
         "ending": str(episode.attributes["ending"]),
         "events": to_events(record.subtask, record.events)

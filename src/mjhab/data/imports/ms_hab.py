@@ -110,7 +110,9 @@ def import_ms_hab(
     source = _Source.read(path, origin or Origin())
     shard = out / source.task / source.subtask / path.name
     if shard.resolve() == path.resolve():
-        raise UsageError(f"--out {out} would overwrite {path} with the shard; give another folder.")
+        raise UsageError(
+            f"--out {out} would overwrite {path} with the shard; give another folder."
+        )
     after = begin(len(source.told)) if begin else None
     written = frames = present = 0
     run = source.run()
@@ -128,7 +130,9 @@ def import_ms_hab(
                 if after is not None:
                     after()
     except UNREADABLE as error:
-        raise UsageError(f"{path} cannot be read as data of MS-HAB: {reason(error)}") from error
+        raise UsageError(
+            f"{path} cannot be read as data of MS-HAB: {reason(error)}"
+        ) from error
     return Imported(written, frames, present, shard)
 
 
@@ -187,7 +191,9 @@ class _Source:
     def run(self) -> RunInfo:
         """Description of the run that made the episodes, as far as the file has it."""
         made = next(iter(self._runs()), {})
-        name = made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
+        name = (
+            made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
+        )
         policy = name or f"ms_hab {self.said.get('source_type', '')}".strip().lower()
         place = f"{self.task}/{self.subtask}/{self.path.stem}"
         return RunInfo(
@@ -227,7 +233,11 @@ class _Source:
             }
         else:
             known = ENV
-        own = {"task": self.task, "subtask": self.subtask, "control_mode": self._control_mode()}
+        own = {
+            "task": self.task,
+            "subtask": self.subtask,
+            "control_mode": self._control_mode(),
+        }
         return {**known, **own}
 
     def _layout(self) -> dict[str, Any]:
@@ -242,8 +252,12 @@ class _Source:
 
     def indices(self) -> list[int]:
         """Indices of the episodes: the recorded ones if the file has them and they are unique, else their numbers."""
-        indices = [int(each.get("episode_index", each["episode_id"])) for each in self.told]
-        names = {(_seed(each), index) for each, index in zip(self.told, indices, strict=True)}
+        indices = [
+            int(each.get("episode_index", each["episode_id"])) for each in self.told
+        ]
+        names = {
+            (_seed(each), index) for each, index in zip(self.told, indices, strict=True)
+        }
         return (
             indices
             if len(names) == len(indices)
@@ -341,7 +355,9 @@ class _Source:
 
     def _target(self, told: Mapping[str, Any]) -> str:
         furniture = str(told.get("articulation_type") or "")
-        return str(told.get("target") or LINKS.get(furniture, furniture) or self.path.stem)
+        return str(
+            told.get("target") or LINKS.get(furniture, furniture) or self.path.stem
+        )
 
 
 def _check_file(path: Path) -> None:
@@ -356,7 +372,9 @@ def _check_file(path: Path) -> None:
     except UNREADABLE as error:
         raise UsageError(f"{path} is not an HDF5 file: {reason(error)}") from error
     if is_shard:
-        raise UsageError(f"{path} is a shard of mjhab already; there is nothing to import.")
+        raise UsageError(
+            f"{path} is a shard of mjhab already; there is nothing to import."
+        )
     if not any(name.startswith(TRAJECTORY) for name in names):
         raise UsageError(
             f"{path} has no groups {TRAJECTORY}0, {TRAJECTORY}1, ... as the files of MS-HAB's data set have. It has: "

@@ -114,11 +114,19 @@ def check_episode(number: int, told: Any) -> None:
     numbers = [told[key] for key in _COUNTS if key in told]
     numbers += seeds if isinstance(seeds, list) else [seeds]
     for value in numbers:
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
-            raise ValueError(f"episode {number}: {str(value)[:60]!r} is no whole number from 0")
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int)
+            or not 0 <= value <= MAX_COUNT
+        ):
+            raise ValueError(
+                f"episode {number}: {str(value)[:60]!r} is no whole number from 0"
+            )
     for key in _TEXTS:
         if told.get(key) is not None and not isinstance(told[key], str):
-            raise ValueError(f"episode {number}: {key} must be a text, not {str(told[key])[:60]!r}")
+            raise ValueError(
+                f"episode {number}: {key} must be a text, not {str(told[key])[:60]!r}"
+            )
     for key in ("events_verbose", "actors"):
         if not isinstance(told.get(key, []), list):
             raise ValueError(f"episode {number}: {key} must be a list")

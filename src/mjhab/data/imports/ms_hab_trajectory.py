@@ -49,7 +49,9 @@ def trajectory_arrays(
     by_policy = {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)} | told
     arrays |= by_policy
     arrays |= _camera_arrays(trajectory)
-    return arrays, {"obs/state": tuple(f"{key}:{part.shape[1]}" for key, part in parts.items())}
+    return arrays, {
+        "obs/state": tuple(f"{key}:{part.shape[1]}" for key, part in parts.items())
+    }
 
 
 def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
@@ -82,7 +84,9 @@ def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
         output = rest.rpartition("/")[2]
         files = [encode(frame, output, ImageFormat()) for frame in _rows(obs, path)]
         arrays[f"images/{rest}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
-        arrays[f"images/{rest}/ends"] = np.cumsum([len(file) for file in files], dtype=np.int64)
+        arrays[f"images/{rest}/ends"] = np.cumsum(
+            [len(file) for file in files], dtype=np.int64
+        )
     return arrays
 
 
@@ -101,5 +105,7 @@ def _rows(parent: h5py.Group, path: str) -> np.ndarray:
     """
     array = content(dataset(parent, path))
     if not array.ndim or not len(array) or array.dtype.kind not in "biuf":
-        raise ValueError(f"{path} must be rows of numbers, not {array.dtype} {array.shape}")
+        raise ValueError(
+            f"{path} must be rows of numbers, not {array.dtype} {array.shape}"
+        )
     return array

@@ -183,7 +183,10 @@ class Worker:
         return Ready(self._recorder.run, self._stage.targets)
 
     def run(
-        self, request: Request, tell: Callable[[Message], object], stopped: Callable[[], bool]
+        self,
+        request: Request,
+        tell: Callable[[Message], object],
+        stopped: Callable[[], bool],
     ) -> None:
         """Execute a request.
 
@@ -200,7 +203,13 @@ class Worker:
                 tell(Stored(index))
         if request.indices:
             sinks = [self._recorder, _StopSink(stopped)]
-            rollout(self._stage.env, self._stage.policy, request.indices, self._spec.seed, sinks)
+            rollout(
+                self._stage.env,
+                self._stage.policy,
+                request.indices,
+                self._spec.seed,
+                sinks,
+            )
         tell(Done())
 
     def append(self, data: EpisodeData) -> int:
@@ -261,7 +270,9 @@ class ProcessCrew:
     def start(self, number: int, spec: WorkerSpec, shard: Path) -> None:
         """See `Crew`."""
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(theirs, spec, shard), daemon=True)
+        process = self._context.Process(
+            target=_serve, args=(theirs, spec, shard), daemon=True
+        )
         process.start()
         # Only the worker holds its end of the pipe now, so the pipe ends when the worker dies.
         theirs.close()

@@ -179,7 +179,9 @@ class _Run:
                 yield outcome_of(episode.record, True)
 
     def _start(self, number: int, deaths: int) -> None:
-        taken = {member.shard for other, member in self.members.items() if other != number}
+        taken = {
+            member.shard for other, member in self.members.items() if other != number
+        }
         names = (self.job.out / f"shard_{n:03d}.h5" for n in range(number, 1_000_000))
         shard = next(path for path in names if path not in taken and not is_written(path))
         self.members[number] = _Member(shard, deaths=deaths)
@@ -241,7 +243,9 @@ class _Run:
             self.again = sorted(self.promised.intersection(self.again))
         while len(indices) < self.job.chunk and self.again:
             indices.append(heapq.heappop(self.again))
-        while len(indices) < self.job.chunk and not self.quotas.full and not self._none_left:
+        while (
+            len(indices) < self.job.chunk and not self.quotas.full and not self._none_left
+        ):
             indices.append(self.next)
             self.next += 1
         return indices
@@ -269,7 +273,9 @@ class _Run:
                 if kind == "storage":
                     raise StorageError(f"{text} Continue with `mjhab generate --resume`.")
                 raise (
-                    UsageError(text) if kind == "usage" else MjhabError(f"a worker failed:\n{text}")
+                    UsageError(text)
+                    if kind == "usage"
+                    else MjhabError(f"a worker failed:\n{text}")
                 )
             case Gone():
                 self._bury(number, member)
@@ -340,7 +346,12 @@ class _Run:
         passed = sum(outcome.passes for outcome in outcomes)
         if not final:
             return Standing(
-                self.written, self.quotas.kept, len(outcomes), passed, wanted, self.quotas.labels
+                self.written,
+                self.quotas.kept,
+                len(outcomes),
+                passed,
+                wanted,
+                self.quotas.labels,
             )
         paths = sorted(self.job.out.glob("*.h5"))
         stored = [outcome for path in paths for outcome in self._stored(path)]
@@ -349,7 +360,14 @@ class _Run:
         # Episodes written after the last processed message count as well.
         written = len(stored) - self.before
         return Standing(
-            written, len(stored), len(outcomes), passed, wanted, labels, self.finished, size
+            written,
+            len(stored),
+            len(outcomes),
+            passed,
+            wanted,
+            labels,
+            self.finished,
+            size,
         )
 
 
@@ -390,11 +408,17 @@ def _read_tried(path: Path) -> list[Outcome]:
     try:
         lines = read_bytes(path).decode("utf-8").splitlines(keepends=True)
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is damaged ({reason(error)}); choose another --out.") from error
+        raise UsageError(
+            f"{path} is damaged ({reason(error)}); choose another --out."
+        ) from error
     whole = [line for line in lines if line.endswith("\n")]
     if whole != lines:
-        write_atomic(path, lambda temporary: temporary.write_text("".join(whole), encoding="utf-8"))
+        write_atomic(
+            path, lambda temporary: temporary.write_text("".join(whole), encoding="utf-8")
+        )
     try:
         return [Outcome.from_dict(parse_json(line)) for line in whole]
     except (ValueError, TypeError) as error:
-        raise UsageError(f"{path} is damaged ({reason(error)}); choose another --out.") from error
+        raise UsageError(
+            f"{path} is damaged ({reason(error)}); choose another --out."
+        ) from error

@@ -58,7 +58,9 @@ TRAIN_MAKER = "make_train"
 BUILTIN_LICENCE = "Apache-2.0: homes, furniture and objects made by the code of mjhab"
 
 
-def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "") -> RunInfo:
+def describe_run(
+    env: RecordedEnv, policy: Mapping[str, Any], licence: str = ""
+) -> RunInfo:
     """Describe the run of a policy in an environment.
 
     Args:
@@ -66,7 +68,9 @@ def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "")
         policy: its name and every option that changes its actions, as JSON data: {"name": "expert", ...}.
         licence: of the assets; needed for assets other than the built-in ones.
     """
-    options = {name: _plain(value) for name, value in dataclasses.asdict(env.config).items()}
+    options = {
+        name: _plain(value) for name, value in dataclasses.asdict(env.config).items()
+    }
     config: dict[str, Any] = {
         "env": {k: v for k, v in options.items() if k not in _FREE | _VIEW},
         "policy": dict(policy),
@@ -93,15 +97,23 @@ def describe_run(env: RecordedEnv, policy: Mapping[str, Any], licence: str = "")
             },
             "columns": _columns(env.sim.addresses),
             "robot": layout.robot.name,
-            "joints": [joint.removesuffix("_joint") for joint in layout.robot.joints[BASE.stop :]],
+            "joints": [
+                joint.removesuffix("_joint") for joint in layout.robot.joints[BASE.stop :]
+            ],
             "actions": [entry.name for entry in env.action_table],
             "taints": list(env.taint_names),
-            SCAN_YAWS: {kind.name: kind.scan_yaw for kind in layout.objects if kind.scan_yaw},
+            SCAN_YAWS: {
+                kind.name: kind.scan_yaw for kind in layout.objects if kind.scan_yaw
+            },
             **describe_views(env.observer),
         },
         assets=_text(env.config.assets),
         licence=licence
-        or (BUILTIN_LICENCE if env.config.assets == "builtin" else "unknown: see the asset pack"),
+        or (
+            BUILTIN_LICENCE
+            if env.config.assets == "builtin"
+            else "unknown: see the asset pack"
+        ),
     )
 
 
@@ -140,7 +152,9 @@ def source_commit() -> str:
 
     def git(*words: str) -> str:
         words = ("git", "-C", str(folder), *words)
-        done = subprocess.run(words, capture_output=True, text=True, timeout=10, check=True)
+        done = subprocess.run(
+            words, capture_output=True, text=True, timeout=10, check=True
+        )
         return done.stdout.strip()
 
     try:
@@ -159,7 +173,9 @@ def model_hash(model: Any) -> str:
     for name in sorted(dir(model)):
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray):
-            digest.update(f"{name}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+            digest.update(
+                f"{name}{value.shape}".encode() + np.ascontiguousarray(value).tobytes()
+            )
         elif isinstance(value, bytes | int | float):
             digest.update(f"{name}{value!r}".encode())
     return digest.hexdigest()[:16]
@@ -168,7 +184,9 @@ def model_hash(model: Any) -> str:
 def _columns(addresses: Any) -> dict[str, list[int]]:
     """Columns of qpos and qvel: robot joints, then the first column of each object and of each link."""
     names = ("robot_q", "robot_v", "object_q", "object_v", "link_q")
-    return {name: np.asarray(getattr(addresses, name)).astype(int).tolist() for name in names}
+    return {
+        name: np.asarray(getattr(addresses, name)).astype(int).tolist() for name in names
+    }
 
 
 def _text(assets: Any) -> str:
@@ -179,4 +197,6 @@ def _text(assets: Any) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}
-    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
+    return (
+        [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
+    )

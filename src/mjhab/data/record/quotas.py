@@ -144,7 +144,9 @@ class Quotas:
 
     def would_drop(self, outcome: Outcome) -> bool:
         """Whether kept episodes with lower indices already fill the quota."""
-        low, label_low = (bisect_left(self._kept[key], outcome.index) for key in _keys(outcome))
+        low, label_low = (
+            bisect_left(self._kept[key], outcome.index) for key in _keys(outcome)
+        )
         return low >= self._per_target or label_low >= self._per_label
 
     def decide(self) -> dict[int, bool]:
@@ -166,14 +168,19 @@ class Quotas:
         """Targets for which every open episode up to index ``last`` is kept if it passes."""
         unknown = self._open_below(last + 1)
         default = unknown <= min(self._per_target, self._per_label)
-        waiting = Counter(key for outcome in self._waiting.values() for key in _keys(outcome))
+        waiting = Counter(
+            key for outcome in self._waiting.values() for key in _keys(outcome)
+        )
         sizes = {
-            key: len(self._kept[key]) + waiting[key] + unknown for key in {*self._kept, *waiting}
+            key: len(self._kept[key]) + waiting[key] + unknown
+            for key in {*self._kept, *waiting}
         }
         others: set[str] = set()
         for target in {target for target, _ in sizes}:
             labels = [
-                n for (other, label), n in sizes.items() if other == target and label is not None
+                n
+                for (other, label), n in sizes.items()
+                if other == target and label is not None
             ]
             certain = sizes.get((target, None), unknown) <= self._per_target
             if (certain and max(labels, default=unknown) <= self._per_label) != default:
@@ -191,9 +198,12 @@ class Quotas:
     def _is_certain(self, outcome: Outcome) -> bool:
         index = outcome.index
         unknown = self._open_below(outcome.index)
-        for key, quota in zip(_keys(outcome), (self._per_target, self._per_label), strict=True):
+        for key, quota in zip(
+            _keys(outcome), (self._per_target, self._per_label), strict=True
+        ):
             waiting = sum(
-                other.index < index and key in _keys(other) for other in self._waiting.values()
+                other.index < index and key in _keys(other)
+                for other in self._waiting.values()
             )
             if bisect_left(self._kept[key], index) + waiting + unknown >= quota:
                 return False

@@ -87,7 +87,9 @@ class RayCrew:
                 configure_logging=False,
             )
         except (ConnectionError, ValueError, RuntimeError) as error:
-            raise UsageError(f"no Ray cluster can be reached at {address!r}: {error}") from error
+            raise UsageError(
+                f"no Ray cluster can be reached at {address!r}: {error}"
+            ) from error
         # Two threads: one works, the other receives the request to stop.
         self._class = ray.remote(num_cpus=1, max_concurrency=2, max_restarts=0)(_Actor)
         self._actors: dict[int, Any] = {}
@@ -127,7 +129,9 @@ class RayCrew:
                 actor.stop.remote()
         end = time.monotonic() + _LONGEST_STOP
         while self._calls and time.monotonic() < end:
-            ready, _ = self._ray.wait(list(self._calls), num_returns=1, timeout=_LONGEST_STOP)
+            ready, _ = self._ray.wait(
+                list(self._calls), num_returns=1, timeout=_LONGEST_STOP
+            )
             for call in ready:
                 del self._calls[call]
         for actor in self._actors.values():
@@ -147,4 +151,6 @@ def _check_reachable(address: str) -> None:
     try:
         socket.create_connection((host, int(port)), _LONGEST_CALL).close()
     except OSError as error:
-        raise UsageError(f"no Ray cluster can be reached at {address!r}: {error}.") from error
+        raise UsageError(
+            f"no Ray cluster can be reached at {address!r}: {error}."
+        ) from error

@@ -60,7 +60,9 @@ class Recorder(Sink[RecordedEnv]):
         licence: str = "",
     ) -> None:
         if not env.config.has_flat_keys:
-            raise UsageError("recording needs flat observation keys: leave out obs_keys='nested'.")
+            raise UsageError(
+                "recording needs flat observation keys: leave out obs_keys='nested'."
+            )
         self.run = describe_run(env, policy, licence)
         self.seen = self.kept = self.bytes = 0
         self.labels: Counter[str] = Counter()
@@ -71,7 +73,9 @@ class Recorder(Sink[RecordedEnv]):
         self._open: dict[int, _Buffer] = {}
         self._models: dict[str, str] = {}
 
-    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         """Start buffers with the first states of the worlds in ``mask``."""
         obs = env.observer.observe(env.state, env.focus, env.signals, env.homes)
         checks, forces = signal_rows(env.signals)
@@ -89,7 +93,9 @@ class Recorder(Sink[RecordedEnv]):
         terms = dict(step.info.get("reward_terms", {}))
         for w in np.flatnonzero(step.active).tolist():
             buffer = self._open[w]
-            buffer.add_action(step, w, {name: float(values[w]) for name, values in terms.items()})
+            buffer.add_action(
+                step, w, {name: float(values[w]) for name, values in terms.items()}
+            )
             before = buffer.active[-1]
             now = int(step.info["pointer"][w])
             buffer.add_state(self._physics(env, w), checks[w], forces[w], step.info, w)
@@ -115,7 +121,13 @@ class Recorder(Sink[RecordedEnv]):
         arrays = buffer.arrays()
         try:
             data = EpisodeData(
-                record, self.run, model, _ending(env, world), arrays, columns, buffer.actors
+                record,
+                self.run,
+                model,
+                _ending(env, world),
+                arrays,
+                columns,
+                buffer.actors,
             )
         except ValueError as error:
             raise MjhabError(
@@ -128,7 +140,9 @@ class Recorder(Sink[RecordedEnv]):
         """Drop the unfinished episodes."""
         self._open.clear()
 
-    def _physics(self, env: RecordedEnv, world: int) -> tuple[np.ndarray, np.ndarray] | None:
+    def _physics(
+        self, env: RecordedEnv, world: int
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         if not self._states:
             return None
         state = env.sim.get_world(world)
@@ -222,16 +236,20 @@ class _Buffer:
             )
         for key, files in self._files.items():
             arrays[f"images/{key}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
-            arrays[f"images/{key}/ends"] = np.cumsum([len(file) for file in files], dtype=np.int64)
+            arrays[f"images/{key}/ends"] = np.cumsum(
+                [len(file) for file in files], dtype=np.int64
+            )
         return arrays
 
 
 def signal_rows(signals: Any) -> tuple[np.ndarray, np.ndarray]:
     """`tasks.measure.Signals` of W worlds as (W, len(CHECKS)) uint8 and (W, len(FORCES)) float64."""
-    checks = np.stack([np.asarray(getattr(signals, name)) for name in CHECKS], axis=1).astype(
-        np.uint8
+    checks = np.stack(
+        [np.asarray(getattr(signals, name)) for name in CHECKS], axis=1
+    ).astype(np.uint8)
+    forces = np.stack(
+        [np.asarray(getattr(signals, name), np.float64) for name in FORCES], axis=1
     )
-    forces = np.stack([np.asarray(getattr(signals, name), np.float64) for name in FORCES], axis=1)
     return checks, forces
 
 

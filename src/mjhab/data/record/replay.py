@@ -85,7 +85,10 @@ def verify(
                 found.wrong[episode.name] = problem
             if moved:
                 found.moved.append(episode.name)
-            if model_hash(env.sim.model(episode.record.home)) != episode.attributes["model"]:
+            if (
+                model_hash(env.sim.model(episode.record.home))
+                != episode.attributes["model"]
+            ):
                 found.unlike.append(episode.name)
             tell()
     return found
@@ -219,10 +222,15 @@ def _begin(
 ) -> list[bool]:
     """Reset worlds to episodes; where the start state differs, set the recorded one. Returns which ones differed."""
     mask = np.arange(env.num_envs) < len(batch)
-    seeds = [episode.record.seed for episode in batch] + [None] * (env.num_envs - len(batch))
+    seeds = [episode.record.seed for episode in batch] + [None] * (
+        env.num_envs - len(batch)
+    )
     indices = np.array([episode.record.index for episode in batch])
     env.reset(seed=seeds, options={"episode": indices, "reset_mask": mask})
-    moved = [not one.begins_with(env.sim.get_world(world)) for world, one in enumerate(compared)]
+    moved = [
+        not one.begins_with(env.sim.get_world(world))
+        for world, one in enumerate(compared)
+    ]
     for world, (episode, one) in enumerate(zip(batch, compared, strict=True)):
         if moved[world]:
             try:
@@ -277,7 +285,11 @@ def render(
                     present += 1
                 else:
                     drawn = _draw(env, episode, follow, request.images)
-                    cameras = env.observer.cameras if request.cameras is None else request.cameras
+                    cameras = (
+                        env.observer.cameras
+                        if request.cameras is None
+                        else request.cameras
+                    )
                     size += writer.append(_with_images(episode, drawn, env, cameras))
                     written += 1
                     frames = frames + episode.steps + 1
@@ -305,10 +317,16 @@ def _draw(
         part = qpos[start : start + env.num_envs]
         worlds = list(range(len(part)))
         # Images depend on positions only, so the worlds are set to the states and not stepped.
-        padded = np.concatenate([part, np.repeat(part[-1:], env.num_envs - len(part), axis=0)])
+        padded = np.concatenate(
+            [part, np.repeat(part[-1:], env.num_envs - len(part), axis=0)]
+        )
         env.sim.reset(range(env.num_envs), [home] * env.num_envs, padded)
         state = env.sim.state()
-        drawn = env.observer.draw(state, [home] * env.num_envs) if env.observer.outputs else {}
+        drawn = (
+            env.observer.draw(state, [home] * env.num_envs)
+            if env.observer.outputs
+            else {}
+        )
         for w in worlds:
             for key, values in drawn.items():
                 if key.startswith(_IMAGE):
@@ -319,17 +337,26 @@ def _draw(
                 else:
                     rows.setdefault(f"obs/{key}", []).append(values[w].copy())
             if follow:
-                picture = env.observer.renderer.follow_view(state, home, w, side[1], side[0])
-                files.setdefault(f"{FOLLOW}/rgb", []).append(encode(picture, "rgb", images))
+                picture = env.observer.renderer.follow_view(
+                    state, home, w, side[1], side[0]
+                )
+                files.setdefault(f"{FOLLOW}/rgb", []).append(
+                    encode(picture, "rgb", images)
+                )
     arrays = {path: np.stack(values) for path, values in rows.items()}
     for key, parts in files.items():
         arrays[f"images/{key}/bytes"] = np.frombuffer(b"".join(parts), np.uint8)
-        arrays[f"images/{key}/ends"] = np.cumsum([len(part) for part in parts], dtype=np.int64)
+        arrays[f"images/{key}/ends"] = np.cumsum(
+            [len(part) for part in parts], dtype=np.int64
+        )
     return arrays
 
 
 def _with_images(
-    episode: RecordedEpisode, drawn: dict[str, np.ndarray], env: RecordedEnv, cameras: Sequence[str]
+    episode: RecordedEpisode,
+    drawn: dict[str, np.ndarray],
+    env: RecordedEnv,
+    cameras: Sequence[str],
 ) -> EpisodeData:
     """The episode with new images; its run describes them and the version that rendered them."""
     arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
@@ -369,5 +396,6 @@ def _with_images(
 
 def _columns(episode: RecordedEpisode, path: str) -> tuple[str, ...]:
     return tuple(
-        f"{name}:{width}" if width else name for name, width in episode.columns(path).items()
+        f"{name}:{width}" if width else name
+        for name, width in episode.columns(path).items()
     )

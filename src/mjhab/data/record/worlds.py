@@ -28,7 +28,9 @@ class Physics(Protocol):
         """Copies of "qpos", "qvel", "ctrl" and all other physics state of one world."""
         ...
 
-    def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, /) -> None:
+    def reset(
+        self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray, /
+    ) -> None:
         """Set worlds ``ids`` to homes, at rest, with positions ``qpos`` (n, nq)."""
         ...
 

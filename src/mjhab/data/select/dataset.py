@@ -138,20 +138,25 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self._members = select(places, where).matched
         if not self._members:
             raise nothing_passes()
-        self._frames: dict[str, list[EncodedFrames]] = {image: [] for image in self.images}
+        self._frames: dict[str, list[EncodedFrames]] = {
+            image: [] for image in self.images
+        }
         self._states: list[np.ndarray] = []
         self._actions: list[np.ndarray] = []
         self._actor: list[np.ndarray] = []
         mark = self._read()
         self._starts: list[int] = np.cumsum([0, *map(len, self._actions)]).tolist()
-        self.statistics = normalization.statistics or self._statistics(mark, normalization.cache)
+        self.statistics = normalization.statistics or self._statistics(
+            mark, normalization.cache
+        )
         kind = normalization.kind
         if kind:
             self._states = [
                 self.statistics.normalize(STATE, values, kind) for values in self._states
             ]
             self._actions = [
-                self.statistics.normalize(ACTION, values, kind) for values in self._actions
+                self.statistics.normalize(ACTION, values, kind)
+                for values in self._actions
             ]
         self._firsts = np.array(self._starts)
         self._all_states = np.concatenate(self._states)
@@ -215,7 +220,8 @@ class WindowDataset(Dataset[dict[str, Any]]):
         if isinstance(index, int | np.integer):
             window = self._batch(np.array([index]))
             return {
-                key: int(value[0]) if key in PLACES else value[0] for key, value in window.items()
+                key: int(value[0]) if key in PLACES else value[0]
+                for key, value in window.items()
             }
         return self._batch(np.asarray(index, np.int64))
 
@@ -257,7 +263,9 @@ def _stores(
         raise unknown_name("place of decoded images", where, (AUTO, MEMORY, DECODE))
     free_mb = available_mb()
     needed = sum(decoded_bytes(each) for each in frames.values())
-    keeps = where == MEMORY or (where == AUTO and needed < MEMORY_SHARE * 2**20 * (free_mb or 0))
+    keeps = where == MEMORY or (
+        where == AUTO and needed < MEMORY_SHARE * 2**20 * (free_mb or 0)
+    )
     return {image: FrameStore(each, keeps) for image, each in frames.items()}
 
 

@@ -35,7 +35,9 @@ def subtask_words(record: EpisodeRecord) -> list[str]:
     """The instruction of every subtask of an episode; derived from the plan if an old record lacks them."""
     if record.instructions:
         return list(record.instructions)
-    return [subtask_instruction(Request(entry.kind, entry.target)) for entry in record.plan]
+    return [
+        subtask_instruction(Request(entry.kind, entry.target)) for entry in record.plan
+    ]
 
 
 def task_words(record: EpisodeRecord) -> str:
@@ -50,7 +52,10 @@ def task_words(record: EpisodeRecord) -> str:
 
 def navigates_by_teleport(episode: RecordedEpisode) -> bool:
     """Whether the environment teleported the robot to every goal of an episode instead of letting it drive."""
-    if episode.record.subtask or episode.run.config.get("env", {}).get("navigate") != "teleport":
+    if (
+        episode.record.subtask
+        or episode.run.config.get("env", {}).get("navigate") != "teleport"
+    ):
         return False
     return any(_is_way(entry.kind) for entry in episode.record.plan)
 
@@ -58,7 +63,9 @@ def navigates_by_teleport(episode: RecordedEpisode) -> bool:
 def teleported_steps(episode: RecordedEpisode) -> np.ndarray:
     """(N+1,) bool: states in which a Navigate subtask is active that the environment executes by teleport."""
     plan = episode.record.plan
-    ways = np.array([_is_way(entry.kind) for entry in plan]) & navigates_by_teleport(episode)
+    ways = np.array([_is_way(entry.kind) for entry in plan]) & navigates_by_teleport(
+        episode
+    )
     return ways[np.minimum(episode.array("subtasks/active"), len(plan) - 1)]
 
 

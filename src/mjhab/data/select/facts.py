@@ -34,7 +34,9 @@ class Fact:
 
 def target_of(record: EpisodeRecord) -> str:
     """Object type or link of the last subtask that ended; if none ended, of the plan's first subtask."""
-    return kind_of(record.subtasks[-1].target if record.subtasks else record.plan[0].target)
+    return kind_of(
+        record.subtasks[-1].target if record.subtasks else record.plan[0].target
+    )
 
 
 def events_of(record: EpisodeRecord) -> list[str]:
@@ -51,7 +53,9 @@ def _last(record: EpisodeRecord, name: str) -> str:
 
 
 def _event(name: str) -> Fact:
-    return Fact(name, TRUTH, f"the event {name} occurred", lambda r, _: name in events_of(r))
+    return Fact(
+        name, TRUTH, f"the event {name} occurred", lambda r, _: name in events_of(r)
+    )
 
 
 def _asked() -> tuple[Fact, ...]:
@@ -65,7 +69,13 @@ def _asked() -> tuple[Fact, ...]:
             lambda r, _: r.subtask or "",
             ("", *SUBTASKS),
         ),
-        Fact("split", TEXT, "split of the home", lambda r, _: r.split, ("train", "val", "test")),
+        Fact(
+            "split",
+            TEXT,
+            "split of the home",
+            lambda r, _: r.split,
+            ("train", "val", "test"),
+        ),
         Fact("home", TEXT, "home", lambda r, _: r.home),
         Fact(
             "policy",
@@ -134,7 +144,12 @@ def _judged() -> tuple[Fact, ...]:
             lambda r, _: _last(r, "legacy_label"),
             ("", *labels),
         ),
-        Fact("success", TRUTH, "the goal was reached at least once", lambda r, _: r.success_once),
+        Fact(
+            "success",
+            TRUTH,
+            "the goal was reached at least once",
+            lambda r, _: r.success_once,
+        ),
         Fact(
             "success_at_end",
             TRUTH,
@@ -170,7 +185,9 @@ def _measured() -> tuple[Fact, ...]:
             "sum of it over the steps [N x steps]",
             lambda r, _: r.cumulative_force,
         ),
-        Fact("tainted", TRUTH, "the simulation flagged a fault", lambda r, _: bool(r.taint)),
+        Fact(
+            "tainted", TRUTH, "the simulation flagged a fault", lambda r, _: bool(r.taint)
+        ),
         Fact("taints", TEXTS, "names of the faults", lambda r, _: list(r.taint)),
         Fact(
             "spawn_fallback",

@@ -56,7 +56,15 @@ class EncodedFrames:
         first = episode.frame(camera, output, 0).transpose(2, 0, 1)
         path = episode.shard.path
         return cls(
-            path, episode.name, camera, output, offset, ends, count, first.shape, first.dtype
+            path,
+            episode.name,
+            camera,
+            output,
+            offset,
+            ends,
+            count,
+            first.shape,
+            first.dtype,
         )
 
     def read(self, t: int, files: OpenFiles) -> np.ndarray:
@@ -71,7 +79,9 @@ class EncodedFrames:
             return image.transpose(2, 0, 1)
         start = int(self.ends[t - 1]) if t else 0
         try:
-            data = os.pread(files.get(self.path), int(self.ends[t]) - start, self.offset + start)
+            data = os.pread(
+                files.get(self.path), int(self.ends[t]) - start, self.offset + start
+            )
             image = decode(data, self.output).transpose(2, 0, 1)
             if image.shape != self.shape:
                 raise ValueError(f"its shape is {image.shape}, not {self.shape}")
@@ -133,7 +143,9 @@ class FrameStore:
             rows = int(self._starts[-1])
             # The mapping takes memory only for rows that are written, that is, rows that were requested.
             whole = _mapping(self.nbytes + rows, self._folder)
-            pixels = np.frombuffer(whole, self._dtype, self.nbytes // self._dtype.itemsize)
+            pixels = np.frombuffer(
+                whole, self._dtype, self.nbytes // self._dtype.itemsize
+            )
             self._pixels = pixels.reshape(rows, *self._shape)
             self._known = np.frombuffer(whole, np.uint8, rows, self.nbytes)
 
@@ -159,7 +171,11 @@ class FrameStore:
 
     def __getstate__(self) -> dict[str, Any]:
         """State for a spawned process, which decodes its own images."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("_files", "_pixels", "_known")}
+        return {
+            k: v
+            for k, v in self.__dict__.items()
+            if k not in ("_files", "_pixels", "_known")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

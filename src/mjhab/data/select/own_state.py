@@ -33,11 +33,15 @@ def split_state(episode: RecordedEpisode) -> SplitState:
     If the observations lack the velocity of the base, it is computed from the recorded states; without states it is
     left out.
     """
-    parts = {key: values.reshape(len(values), -1) for key, values in _parts(episode).items()}
+    parts = {
+        key: values.reshape(len(values), -1) for key, values in _parts(episode).items()
+    }
     if BASE_VELOCITY not in parts and "states/qvel" in episode.paths:
         parts[BASE_VELOCITY] = base_velocity(episode)
     own = {key: parts[key] for key in OWN_KEYS if key in parts}
-    return SplitState(own, {key: values for key, values in parts.items() if key not in own})
+    return SplitState(
+        own, {key: values for key, values in parts.items() if key not in own}
+    )
 
 
 def _parts(episode: RecordedEpisode) -> dict[str, np.ndarray]:
@@ -53,4 +57,6 @@ def base_velocity(episode: RecordedEpisode) -> np.ndarray:
     c = np.cos(q[:, BASE_YAW])
     s = np.sin(q[:, BASE_YAW])
     x, y = qd[:, BASE_XY].T
-    return np.stack([c * x + s * y, c * y - s * x, qd[:, BASE_YAW]], axis=1).astype(np.float32)
+    return np.stack([c * x + s * y, c * y - s * x, qd[:, BASE_YAW]], axis=1).astype(
+        np.float32
+    )

@@ -54,7 +54,10 @@ PRESETS: dict[str, tuple[str, str]] = {
         "subtask == 'place' and label == 'placed_in_goal_success'",
         "Place as in the paper's data",
     ),
-    "open_paper": ("subtask == 'open' and label == 'open_success'", "Open as in the paper's data"),
+    "open_paper": (
+        "subtask == 'open' and label == 'open_success'",
+        "Open as in the paper's data",
+    ),
     "close_paper": (
         "subtask == 'close' and label == 'closed_success'",
         "Close as in the paper's data",
@@ -80,7 +83,10 @@ PRESETS: dict[str, tuple[str, str]] = {
         "subtask == 'navigate' and legacy_label == 'navigation_success'",
         "Navigate as mshab/utils/gen/gen_data.py keeps it, by the published rules of labels",
     ),
-    "gentle": ("success and max_force < 1400", "reached the goal, never more than 1,400 N"),
+    "gentle": (
+        "success and max_force < 1400",
+        "reached the goal, never more than 1,400 N",
+    ),
     "chain": ("subtask == '' and success", "whole chains that were completed"),
 }
 """Named filters as (filter, meaning). NAME_paper selects the demonstrations of the MS-HAB paper, App. A.6.1, by mjhab's
@@ -182,7 +188,9 @@ class _Compiler:
         """Compile the whole text."""
         if not self.text.strip():
             raise FilterError(
-                self.text, 1, "the filter is empty; for instance: success and max_force < 1400"
+                self.text,
+                1,
+                "the filter is empty; for instance: success and max_force < 1400",
             )
         if len(self.text) > LONGEST:
             raise UsageError(
@@ -212,7 +220,9 @@ class _Compiler:
 
     def _error(self, node: ast.AST, problem: str) -> FilterError:
         before = (
-            self.text.lstrip().encode()[: getattr(node, "col_offset", 0)].decode(errors="replace")
+            self.text.lstrip()
+            .encode()[: getattr(node, "col_offset", 0)]
+            .decode(errors="replace")
         )
         return FilterError(self.text, len(before) + self._lead + 1, problem)
 
@@ -275,7 +285,9 @@ class _Compiler:
     def _binary(self, node: ast.BinOp) -> _Part:
         compute = _MATH.get(type(node.op))
         if compute is None:
-            raise self._error(node, "only + - * / are known; write 'and' and 'or' for & and |")
+            raise self._error(
+                node, "only + - * / are known; write 'and' and 'or' for & and |"
+            )
         a = self._number(node.left, "arithmetic")
         b = self._number(node.right, "arithmetic")
         return _Part(NUMBER, lambda r, run: compute(a.get(r, run), b.get(r, run)))
@@ -285,12 +297,16 @@ class _Compiler:
         parts = [self._part(side) for side in sides]
         tests = [
             self._test(op, a, b, where)
-            for op, a, b, where in zip(node.ops, parts, parts[1:], sides[1:], strict=False)
+            for op, a, b, where in zip(
+                node.ops, parts, parts[1:], sides[1:], strict=False
+            )
         ]
 
         def holds(record: EpisodeRecord, run: RunInfo) -> bool:
             values = [part.get(record, run) for part in parts]
-            return all(test(a, b) for test, a, b in zip(tests, values, values[1:], strict=False))
+            return all(
+                test(a, b) for test, a, b in zip(tests, values, values[1:], strict=False)
+            )
 
         return _Part(TRUTH, holds)
 
@@ -301,12 +317,17 @@ class _Compiler:
             element = {TEXTS: TEXT, _NUMBERS: NUMBER}.get(b.kind)
             if element is None:
                 raise self._error(
-                    where, f"'in' needs a list, but this is {b.kind}; a list of one is ('a',)"
+                    where,
+                    f"'in' needs a list, but this is {b.kind}; a list of one is ('a',)",
                 )
             if a.kind != element:
                 raise self._error(where, f"{a.kind} is never in {b.kind}")
             self._check_choices(a, b)
-            return (lambda x, y: x in y) if isinstance(op, ast.In) else (lambda x, y: x not in y)
+            return (
+                (lambda x, y: x in y)
+                if isinstance(op, ast.In)
+                else (lambda x, y: x not in y)
+            )
         if a.kind != b.kind:
             raise self._error(where, f"{a.kind} cannot be compared with {b.kind}")
         if type(op) in _ORDER:
@@ -324,9 +345,13 @@ class _Compiler:
             for value, node in literal_side.literals if choices else ():
                 if value not in choices:
                     assert fact_side.fact is not None
-                    raise self._unknown(node, f"{fact_side.fact.name} is never", value, choices)
+                    raise self._unknown(
+                        node, f"{fact_side.fact.name} is never", value, choices
+                    )
 
-    def _unknown(self, node: ast.AST, what: str, given: str, valid: Iterable[str]) -> FilterError:
+    def _unknown(
+        self, node: ast.AST, what: str, given: str, valid: Iterable[str]
+    ) -> FilterError:
         names = sorted(filter(None, valid))
         near = difflib.get_close_matches(given, names, n=1, cutoff=0.5)
         rest = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(names)}."
@@ -341,7 +366,9 @@ class _Compiler:
             # This is the name of a fact with a dot, such as style.speed, not an attribute access.
             name = f"{node.value.id}.{node.attr}"
         else:
-            raise self._error(node, "only names with one point are known, as in style.speed")
+            raise self._error(
+                node, "only names with one point are known, as in style.speed"
+            )
         if name in _CONSTANTS:
             return _Part(TRUTH, lambda r, run: _CONSTANTS[name])
         fact = facts().get(name)
@@ -368,7 +395,9 @@ class _Compiler:
         values = [part.get for part in parts]
         literals = tuple(entry for part in parts for entry in part.literals)
         kind = TEXTS if kinds == {TEXT} else _NUMBERS
-        return _Part(kind, lambda r, run: [get(r, run) for get in values], literals=literals)
+        return _Part(
+            kind, lambda r, run: [get(r, run) for get in values], literals=literals
+        )
 
     def _call(self, node: ast.Call) -> _Part:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
@@ -376,7 +405,9 @@ class _Compiler:
             raise self._unknown(node, "unknown function", name or "?", FUNCTIONS)
         argument = node.args[0] if len(node.args) == 1 and not node.keywords else None
         event = (
-            argument.value if isinstance(argument, ast.Constant) else getattr(argument, "id", None)
+            argument.value
+            if isinstance(argument, ast.Constant)
+            else getattr(argument, "id", None)
         )
         if not isinstance(event, str):
             raise self._error(node, f"{name}() takes one event, as in {name}('dropped')")

@@ -57,7 +57,9 @@ def relabel(episode: RecordedEpisode) -> tuple[EpisodeRecord, list[Change]]:
                 changes.insert(0, Change(old.index, what, before, after))
     if not changes:
         return record, []
-    return dataclasses.replace(record, subtasks=tuple(subtasks), events=tuple(events)), changes
+    return dataclasses.replace(
+        record, subtasks=tuple(subtasks), events=tuple(events)
+    ), changes
 
 
 def relabel_subtask(old: SubtaskRecord, history: History) -> SubtaskRecord:
@@ -86,7 +88,9 @@ def _changing(history: History) -> tuple[History, np.ndarray]:
     rows = np.concatenate([getattr(history, name) for name in names], axis=1)
     keep = np.concatenate([[True], (rows[1:] != rows[:-1]).any(axis=1)])
     keep[1:2] = True
-    return History(**{name: getattr(history, name)[keep] for name in names}), np.flatnonzero(keep)
+    return History(
+        **{name: getattr(history, name)[keep] for name in names}
+    ), np.flatnonzero(keep)
 
 
 def _last_end(record: EpisodeRecord) -> int:

@@ -93,7 +93,9 @@ def select(
 
 def nothing_passes() -> UsageError:
     """Make the error for a filter that no episode passes."""
-    return UsageError("no episode passes the filter; inspect the data with: mjhab data stats")
+    return UsageError(
+        "no episode passes the filter; inspect the data with: mjhab data stats"
+    )
 
 
 def stats(places: Path | Sequence[Path], where: Filter | None = None) -> dict[str, Any]:
@@ -163,7 +165,9 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
     digests: dict[str, str] = {}
     if out.exists():
         with open_shard(out) as shard:
-            digests = {episode.name: str(episode.attributes["digest"]) for episode in shard}
+            digests = {
+                episode.name: str(episode.attributes["digest"]) for episode in shard
+            }
     repeated = 0
     with ShardWriter(out) as writer:
         for path, names in _by_shard(found.matched):
@@ -215,9 +219,13 @@ def split(
             occurs twice; or ``out`` lies in a source.
     """
     if not parts or min(parts.values()) <= 0 or sum(parts.values()) > 1 + 1e-9:
-        raise UsageError(f"shares must be positive and sum to at most 1; got {dict(parts)}.")
+        raise UsageError(
+            f"shares must be positive and sum to at most 1; got {dict(parts)}."
+        )
     try:
-        targets = {name: below(out, f"{check_name('name of a part', name)}.h5") for name in parts}
+        targets = {
+            name: below(out, f"{check_name('name of a part', name)}.h5") for name in parts
+        }
     except ValueError as error:
         raise UsageError(str(error)) from error
     for path in targets.values():
@@ -260,7 +268,9 @@ def _remove(path: Path) -> None:
 def _deal(
     groups: Mapping[str, list[Place]], parts: Mapping[str, float], seed: int
 ) -> dict[str, list[Place]]:
-    order = sorted(groups, key=lambda name: hashlib.sha256(f"{seed}/{name}".encode()).digest())
+    order = sorted(
+        groups, key=lambda name: hashlib.sha256(f"{seed}/{name}".encode()).digest()
+    )
     total = sum(map(len, groups.values()))
     dealt: dict[str, list[Place]] = {part: [] for part in parts}
     waiting = iter(order)

@@ -39,21 +39,28 @@ class Statistics:
     fingerprint: str = ""
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Sequence[np.ndarray]], fingerprint: str = "") -> Statistics:
+    def of(
+        cls, arrays: Mapping[str, Sequence[np.ndarray]], fingerprint: str = ""
+    ) -> Statistics:
         """Compute the statistics over all rows of lists of arrays (n, D), in float64."""
-        parts: dict[str, dict[str, np.ndarray]] = {"mean": {}, "std": {}, "low": {}, "high": {}}
+        parts: dict[str, dict[str, np.ndarray]] = {
+            "mean": {},
+            "std": {},
+            "low": {},
+            "high": {},
+        }
         for name, pieces in arrays.items():
             count = sum(len(piece) for piece in pieces)
             mean = sum(piece.sum(axis=0, dtype=np.float64) for piece in pieces) / count
             square = sum(((piece - mean) ** 2).sum(axis=0) for piece in pieces) / count
             parts["mean"][name] = np.asarray(mean, np.float32)
             parts["std"][name] = np.sqrt(square).astype(np.float32)
-            parts["low"][name] = np.min([piece.min(axis=0) for piece in pieces], axis=0).astype(
-                np.float32
-            )
-            parts["high"][name] = np.max([piece.max(axis=0) for piece in pieces], axis=0).astype(
-                np.float32
-            )
+            parts["low"][name] = np.min(
+                [piece.min(axis=0) for piece in pieces], axis=0
+            ).astype(np.float32)
+            parts["high"][name] = np.max(
+                [piece.max(axis=0) for piece in pieces], axis=0
+            ).astype(np.float32)
         return cls(**parts, fingerprint=fingerprint)
 
     def normalize(self, name: str, values: np.ndarray, how: str = SPREAD) -> np.ndarray:

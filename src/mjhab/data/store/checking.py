@@ -119,7 +119,9 @@ def repair(path: Path) -> Repair:
         return _salvage(path, cut)
     except OSError as error:
         what = "the disk is full" if is_full(error) else error.strerror or str(error)
-        raise StorageError(f"cannot repair {path}: {what}. The file was left as it is.") from error
+        raise StorageError(
+            f"cannot repair {path}: {what}. The file was left as it is."
+        ) from error
     finally:
         lock.release()
 
@@ -128,7 +130,11 @@ def _count_if_whole(path: Path) -> int | None:
     """Number of episodes of an undamaged shard; None if it is damaged."""
     try:
         with open_shard(path) as shard:
-            return None if any(problems_in(shard, name) for name in shard.names) else len(shard)
+            return (
+                None
+                if any(problems_in(shard, name) for name in shard.names)
+                else len(shard)
+            )
     except DamagedError:
         return None
 
@@ -145,7 +151,9 @@ def _salvage(path: Path, cut: bool) -> Repair:
         source = path.with_name(f".{path.name}.padded")
         shutil.copyfile(path, source)
         os.truncate(source, committed_length(path))
-    nothing = DamagedError(f"no episode in {path} can be read; the file was left as it is.")
+    nothing = DamagedError(
+        f"no episode in {path} can be read; the file was left as it is."
+    )
     try:
         try:
             shard = Wreck(source)

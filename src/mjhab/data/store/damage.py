@@ -88,7 +88,9 @@ def _contradictions(episode: RecordedEpisode) -> list[str]:
     if run_id(episode.run_data) != attributes["run"]:
         wrong.append("what made it (its run) is not what was written")
     if episode.run.episode_name(record.seed, record.index) != episode.name:
-        wrong.append(f"its record is that of episode {record.index} of seed {record.seed}")
+        wrong.append(
+            f"its record is that of episode {record.index} of seed {record.seed}"
+        )
     return wrong
 
 
@@ -103,7 +105,9 @@ def _picture_problems(arrays: Mapping[str, np.ndarray]) -> list[str]:
         sizes = set()
         for t, (start, end) in enumerate(itertools.pairwise([0, *ends.tolist()])):
             try:
-                sizes.add(check_frame(data[start:end].tobytes(), folder.rpartition("/")[2]))
+                sizes.add(
+                    check_frame(data[start:end].tobytes(), folder.rpartition("/")[2])
+                )
             except ValueError as error:
                 found.append(f"frame {t} of {folder}: {error}")
                 break

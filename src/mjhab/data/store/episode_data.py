@@ -51,7 +51,9 @@ class RunInfo:
             ValueError: it is no object, has no config, or an entry has another type than mjhab writes.
         """
         check_entries(values)
-        return cls(**{name: values[name] for name in cls.__dataclass_fields__ if name in values})
+        return cls(
+            **{name: values[name] for name in cls.__dataclass_fields__ if name in values}
+        )
 
     @property
     def robot(self) -> str:
@@ -111,7 +113,11 @@ class EpisodeData:
         arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
         widths = column_widths(self.run.layout, self.columns)
         wrong = problems(
-            arrays, self.record.steps, schema=self.schema, widths=widths, absent=self.run.absent
+            arrays,
+            self.record.steps,
+            schema=self.schema,
+            widths=widths,
+            absent=self.run.absent,
         )
         wrong = wrong or unnamed_actors(arrays, self.actors)
         wrong += record_problems(self.record)
@@ -132,7 +138,9 @@ def unnamed_actors(arrays: Mapping[str, np.ndarray], actors: Sequence[str]) -> l
     actor = arrays.get("actor", np.zeros(0, np.uint8))
     if not actor.size or int(actor.max()) < len(actors):
         return []
-    return [f"actor has the number {int(actor.max())}, and there are {len(actors)} names of actors"]
+    return [
+        f"actor has the number {int(actor.max())}, and there are {len(actors)} names of actors"
+    ]
 
 
 def record_problems(record: EpisodeRecord) -> list[str]:
@@ -144,13 +152,17 @@ def record_problems(record: EpisodeRecord) -> list[str]:
         )
     forces = [*record.force, record.peak_force, record.cumulative_force]
     forces += [
-        force for entry in record.subtasks for force in (entry.peak_force, entry.cumulative_force)
+        force
+        for entry in record.subtasks
+        for force in (entry.peak_force, entry.cumulative_force)
     ]
     if not np.isfinite(forces).all():
         found.append("its record has forces that are not finite")
     for entry in record.subtasks:
         if not 0 <= entry.index < len(record.plan):
-            found.append(f"its record has subtask {entry.index} of a plan of {len(record.plan)}")
+            found.append(
+                f"its record has subtask {entry.index} of a plan of {len(record.plan)}"
+            )
         if not 0 <= entry.start_step <= entry.end_step <= record.steps:
             found.append(
                 f"its record has a subtask from step {entry.start_step} to {entry.end_step} of {record.steps}"
@@ -210,7 +222,11 @@ def from_bytes(data: np.ndarray) -> Any:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return {_ARRAY: value.dtype.str, "shape": list(value.shape), "data": value.ravel().tolist()}
+        return {
+            _ARRAY: value.dtype.str,
+            "shape": list(value.shape),
+            "data": value.ravel().tolist(),
+        }
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"{type(value).__name__} cannot be kept in a file: {value!r}")

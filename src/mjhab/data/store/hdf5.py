@@ -28,7 +28,9 @@ LIBVER = ("v110", "v110")
 """File format of HDF5 1.10 (2016): files are small, and all current readers support it."""
 
 
-def make_file(path: Path, attributes: Mapping[str, Any], groups: Sequence[str] = ()) -> None:
+def make_file(
+    path: Path, attributes: Mapping[str, Any], groups: Sequence[str] = ()
+) -> None:
     """Write a new HDF5 file with attributes and empty groups to the disk.
 
     Raises:
@@ -71,7 +73,9 @@ def put_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -
     for name, value in values.items():
         if isinstance(value, str):
             data = value.encode()
-            item.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
+            item.attrs.create(
+                name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data)))
+            )
         else:
             item.attrs[name] = value
 
@@ -156,7 +160,10 @@ def content(item: h5py.Dataset) -> np.ndarray:
         ValueError: it unpacks to far more than it takes in the file, as no data of a robot do.
     """
     size = _nbytes(item)
-    if size > MAX_UNPACKED_BYTES and size > MAX_UNPACKED_RATIO * item.id.get_storage_size():
+    if (
+        size > MAX_UNPACKED_BYTES
+        and size > MAX_UNPACKED_RATIO * item.id.get_storage_size()
+    ):
         raise ValueError(
             f"{item.name} unpacks to {size:,} bytes, more than {MAX_UNPACKED_RATIO} times what it takes in the file"
         )

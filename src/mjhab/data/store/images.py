@@ -59,7 +59,9 @@ def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
         raise ValueError(
             f"{output} image has values from {image.min()} to {image.max()}; 0 to {_MOST} can be stored"
         )
-    Image.fromarray(image[..., 0].astype(np.uint16)).save(file, "PNG", compress_level=_PNG_LEVEL)
+    Image.fromarray(image[..., 0].astype(np.uint16)).save(
+        file, "PNG", compress_level=_PNG_LEVEL
+    )
     return file.getvalue()
 
 
@@ -106,7 +108,9 @@ def _telling() -> Iterator[None]:
 
 def _opened(data: bytes, output: str) -> Image.Image:
     """Open a picture, whose header alone is read; refuse other formats, kinds of pixels, and sizes of no camera."""
-    picture = Image.open(io.BytesIO(data), formats=("PNG", "JPEG") if output == "rgb" else ("PNG",))
+    picture = Image.open(
+        io.BytesIO(data), formats=("PNG", "JPEG") if output == "rgb" else ("PNG",)
+    )
     wide, high = picture.size
     if max(wide, high) > MAX_SIDE:
         raise ValueError(

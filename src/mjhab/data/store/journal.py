@@ -64,7 +64,9 @@ class Overlay(io.RawIOBase):
         pages: initial changes by page number.
     """
 
-    def __init__(self, fd: int, length: int, pages: dict[int, bytes] | None = None) -> None:
+    def __init__(
+        self, fd: int, length: int, pages: dict[int, bytes] | None = None
+    ) -> None:
         super().__init__()
         self._fd = fd
         self.base = length
@@ -92,7 +94,8 @@ class Overlay(io.RawIOBase):
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Move to an offset."""
         self._at = (
-            offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.length}[whence]
+            offset
+            + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.length}[whence]
         )
         return self._at
 
@@ -139,7 +142,9 @@ class Overlay(io.RawIOBase):
                 low = max(at, number * PAGE)
                 high = min(at + old, number * PAGE + len(page))
                 if low < high:  # a page that was the last one may be short
-                    out[low - at : high - at] = page[low - number * PAGE : high - number * PAGE]
+                    out[low - at : high - at] = page[
+                        low - number * PAGE : high - number * PAGE
+                    ]
         start = at + old - self.base
         return out + self.tail[start : start + count - old]
 

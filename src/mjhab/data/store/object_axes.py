@@ -72,5 +72,7 @@ def scan_yaws(episode: RecordedEpisode) -> np.ndarray | None:
     if known is None:
         return None
     plan = episode.record.plan
-    by_entry = np.array([known.get(name, 0.0) for name in shown_objects(plan)], np.float64)
+    by_entry = np.array(
+        [known.get(name, 0.0) for name in shown_objects(plan)], np.float64
+    )
     return by_entry[np.minimum(episode.array("subtasks/active"), len(plan) - 1)]

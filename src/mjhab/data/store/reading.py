@@ -65,14 +65,18 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for place in [places] if isinstance(places, Path) else places:
         if place.is_dir():
-            inside = sorted(path for path in place.rglob("*.h5") if not path.name.startswith("."))
+            inside = sorted(
+                path for path in place.rglob("*.h5") if not path.name.startswith(".")
+            )
             if not inside:
                 raise UsageError(f"no shards (*.h5) in {place} or the folders in it.")
             found += inside
         elif place.is_file():
             found.append(place)
         else:
-            raise UsageError(f"{place} does not exist; give a shard (*.h5) or a folder of shards.")
+            raise UsageError(
+                f"{place} does not exist; give a shard (*.h5) or a folder of shards."
+            )
     by_file: dict[Path, Path] = {}
     for path in found:
         by_file.setdefault(path.resolve(), path)
@@ -115,7 +119,9 @@ class RecordedEpisode:
     def record(self) -> EpisodeRecord:
         """Identity, plan, labels, events, forces."""
         with self.reading():
-            record = EpisodeRecord.from_dict(from_bytes(content(dataset(self._group, "record"))))
+            record = EpisodeRecord.from_dict(
+                from_bytes(content(dataset(self._group, "record")))
+            )
             wrong = record_problems(record)
             if wrong:
                 raise ValueError("; ".join(wrong))
@@ -141,7 +147,9 @@ class RecordedEpisode:
             for name, kind in ATTRIBUTE_TYPES.items():
                 if name in told and not isinstance(told[name], kind):
                     shown = str(told[name])[:60]
-                    raise ValueError(f"attribute {name!r} must be {kind.__name__}, not {shown!r}")
+                    raise ValueError(
+                        f"attribute {name!r} must be {kind.__name__}, not {shown!r}"
+                    )
             missing = [name for name in NEEDED_ATTRIBUTES if name not in told]
             if missing:
                 raise ValueError(f"it has no attribute {', '.join(missing)}")
@@ -170,7 +178,9 @@ class RecordedEpisode:
         """
         with self.reading():
             return tuple(
-                f.path for f in FIELDS if f.since > self.schema and f.path not in self._group
+                f.path
+                for f in FIELDS
+                if f.since > self.schema and f.path not in self._group
             )
 
     @property
@@ -181,15 +191,21 @@ class RecordedEpisode:
             return (self.run.policy,)
         with self.reading():
             told = parse_json(names)
-            if not isinstance(told, list) or not all(isinstance(name, str) for name in told):
-                raise ValueError(f"attribute 'actors' must be a list of texts, not {names[:60]!r}")
+            if not isinstance(told, list) or not all(
+                isinstance(name, str) for name in told
+            ):
+                raise ValueError(
+                    f"attribute 'actors' must be a list of texts, not {names[:60]!r}"
+                )
             return tuple(told)
 
     @property
     def nbytes(self) -> int:
         """Size of its data in the file without HDF5's metadata [bytes]."""
         with self.reading():
-            return sum(dataset(self._group, path).id.get_storage_size() for path in self.paths)
+            return sum(
+                dataset(self._group, path).id.get_storage_size() for path in self.paths
+            )
 
     def initial(self) -> dict[str, Any]:
         """The state after the reset, for ``env.set_state``.
@@ -284,16 +300,24 @@ class RecordedEpisode:
                 return parts[key]
             camera, output = _camera_output(key)
             if camera:
-                return np.stack([self.frame(camera, output, t) for t in range(self.steps + 1)])
+                return np.stack(
+                    [self.frame(camera, output, t) for t in range(self.steps + 1)]
+                )
         raise unknown_name(
-            "observation", key, [*parts, *(p[4:] for p in self.paths if p.startswith("obs/"))]
+            "observation",
+            key,
+            [*parts, *(p[4:] for p in self.paths if p.startswith("obs/"))],
         )
 
     @property
     def images(self) -> list[tuple[str, str]]:
         """(camera, output) of the images stored with it."""
         parts = [path.split("/") for path in self.paths]
-        found = [(part[1], part[2]) for part in parts if part[0] == "images" and part[-1] == "ends"]
+        found = [
+            (part[1], part[2])
+            for part in parts
+            if part[0] == "images" and part[-1] == "ends"
+        ]
         with self.reading():
             for camera, output in found:
                 check_name("camera", camera)
@@ -317,7 +341,9 @@ class RecordedEpisode:
             end = int(ends[t])
             if not 0 <= start < end <= start + MAX_FRAME_BYTES:
                 raise ValueError(f"frame {t} of {place} is from byte {start} to {end}")
-            return decode(dataset(self._group, f"{place}/bytes")[start:end].tobytes(), output)
+            return decode(
+                dataset(self._group, f"{place}/bytes")[start:end].tobytes(), output
+            )
 
     def _no_images(self, camera: str, output: str) -> UsageError:
         had = ", ".join(f"{c} {o}" for c, o in self.images) or "none"
@@ -361,7 +387,9 @@ class RecordedEpisode:
             first = before[k : k + 1]
             checks = np.concatenate([first, rows[starts[k] + 1 : starts[k + 1] + 1]])
             fields = checks_by_name(checks)
-            return int(numbers[k]), History(**{n: fields[n] for n in History.__dataclass_fields__})
+            return int(numbers[k]), History(
+                **{n: fields[n] for n in History.__dataclass_fields__}
+            )
 
     def contents(self) -> tuple[dict[str, np.ndarray], dict[str, list[str]]]:
         """All datasets by path as they are stored, whatever their schema, and the names of the columns of each."""
@@ -396,7 +424,8 @@ class Shard:
         """Read everything that a writer may change (locations of episodes, runs) once, when the shard is opened."""
         index = group(self.file, EPISODES)
         self._places = {
-            str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT) for name in index
+            str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT)
+            for name in index
         }
         self.names = sorted(self._places)
         with suppress(*BROKEN):
@@ -505,7 +534,9 @@ def open_shard(path: Path | str) -> Shard:
     return Shard(path)
 
 
-def episodes(places: Path | Sequence[Path], copies: bool = False) -> Iterator[RecordedEpisode]:
+def episodes(
+    places: Path | Sequence[Path], copies: bool = False
+) -> Iterator[RecordedEpisode]:
     """Iterate over the episodes of shards and folders.
 
     Episodes remain usable after the iteration; once their shard is closed, every access opens the file again.
@@ -533,7 +564,11 @@ def episodes(places: Path | Sequence[Path], copies: bool = False) -> Iterator[Re
 
 def _camera_output(key: str) -> tuple[str, str]:
     parts = key.split("/")
-    return (parts[1], parts[2]) if len(parts) == 3 and parts[0] == "sensor_data" else ("", "")
+    return (
+        (parts[1], parts[2])
+        if len(parts) == 3 and parts[0] == "sensor_data"
+        else ("", "")
+    )
 
 
 def _unreadable(path: Path, error: Exception) -> DamagedError:
@@ -546,4 +581,6 @@ def _unreadable(path: Path, error: Exception) -> DamagedError:
             f"{path} cannot be read: it is cut off, {there:,} of its {whole:,} bytes are there. Copy it again from "
             f"where it came from, or save the episodes that are whole: mjhab data repair {path}"
         )
-    return DamagedError(f"{path} cannot be read: {reason(error)}. Try: mjhab data repair {path}")
+    return DamagedError(
+        f"{path} cannot be read: {reason(error)}. Try: mjhab data repair {path}"
+    )

@@ -45,16 +45,21 @@ def _is_number(value: Any, *kinds: type[float]) -> bool:
 
 
 def _is_yaws(value: Any) -> bool:
-    return isinstance(value, Mapping) and all(_is_number(one, int, float) for one in value.values())
+    return isinstance(value, Mapping) and all(
+        _is_number(one, int, float) for one in value.values()
+    )
 
 
 def _is_sizes(value: Any) -> bool:
-    return isinstance(value, Mapping) and all(_is_number(one, int) for one in value.values())
+    return isinstance(value, Mapping) and all(
+        _is_number(one, int) for one in value.values()
+    )
 
 
 def _is_columns(value: Any) -> bool:
     return isinstance(value, Mapping) and all(
-        isinstance(row, list) and all(_is_number(one, int) for one in row) for row in value.values()
+        isinstance(row, list) and all(_is_number(one, int) for one in row)
+        for row in value.values()
     )
 
 

@@ -82,7 +82,14 @@ FIELDS: tuple[Field, ...] = (
         "JSON",
         "the `EpisodeRecord`: identity, plan, labels, events, forces, taint",
     ),
-    Field("actions", "N", "(N, A)", "float32", "action table", "as executed, before clipping"),
+    Field(
+        "actions",
+        "N",
+        "(N, A)",
+        "float32",
+        "action table",
+        "as executed, before clipping",
+    ),
     Field(
         "actions_intended",
         "N",
@@ -127,7 +134,14 @@ FIELDS: tuple[Field, ...] = (
         "0 or 1",
         "CHECKS of the subtask that was active in the step",
     ),
-    Field("signals/forces", "N+1", "(N+1, 3)", "float64", "N, N, N x steps", "FORCES, likewise"),
+    Field(
+        "signals/forces",
+        "N+1",
+        "(N+1, 3)",
+        "float64",
+        "N, N, N x steps",
+        "FORCES, likewise",
+    ),
     Field(
         "signals/taint",
         "N+1",
@@ -152,7 +166,14 @@ FIELDS: tuple[Field, ...] = (
         "control steps",
         "when each subtask that was reached began",
     ),
-    Field("subtasks/index", "K", "(K,)", "int16", "index in the plan", "which subtask it was"),
+    Field(
+        "subtasks/index",
+        "K",
+        "(K,)",
+        "int16",
+        "index in the plan",
+        "which subtask it was",
+    ),
     Field(
         "subtasks/checks",
         "K",
@@ -171,7 +192,14 @@ FIELDS: tuple[Field, ...] = (
         "terms of the dense reward, as named",
         optional=True,
     ),
-    Field("reward/success", "N", "(N,)", "uint8", "0 or 1", "`info['success']` of every step"),
+    Field(
+        "reward/success",
+        "N",
+        "(N,)",
+        "uint8",
+        "0 or 1",
+        "`info['success']` of every step",
+    ),
     Field("reward/fail", "N", "(N,)", "uint8", "0 or 1", "`info['fail']` of every step"),
     Field(
         "obs/state",
@@ -272,7 +300,11 @@ def column_widths(
         layout: of the run, see `RunInfo`; sizes that it lacks are not checked.
         columns: names of the columns by path; "name:n" stands for n of them.
     """
-    widths = {path: sum(_width(name) for name in names) for path, names in columns.items() if names}
+    widths = {
+        path: sum(_width(name) for name in names)
+        for path, names in columns.items()
+        if names
+    }
     if "actions" in layout:
         widths["actions"] = len(layout["actions"])
         widths["actions_intended"] = len(layout["actions"])
@@ -291,7 +323,10 @@ def checks_by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
 
     If ``ee_contact`` was not recorded, ``touch`` (contact of any link) replaces it, as in the labels of that version.
     """
-    table = {name: rows[:, column : column + 1].astype(bool) for column, name in enumerate(CHECKS)}
+    table = {
+        name: rows[:, column : column + 1].astype(bool)
+        for column, name in enumerate(CHECKS)
+    }
     if rows.shape[1] < len(CHECKS):
         table["ee_contact"] = table["touch"]
     return table
@@ -317,8 +352,14 @@ def problems(
         widths: number of columns by path, from `column_widths`.
         absent: paths of fields that the source of the episode did not have (`RunInfo.absent`).
     """
-    needed = [field.path for field in FIELDS if not field.optional and field.since <= schema]
-    found = [f"{path} is missing" for path in needed if path not in arrays and path not in absent]
+    needed = [
+        field.path for field in FIELDS if not field.optional and field.since <= schema
+    ]
+    found = [
+        f"{path} is missing"
+        for path in needed
+        if path not in arrays and path not in absent
+    ]
     if steps < 1:
         found.append(f"an episode has at least one action, not {steps}")
     count = len(arrays["subtasks/step"]) if np.ndim(arrays.get("subtasks/step", 0)) else 0
@@ -335,7 +376,11 @@ def problems(
         elif field.rows and len(array) != rows[field.rows]:
             wanted = f"{rows[field.rows]} ({field.rows} with N = {steps} actions)"
             found.append(f"{path} has {len(array)} rows, not {wanted}")
-        elif widths and array.ndim == 2 and array.shape[1] != widths.get(path, array.shape[1]):
+        elif (
+            widths
+            and array.ndim == 2
+            and array.shape[1] != widths.get(path, array.shape[1])
+        ):
             found.append(f"{path} has {array.shape[1]} columns, not {widths[path]}")
         elif array.dtype.kind == "f" and not np.isfinite(array).all():
             found.append(_not_finite(path, array))
@@ -361,15 +406,29 @@ def _bad_values(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
         ("signals/forces", FORCES),
         ("subtasks/checks", CHECKS),
     ):
-        widths = (len(columns), len(columns) - 1) if columns is CHECKS else (len(columns),)
-        if path in arrays and (arrays[path].ndim != 2 or arrays[path].shape[1] not in widths):
-            found.append(f"{path} has shape {arrays[path].shape}, not {len(columns)} columns")
-    if "actions_intended" in arrays and arrays["actions_intended"].shape != arrays["actions"].shape:
+        widths = (
+            (len(columns), len(columns) - 1) if columns is CHECKS else (len(columns),)
+        )
+        if path in arrays and (
+            arrays[path].ndim != 2 or arrays[path].shape[1] not in widths
+        ):
+            found.append(
+                f"{path} has shape {arrays[path].shape}, not {len(columns)} columns"
+            )
+    if (
+        "actions_intended" in arrays
+        and arrays["actions_intended"].shape != arrays["actions"].shape
+    ):
         found.append(
             f"actions_intended is {arrays['actions_intended'].shape}, actions are {arrays['actions'].shape}"
         )
     starts = arrays["subtasks/step"]
-    if not len(starts) or starts[0] != 0 or (np.diff(starts) <= 0).any() or starts[-1] > steps:
+    if (
+        not len(starts)
+        or starts[0] != 0
+        or (np.diff(starts) <= 0).any()
+        or starts[-1] > steps
+    ):
         found.append(f"subtasks/step must begin with 0, grow, and not exceed N = {steps}")
     for path, ends in arrays.items():
         if path.endswith("/ends") and path.startswith("images/"):

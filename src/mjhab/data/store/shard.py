@@ -147,7 +147,9 @@ class ShardWriter:
         """
         taken = self._names.intersection(names)
         if taken:
-            raise UsageError(f"episode {min(taken)} is in {self.path} already; nothing was written")
+            raise UsageError(
+                f"episode {min(taken)} is in {self.path} already; nothing was written"
+            )
         return sum(self._adopt(shard, batch) for batch in _batches(shard, names))
 
     def _adopt(self, shard: Shard, names: Sequence[str]) -> int:
@@ -210,7 +212,11 @@ def _batches(shard: Shard, names: Sequence[str]) -> Iterator[list[str]]:
 
 
 def _make_empty(path: Path) -> None:
-    make_file(path, {"format": FORMAT, "schema": VERSION, "mjhab": __version__}, (EPISODES, RUNS))
+    make_file(
+        path,
+        {"format": FORMAT, "schema": VERSION, "mjhab": __version__},
+        (EPISODES, RUNS),
+    )
 
 
 def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
@@ -237,7 +243,10 @@ def _put_episode(parent: h5py.Group, data: EpisodeData) -> None:
 
 
 def _put(
-    parent: h5py.Group, path: str, array: np.ndarray, columns: tuple[str, ...] | None = None
+    parent: h5py.Group,
+    path: str,
+    array: np.ndarray,
+    columns: tuple[str, ...] | None = None,
 ) -> None:
     array = np.ascontiguousarray(array)
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
@@ -263,7 +272,9 @@ def _put(
 def is_full(error: Exception) -> bool:
     """Whether an error reports a full disk, by its errno or, for libraries without one, by its text."""
     number = getattr(error, "errno", None)
-    return number in (errno.ENOSPC, errno.EDQUOT) or os.strerror(errno.ENOSPC) in str(error)
+    return number in (errno.ENOSPC, errno.EDQUOT) or os.strerror(errno.ENOSPC) in str(
+        error
+    )
 
 
 def _storage_error(path: Path, error: OSError) -> StorageError:
@@ -271,4 +282,6 @@ def _storage_error(path: Path, error: OSError) -> StorageError:
         what = "the disk is full. Free some space and run the same command again: it continues where it stopped"
     else:
         what = f"{error.strerror or error}. Fix that and run the same command again"
-    return StorageError(f"cannot write {path}: {what}. Every episode finished before is safe.")
+    return StorageError(
+        f"cannot write {path}: {what}. Every episode finished before is safe."
+    )

@@ -62,7 +62,10 @@ class Wreck(Shard):
 def _header_offsets(path: Path) -> list[int]:
     """Offsets in a file at which headers may start [bytes]."""
     found: list[int] = []
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with (
+        open(path, "rb") as file,
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
         at = data.find(HEADER)
         while at >= 0:
             found.append(at)
@@ -78,7 +81,9 @@ def _references(offsets: Sequence[int]) -> list[h5py.Reference]:
     if not offsets:
         return []
     with h5py.File("references", "w", driver="core", backing_store=False) as memory:
-        column = memory.create_dataset("references", (len(offsets),), dtype=h5py.ref_dtype)
+        column = memory.create_dataset(
+            "references", (len(offsets),), dtype=h5py.ref_dtype
+        )
         column.id.write(h5s.ALL, h5s.ALL, np.array(offsets, "<u8"), h5t.STD_REF_OBJ)
         return list(column[()])
 

@@ -82,10 +82,16 @@ class DeviceEnv(TaskLoop):
         )
         self.device: torch.device = self.sim.qpos.device
         with room_for(config.num_envs, self.sim.device):
-            super().__init__(config, torch.zeros(1, dtype=torch.float32, device=self.device))
+            super().__init__(
+                config, torch.zeros(1, dtype=torch.float32, device=self.device)
+            )
             self._make_parts(self._nav_distance)
             self.observer = DeviceObserver(
-                self.sim, self.sensing, config.obs_mode, config.cameras, config.camera_size
+                self.sim,
+                self.sensing,
+                config.obs_mode,
+                config.cameras,
+                config.camera_size,
             )
             longest = max(horizons(self.task_config))
             self.tracker = DeviceNotes(self.num_envs, longest, self.device)
@@ -168,7 +174,9 @@ class DeviceEnv(TaskLoop):
     def _adopt(self, fresh: Tensor, episodes: Tensor) -> None:
         self.start_row = torch.where(fresh, episodes, self.start_row)
         self.tables = self.pool.rows(self.start_row)
-        self.fallback = torch.where(fresh, self.pool.fallback[self.start_row], self.fallback)
+        self.fallback = torch.where(
+            fresh, self.pool.fallback[self.start_row], self.fallback
+        )
 
     def _place(self, fresh: Tensor, moved: Tensor) -> Tensor:
         pool = self.pool
@@ -179,7 +187,10 @@ class DeviceEnv(TaskLoop):
             leaping = moved & self.focus.navigates
             at = self.focus.active.index
             there = self.teleporter.moved(
-                self.sim.qpos, self.state, pool.landings[row, at], self.focus.columns[:, 1]
+                self.sim.qpos,
+                self.state,
+                pool.landings[row, at],
+                self.focus.columns[:, 1],
             )
             qpos = torch.where(fresh[:, None], qpos, there)
             self.fallback = self.fallback | (leaping & pool.landing_fallback[row, at])
@@ -211,7 +222,9 @@ class DeviceEnv(TaskLoop):
                 f"actions must be numbers (float32), got a tensor of type {actions.dtype}"
             )
         if actions.shape != need:
-            raise UsageError(f"actions must have shape {need}, got {tuple(actions.shape)}")
+            raise UsageError(
+                f"actions must have shape {need}, got {tuple(actions.shape)}"
+            )
         finite = torch.isfinite(actions)
         self.bad_actions = self.bad_actions + (~finite.all(-1)).sum()
         return torch.where(finite, actions, 0).to(torch.float32)
@@ -222,7 +235,9 @@ class DeviceEnv(TaskLoop):
         self.sim.mend_broken()
         return broken
 
-    def _note(self, signals: Signals, outcome: Outcome, progress: Progress) -> DeviceStepNotes:
+    def _note(
+        self, signals: Signals, outcome: Outcome, progress: Progress
+    ) -> DeviceStepNotes:
         flags = self.tracker.update(signals, progress)
         label = self.tracker.end(signals, outcome, progress)
         self._judged_row = self.start_row

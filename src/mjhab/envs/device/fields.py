@@ -43,7 +43,10 @@ class GoalFields:
         maps: Callable[[str], FreeMap],
         device: torch.device | str,
     ) -> None:
-        keys = [(home, round(float(goal[0]), 3), round(float(goal[1]), 3)) for home, goal in goals]
+        keys = [
+            (home, round(float(goal[0]), 3), round(float(goal[1]), 3))
+            for home, goal in goals
+        ]
         first = {key: n for n, key in reversed(list(enumerate(keys)))}
         different = sorted(first, key=first.__getitem__)
         rows = {key: f for f, key in enumerate(different)}
@@ -56,7 +59,9 @@ class GoalFields:
             for key in different
         ]
         numbers = np.array(places or [(0.0, 0.0, 1.0, 1.0, 1.0)], np.float32)
-        self.index = torch.as_tensor(np.array([rows[key] for key in keys], np.int64), device=device)
+        self.index = torch.as_tensor(
+            np.array([rows[key] for key in keys], np.int64), device=device
+        )
         self._table = torch.as_tensor(table, device=device)
         self._step = torch.as_tensor(tops / _STEPS, device=device)
         self._origin = torch.as_tensor(numbers[:, :2], device=device)
@@ -89,7 +94,9 @@ class GoalFields:
         return torch.where(index < 0, 0.0, way)
 
 
-def _fields(goals: Sequence[tuple[FreeMap, Sequence[float]]]) -> tuple[np.ndarray, np.ndarray]:
+def _fields(
+    goals: Sequence[tuple[FreeMap, Sequence[float]]],
+) -> tuple[np.ndarray, np.ndarray]:
     """Distance fields of goals on their maps: (F, X, Y) int16 table, and the largest distance of each (F,) [m]."""
     shapes = [free.blocked.shape for free, _ in goals]
     size = tuple(max((shape[axis] for shape in shapes), default=1) for axis in (0, 1))

@@ -68,12 +68,18 @@ class Teleporter:
     """
 
     def __init__(self, addresses: Addresses, device: torch.device) -> None:
-        self._robot_q = torch.as_tensor(np.asarray(addresses.robot_q, np.int64), device=device)
+        self._robot_q = torch.as_tensor(
+            np.asarray(addresses.robot_q, np.int64), device=device
+        )
         self._first = int(addresses.object_q[0])
         self._slots = torch.arange(len(addresses.object_q), device=device)
 
     def moved(
-        self, qpos: torch.Tensor, state: SimState, landing: torch.Tensor, carried: torch.Tensor
+        self,
+        qpos: torch.Tensor,
+        state: SimState,
+        landing: torch.Tensor,
+        carried: torch.Tensor,
     ) -> torch.Tensor:
         """Positions (W, nq) of all worlds after a teleport.
 
@@ -100,7 +106,9 @@ class Teleporter:
         return out
 
 
-def _turned(poses: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
+def _turned(
+    poses: torch.Tensor, before: torch.Tensor, after: torch.Tensor
+) -> torch.Tensor:
     """Poses (W, N, 7) moved as a base moves from ``before`` to ``after``, both (W, 3): x, y, yaw."""
     turn = after[:, BASE_YAW] - before[:, BASE_YAW]
     cos = torch.cos(turn)[:, None]

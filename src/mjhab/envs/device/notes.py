@@ -70,10 +70,12 @@ class DeviceNotes:
     """
 
     def __init__(self, num_worlds: int, longest: int, device: torch.device) -> None:
-        self._history = torch.zeros((num_worlds, longest + 2), dtype=torch.int16, device=device)
-        self._weights = (2 ** torch.arange(len(lb.WATCHED), dtype=torch.int16, device=device))[
-            :, None
-        ]
+        self._history = torch.zeros(
+            (num_worlds, longest + 2), dtype=torch.int16, device=device
+        )
+        self._weights = (
+            2 ** torch.arange(len(lb.WATCHED), dtype=torch.int16, device=device)
+        )[:, None]
         self._start_step = torch.zeros(num_worlds, dtype=torch.int64, device=device)
         self._labels: lb.LabelState | None = None
         self._ended: _Ended | None = None
@@ -82,7 +84,9 @@ class DeviceNotes:
         """Start new notes in the worlds of ``mask`` (W,) from the signals at the start of their subtask."""
         new = lb.start(signals)
         self._labels = new if self._labels is None else lb.choose(mask, new, self._labels)
-        self._history[:, 0] = torch.where(mask, self._pack(self._labels.now), self._history[:, 0])
+        self._history[:, 0] = torch.where(
+            mask, self._pack(self._labels.now), self._history[:, 0]
+        )
         self._start_step = torch.where(mask, progress.episode_step, self._start_step)
 
     def update(self, signals: Signals, progress: Progress) -> torch.Tensor:
@@ -91,7 +95,9 @@ class DeviceNotes:
         before = self._labels
         live = ~progress.done
         self._labels = lb.choose(live, lb.add(before, lb.watch(signals)), before)
-        column = torch.clamp(progress.subtask_step, max=self._history.shape[1] - 1)[:, None]
+        column = torch.clamp(progress.subtask_step, max=self._history.shape[1] - 1)[
+            :, None
+        ]
         bits = torch.where(
             live, self._pack(self._labels.now), self._history.gather(1, column)[:, 0]
         )
@@ -119,7 +125,9 @@ class DeviceNotes:
         """
         records: list[dict[str, Any] | None] = [None] * len(plans)
         worlds = (
-            np.flatnonzero(to_numpy(self._ended.outcome.ended)) if self._ended else np.zeros(0, int)
+            np.flatnonzero(to_numpy(self._ended.outcome.ended))
+            if self._ended
+            else np.zeros(0, int)
         )
         if self._ended is None or not len(worlds):
             return records

@@ -54,7 +54,11 @@ class DeviceObserver(ObservedRows):
             self._intrinsic = torch.stack(matrices).to(sim.qpos)
 
     def observe(
-        self, state: SimState, focus: Focus, signals: Signals, changed: torch.Tensor | None = None
+        self,
+        state: SimState,
+        focus: Focus,
+        signals: Signals,
+        changed: torch.Tensor | None = None,
     ) -> dict[str, torch.Tensor]:
         """Compute observations (W, ...) of all worlds, which later steps do not modify.
 
@@ -64,11 +68,17 @@ class DeviceObserver(ObservedRows):
             signals: signals measured in this state.
             changed: (W,) bool, worlds whose state has changed since the last call; None if all may have.
         """
-        obs = state_observation(self.state_rows, self._sensing.context(state, focus, signals))
+        obs = state_observation(
+            self.state_rows, self._sensing.context(state, focus, signals)
+        )
         if self.renderer is None:
             return obs
         images = self.renderer.draw(changed)
         pos, mat = self.renderer.poses()
-        views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
+        views = Views(
+            self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic
+        )
         # Copies, because the renderer reuses its memory.
-        return obs | {entry.key: entry.compute(views).clone() for entry in self.camera_rows}
+        return obs | {
+            entry.key: entry.compute(views).clone() for entry in self.camera_rows
+        }

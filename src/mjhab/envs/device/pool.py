@@ -74,7 +74,9 @@ class StartPool:
         seed: seed of the episodes.
     """
 
-    def __init__(self, source: EpisodeSource, sim: WarpSimulator, count: int, seed: int) -> None:
+    def __init__(
+        self, source: EpisodeSource, sim: WarpSimulator, count: int, seed: int
+    ) -> None:
         self.seed = seed
         self.count = count
         self._source = source
@@ -88,11 +90,14 @@ class StartPool:
         def upload(values: Sequence[Any] | np.ndarray) -> torch.Tensor:
             array = np.asarray(values)
             return torch.as_tensor(
-                array.astype(np.float32) if array.dtype.kind == "f" else array, device=device
+                array.astype(np.float32) if array.dtype.kind == "f" else array,
+                device=device,
             )
 
         self.qpos = upload(states)
-        self.home_rows, self.ctrl, self.rings = sim.start_rows([m.start.home for m in made], states)
+        self.home_rows, self.ctrl, self.rings = sim.start_rows(
+            [m.start.home for m in made], states
+        )
         self.fallback = upload([m.start.fallback or bool(m.fallback[0]) for m in made])
         self.landings = upload(np.stack([m.landings for m in made]))
         self.landing_fallback = upload(np.stack([m.fallback for m in made]))
@@ -157,7 +162,8 @@ class StartPool:
         if not where or self._config.reward not in DENSE_MODES:
             return None, index
         goals = [
-            (made[p].start.home, made[p].start.plan.subtasks[s].goal_pos[:2]) for p, s in where
+            (made[p].start.home, made[p].start.plan.subtasks[s].goal_pos[:2])
+            for p, s in where
         ]
         fields = GoalFields(goals, self._source.starts.sampler.map, device)
         p, s = torch.as_tensor(where, device=device).unbind(1)

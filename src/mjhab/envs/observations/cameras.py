@@ -10,7 +10,12 @@ import numpy as np
 from mjhab.core.arrays import Array, constant, count, device_of, empty, namespace, zeros
 from mjhab.core.joints import BASE_XY, BASE_YAW
 from mjhab.envs.observations.entry import ObsEntry, Views
-from mjhab.envs.observations.modes import CAMERA_OUTPUTS, POINTCLOUD, camera_key, param_key
+from mjhab.envs.observations.modes import (
+    CAMERA_OUTPUTS,
+    POINTCLOUD,
+    camera_key,
+    param_key,
+)
 from mjhab.robots.robot import Robot
 
 DEPTH_SCALE = 1000.0
@@ -23,7 +28,9 @@ def intrinsic_matrix(robot: Robot, camera: str, size: tuple[int, int]) -> np.nda
     height, width = size
     fovy = robot.camera(camera).fovy
     focal = 0.5 * height / np.tan(0.5 * fovy)
-    return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
+    return np.array(
+        [[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]]
+    )
 
 
 def camera_table(
@@ -40,7 +47,9 @@ def camera_table(
     rows: list[ObsEntry] = []
     for c, camera in enumerate(cameras if outputs else ()):
         rows += [
-            _image_row(c, camera, output, size) for output in outputs if output in CAMERA_OUTPUTS
+            _image_row(c, camera, output, size)
+            for output in outputs
+            if output in CAMERA_OUTPUTS
         ]
         rows += _param_rows(c, camera)
     if POINTCLOUD in outputs:
@@ -53,10 +62,14 @@ def _image_row(index: int, camera: str, output: str, size: tuple[int, int]) -> O
     key = camera_key(camera, output)
     frame = "image, rows from the top"
     if output == "rgb":
-        return ObsEntry(key, (*size, 3), "sRGB", frame, compute, "colour", np.uint8, 0, 255)
+        return ObsEntry(
+            key, (*size, 3), "sRGB", frame, compute, "colour", np.uint8, 0, 255
+        )
     if output == "depth":
         meaning = "distance along the optical axis, 0 where nothing is hit"
-        return ObsEntry(key, (*size, 1), "mm", frame, compute, meaning, np.int16, 0, DEPTH_MAX)
+        return ObsEntry(
+            key, (*size, 1), "mm", frame, compute, meaning, np.int16, 0, DEPTH_MAX
+        )
     meaning = "segmentation id, see `segmentation_names`; 0 where nothing is hit"
     most = np.iinfo(np.int32).max
     return ObsEntry(key, (*size, 1), "id", frame, compute, meaning, np.int32, 0, most)
@@ -64,10 +77,20 @@ def _image_row(index: int, camera: str, output: str, size: tuple[int, int]) -> O
 
 def _param_rows(index: int, camera: str) -> list[ObsEntry]:
     def row(
-        name: str, shape: tuple[int, ...], unit: str, frame: str, compute: Callable, meaning: str
+        name: str,
+        shape: tuple[int, ...],
+        unit: str,
+        frame: str,
+        compute: Callable,
+        meaning: str,
     ) -> ObsEntry:
         return ObsEntry(
-            param_key(camera, name), shape, unit, frame, partial(compute, index=index), meaning
+            param_key(camera, name),
+            shape,
+            unit,
+            frame,
+            partial(compute, index=index),
+            meaning,
         )
 
     return [
@@ -147,7 +170,9 @@ def _image(views: Views, index: int, output: str) -> Array:
 def _millimetres(images: Array, index: int) -> Array:
     """Depth of one camera as int16 [mm], from the images (W, C, h, w) [m] of all."""
     if isinstance(images, np.ndarray):
-        from mjhab.core.kernels.integers import scaled_int16  # loads numba, as drawing has
+        from mjhab.core.kernels.integers import (
+            scaled_int16,
+        )  # loads numba, as drawing has
 
         worlds, _, height, width = images.shape
         found = np.empty((worlds, height, width), np.int16)
@@ -196,10 +221,16 @@ def _cloud_xyz(views: Views) -> Array:
     s = xp.sin(yaw)
     zero = zeros(yaw.shape, yaw)
     to_base = xp.stack(
-        [xp.stack([c, s, zero]), xp.stack([-s, c, zero]), xp.stack([zero, zero, zero + 1.0])]
+        [
+            xp.stack([c, s, zero]),
+            xp.stack([-s, c, zero]),
+            xp.stack([zero, zero, zero + 1.0]),
+        ]
     )
     to_base = xp.permute_dims(to_base, (2, 0, 1))
-    origin = xp.concat([views.base[:, BASE_XY], zero[:, None] + views.robot.base_height], axis=1)
+    origin = xp.concat(
+        [views.base[:, BASE_XY], zero[:, None] + views.robot.base_height], axis=1
+    )
     rot = to_base[:, None] @ views.mat
     pos = xp.einsum("wij,wcj->wci", to_base, views.pos - origin[:, None])
     # Points in the camera (x right, y down, z forward) and 1, all 0 where nothing is hit, times a 4x3 matrix.
@@ -207,11 +238,17 @@ def _cloud_xyz(views: Views) -> Array:
     col = count(depth.shape[3], depth) + 0.5
     row = count(depth.shape[2], depth)[:, None] + 0.5
     for k, matrix in enumerate(views.intrinsic):
-        seen[:, k, ..., 0] = depth[:, k] * xp.astype((col - matrix[0, 2]) / matrix[0, 0], f32)
-        seen[:, k, ..., 1] = depth[:, k] * xp.astype((row - matrix[1, 2]) / matrix[1, 1], f32)
+        seen[:, k, ..., 0] = depth[:, k] * xp.astype(
+            (col - matrix[0, 2]) / matrix[0, 0], f32
+        )
+        seen[:, k, ..., 1] = depth[:, k] * xp.astype(
+            (row - matrix[1, 2]) / matrix[1, 1], f32
+        )
     seen[..., 2] = depth
     seen[..., 3] = depth > 0.0
-    move = xp.concat([xp.permute_dims(_turned(rot), (0, 1, 3, 2)), pos[:, :, None]], axis=2)
+    move = xp.concat(
+        [xp.permute_dims(_turned(rot), (0, 1, 3, 2)), pos[:, :, None]], axis=2
+    )
     points = xp.reshape(seen, (*depth.shape[:2], -1, 4)) @ xp.astype(move, f32)
     return xp.reshape(points, (len(depth), -1, 3))
 

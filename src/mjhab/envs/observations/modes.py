@@ -83,7 +83,8 @@ def image_size(size: int | Sequence[int]) -> tuple[int, int]:
     _, most = range_of("camera_size")
     sides = tuple(size) if isinstance(size, Sequence) else (size, size)
     if len(sides) != 2 or any(
-        not isinstance(side, int | np.integer) or not MIN_SIZE <= side <= most for side in sides
+        not isinstance(side, int | np.integer) or not MIN_SIZE <= side <= most
+        for side in sides
     ):
         raise UsageError(
             f"camera size must be one whole number or (height, width), each {MIN_SIZE} to {most}; got {size!r}."

@@ -88,7 +88,9 @@ def task_meanings(kinds: Sequence[str]) -> dict[str, str]:
 
 
 def _listed(
-    about: Mapping[str, str], shown: Sequence[SubtaskSpec], all_kinds: Sequence[SubtaskSpec]
+    about: Mapping[str, str],
+    shown: Sequence[SubtaskSpec],
+    all_kinds: Sequence[SubtaskSpec],
 ) -> str:
     """Meaning of one row for several kinds, as in "Pick, Place: its object; Open: the handle; zero in Navigate"."""
     by_meaning: dict[str, list[str]] = {}
@@ -105,7 +107,9 @@ def joint_rows(robot: Robot) -> tuple[ObsEntry, ...]:
     """Rows of the joints of a robot, without those of its base."""
     upper = robot.columns.upper
     count = upper.stop - upper.start
-    groups = [group for group in ("torso", "head", "arm", "fingers") if robot.group(group)]
+    groups = [
+        group for group in ("torso", "head", "arm", "fingers") if robot.group(group)
+    ]
     frame = f"joint: {', '.join(groups)}"
     return (
         ObsEntry(

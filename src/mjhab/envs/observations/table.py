@@ -16,7 +16,9 @@ from mjhab.envs.spaces import ordered_dict
 
 def table_space(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> spaces.Dict:
     """Observation space of one world: the rows of ``state_table``, of ``camera_table``, and their ``state``."""
-    box: dict[str, spaces.Space] = {entry.key: entry.space for entry in (*state, *cameras)}
+    box: dict[str, spaces.Space] = {
+        entry.key: entry.space for entry in (*state, *cameras)
+    }
     width = sum(entry.shape[0] for entry in state)
     box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (width,), np.float32)
     return ordered_dict(box)

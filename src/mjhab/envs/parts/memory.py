@@ -104,7 +104,9 @@ def device_need(
         return Need(WARP_BASE_MB, world_mb)
     wanted = mode_outputs(pictures.obs_mode)
     drawn = [
-        size for name, size in WARP_PIXEL_BYTES.items() if name in wanted or "pointcloud" in wanted
+        size
+        for name, size in WARP_PIXEL_BYTES.items()
+        if name in wanted or "pointcloud" in wanted
     ]
     # Scratch of a world: lists of moving parts per tile of 16 x 16 pixels; with colours light per pixel and 4 x 4 cell.
     scratch = pixels / 256 * (4 + 2 * WARP_MOVERS) + pixels * (8 + 12 / 16)

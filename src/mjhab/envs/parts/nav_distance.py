@@ -21,7 +21,10 @@ class NavDistance:
     """
 
     def __init__(
-        self, layout: Layout, num_worlds: int, maps: Callable[[str], FreeMap] | None = None
+        self,
+        layout: Layout,
+        num_worlds: int,
+        maps: Callable[[str], FreeMap] | None = None,
     ) -> None:
         self._homes = layout.pack.homes_by_name
         self._pack = layout.pack
@@ -44,7 +47,9 @@ class NavDistance:
         field = found.distances_to(goal_xy)
         worlds, x, y = self._fields.shape
         if field.shape[0] > x or field.shape[1] > y:
-            grown = np.zeros((worlds, max(x, field.shape[0]), max(y, field.shape[1])), np.float32)
+            grown = np.zeros(
+                (worlds, max(x, field.shape[0]), max(y, field.shape[1])), np.float32
+            )
             grown[:, :x, :y] = self._fields
             self._fields = grown
         self._fields[world, : field.shape[0], : field.shape[1]] = field

@@ -67,7 +67,9 @@ class ObservedRows:
         self.outputs = mode_outputs(mode)
         # A point cloud is made of all three.
         self.drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
-        self.cameras = camera_names(robot, robot.camera_names if cameras is None else cameras)
+        self.cameras = camera_names(
+            robot, robot.camera_names if cameras is None else cameras
+        )
         self.size = image_size(size)
         self.state_rows = state_table(robot, own_state_only(mode))
         self.camera_rows = camera_table(robot, self.outputs, self.cameras, self.size)
@@ -102,7 +104,9 @@ class ObservedRows:
             UsageError: there is no such subtask.
         """
         return describe(
-            self.state_rows, self.camera_rows, SUBTASKS.names() if kinds is None else kinds
+            self.state_rows,
+            self.camera_rows,
+            SUBTASKS.names() if kinds is None else kinds,
         )
 
 
@@ -176,13 +180,16 @@ class Observer(ObservedRows):
             known: observations from earlier in this step, whose images are reused.
             changed: (W,) bool, worlds whose state has changed since ``known``; their images are drawn again.
         """
-        obs = state_observation(self.state_rows, self._sensing.context(state, focus, signals))
+        obs = state_observation(
+            self.state_rows, self._sensing.context(state, focus, signals)
+        )
         if self.outputs:
             if known is None or changed is None:
                 return obs | self.draw(state, homes)
             worlds = np.flatnonzero(changed)
             drawn = self.draw(
-                map_record(lambda rows: rows[worlds], state), [homes[w] for w in worlds.tolist()]
+                map_record(lambda rows: rows[worlds], state),
+                [homes[w] for w in worlds.tolist()],
             )
             for key, rows in drawn.items():
                 obs[key] = known[key].copy()
@@ -192,6 +199,10 @@ class Observer(ObservedRows):
     def draw(self, state: SimState, homes: Sequence[str]) -> dict[str, np.ndarray]:
         """Draw the camera images of the worlds of ``state`` and compute the camera rows (W, ...) from them."""
         pos, mat = self.renderer.camera_poses(state, self.cameras)
-        images = self.renderer.robot_views(state, homes, self.size, self.drawn, self.cameras)
-        views = Views(self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic)
+        images = self.renderer.robot_views(
+            state, homes, self.size, self.drawn, self.cameras
+        )
+        views = Views(
+            self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic
+        )
         return {entry.key: entry.compute(views) for entry in self.camera_rows}

@@ -80,7 +80,9 @@ def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
     xp = namespace(pointer)
     active = active_entries(tables.arrays, pointer, config)
     columns = (tables.arrays.kind, tables.obj, tables.link, tables.target, tables.held)
-    kind, obj, link, target, held = (pick_column(table, active.index) for table in columns)
+    kind, obj, link, target, held = (
+        pick_column(table, active.index) for table in columns
+    )
     columns = xp.stack([target, held], axis=1)
     object_shown, goal_shown = shown(active.kind)
     jointed, navigates = properties(kind, "jointed", "navigates")
@@ -139,7 +141,11 @@ class PlanTables:
     def set_row(self, world: int, plan: TaskPlan, boxes: dict[str, Box]) -> None:
         """Set the plan of a world; ``boxes``: floor areas in front of links, see `stack_plans`."""
         row = stack_plans(
-            [plan], self.config, [boxes], min_subtasks=self.num_subtasks, doors=self.layout.doors
+            [plan],
+            self.config,
+            [boxes],
+            min_subtasks=self.num_subtasks,
+            doors=self.layout.doors,
         )
         for field in dataclasses.fields(PlanArrays):
             table = getattr(self.arrays, field.name)

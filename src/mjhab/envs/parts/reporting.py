@@ -69,7 +69,10 @@ class Reporter:
         return self._descriptions[world]
 
     def entries(
-        self, episodes: Sequence[Episode | None], plans: Sequence[TaskPlan], pointer: np.ndarray
+        self,
+        episodes: Sequence[Episode | None],
+        plans: Sequence[TaskPlan],
+        pointer: np.ndarray,
     ) -> dict[str, np.ndarray]:
         """Make the entries "episode_spec" and "instruction" of `info`.
 
@@ -89,7 +92,9 @@ class Reporter:
             self._pointer = pointer.copy()
         return {"instruction": self._sentences.copy(), "episode_spec": self._specs.copy()}
 
-    def _tell(self, world: int, episode: Episode | None, plan: TaskPlan, pointer: int) -> None:
+    def _tell(
+        self, world: int, episode: Episode | None, plan: TaskPlan, pointer: int
+    ) -> None:
         """Set the description and the sentence of a world to those of an episode at ``pointer``."""
         spec = self.describe(world, episode, plan)
         self._specs[world] = spec
@@ -108,7 +113,9 @@ def describe_episode(
         config: options of the environment; gives the single subtask and whether navigation is a teleport.
         narrator: makes "instruction", the sentence for the whole episode, and "instructions", one per subtask.
     """
-    entries = ({"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks)
+    entries = (
+        {"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
+    )
     sentences = narrator.instructions(episode, plan, alone=bool(config.subtask))
     if config.teleports:
         sentences = with_teleports(sentences, [s.name for s in plan.subtasks])

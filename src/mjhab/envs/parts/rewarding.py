@@ -108,7 +108,9 @@ class Rewarder:
         like = np.zeros(0) if like is None else like
         self._worlds = count(num_worlds, like)
         # The last entry is for "no link", index -1.
-        self._ideal = as_like([*(IDEAL_SPEED[ref.link.joint] for ref in layout.links), 0.0], like)
+        self._ideal = as_like(
+            [*(IDEAL_SPEED[ref.link.joint] for ref in layout.links), 0.0], like
+        )
         self._zero = zeros((num_worlds,), like)
         self._zero6 = zeros((num_worlds, 6), like)
         self._low = as_like([0.0], like)
@@ -129,11 +131,17 @@ class Rewarder:
         if self.mode == "none":
             return self._zero + 0.0, {}
         if self.mode in ("sparse", "pointer"):
-            counted = inputs.signals.success if self.mode == "sparse" else inputs.progress.pointer
+            counted = (
+                inputs.signals.success
+                if self.mode == "sparse"
+                else inputs.progress.pointer
+            )
             return cast(counted, self._zero.dtype), {}
         scored = self.dense.score(self._view(inputs))
         reward = (
-            scored.total / scored.normaliser if self.mode == "normalized_dense" else scored.total
+            scored.total / scored.normaliser
+            if self.mode == "normalized_dense"
+            else scored.total
         )
         return reward, dict(zip(self.dense.names, scored.terms, strict=True))
 
@@ -153,7 +161,9 @@ class Rewarder:
             some = xp.where(focus.link > 0, focus.link, 0)
             handle = self._sensing.handle_pos(state, rows, some)
             distance = norm3(world.tcp_pos - handle)
-            self._closed_near = closed_near(self._closed_near, inputs.signals.closed, distance)
+            self._closed_near = closed_near(
+                self._closed_near, inputs.signals.closed, distance
+            )
         # For a robot without a torso the torso counts as fully up.
         torso = zero + 1.0
         if self._torso is not None:
@@ -165,7 +175,9 @@ class Rewarder:
             signals=inputs.signals,
             tcp_vel=state.tcp_vel,
             object_pos=state.object_pose[rows, focus.obj, :3],
-            object_vel=state.object_vel[rows, focus.obj] if "object_vel" in reads else self._zero6,
+            object_vel=state.object_vel[rows, focus.obj]
+            if "object_vel" in reads
+            else self._zero6,
             goal_pos=focus.active.goal_pos,
             torso_up=torso,
             handle_distance=distance,

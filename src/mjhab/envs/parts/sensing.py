@@ -51,7 +51,9 @@ class Sensing:
             [ref.link.handle.point(handle_points) for ref in layout.links], like
         )
         # The last row is for "no link", index -1.
-        self._range = as_like([*(ref.link.range for ref in layout.links), (0.0, 0.0)], like)
+        self._range = as_like(
+            [*(ref.link.range for ref in layout.links), (0.0, 0.0)], like
+        )
 
     def world_state(
         self, state: SimState, tables: Tables, focus: Focus, joint_start: Array
@@ -66,7 +68,10 @@ class Sensing:
         """
         rows = self._rows
         column = focus.columns
-        force = state.finger_force[rows[:, None], :, column] * focus.has_columns[..., None, None]
+        force = (
+            state.finger_force[rows[:, None], :, column]
+            * focus.has_columns[..., None, None]
+        )
         joint_range = self._range[focus.link]
         obj_pos = state.object_pose[rows[:, None], tables.obj, :3] * focus.has_obj
         return WorldState(
@@ -108,7 +113,9 @@ class Sensing:
         heading = xp.atan2(axis[:, 1], axis[:, 0]) - state.robot_q[:, BASE_YAW]
         speed = state.link_qd[self._rows, link]
         near = xp.exp(-opening / NEARLY_CLOSED)
-        columns = xp.stack([opening, speed, xp.cos(heading), xp.sin(heading), near], axis=1)
+        columns = xp.stack(
+            [opening, speed, xp.cos(heading), xp.sin(heading), near], axis=1
+        )
         return xp.astype(xp.where(focus.has_link[:, None], columns, 0.0), xp.float32)
 
     def handle_pos(self, state: SimState, world: Array, link: Array) -> Array:
@@ -138,7 +145,9 @@ class Sensing:
         poses[0, :, 3:] = state.body_quat[:, self._tcp]
         poses[1] = state.object_pose[rows, focus.obj]
         poses[2, :, :3] = goal
-        local = pose_in_base(state.robot_q[:, BASE], self._base_height, poses) * focus.shown
+        local = (
+            pose_in_base(state.robot_q[:, BASE], self._base_height, poses) * focus.shown
+        )
         grasped = signals.is_grasped & (focus.active.kind >= 0)
         return ObsContext(
             state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], grasped

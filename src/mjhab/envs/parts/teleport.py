@@ -101,13 +101,24 @@ class Teleports:
                 yield landing
 
     def _try(
-        self, world: int, position: int, episode: Episode, qpos: np.ndarray, held: Held | None
+        self,
+        world: int,
+        position: int,
+        episode: Episode,
+        qpos: np.ndarray,
+        held: Held | None,
     ) -> Landing | None:
         boxes = self._starts.boxes(self._starts.home(episode.home))
         goal = self._starts.spawn_goal(self._tables.plans[world], position, boxes)
         sampler = self._starts.sampler
         for _ in range(TRIES_PER_STEP):
-            key = ("navigate", episode.task, episode.index, position, int(self.pending[world]))
+            key = (
+                "navigate",
+                episode.task,
+                episode.index,
+                position,
+                int(self.pending[world]),
+            )
             rng = stream(episode.seed, *key)
             found = sampler.try_once(episode.home, qpos, goal, rng, held)
             self.pending[world] += 1
@@ -115,7 +126,9 @@ class Teleports:
                 return Landing(world, found, fallback=False)
         if self.pending[world] < MAX_TRIES:
             return None
-        return Landing(world, sampler.fallback(episode.home, qpos, goal, held), fallback=True)
+        return Landing(
+            world, sampler.fallback(episode.home, qpos, goal, held), fallback=True
+        )
 
     def _held(self, state: SimState, world: int, position: int) -> Held | None:
         """The object to carry in the Navigate at ``position``, if both fingers press it; else None."""

@@ -61,7 +61,11 @@ class Tracker:
         return self._notes.step(signals.kind, signals, progress.episode_step, live)
 
     def ended(
-        self, signals: Signals, outcome: Outcome, progress: Progress, plans: list[TaskPlan]
+        self,
+        signals: Signals,
+        outcome: Outcome,
+        progress: Progress,
+        plans: list[TaskPlan],
     ) -> list[dict[str, Any] | None]:
         """Records of the subtasks that ended in this step; ``progress`` is the one before the pointer moved."""
         records: list[dict[str, Any] | None] = [None] * self._num_worlds

@@ -176,7 +176,9 @@ class WorldView:
 
     def object_pose(self, name: str) -> np.ndarray:
         """(7,) pose of an object in the world: centre of its bounding box [m], wxyz."""
-        return self._env.state.object_pose[self.world, self.object_names.index(name)].copy()
+        return self._env.state.object_pose[
+            self.world, self.object_names.index(name)
+        ].copy()
 
     def object_type(self, name: str) -> ObjectType:
         """Shape, size and mass of an object."""
@@ -189,7 +191,9 @@ class WorldView:
 
     def link_q(self, link: str) -> float:
         """Joint position of a link by id [m or rad]."""
-        return float(self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)])
+        return float(
+            self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)]
+        )
 
     def front_area(self, link: str) -> tuple[float, float, float, float] | None:
         """Floor area in front of a link from which it is opened: x_min, x_max, y_min, y_max [m]; None without one."""
@@ -251,7 +255,9 @@ def _home_shapes(layout: Layout, name: str) -> HomeShapes:
 
 def _static_boxes(layout: Layout, home: Home) -> Boxes:
     parts = [_boxes([g for g in home.walls if g.collide])]
-    for slot, placement in zip(layout.prop_slots, layout.slot_placements(home), strict=True):
+    for slot, placement in zip(
+        layout.prop_slots, layout.slot_placements(home), strict=True
+    ):
         prop = layout.pack.props[slot.template]
         if placement is not None and prop.blocks_base:
             parts.append(_placed(prop.geoms, placement, layout.pack))
@@ -292,5 +298,7 @@ def _links(layout: Layout, home: Home) -> dict[str, JointedLink]:
     for ref in layout.links:
         at = layout.articulation_placement(home, ref.articulation)
         origin, quat = compose(at.pos, at.rotation, ref.link.pos)
-        out[ref.id] = JointedLink(ref.id, ref.link, np.array(origin), mat_from_quat(np.array(quat)))
+        out[ref.id] = JointedLink(
+            ref.id, ref.link, np.array(origin), mat_from_quat(np.array(quat))
+        )
     return out

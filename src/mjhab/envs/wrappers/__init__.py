@@ -6,7 +6,11 @@ of floats. For episode returns use ``gymnasium.wrappers.vector.RecordEpisodeStat
 
 from mjhab.envs.wrappers.flatten import FlattenStatePixels
 from mjhab.envs.wrappers.frame_stack import FrameStack
-from mjhab.envs.wrappers.normalize import NormalizeImages, denormalize_depth, normalize_depth
+from mjhab.envs.wrappers.normalize import (
+    NormalizeImages,
+    denormalize_depth,
+    normalize_depth,
+)
 
 __all__ = [
     "FlattenStatePixels",

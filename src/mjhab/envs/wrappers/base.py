@@ -45,8 +45,12 @@ def dict_space(env: VectorEnv, wrapper: str) -> spaces.Dict:
             f"{wrapper} works on numpy arrays, but {env} gives torch tensors; use backend='cpu'"
         )
     space = env.single_observation_space
-    if isinstance(space, spaces.Dict) and isinstance(space.spaces.get("agent"), spaces.Dict):
-        raise UsageError(f"{wrapper} takes flat observation keys: leave out obs_keys='nested'.")
+    if isinstance(space, spaces.Dict) and isinstance(
+        space.spaces.get("agent"), spaces.Dict
+    ):
+        raise UsageError(
+            f"{wrapper} takes flat observation keys: leave out obs_keys='nested'."
+        )
     if not isinstance(space, spaces.Dict):
         raise UsageError(
             f"{wrapper} needs observations that are a dict; those of {env} are {space}."
@@ -65,7 +69,9 @@ def image_leaves(space: spaces.Dict) -> Iterator[ImageLeaf]:
         yield ImageLeaf((PIXELS, key), key.rsplit("_", 1)[1], -3)
 
 
-def require_images(env: VectorEnv, wrapper: str, flat: bool = False) -> tuple[ImageLeaf, ...]:
+def require_images(
+    env: VectorEnv, wrapper: str, flat: bool = False
+) -> tuple[ImageLeaf, ...]:
     """Find the images of an environment's observations.
 
     Args:

@@ -10,7 +10,13 @@ from gymnasium.vector import VectorEnv
 
 from mjhab.envs.observations.modes import STATE_KEY
 from mjhab.envs.spaces import ordered_dict
-from mjhab.envs.wrappers.base import PIXELS, ObservationMap, check_key, dict_space, require_images
+from mjhab.envs.wrappers.base import (
+    PIXELS,
+    ObservationMap,
+    check_key,
+    dict_space,
+    require_images,
+)
 
 
 class FlattenStatePixels(ObservationMap):
@@ -28,7 +34,9 @@ class FlattenStatePixels(ObservationMap):
         space = dict_space(env, "FlattenStatePixels")
         leaves = require_images(env, "FlattenStatePixels")
         check_key(STATE_KEY, space)
-        self._names = {leaf.path[-1]: "_".join(leaf.path[-1].split("/")[1:]) for leaf in leaves}
+        self._names = {
+            leaf.path[-1]: "_".join(leaf.path[-1].split("/")[1:]) for leaf in leaves
+        }
         pixels: dict[str, spaces.Space] = {
             name: _channels_first(space[key]) for key, name in self._names.items()
         }
@@ -38,7 +46,9 @@ class FlattenStatePixels(ObservationMap):
 
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:
         """State and pixels of an observation."""
-        pixels = {name: np.moveaxis(obs[key], -1, -3) for key, name in self._names.items()}
+        pixels = {
+            name: np.moveaxis(obs[key], -1, -3) for key, name in self._names.items()
+        }
         return {STATE_KEY: obs[STATE_KEY], PIXELS: pixels}
 
 

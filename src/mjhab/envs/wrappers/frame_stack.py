@@ -37,7 +37,10 @@ class FrameStack(VectorWrapper):
     """
 
     def __init__(
-        self, env: VectorEnv, num_stack: int | None = None, keys: Sequence[str] | None = None
+        self,
+        env: VectorEnv,
+        num_stack: int | None = None,
+        keys: Sequence[str] | None = None,
     ) -> None:
         super().__init__(env)
         num_stack = _frames_of(env, num_stack)
@@ -69,13 +72,16 @@ class FrameStack(VectorWrapper):
     ) -> tuple[dict[str, Any], dict]:
         """Reset worlds (all, or those in ``options["reset_mask"]``) and start their frames anew."""
         # Read before the call: a wrapper below may take the mask out of the options.
-        mask = np.array((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
+        mask = np.array(
+            (options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool
+        )
         obs, info = self.env.reset(seed=seed, options=options)
         if self._frames:
             self._fill(mask, obs)
         else:
             self._frames = {
-                key: np.repeat(obs[key][:, None], self.num_stack, axis=1) for key in self.keys
+                key: np.repeat(obs[key][:, None], self.num_stack, axis=1)
+                for key in self.keys
             }
         self._ended[mask] = False
         return self._observation(obs), info
@@ -93,9 +99,10 @@ class FrameStack(VectorWrapper):
         obs, reward, terminated, truncated, info = self.env.step(actions)
         info = map_final(info, self._final)
         done = np.asarray(terminated) | np.asarray(truncated)
-        restart = {AutoresetMode.SAME_STEP: done, AutoresetMode.NEXT_STEP: self._ended}.get(
-            self._mode
-        )
+        restart = {
+            AutoresetMode.SAME_STEP: done,
+            AutoresetMode.NEXT_STEP: self._ended,
+        }.get(self._mode)
         self._shift(obs)
         if restart is not None and restart.any():
             self._fill(restart, obs)
@@ -117,7 +124,8 @@ class FrameStack(VectorWrapper):
         return {
             **final,
             **{
-                key: np.concatenate([before[key], final[key][:, None]], axis=1) for key in self.keys
+                key: np.concatenate([before[key], final[key][:, None]], axis=1)
+                for key in self.keys
             },
         }
 

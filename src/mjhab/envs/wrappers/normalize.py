@@ -23,7 +23,9 @@ DEPTH_CLIP = 10.0
 """Default of the distance [m] at which "linear" clips."""
 
 
-def normalize_depth(mm: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP) -> np.ndarray:
+def normalize_depth(
+    mm: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP
+) -> np.ndarray:
     """Depth [mm], any shape, as float32 in [0, 1].
 
     ``way`` "tanh": 1 - tanh(mm / 1000), as the networks of MS-HAB have it (mshab/agents): 1 at the lens, 0.24 at 1 m,
@@ -36,7 +38,9 @@ def normalize_depth(mm: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP)
     return np.float32(2.0) / (np.exp(np.float32(2.0) * metres) + np.float32(1.0))
 
 
-def denormalize_depth(value: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP) -> np.ndarray:
+def denormalize_depth(
+    value: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP
+) -> np.ndarray:
     """Inverse of `normalize_depth`: int16 [mm]; depths beyond ``clip`` come back as ``clip``."""
     given = np.asarray(value, np.float64)
     positive = np.maximum(given, np.finfo(np.float32).tiny)
@@ -60,14 +64,20 @@ class NormalizeImages(ObservationMap):
     """
 
     def __init__(
-        self, env: VectorEnv, depth: str = "tanh", rgb: str = "unit", depth_clip: float = DEPTH_CLIP
+        self,
+        env: VectorEnv,
+        depth: str = "tanh",
+        rgb: str = "unit",
+        depth_clip: float = DEPTH_CLIP,
     ) -> None:
         if depth not in DEPTH_WAYS:
             raise unknown_name("depth normalization", depth, DEPTH_WAYS)
         if rgb not in RGB_WAYS:
             raise unknown_name("rgb normalization", rgb, RGB_WAYS)
         if not depth_clip > 0.0:
-            raise UsageError(f"NormalizeImages: depth_clip must be above 0 m, got {depth_clip}")
+            raise UsageError(
+                f"NormalizeImages: depth_clip must be above 0 m, got {depth_clip}"
+            )
         self._depth = depth
         self._rgb = rgb
         self._clip = float(depth_clip)

@@ -77,7 +77,9 @@ class Solid:
         surfaces = [trimesh.Trimesh(h.points, h.simplices).convex_hull for h in hulls]
         surface = trimesh.util.concatenate(surfaces)
         assert isinstance(surface, trimesh.Trimesh)
-        return Solid(tuple(np.unique(h.equations.round(9), axis=0) for h in hulls), surface)
+        return Solid(
+            tuple(np.unique(h.equations.round(9), axis=0) for h in hulls), surface
+        )
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return (N,) bool: points (N, 3) that are inside of a piece."""
@@ -106,7 +108,9 @@ class Solid:
             low = np.where(rate < -1e-9, at, -np.inf).max(axis=1)
             far = np.where(rate > 1e-9, at, np.inf)
             high = far.min(axis=1)
-            hit = (low <= high) & ~np.any((np.abs(rate) <= 1e-9) & (height > 1e-9), axis=1)
+            hit = (low <= high) & ~np.any(
+                (np.abs(rate) <= 1e-9) & (height > 1e-9), axis=1
+            )
             enter[:, k] = np.where(hit, low, np.inf)
             leave[:, k] = np.where(hit, high, -np.inf)
             normal[:, k] = planes[far.argmin(axis=1), :3]
@@ -168,7 +172,11 @@ def _contact_pairs(
     room = np.minimum(before, behind)
     play = np.minimum(room - gripper.thickness - CLEARANCE_M, MAX_PLAY_M)
     by_hand = (gripper.opening - width) / 2
-    good = (slant <= cone) & (width <= gripper.usable) & (play >= np.minimum(MIN_PLAY_M, by_hand))
+    good = (
+        (slant <= cone)
+        & (width <= gripper.usable)
+        & (play >= np.minimum(MIN_PLAY_M, by_hand))
+    )
     play = np.minimum(play, by_hand)
     middle = origins + 0.5 * width[:, None] * ways
     most_open = width + 2 * play
@@ -235,7 +243,9 @@ def _approaches(
     start = np.cross(closing, np.eye(3)[np.argmin(np.abs(closing))])
     start /= np.linalg.norm(start)
     angle = np.arange(APPROACHES) * 2 * np.pi / APPROACHES
-    ways = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * np.cross(closing, start)
+    ways = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * np.cross(
+        closing, start
+    )
     frames = frame_from_axes(ways, np.broadcast_to(closing, ways.shape))
     local = np.einsum("pj,ajk->apk", points - pair.contact[0], frames)
     found = np.full(APPROACHES, np.nan)
@@ -268,8 +278,12 @@ def _touches(local: np.ndarray, opening: float, gripper: Gripper) -> np.ndarray:
     tip = gripper.finger[0] + CLEARANCE_M
     fingers = (x < tip) & (x > -APPROACH_LENGTH_M) & (z < gripper.finger[1] + CLEARANCE_M)
     fingers &= (y > opening / 2) & (y < opening / 2 + gripper.thickness + CLEARANCE_M)
-    palm = (x < gripper.palm_x[1] + CLEARANCE_M) & (x > gripper.palm_x[0] - APPROACH_LENGTH_M)
-    palm &= (y < gripper.palm_half[0] + CLEARANCE_M) & (z < gripper.palm_half[1] + CLEARANCE_M)
+    palm = (x < gripper.palm_x[1] + CLEARANCE_M) & (
+        x > gripper.palm_x[0] - APPROACH_LENGTH_M
+    )
+    palm &= (y < gripper.palm_half[0] + CLEARANCE_M) & (
+        z < gripper.palm_half[1] + CLEARANCE_M
+    )
     return np.asarray((fingers | palm).any(axis=1))
 
 

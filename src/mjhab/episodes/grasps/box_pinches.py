@@ -29,7 +29,11 @@ SLANT_BOX_COST_PER_RAD = 2.0
 
 
 def box_pinches(
-    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
+    shape: ObjectShape,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: Gripper,
+    options: Options,
 ) -> Iterator[Pinch]:
     """Yield the pinches of a box, see `pinches.pinches_of`."""
     for i in range(3):
@@ -48,7 +52,11 @@ def box_pinches(
 
 
 def _slanted_pinches(
-    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
+    shape: ObjectShape,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: Gripper,
+    options: Options,
 ) -> Iterator[Pinch]:
     """Yield pinches of one end of an upright box by a hand that is turned to its sides by one of ``options.slants``.
 
@@ -65,7 +73,9 @@ def _slanted_pinches(
         for sign in (1.0, -1.0):
             for slant in options.slants:
                 for side in (1.0, -1.0):
-                    end = _BoxEnd(sign * rot[:2, j], shape.half[j], shape.half[i], shape.half[up])
+                    end = _BoxEnd(
+                        sign * rot[:2, j], shape.half[j], shape.half[i], shape.half[up]
+                    )
                     found = _slanted_pinch(end, pos, slant, side, gripper, options)
                     if found is not None:
                         yield found
@@ -85,7 +95,12 @@ class _BoxEnd:
 
 
 def _slanted_pinch(
-    end: _BoxEnd, pos: np.ndarray, slant: float, side: float, gripper: Gripper, options: Options
+    end: _BoxEnd,
+    pos: np.ndarray,
+    slant: float,
+    side: float,
+    gripper: Gripper,
+    options: Options,
 ) -> Pinch | None:
     """Pinch of the end of a box at ``pos`` (3,) by a hand turned by ``slant`` to the left (``side`` 1) or right (-1);
     None if it does not fit into the hand.
@@ -114,7 +129,10 @@ def _slanted_pinch(
     away = np.sign(front @ across - edge @ across)
     middle = edge @ across + away * width / 2
     locus = np.column_stack(
-        [np.tile(pos[:2] + edge, (41, 1)), pos[2] + np.linspace(-1.0, 1.0, 41) * end.height]
+        [
+            np.tile(pos[:2] + edge, (41, 1)),
+            pos[2] + np.linspace(-1.0, 1.0, 41) * end.height,
+        ]
     )
     approach = []
     at = []
@@ -123,7 +141,10 @@ def _slanted_pinch(
         centre = (tip - gripper.finger[0] * level) * turn + middle * across
         for share in SLANT_HEIGHTS:
             approach.append([*(level * turn), -fall])
-            height = share * max(end.height - gripper.finger[1], 0.0) + gripper.finger[0] * fall
+            height = (
+                share * max(end.height - gripper.finger[1], 0.0)
+                + gripper.finger[0] * fall
+            )
             at.append([*(pos[:2] + centre), pos[2] + height])
     return Pinch(
         np.array([*across, 0.0]),

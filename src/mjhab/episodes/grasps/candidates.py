@@ -143,7 +143,9 @@ def gripper_spheres(
     fingers[:, 5:, 1] = -side[:, None]
     centers = np.array([sphere.center for sphere in gripper.hand])
     hand = np.broadcast_to(centers, (len(opening), *centers.shape))
-    radii = np.array([FINGER_SPHERE_RADIUS] * 10 + [sphere.radius for sphere in gripper.hand])
+    radii = np.array(
+        [FINGER_SPHERE_RADIUS] * 10 + [sphere.radius for sphere in gripper.hand]
+    )
     return np.concatenate([fingers, hand], axis=1), radii
 
 
@@ -172,7 +174,9 @@ def approach_clearance(
     least = np.full(len(pos), np.inf)
     for share in (0.0, 0.25, 0.5, 1.0):
         points = (pos + share * (pre - pos))[:, None] + turned
-        gap = nearest_box_distance(points.reshape(-1, 3), neighbours).reshape(points.shape[:2])
+        gap = nearest_box_distance(points.reshape(-1, 3), neighbours).reshape(
+            points.shape[:2]
+        )
         least = np.minimum(least, (gap - radius).min(axis=1))
     return least
 
@@ -184,7 +188,10 @@ def _extent(shape: ObjectShape, rot: np.ndarray, direction: np.ndarray) -> np.nd
         return part @ np.array(shape.half)
     if shape.kind == "sphere":
         return np.full(part.shape[:-1], max(shape.half))
-    return shape.half[0] * np.hypot(part[..., 0], part[..., 1]) + shape.half[2] * part[..., 2]
+    return (
+        shape.half[0] * np.hypot(part[..., 0], part[..., 1])
+        + shape.half[2] * part[..., 2]
+    )
 
 
 def _place(
@@ -196,7 +203,9 @@ def _place(
     if options.inward is not None:
         kept = approach[:, :2] @ np.array(options.inward) > -0.25
         pinch = replace(
-            pinch, approach=approach[kept], at=None if pinch.at is None else pinch.at[kept]
+            pinch,
+            approach=approach[kept],
+            at=None if pinch.at is None else pinch.at[kept],
         )
         approach = pinch.approach
     turn = frame_from_axes(approach, np.broadcast_to(pinch.closing, approach.shape))
@@ -206,7 +215,9 @@ def _place(
     if pinch.at is None:
         reach = _extent(obj.shape, obj.rot, approach)
         across = _extent(obj.shape, obj.rot, turn[:, :, 2])
-        shifts = np.maximum(across - 0.015, 0.0)[:, None] * np.array([0.0, -0.5, 0.5, -0.95, 0.95])
+        shifts = np.maximum(across - 0.015, 0.0)[:, None] * np.array(
+            [0.0, -0.5, 0.5, -0.95, 0.95]
+        )
         at = obj.pos + shifts[..., None] * turn[:, None, :, 2]
         deepest = -reach - gripper.palm_x[1] - options.palm_gap
         fall = np.maximum(-approach[:, 2], 1e-9)[:, None]
@@ -267,10 +278,12 @@ def _lowest(turn: np.ndarray, opening: float, gripper: Gripper) -> np.ndarray:
     for sy in (-1.0, 1.0):
         for sz in (-1.0, 1.0):
             corners += [
-                (sx * gripper.finger[0], sy * y, sz * gripper.finger[1]) for sx in (-1.0, 1.0)
+                (sx * gripper.finger[0], sy * y, sz * gripper.finger[1])
+                for sx in (-1.0, 1.0)
             ]
             corners += [
-                (px, sy * gripper.palm_half[0], sz * gripper.palm_half[1]) for px in gripper.palm_x
+                (px, sy * gripper.palm_half[0], sz * gripper.palm_half[1])
+                for px in gripper.palm_x
             ]
     return np.min(turn[:, 2, :] @ np.array(corners).T, axis=1)
 

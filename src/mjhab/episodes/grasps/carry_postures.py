@@ -78,7 +78,13 @@ class CarryPostures:
 
     def _path(self, kind: str) -> Path:
         config = self._held.config
-        test = (config.ee_rest_pos, config.ee_rest_tol, config.arm_tol_grasped, MAX_ARMS, MAX_TRIES)
+        test = (
+            config.ee_rest_pos,
+            config.ee_rest_tol,
+            config.arm_tol_grasped,
+            MAX_ARMS,
+            MAX_TRIES,
+        )
         made = hashlib.sha256(
             repr((test, SOLVER_STEPS, REST_SHARE, _VERSION)).encode()
         ).hexdigest()[:8]
@@ -91,7 +97,9 @@ class CarryPostures:
         postures = rest_postures(robot, random, self._held.config, MAX_TRIES)
         made: list[CarryPosture] = []
         for number, arm in enumerate(postures):
-            grasp = self._held.hold_in(kind, grasps[number % len(grasps)], _parked(robot, arm))
+            grasp = self._held.hold_in(
+                kind, grasps[number % len(grasps)], _parked(robot, arm)
+            )
             if grasp is not None:
                 made.append(CarryPosture(arm, grasp))
             if len(made) == MAX_ARMS:
@@ -157,10 +165,15 @@ def _save(path: Path, arms: list[CarryPosture]) -> Path:
         "pose": np.array([one.grasp.pose for one in arms]),
         "fingers": np.array([one.grasp.fingers for one in arms]),
     }
-    return write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+    return write_cached(
+        path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
+    )
 
 
 def _load(path: Path) -> list[CarryPosture]:
     with np.load(path, allow_pickle=False) as data:
         rows = zip(data["arm"], data["pose"], data["fingers"], strict=True)
-        return [CarryPosture(arm, StableGrasp(pose, float(fingers))) for arm, pose, fingers in rows]
+        return [
+            CarryPosture(arm, StableGrasp(pose, float(fingers)))
+            for arm, pose, fingers in rows
+        ]

@@ -26,7 +26,11 @@ class _Can:
 
 
 def cylinder_pinches(
-    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
+    shape: ObjectShape,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: Gripper,
+    options: Options,
 ) -> Iterator[Pinch]:
     """Yield the pinches of a cylinder, see `pinches.pinches_of`."""
     radius = shape.half[0]
@@ -38,13 +42,19 @@ def cylinder_pinches(
         closing = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         if 2 * radius <= gripper.usable:
             yield Pinch(
-                closing, fan_of(closing, axis, options.fan), line, 2 * radius, measure=2 * half
+                closing,
+                fan_of(closing, axis, options.fan),
+                line,
+                2 * radius,
+                measure=2 * half,
             )
         else:
             yield from _chord_pinches(can, closing, gripper)
             yield from _tip_pinches(can, closing, gripper)
     if 2 * half <= gripper.usable:
-        u, v = np.meshgrid(np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius)
+        u, v = np.meshgrid(
+            np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius
+        )
         disk = np.stack([u.ravel(), v.ravel()], axis=1)
         disk = disk[np.linalg.norm(disk, axis=1) <= radius] @ rot[:, :2].T + pos
         size = np.sqrt(np.pi) * radius
@@ -81,7 +91,13 @@ def _chord_pinches(can: _Can, closing: np.ndarray, gripper: Gripper) -> Iterator
                 + side * (offset + gripper.finger[1]) * across
             )
             yield Pinch(
-                closing, down[None], chord, width, at[None], bonus=-0.4, measure=2 * can.half
+                closing,
+                down[None],
+                chord,
+                width,
+                at[None],
+                bonus=-0.4,
+                measure=2 * can.half,
             )
 
 
@@ -96,7 +112,11 @@ def _tip_pinches(can: _Can, closing: np.ndarray, gripper: Gripper) -> Iterator[P
         return
     offset = float(np.sqrt(can.radius**2 - (width / 2) ** 2))
     tip = gripper.finger[0]
-    heights = np.linspace(-1.0, 1.0, 7)[:, None] * max(can.half - gripper.finger[1], 0.0) * can.axis
+    heights = (
+        np.linspace(-1.0, 1.0, 7)[:, None]
+        * max(can.half - gripper.finger[1], 0.0)
+        * can.axis
+    )
     for side in (-1.0, 1.0):
         approach = side * np.cross(can.axis, closing)
         at = can.pos + heights - (offset + tip) * approach

@@ -46,7 +46,9 @@ class SurfaceGrasps:
 
     def take(self, rows: np.ndarray) -> SurfaceGrasps:
         """Return the grasps of row indices or a mask."""
-        return SurfaceGrasps(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return SurfaceGrasps(
+            *(getattr(self, name)[rows] for name in self.__dataclass_fields__)
+        )
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,11 @@ SLANT_COST_PER_RAD = 4.0
 
 
 def pinches_of(
-    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
+    shape: ObjectShape,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: Gripper,
+    options: Options,
 ) -> Iterator[Pinch]:
     """Yield the pinches of a shape at world position ``pos`` (3,) and rotation ``rot`` (3, 3).
 
@@ -51,7 +55,11 @@ def pinches_of(
 
 
 def _sphere_pinches(
-    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
+    shape: ObjectShape,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: Gripper,
+    options: Options,
 ) -> Iterator[Pinch]:
     width = 2 * max(shape.half)
     if width > gripper.usable:
@@ -59,19 +67,28 @@ def _sphere_pinches(
     for angle in np.arange(8) * np.pi / 8:
         closing = np.array([np.cos(angle), np.sin(angle), 0.0])
         yield Pinch(
-            closing, fan_of(closing, np.array([0.0, 0.0, 1.0]), options.fan), pos[None], width
+            closing,
+            fan_of(closing, np.array([0.0, 0.0, 1.0]), options.fan),
+            pos[None],
+            width,
         )
 
 
 def _bowl_pinches(
-    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
+    shape: ObjectShape,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: Gripper,
+    options: Options,
 ) -> Iterator[Pinch]:
     """Yield pinches of a bowl's wall, one finger inside and one outside, with several angles at each place."""
     axis = rot[:, 2]
     half = shape.half[2]
     count = shape.facets or BOWL_FACETS
     # The middle of a flat facet is nearer to the axis than its corners.
-    radius = (shape.half[0] - shape.wall / 2) * (np.cos(np.pi / count) if shape.facets else 1.0)
+    radius = (shape.half[0] - shape.wall / 2) * (
+        np.cos(np.pi / count) if shape.facets else 1.0
+    )
     for angle in np.arange(count) * 2 * np.pi / count:
         out = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         rim = pos + half * axis + radius * out
@@ -82,11 +99,17 @@ def _bowl_pinches(
             wall = rim + np.linspace(0.0, 0.03, 16)[:, None] * down
             # The more the hand leans, the higher the outer fingertip touches the wall.
             at = rim[None] + (0.002 - 0.02 * max(extra - 0.4, 0.0)) * down
-            yield Pinch(closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03)
+            yield Pinch(
+                closing, down[None], wall, shape.wall, at, bonus=-abs(extra), measure=0.03
+            )
 
 
 def _mesh_pinches(
-    shape: ObjectShape, pos: np.ndarray, rot: np.ndarray, gripper: Gripper, options: Options
+    shape: ObjectShape,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    gripper: Gripper,
+    options: Options,
 ) -> Iterator[Pinch]:
     """Yield the surface grasps of a mesh, without those that approach from below."""
     grasps = shape.grasps

@@ -20,7 +20,12 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
-from mjhab.episodes.grasps.candidates import Grasps, LyingObject, ObjectShape, grasp_candidates
+from mjhab.episodes.grasps.candidates import (
+    Grasps,
+    LyingObject,
+    ObjectShape,
+    grasp_candidates,
+)
 from mjhab.episodes.grasps.spread import farthest_points
 from mjhab.layout.compile import home_hash
 from mjhab.robots.parts import Gripper
@@ -79,7 +84,9 @@ _mesh_shapes: dict[str, ObjectShape] = {}
 """Cache of mesh shapes by a hash of object and gripper: searching the grasps of one takes about a second."""
 
 
-def _mesh_shape(kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper) -> ObjectShape:
+def _mesh_shape(
+    kind: ObjectType, meshes: Mapping[str, object], gripper: Gripper
+) -> ObjectShape:
     pieces = np.concatenate([outline(geom, meshes) for geom in kind.collision])
     key = hashlib.sha256(repr((kind, gripper)).encode() + pieces.tobytes()).hexdigest()
     if key not in _mesh_shapes:
@@ -120,7 +127,11 @@ class StableGrasps:
     """
 
     def __init__(
-        self, sim: CpuSimulator, config: TaskConfig, scratch: Scratch, harvested: bool = False
+        self,
+        sim: CpuSimulator,
+        config: TaskConfig,
+        scratch: Scratch,
+        harvested: bool = False,
     ) -> None:
         self.layout = sim.layout
         self.robot = sim.layout.robot
@@ -140,7 +151,9 @@ class StableGrasps:
         """
         with self.lock:
             if kind not in self._found:
-                self._found[kind] = self.found(kind) + (self.added(kind) if self.harvested else [])
+                self._found[kind] = self.found(kind) + (
+                    self.added(kind) if self.harvested else []
+                )
             return self._found[kind]
 
     def holds(self, kind: str) -> bool:
@@ -241,7 +254,8 @@ class StableGrasps:
         pack = self.layout.pack
         shape = shape_of(pack.objects[kind], pack.meshes, self.robot.gripper)
         candidates = grasp_candidates(
-            LyingObject(shape, np.zeros(3), np.eye(3), -shape.half[2]), gripper=self.robot.gripper
+            LyingObject(shape, np.zeros(3), np.eye(3), -shape.half[2]),
+            gripper=self.robot.gripper,
         )
         steep = candidates.rot[:, 2, 0] <= -np.cos(MAX_APPROACH_SLANT_RAD)
         if steep.any():
@@ -260,7 +274,9 @@ class StableGrasps:
             )
         return found
 
-    def hold_in(self, kind: str, grasp: StableGrasp, robot: np.ndarray) -> StableGrasp | None:
+    def hold_in(
+        self, kind: str, grasp: StableGrasp, robot: np.ndarray
+    ) -> StableGrasp | None:
         """Simulate a stable grasp in another posture of the robot.
 
         Args:
@@ -281,7 +297,9 @@ class StableGrasps:
         grip = (self.config.grasp_force, self.config.grasp_angle)
         return (
             held
-            if self.scratch.collision_free(self.layout.pack.homes[0].name, state, slot, grip)
+            if self.scratch.collision_free(
+                self.layout.pack.homes[0].name, state, slot, grip
+            )
             else None
         )
 
@@ -306,7 +324,9 @@ class StableGrasps:
         force = self.config.grasp_force
         angle = self.config.grasp_angle
         robot = parked_robot_qpos(self.robot) if robot is None else robot
-        open_hand = self._with_fingers(robot, min(0.5 * width + 0.001, self.robot.finger_max))
+        open_hand = self._with_fingers(
+            robot, min(0.5 * width + 0.001, self.robot.finger_max)
+        )
         held = self.scratch.try_grasp(
             slot, tcp, open_hand, HOLD_TIME_S, force, STEADY_SHARE * angle
         )
@@ -322,7 +342,9 @@ def _save(path: Path, grasps: list[StableGrasp]) -> Path:
         "pose": np.array([g.pose for g in grasps]),
         "fingers": np.array([g.fingers for g in grasps]),
     }
-    return write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+    return write_cached(
+        path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
+    )
 
 
 def _load(path: Path) -> list[StableGrasp]:

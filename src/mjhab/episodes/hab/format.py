@@ -83,7 +83,9 @@ class HabEpisode:
     @property
     def scene(self) -> str:
         """Name of the scene: the file name of ``scene_id`` without its suffix."""
-        return self.scene_id.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(SCENE_SUFFIX)
+        return (
+            self.scene_id.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(SCENE_SUFFIX)
+        )
 
     @property
     def types(self) -> tuple[str, ...]:
@@ -102,7 +104,9 @@ class HabEpisode:
     def target_names(self) -> tuple[str, ...]:
         """Instance names of the targets, in order."""
         labels = self.info.get("object_labels") or {}
-        return tuple(name for name in labels if name in self.targets) or tuple(self.targets)
+        return tuple(name for name in labels if name in self.targets) or tuple(
+            self.targets
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +136,14 @@ def read_hab(path: Path) -> HabFile:
     if not body["episodes"]:
         raise UsageError(f"{path}: field 'episodes' is empty.")
     try:
-        episodes = tuple(_episode(row, f"episodes[{i}]") for i, row in enumerate(body["episodes"]))
+        episodes = tuple(
+            _episode(row, f"episodes[{i}]") for i, row in enumerate(body["episodes"])
+        )
     except ValueError as error:
         raise UsageError(f"{path}: {error}") from error
-    return HabFile(episodes, {key: value for key, value in body.items() if key != "episodes"}, path)
+    return HabFile(
+        episodes, {key: value for key, value in body.items() if key != "episodes"}, path
+    )
 
 
 def write_hab(path: Path, file: HabFile) -> None:
@@ -165,7 +173,9 @@ def write_rows(path: Path, rest: Mapping[str, Any], rows: Iterable[str]) -> None
 def _compressed(raw: Any, path: Path) -> Any:
     # No name and no time stamp: the same episodes give the same bytes.
     return (
-        gzip.GzipFile("", "wb", fileobj=raw, mtime=0) if path.suffix == ".gz" else nullcontext(raw)
+        gzip.GzipFile("", "wb", fileobj=raw, mtime=0)
+        if path.suffix == ".gz"
+        else nullcontext(raw)
     )
 
 
@@ -253,11 +263,13 @@ def _episode(row: Any, where: str) -> HabEpisode:
             _rigid(entry, f"{where}.rigid_objs[{i}]") for i, entry in enumerate(objects)
         ),
         targets={
-            name: _matrix(value, f"{where}.targets[{name!r}]") for name, value in targets.items()
+            name: _matrix(value, f"{where}.targets[{name!r}]")
+            for name, value in targets.items()
         },
         ao_states=_states(fitting("ao_states", dict, {}), f"{where}.ao_states"),
         markers=tuple(
-            _marker(m, f"{where}.markers[{i}]") for i, m in enumerate(fitting("markers", list, []))
+            _marker(m, f"{where}.markers[{i}]")
+            for i, m in enumerate(fitting("markers", list, []))
         ),
         target_receptacles=_receptacles(
             fitting("target_receptacles", list, []), f"{where}.target_receptacles"
@@ -305,7 +317,10 @@ def _matrix(value: Any, where: str) -> np.ndarray:
     check_range(f"{where}: position", matrix[:3, 3], -MAX_POSITION_M, MAX_POSITION_M, "m")
     rotation = matrix[:3, :3]
     check_range(f"{where}: rotation", rotation, -2.0, 2.0, "1")
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUND_TRIP or np.linalg.det(rotation) < 0:
+    if (
+        np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUND_TRIP
+        or np.linalg.det(rotation) < 0
+    ):
         raise ValueError(f"{where}: the upper left 3x3 part is not a rotation.")
     return matrix
 
@@ -351,7 +366,9 @@ def _marker(value: Any, where: str) -> Marker:
         raise ValueError(
             f"{where}: expected name, type and params with offset, link and object."
         ) from error
-    check_range(f"{where}.params.offset", marker.offset, -MAX_POSITION_M, MAX_POSITION_M, "m")
+    check_range(
+        f"{where}.params.offset", marker.offset, -MAX_POSITION_M, MAX_POSITION_M, "m"
+    )
     return marker
 
 

@@ -108,7 +108,12 @@ class FileEpisodes:
     """
 
     def __init__(
-        self, sim: CpuSimulator, file: HabFile, task: str, home: str = "", target: str = ""
+        self,
+        sim: CpuSimulator,
+        file: HabFile,
+        task: str,
+        home: str = "",
+        target: str = "",
     ) -> None:
         self.sim = sim
         self.file = file
@@ -127,7 +132,10 @@ class FileEpisodes:
         ]
         if not self._rows:
             wanted = " ".join(
-                filter(None, (home and f"in home {home!r}", target and f"with target {target!r}"))
+                filter(
+                    None,
+                    (home and f"in home {home!r}", target and f"with target {target!r}"),
+                )
             )
             raise UsageError(
                 f"{file.path}: none of its {len(self.file.episodes)} episodes is {wanted}."
@@ -171,7 +179,9 @@ class FileEpisodes:
             )
         if episode.scene not in self._furnished:
             try:
-                require_furniture(self.layout.pack, [self._homes[episode.scene]], self.task)
+                require_furniture(
+                    self.layout.pack, [self._homes[episode.scene]], self.task
+                )
             except UsageError as error:
                 raise UsageError(f"{where}.scene_id: {error}") from error
             self._furnished.add(episode.scene)
@@ -188,7 +198,9 @@ class FileEpisodes:
                 )
         for name in episode.instances:
             if name not in self.layout.object_names:
-                raise UsageError(f"{where}.rigid_objs: the layout has no slot for {name!r}.")
+                raise UsageError(
+                    f"{where}.rigid_objs: the layout has no slot for {name!r}."
+                )
         try:
             home, pose, _, root = self._read(row)
             _check_inside(self.layout, home, episode, pose)
@@ -224,7 +236,9 @@ class FileEpisodes:
         rested = after[rows]
         slots = [self.layout.object_names.index(name) for name in hab.instances]
         moved = np.linalg.norm(rested[slots, :3] - pose[slots, :3], axis=1)
-        axis_before, axis_after = (mat_from_quat(p[slots, 3:])[..., 2] for p in (pose, rested))
+        axis_before, axis_after = (
+            mat_from_quat(p[slots, 3:])[..., 2] for p in (pose, rested)
+        )
         upright = np.einsum("mi,mi->m", axis_before, axis_after)
         rest = Rest(hab.instances, moved, np.arccos(np.clip(upright, -1.0, 1.0)))
         targets = file_targets(self.layout, home, hab, rested, root)
@@ -233,7 +247,9 @@ class FileEpisodes:
         ), rest
 
 
-def _check_inside(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> None:
+def _check_inside(
+    layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray
+) -> None:
     """Check that starts and goals of all objects are inside of the home.
 
     Raises:
@@ -279,7 +295,10 @@ def object_poses(layout: Layout, episode: HabEpisode) -> np.ndarray:
 
 def link_names(layout: Layout, furniture: str) -> tuple[str, ...]:
     """Return the links of an articulation in the order of their numbers in files: root, body, then moving links."""
-    return (*FIXED_LINKS, *(ref.link.name for ref in layout.links if ref.articulation == furniture))
+    return (
+        *FIXED_LINKS,
+        *(ref.link.name for ref in layout.links if ref.articulation == furniture),
+    )
 
 
 def template_of(handle: str) -> str:
@@ -287,7 +306,9 @@ def template_of(handle: str) -> str:
     return kind_of(handle).removeprefix(PREFIX)
 
 
-def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray) -> int:
+def number_of_root(
+    layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray
+) -> int:
     """Infer whether an episode numbers root links as 0 or -1; 0 if both fit.
 
     Args:
@@ -306,7 +327,9 @@ def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.nda
         if template_of(handle) not in jointed:
             continue  # furniture without joints in this pack gives no evidence
         evidence += [
-            (template_of(handle), int(n), known[2:]) for n in joints if n.lstrip("-").isdigit()
+            (template_of(handle), int(n), known[2:])
+            for n in joints
+            if n.lstrip("-").isdigit()
         ]
     places = placed_receptacles(layout, home)
     for name, (handle, number) in zip(
@@ -314,11 +337,18 @@ def number_of_root(layout: Layout, home: Home, episode: HabEpisode, pose: np.nda
     ):
         furniture = template_of(handle)
         if number is not None and furniture in jointed:
-            found = receptacle_at(layout, places, name, pose[layout.object_names.index(name)])
+            found = receptacle_at(
+                layout, places, name, pose[layout.object_names.index(name)]
+            )
             link = found.link.split("/")[1] if found is not None and found.link else ""
-            evidence.append((furniture, number, (link,) if link else link_names(layout, furniture)))
+            evidence.append(
+                (furniture, number, (link,) if link else link_names(layout, furniture))
+            )
     for root in _NUMBER_OF_ROOT:
-        if all(_link_name(layout, furniture, n, root) in valid for furniture, n, valid in evidence):
+        if all(
+            _link_name(layout, furniture, n, root) in valid
+            for furniture, n, valid in evidence
+        ):
             return root
     told = ", ".join(f"{furniture} link {n}" for furniture, n, _ in evidence)
     raise ValueError(
@@ -417,11 +447,15 @@ def file_targets(
         start_link = starts or _link_around(layout, home, places, name, pose[slot])
         goal_link = ends or _link_around(layout, home, places, name, goal)
         handle = layout.closed_handle(home, start_link) if start_link else (0.0, 0.0, 0.0)
-        out.append(Target(name, _point(goal), _point(pose[slot]), start_link, goal_link, handle))
+        out.append(
+            Target(name, _point(goal), _point(pose[slot]), start_link, goal_link, handle)
+        )
     return tuple(out)
 
 
-def _listed_link(layout: Layout, listed: tuple[NumberedLink, ...], k: int, root: int) -> str:
+def _listed_link(
+    layout: Layout, listed: tuple[NumberedLink, ...], k: int, root: int
+) -> str:
     """Return the id of the link that a file lists for target ``k``; "" if there is none in the layout."""
     if k >= len(listed) or listed[k][1] is None:
         return ""
@@ -431,7 +465,11 @@ def _listed_link(layout: Layout, listed: tuple[NumberedLink, ...], k: int, root:
 
 
 def _link_around(
-    layout: Layout, home: Home, places: tuple[PlacedReceptacle, ...], name: str, pose: np.ndarray
+    layout: Layout,
+    home: Home,
+    places: tuple[PlacedReceptacle, ...],
+    name: str,
+    pose: np.ndarray,
 ) -> str:
     """Return the id of the link that must be open to reach an object at ``pose`` (7,), "" if there is none."""
     found = receptacle_at(layout, places, name, pose)

@@ -7,7 +7,13 @@ import numpy as np
 from mjhab.core.names import copy_name
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import FRIDGE_DOOR
-from mjhab.episodes.hab.format import OBJECT_SUFFIX, SCENE_SUFFIX, HabEpisode, Marker, pose_to_hab
+from mjhab.episodes.hab.format import (
+    OBJECT_SUFFIX,
+    SCENE_SUFFIX,
+    HabEpisode,
+    Marker,
+    pose_to_hab,
+)
 from mjhab.episodes.hab.format import Receptacle as NumberedLink
 from mjhab.episodes.hab.reader import FIXED_LINKS, PREFIX, link_names, receptacle_at
 from mjhab.layout.layout import Layout
@@ -34,22 +40,31 @@ def to_hab(layout: Layout, home: Home, episode: Episode) -> HabEpisode:
     }
     kinds = dict(zip(layout.object_names, layout.objects, strict=True))
     goals = {t.obj: np.array([*t.goal_pos, 1.0, 0.0, 0.0, 0.0]) for t in episode.targets}
-    there = {name: receptacle_at(layout, places, name, pose) for name, pose in goals.items()}
+    there = {
+        name: receptacle_at(layout, places, name, pose) for name, pose in goals.items()
+    }
     names = [t.obj for t in episode.targets]
     return HabEpisode(
         episode_id=str(episode.index),
         scene_id=f"data/{layout.pack.name}/configs/scenes/{home.name}{SCENE_SUFFIX}",
         rigid_objs=tuple(
-            (f"{kind}{OBJECT_SUFFIX}", pose_to_hab(pose, layout.pack.objects[kind].scan_yaw))
+            (
+                f"{kind}{OBJECT_SUFFIX}",
+                pose_to_hab(pose, layout.pack.objects[kind].scan_yaw),
+            )
             for kind, pose in zip(layout.roster, episode.object_pose, strict=True)
         ),
-        targets={name: pose_to_hab(pose, kinds[name].scan_yaw) for name, pose in goals.items()},
+        targets={
+            name: pose_to_hab(pose, kinds[name].scan_yaw) for name, pose in goals.items()
+        },
         ao_states=_ao_states(layout, episode.link_q),
         markers=_markers(layout),
         target_receptacles=tuple(_numbered(layout, at[name]) for name in names),
         goal_receptacles=tuple(_numbered(layout, there[name]) for name in names),
         name_to_receptacle={
-            name: f"{_handle(layout, p)}|{p.name}" for name, p in at.items() if p is not None
+            name: f"{_handle(layout, p)}|{p.name}"
+            for name, p in at.items()
+            if p is not None
         },
         info={
             "object_labels": {name: f"any_targets|{k}" for k, name in enumerate(names)},
@@ -78,7 +93,9 @@ def _ao_states(layout: Layout, link_q: np.ndarray) -> dict[str, dict[str, float]
         if abs(position) > 1e-3:
             number = link_names(layout, ref.articulation).index(ref.link.name)
             stated = -position if ref.link.mirrored else position
-            out.setdefault(copy_name(ref.articulation, 0), {})[str(number)] = round(stated, 6)
+            out.setdefault(copy_name(ref.articulation, 0), {})[str(number)] = round(
+                stated, 6
+            )
     return out
 
 

@@ -30,7 +30,9 @@ class LinkFront:
         cos = math.cos(self.yaw)
         sin = math.sin(self.yaw)
         half = self.area.half_width_m
-        corners = [(x, y) for x in (self.area.near_m, self.area.far_m) for y in (-half, half)]
+        corners = [
+            (x, y) for x in (self.area.near_m, self.area.far_m) for y in (-half, half)
+        ]
         xs = [self.root[0] + cos * x - sin * y for x, y in corners]
         ys = [self.root[1] + sin * x + cos * y for x, y in corners]
         return (min(xs), max(xs), min(ys), max(ys))

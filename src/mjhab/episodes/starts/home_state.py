@@ -71,15 +71,25 @@ class HomeState:
         """Return the fraction of its joint range at which a link counts as open."""
         return self.task_config.open_fraction(hinged=link in self.layout.doors)
 
-    def open_link(self, rng: np.random.Generator, home: str, link: str, qpos: Array) -> None:
+    def open_link(
+        self, rng: np.random.Generator, home: str, link: str, qpos: Array
+    ) -> None:
         """Set a link to a random opening at which an Open has succeeded, within the limits of the home."""
         low, high = self.link(link).link.range
         fraction = rng.uniform(self.open_at(link), OPEN_START_MARGIN)
         at = low + fraction * (high - low)
-        qpos[self.link_address(link)] = min(at, dict(self.homes[home].open_limits).get(link, at))
+        qpos[self.link_address(link)] = min(
+            at, dict(self.homes[home].open_limits).get(link, at)
+        )
 
     def ensure_open(
-        self, rng: np.random.Generator, home: str, link: str, qpos: Array, *, anew: bool = False
+        self,
+        rng: np.random.Generator,
+        home: str,
+        link: str,
+        qpos: Array,
+        *,
+        anew: bool = False,
     ) -> None:
         """Open a link as `open_link` does if it is open by less than half of that, or in any case if ``anew``."""
         low, high = self.link(link).link.range
@@ -88,7 +98,13 @@ class HomeState:
             self.open_link(rng, home, link, qpos)
 
     def leave_open(
-        self, rng: np.random.Generator, episode: Episode, link: str, qpos: Array, *, placed: bool
+        self,
+        rng: np.random.Generator,
+        episode: Episode,
+        link: str,
+        qpos: Array,
+        *,
+        placed: bool,
     ) -> None:
         """Open a link, and put the object that it was opened for where it then is.
 
@@ -119,7 +135,9 @@ class HomeState:
         ref = self.link(link)
         if ref.link.joint != "slide":
             return
-        yaw = self.layout.articulation_placement(self.homes[episode.home], ref.articulation).yaw
+        yaw = self.layout.articulation_placement(
+            self.homes[episode.home], ref.articulation
+        ).yaw
         start = self.object_address(obj)
         before = episode.link_q[self.layout.link_ids.index(link)]
         moved = qpos[self.link_address(link)] - before
@@ -138,7 +156,9 @@ class HomeState:
     def park(self, qpos: Array, obj: str) -> None:
         """Move an object to its parked pose."""
         start = self.object_address(obj)
-        qpos[start : start + 7] = self.layout.parked_poses[self.layout.object_names.index(obj)]
+        qpos[start : start + 7] = self.layout.parked_poses[
+            self.layout.object_names.index(obj)
+        ]
 
     def hold(self, rng: np.random.Generator, obj: str, qpos: Array) -> Held:
         """Draw a grasp of an object, set the arm and fingers in ``qpos`` to it, and return the held object."""
@@ -155,4 +175,6 @@ class HomeState:
             grasp = grasps[int(rng.integers(len(grasps)))]
         robot[self.layout.robot.columns.fingers] = grasp.fingers
         qpos[self.sim.addresses.robot_q] = robot
-        return Held(slot, grasp.pose, (self.task_config.grasp_force, self.task_config.grasp_angle))
+        return Held(
+            slot, grasp.pose, (self.task_config.grasp_force, self.task_config.grasp_angle)
+        )

@@ -36,7 +36,9 @@ ROAM_RADIUS_M = 0.5
 """Radius [m] of the free disc at the spawn of a whole chain."""
 
 
-def subtask_positions(plan: TaskPlan, layout: Layout, kind: str, target: str) -> list[int]:
+def subtask_positions(
+    plan: TaskPlan, layout: Layout, kind: str, target: str
+) -> list[int]:
     """Return the positions in a plan of the subtasks of one kind and target.
 
     Args:
@@ -93,7 +95,11 @@ def start_of(kind: int) -> SubtaskStart:
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from error
     if not isinstance(start, SubtaskStart):
-        given = f"the class {start.__name__}" if isinstance(start, type) else type(start).__name__
+        given = (
+            f"the class {start.__name__}"
+            if isinstance(start, type)
+            else type(start).__name__
+        )
         raise UsageError(
             f"{where} must be an object of a subclass of mjhab.episodes.starts.SubtaskStart, or a reference "
             f"'module:NAME' to one; got {given}."
@@ -115,7 +121,11 @@ class StartMaker:
     """
 
     def __init__(
-        self, sim: CpuSimulator, config: EnvConfig, task_config: TaskConfig, harvested: bool = False
+        self,
+        sim: CpuSimulator,
+        config: EnvConfig,
+        task_config: TaskConfig,
+        harvested: bool = False,
     ) -> None:
         self.sim = sim
         self.config = config
@@ -125,9 +135,13 @@ class StartMaker:
         self.held = StableGrasps(sim, task_config, self.sampler.scratch, harvested)
         self.published = config.spawn_rule == "published"
         if self.published and harvested:
-            raise UsageError("the published spawn rule has arms of its own; leave out harvested.")
+            raise UsageError(
+                "the published spawn rule has arms of its own; leave out harvested."
+            )
         self.arms = CarryPostures(self.held)
-        self.spawn_set = SpawnSet.load(Path(config.spawns), self.layout) if config.spawns else None
+        self.spawn_set = (
+            SpawnSet.load(Path(config.spawns), self.layout) if config.spawns else None
+        )
         if self.spawn_set is not None:
             self.spawn_set.check(config)
         self._homes = self.layout.pack.homes_by_name
@@ -147,7 +161,9 @@ class StartMaker:
         if self.spawn_set is not None:
             row = self.spawn_set.row(episode.index)
             own = plan.only(row.position) if self.config.subtask else plan
-            return Start(own, home.name, row.qpos, boxes, row.fallback, row.position, row.tries)
+            return Start(
+                own, home.name, row.qpos, boxes, row.fallback, row.position, row.tries
+            )
         qpos = self._episode_qpos(episode)
         if not self.config.subtask:
             qpos, fallback, tries = self._roam(episode, qpos)
@@ -161,7 +177,9 @@ class StartMaker:
         if self.published:
             goal = dataclasses.replace(goal, slack=np.inf, published=True)
         qpos, fallback, tries = self._spawn(episode, qpos, goal, held)
-        return Start(plan.only(position), home.name, qpos, boxes, fallback, position, tries)
+        return Start(
+            plan.only(position), home.name, qpos, boxes, fallback, position, tries
+        )
 
     def starts(self, episodes: Sequence[Episode], threads: int = 1) -> list[Start]:
         """Return the starts of several episodes; they do not depend on the number of ``threads``.
@@ -181,11 +199,14 @@ class StartMaker:
         """Return the floor area in front of every link of a home: x_min, x_max, y_min, y_max [m], world frame."""
         if home.name not in self._boxes:
             self._boxes[home.name] = {
-                link: link_front(self.layout, home, link).box for link in self.layout.link_ids
+                link: link_front(self.layout, home, link).box
+                for link in self.layout.link_ids
             }
         return self._boxes[home.name]
 
-    def spawn_goal(self, plan: TaskPlan, position: int, boxes: Mapping[str, Box]) -> SpawnGoal:
+    def spawn_goal(
+        self, plan: TaskPlan, position: int, boxes: Mapping[str, Box]
+    ) -> SpawnGoal:
         """Return constraints of the pose in which a Navigate to the subtask at ``position`` of a plan ends."""
         situation = Situation(plan, position, boxes, self._state)
         return start_of(situation.subtask.kind).approach(situation)
@@ -209,7 +230,9 @@ class StartMaker:
         return qpos
 
     def _pick_position(self, plan: TaskPlan, episode: Episode) -> int:
-        found = subtask_positions(plan, self.layout, self.config.subtask, self.config.target)
+        found = subtask_positions(
+            plan, self.layout, self.config.subtask, self.config.target
+        )
         if not found:
             raise UsageError(
                 f"no {self.config.subtask} of {self.config.target!r} in task {self.config.task!r}"
@@ -264,4 +287,8 @@ class StartMaker:
             found = self.sampler.at(episode.home, qpos, xy, SpawnGoal(face))
             if found is not None:
                 return found, False, attempt + 1
-        return self.sampler.fallback(episode.home, qpos, SpawnGoal(cells[0])), True, MAX_TRIES
+        return (
+            self.sampler.fallback(episode.home, qpos, SpawnGoal(cells[0])),
+            True,
+            MAX_TRIES,
+        )

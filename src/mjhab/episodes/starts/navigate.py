@@ -48,13 +48,17 @@ class NavigateStart(SubtaskStart):
         if not TASKS[scene.episode.task].departs_from_last_goal:
             return SpawnGoal(None)
         before = [
-            s.goal_pos for s in scene.plan.subtasks[: scene.position] if _leads_somewhere(s.kind)
+            s.goal_pos
+            for s in scene.plan.subtasks[: scene.position]
+            if _leads_somewhere(s.kind)
         ]
         if before:
             return SpawnGoal(np.array(before[-1][:2]))
         sampler = scene.state.sampler
         home = scene.episode.home
-        at = SpawnGoal(None, near=np.array(DOORSTEP), reach=DOORSTEP_REACH, yaw=DOORSTEP_YAW)
+        at = SpawnGoal(
+            None, near=np.array(DOORSTEP), reach=DOORSTEP_REACH, yaw=DOORSTEP_YAW
+        )
         if not at.allows(sampler.walkable(home)).any():
             at = dataclasses.replace(at, near=sampler.roomiest(home))
         return at

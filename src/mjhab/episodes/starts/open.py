@@ -31,7 +31,9 @@ class OpenStart(SubtaskStart):
         """Return a spawn in the front area of the link that faces the object's present or future place behind it."""
         subtask = scene.subtask
         target = next(t for t in scene.episode.targets if t.obj == subtask.obj)
-        inside = target.start_pos if target.start_link == subtask.link else target.goal_pos
+        inside = (
+            target.start_pos if target.start_link == subtask.link else target.goal_pos
+        )
         return SpawnGoal(np.array(inside[:2]), self.approach(scene).area)
 
 

@@ -14,7 +14,9 @@ class PlaceStart(SubtaskStart):
     def prepare(self, scene: Scene) -> Held:
         subtask = scene.subtask
         if subtask.link:
-            scene.state.ensure_open(scene.rng, scene.episode.home, subtask.link, scene.qpos)
+            scene.state.ensure_open(
+                scene.rng, scene.episode.home, subtask.link, scene.qpos
+            )
         return scene.state.hold(scene.rng, subtask.obj, scene.qpos)
 
     def stand(self, scene: Scene) -> SpawnGoal:

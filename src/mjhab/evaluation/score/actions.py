@@ -31,7 +31,9 @@ class StartKeeper(Sink[RecordedEnv]):
         self.starts: dict[int, str] = {}
         self._now: dict[int, str] = {}
 
-    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         """Compute the digests of the worlds in ``mask`` (W,)."""
         for w in np.flatnonzero(mask).tolist():
             self._now[w] = start_digest(env, w)
@@ -49,7 +51,9 @@ class ActionKeeper(StartKeeper):
         self._folder = folder
         self._actions: dict[int, list[np.ndarray]] = {}
 
-    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         """Start recording the worlds in ``mask`` (W,)."""
         super().on_reset(env, info, mask)
         for w in np.flatnonzero(mask).tolist():
@@ -89,7 +93,9 @@ def unpacked_actions(text: str) -> np.ndarray:
     width, _, packed = text.partition(":")
     try:
         inflater = zlib.decompressobj()
-        data = inflater.decompress(base64.b64decode(packed, validate=True), MAX_ACTIONS_BYTES)
+        data = inflater.decompress(
+            base64.b64decode(packed, validate=True), MAX_ACTIONS_BYTES
+        )
         if not inflater.eof:
             raise ValueError("they end too early, or are too long")
         actions = np.frombuffer(data, "<f4").reshape(-1, int(width))

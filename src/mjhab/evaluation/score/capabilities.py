@@ -34,7 +34,9 @@ CAPABILITIES: dict[str, Capability] = {
         "Pick and Open in which the fingers touch the object or the handle",
     ),
     "grasp": Capability(
-        lambda r: r.kind == "pick", lambda r: _has(r, "grasped"), "Pick in which the object is held"
+        lambda r: r.kind == "pick",
+        lambda r: _has(r, "grasped"),
+        "Pick in which the object is held",
     ),
     "carry": Capability(
         lambda r: r.kind == "place",
@@ -60,7 +62,9 @@ CAPABILITIES: dict[str, Capability] = {
 def capabilities_of(record: SubtaskRecord) -> list[str]:
     """Names of the capabilities that a subtask demonstrates."""
     return [
-        name for name, each in CAPABILITIES.items() if each.counted(record) and each.shown(record)
+        name
+        for name, each in CAPABILITIES.items()
+        if each.counted(record) and each.shown(record)
     ]
 
 

@@ -25,7 +25,9 @@ def leaderboard(results: Sequence[Result]) -> str:
         some = [result for result in results if result.facts["track"] == track]
         if not some:
             continue
-        some.sort(key=lambda result: (-result.summary["complete"], -result.summary["score"]))
+        some.sort(
+            key=lambda result: (-result.summary["complete"], -result.summary["score"])
+        )
         parts += [f"## Track: {track}", _scores(some)]
         parts += ["Score by row, per cent:", _rows(some, [row.name for row in rows])]
         parts += ["Profile by capability, per cent (of subtasks):", _profile(some)]
@@ -35,7 +37,16 @@ def leaderboard(results: Sequence[Result]) -> str:
 
 
 def _scores(results: Sequence[Result]) -> str:
-    columns = ("policy", "split", "score", "episodes", "tainted", "errors", "mjhab", "digest")
+    columns = (
+        "policy",
+        "split",
+        "score",
+        "episodes",
+        "tainted",
+        "errors",
+        "mjhab",
+        "digest",
+    )
     rows = []
     for result in results:
         summary = result.summary
@@ -79,7 +90,11 @@ def _profile(results: Sequence[Result]) -> str:
 
 
 def _capability_cell(entry: Mapping[str, Any]) -> str:
-    return "-" if entry["rate"] is None else f"{_percent(entry['rate'])} ({entry['subtasks']})"
+    return (
+        "-"
+        if entry["rate"] is None
+        else f"{_percent(entry['rate'])} ({entry['subtasks']})"
+    )
 
 
 def _percent(rate: float) -> str:

@@ -89,7 +89,9 @@ class Manifest:
         content = [VERSION, self.track, self.split, rows, self.seed, dict(self.starts)]
         if self.robot != DEFAULT_ROBOT:
             content.append(self.robot)
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[
+            :16
+        ]
 
 
 def manifest(track: str, split: str, robot: str = DEFAULT_ROBOT) -> Manifest:

@@ -83,7 +83,10 @@ def summary_of(asked: Manifest, episodes: Sequence[Scored]) -> dict[str, Any]:
         with its start states. "other_starts": number of episodes with another start state than in the manifest.
         "tainted", "errors": counts. "rows": one per row. "labels": counts. "capabilities": see `capabilities.profile`.
     """
-    rows = [_row_summary(row, [e for e in episodes if e.row == row.name]) for row in asked.rows]
+    rows = [
+        _row_summary(row, [e for e in episodes if e.row == row.name])
+        for row in asked.rows
+    ]
     others = sum(_begins_elsewhere(asked, episode) for episode in episodes)
     subtasks = [subtask for episode in episodes for subtask in episode.record.subtasks]
     wanted = sum(row.episodes for row in asked.rows)
@@ -127,7 +130,9 @@ def _share(part: float, whole: int) -> float:
     return round(part / whole, 4) if whole else 0.0
 
 
-def write_result(path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored]) -> Result:
+def write_result(
+    path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored]
+) -> Result:
     """Write a result file and return its content."""
     asked = manifest_of(facts)
     content = {
@@ -136,7 +141,12 @@ def write_result(path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored
         "facts": dict(facts),
         "summary": summary_of(asked, episodes),
         "episodes": [
-            {"row": e.row, "start": e.start, "actions": e.actions, "record": e.record.to_dict()}
+            {
+                "row": e.row,
+                "start": e.start,
+                "actions": e.actions,
+                "record": e.record.to_dict(),
+            }
             for e in episodes
         ],
     }
@@ -248,7 +258,10 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> Result:
             for entry in content["episodes"]
         )
         result = Result(
-            dict(content["facts"]), dict(content["summary"]), episodes, str(content["digest"])
+            dict(content["facts"]),
+            dict(content["summary"]),
+            episodes,
+            str(content["digest"]),
         )
         asked = result.manifest
         made_for = result.facts["manifest"]
@@ -256,12 +269,16 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> Result:
         raise UsageError(f"{path} is damaged: {error!r}.") from error
     _check_facts(path, result.facts, asked)
     _check_names(path, asked, episodes)
-    lacking = sorted({episode.row for episode in episodes} - set(result.facts["policies"]))
+    lacking = sorted(
+        {episode.row for episode in episodes} - set(result.facts["policies"])
+    )
     if lacking:
         raise UsageError(f"{path} was edited: facts.policies lacks {', '.join(lacking)}.")
     _check_manifest(path, made_for, asked)
     if json.loads(json.dumps(summary_of(asked, episodes))) != result.summary:
-        raise UsageError(f"{path} was edited: its numbers do not follow from its episodes.")
+        raise UsageError(
+            f"{path} was edited: its numbers do not follow from its episodes."
+        )
     return result
 
 
@@ -300,7 +317,9 @@ def _check_facts(path: Path, facts: Mapping[str, Any], asked: Manifest) -> None:
         if about is not None and not isinstance(
             about.get("env_options") if isinstance(about, dict) else None, dict
         ):
-            raise UsageError(f"{path} was edited: facts.policies[{row.name!r}] has no env_options.")
+            raise UsageError(
+                f"{path} was edited: facts.policies[{row.name!r}] has no env_options."
+            )
 
 
 def _check_manifest(path: Path, made_for: object, asked: Manifest) -> None:
@@ -331,4 +350,8 @@ def _fits(row: Row, asked: Manifest, record: EpisodeRecord) -> bool:
     wanted = (row.task, row.subtask or None, asked.split, asked.seed)
     got = (record.task, record.subtask, record.split, record.seed)
     about = record.plan[0].target if record.plan else ""
-    return wanted == got and about.startswith(row.target) and 0 <= record.index < row.episodes
+    return (
+        wanted == got
+        and about.startswith(row.target)
+        and 0 <= record.index < row.episodes
+    )

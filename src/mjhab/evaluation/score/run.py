@@ -16,7 +16,13 @@ from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.data.record.provenance import source_commit, versions
-from mjhab.evaluation.evaluate import EvalSpec, Run, describe_policy, make_env, run_evaluation
+from mjhab.evaluation.evaluate import (
+    EvalSpec,
+    Run,
+    describe_policy,
+    make_env,
+    run_evaluation,
+)
 from mjhab.evaluation.resolve import STUDENT, PolicyFacts, full_spec
 from mjhab.evaluation.score.actions import (
     ActionKeeper,
@@ -27,14 +33,29 @@ from mjhab.evaluation.score.actions import (
 )
 from mjhab.evaluation.score.capabilities import capabilities_of
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
-from mjhab.evaluation.score.result import RESULT_FILE, Result, Scored, write_result, write_summary
+from mjhab.evaluation.score.result import (
+    RESULT_FILE,
+    Result,
+    Scored,
+    write_result,
+    write_summary,
+)
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
 FREE_OPTIONS = frozenset(
-    {"obs_mode", "cameras", "camera_size", "control_mode", "base", "stationary", "profile", "robot"}
+    {
+        "obs_mode",
+        "cameras",
+        "camera_size",
+        "control_mode",
+        "base",
+        "stationary",
+        "profile",
+        "robot",
+    }
 )
 """Environment options that a policy may choose: observations, control and robot. The benchmark fixes all others."""
 SUMMARY_FILE = "summary.json"
@@ -86,7 +107,9 @@ class Checked:
     inexact: list[str] = field(default_factory=list)
 
 
-def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda _: ()) -> Result:
+def score(
+    spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda _: ()
+) -> Result:
     """Run the missing episodes of a score and write ``out/result.json``, and what tables show of it as summary.json.
 
     Args:
@@ -121,7 +144,9 @@ def score(spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda 
         seconds += run.summary["seconds"]
         episodes += [_scored(row, record, kept) for record in _wanted(run, evaluation)]
     if not policies:
-        raise UsageError(f"{spec.policy} has no policy for any row of the track {spec.track}.")
+        raise UsageError(
+            f"{spec.policy} has no policy for any row of the track {spec.track}."
+        )
     facts = facts_of(spec, asked, policies, seconds)
     result = write_result(spec.out / RESULT_FILE, facts, episodes)
     write_summary(spec.out / SUMMARY_FILE, result)
@@ -230,7 +255,9 @@ def hardware() -> dict[str, Any]:
     return found
 
 
-def check(result: Result, tell: Callable[[], object] = bool, seed: int | None = None) -> Checked:
+def check(
+    result: Result, tell: Callable[[], object] = bool, seed: int | None = None
+) -> Checked:
     """Replay the actions of up to CHECKED_EPISODES random episodes and compare the outcomes with the result file.
 
     Args:
@@ -298,7 +325,9 @@ def _check_row(
         _compare(f"{row.name} {record.index}", told[record.index], record, start, found)
 
 
-def _compare(name: str, scored: Scored, seen: EpisodeRecord, start: str, found: Checked) -> None:
+def _compare(
+    name: str, scored: Scored, seen: EpisodeRecord, start: str, found: Checked
+) -> None:
     found.episodes += 1
     told = dataclasses.replace(scored.record, style={})
     if told == seen and scored.start == start:
@@ -315,7 +344,13 @@ def _outcome(record: EpisodeRecord) -> tuple[Any, ...]:
         (s.index, s.kind, s.label, s.success_once, tuple(capabilities_of(s)))
         for s in record.subtasks
     )
-    return (record.success_once, record.completed, bool(record.error), bool(record.taint), labels)
+    return (
+        record.success_once,
+        record.completed,
+        bool(record.error),
+        bool(record.taint),
+        labels,
+    )
 
 
 def _wanted(run: Run, evaluation: EvalSpec) -> list[EpisodeRecord]:
@@ -338,5 +373,7 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    names = [
+        line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+    ]
     return names[0] if names else platform.processor()

@@ -20,7 +20,11 @@ def write_starts(track: str, split: str, worlds: int, threads: int) -> int:
         UsageError: the track or split is unknown.
     """
     asked = manifest(track, split)
-    content = json.loads(STARTS_FILE.read_text(encoding="utf-8")) if STARTS_FILE.exists() else {}
+    content = (
+        json.loads(STARTS_FILE.read_text(encoding="utf-8"))
+        if STARTS_FILE.exists()
+        else {}
+    )
     known = content.setdefault(f"{track}/{split}", {})
     count = 0
     for row in asked.rows:
@@ -33,7 +37,9 @@ def write_starts(track: str, split: str, worlds: int, threads: int) -> int:
 
 
 def _write(text: str) -> None:
-    write_atomic(STARTS_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomic(
+        STARTS_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8")
+    )
 
 
 def starts_of(row: Row, split: str, seed: int, worlds: int, threads: int) -> list[str]:

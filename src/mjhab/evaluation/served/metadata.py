@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mjhab.evaluation.served.action_spaces import ACTION_SPACES, DEFAULT_SPACE, space_named
+from mjhab.evaluation.served.action_spaces import (
+    ACTION_SPACES,
+    DEFAULT_SPACE,
+    space_named,
+)
 from mjhab.serving.address import Address
 from mjhab.serving.dialects.dialect import OWN
 

@@ -86,7 +86,9 @@ class ServedPolicy:
     @property
     def latency_ms(self) -> list[float]:
         """Durations of all requests so far [ms]."""
-        return [value for connection in self._connections for value in connection.latency_ms]
+        return [
+            value for connection in self._connections for value in connection.latency_ms
+        ]
 
     def fault(self, world: int) -> str:
         """Error that ended the episode of a world, or ""."""
@@ -100,7 +102,9 @@ class ServedPolicy:
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, A): the next ones of the chunks. Used-up chunks are requested anew first."""
         over = self._env.progress.done
-        running = [w for w, world in enumerate(self._worlds) if not (over[w] or world.fault)]
+        running = [
+            w for w, world in enumerate(self._worlds) if not (over[w] or world.fault)
+        ]
         due = [w for w in running if self._is_used_up(self._worlds[w])]
         groups = [due] if self._address.batch else [[w] for w in due]
         groups = [group for group in groups if group]
@@ -153,7 +157,11 @@ class ServedPolicy:
 
     def _ask(self, w: int, obs: Any, info: Mapping[str, Any]) -> Ask:
         spec = info["episode_spec"][w]
-        told = spec["instruction"] if self._address.prompt == "task" else info["instruction"][w]
+        told = (
+            spec["instruction"]
+            if self._address.prompt == "task"
+            else info["instruction"][w]
+        )
         robot = self._env.layout.robot
         external, wrist = (*robot.camera_names, "", "")[:2]
         head, hand = (obs.get(camera_key(camera, "rgb")) for camera in (external, wrist))

@@ -124,7 +124,9 @@ class TwinResponder:
         }
         named = [name for name in FILES if options.get(name)]
         if named:
-            raise UsageError(f"clients may not set options that name files: {', '.join(named)}")
+            raise UsageError(
+                f"clients may not set options that name files: {', '.join(named)}"
+            )
         if options.get("assets", BUILTIN) != self._assets:
             raise UsageError(
                 f"this server has the asset pack {self._assets!r}, not {options.get('assets')!r}; start it with "
@@ -132,7 +134,11 @@ class TwinResponder:
             )
         # All option values of the profile are sent; its name would only forbid other cameras.
         options.pop("profile", None)
-        sight = {name: value for name, value in self.facts.env_options.items() if name != "profile"}
+        sight = {
+            name: value
+            for name, value in self.facts.env_options.items()
+            if name != "profile"
+        }
         build = make_train if config.get("maker") == TRAIN_MAKER else make
         return build(**{**options, **sight}, num_envs=1, threads=1, autoreset="disabled")
 
@@ -164,7 +170,9 @@ class TwinSession:
         actions = [_act(twin, part) for twin, part in self._assigned(parts)]
         return np.stack(actions)[:, None]
 
-    def _assigned(self, parts: Sequence[Mapping[str, Any]]) -> list[tuple[Twin, Mapping[str, Any]]]:
+    def _assigned(
+        self, parts: Sequence[Mapping[str, Any]]
+    ) -> list[tuple[Twin, Mapping[str, Any]]]:
         """Assign a twin to each world, if possible the one that served the previous step of its episode."""
         free = list(self._twins)
         chosen: dict[int, Twin] = {}
@@ -217,7 +225,9 @@ def _place_of(part: Mapping[str, Any]) -> Place:
     episode = _mapping(world.get("episode"), "episode")
     numbers = (episode.get("seed"), episode.get("index"), part.get("step"))
     if not all(isinstance(number, int | np.integer) for number in numbers):
-        raise UsageError(f"seed, index and step of an episode must be integers, got {numbers}")
+        raise UsageError(
+            f"seed, index and step of an episode must be integers, got {numbers}"
+        )
     seed, index, step = (int(number) for number in numbers if number is not None)
     return Place(seed, index, step)
 
@@ -230,7 +240,11 @@ def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[st
     """
     given = request.get(OWN)
     given = [given] if batch is None else given
-    parts = [part for part in given if isinstance(part, Mapping)] if isinstance(given, list) else []
+    parts = (
+        [part for part in given if isinstance(part, Mapping)]
+        if isinstance(given, list)
+        else []
+    )
     if not parts:
         raise UsageError(
             f"this server serves policies of mjhab, which need the state of the worlds (key {OWN!r}); ask it with: "
@@ -243,5 +257,7 @@ def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[st
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise UsageError(f"the request has no {name!r}; it comes from another version of mjhab")
+        raise UsageError(
+            f"the request has no {name!r}; it comes from another version of mjhab"
+        )
     return value

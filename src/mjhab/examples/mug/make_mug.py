@@ -45,7 +45,9 @@ def wall_piece(side: int) -> np.ndarray:
     )
 
 
-def box(center: tuple[float, float, float], size: tuple[float, float, float]) -> np.ndarray:
+def box(
+    center: tuple[float, float, float], size: tuple[float, float, float]
+) -> np.ndarray:
     """Corners (8, 3) [m] of a box."""
     signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     return np.array(center) + signs * np.array(size) / 2
@@ -60,17 +62,24 @@ def handle_pieces() -> list[np.ndarray]:
     ends = [middle + s * (HANDLE_HEIGHT_M - HANDLE_THICK_M) / 2 for s in (-1, 1)]
     bar = box((bar_x, 0.0, middle), (HANDLE_THICK_M, HANDLE_THICK_M, HANDLE_HEIGHT_M))
     joins = [
-        box((start + length / 2, 0.0, z), (length, HANDLE_THICK_M, HANDLE_THICK_M)) for z in ends
+        box((start + length / 2, 0.0, z), (length, HANDLE_THICK_M, HANDLE_THICK_M))
+        for z in ends
     ]
     return [bar, *joins]
 
 
 def pieces() -> list[np.ndarray]:
     """Corners of all convex pieces."""
-    floor = trimesh.creation.cylinder(RADIUS_M / np.cos(np.pi / SIDES), WALL_M, sections=SIDES)
+    floor = trimesh.creation.cylinder(
+        RADIUS_M / np.cos(np.pi / SIDES), WALL_M, sections=SIDES
+    )
     turn = trimesh.transformations.rotation_matrix(np.pi / SIDES, (0, 0, 1))
     floor.apply_transform(turn).apply_translation((0.0, 0.0, WALL_M / 2))
-    return [*(wall_piece(side) for side in range(SIDES)), floor.vertices, *handle_pieces()]
+    return [
+        *(wall_piece(side) for side in range(SIDES)),
+        floor.vertices,
+        *handle_pieces(),
+    ]
 
 
 def seen() -> trimesh.Trimesh:

@@ -37,15 +37,27 @@ def in_zone(state: WorldState, active: Active, config: TaskConfig) -> Array:
 TERMS = (
     Term("reach", 3.0, "away", "hand to the object: 1 - tanh(3 d)"),
     Term("push", 8.0, "away", "object to its goal: 1 - tanh(5 d)"),
-    Term("in_zone", 12.0, "in_zone", "the object is in its zone, in place of reach and push"),
+    Term(
+        "in_zone",
+        12.0,
+        "in_zone",
+        "the object is in its zone, in place of reach and push",
+    ),
     Term("rest", 4.0, "in_zone", "hand to its rest point: 1 - tanh(3 d)"),
-    Term("force", 2.0, ALWAYS, "contact force over 200 N: 1 - tanh(3 (max(0.001 F, 0.2) - 0.2))"),
+    Term(
+        "force",
+        2.0,
+        ALWAYS,
+        "contact force over 200 N: 1 - tanh(3 (max(0.001 F, 0.2) - 0.2))",
+    ),
     Term("success", 4.0, "success", "the subtask is achieved"),
 )
 _SHARPNESS = {"reach": 3.0, "push": 5.0, "rest": 3.0, "force": 3.0}
 
 
-def raw_rewards(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
+def raw_rewards(
+    view: RewardView, config: TaskConfig
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """Conditions and raw values of the terms, (W,) each."""
     distances = {
         "reach": norm3(view.world.tcp_pos - view.object_pos),
@@ -71,13 +83,18 @@ PUSH = SubtaskSpec(
     measures={"at_goal": in_zone},
     label_rules=(
         LabelRule(
-            "success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")
+            "success_then_excessive_collisions",
+            lambda s: s.ever("success") & s.ever("excess"),
         ),
-        LabelRule("success_then_left_zone", lambda s: s.ever("success") & ~s.holds("at_goal")),
+        LabelRule(
+            "success_then_left_zone", lambda s: s.ever("success") & ~s.holds("at_goal")
+        ),
         LabelRule("push_success", lambda s: s.ever("success")),
         LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
         LabelRule("didnt_touch_failure", lambda s: ~s.ever("ee_contact")),
-        LabelRule("left_zone_failure", lambda s: s.ever("left_goal") & ~s.holds("at_goal")),
+        LabelRule(
+            "left_zone_failure", lambda s: s.ever("left_goal") & ~s.holds("at_goal")
+        ),
         LabelRule("too_slow_failure", lambda s: s.holds("at_goal")),
         LabelRule("short_of_zone_failure"),
     ),

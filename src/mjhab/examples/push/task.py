@@ -21,7 +21,8 @@ def go_and_push(target: Target) -> list[Subtask]:
 PUSH_OBJECTS = TaskSpec(
     name="push_objects",
     words=("sort the things on the table", "tidy the table top"),
-    targets=(TargetRule(_TABLE, _TABLE, distance_m=(0.15, 0.3), chain=go_and_push),) * NUM_OBJECTS,
+    targets=(TargetRule(_TABLE, _TABLE, distance_m=(0.15, 0.3), chain=go_and_push),)
+    * NUM_OBJECTS,
     objects=("007_tuna_fish_can", "008_pudding_box", "010_potted_meat_can"),
     clutter_copies=0,
 )

@@ -41,7 +41,15 @@ TREE = (
     TreeLink("palm", "wrist", "spin", (0.11, 0.0, 0.0), X, limits=FREE),
     TreeLink("grip", "palm", "", (0.15, 0.0, 0.0)),
     TreeLink("left", "grip", "left_finger", (0.0, 0.0, 0.0), Y, True, (0.0, 0.05)),
-    TreeLink("right", "grip", "right_finger", (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), True, (0.0, 0.05)),
+    TreeLink(
+        "right",
+        "grip",
+        "right_finger",
+        (0.0, 0.0, 0.0),
+        (0.0, -1.0, 0.0),
+        True,
+        (0.0, 0.05),
+    ),
 )
 """Every link: name, parent, joint between them ("" for none), place in the parent, axis, whether it slides, limits."""
 
@@ -49,7 +57,9 @@ TREE = (
 def capsule(length: float, radius: float = 0.045) -> Geom:
     """A capsule along x from the origin of its link."""
     turned = (0.7071067811865476, 0.0, 0.7071067811865476, 0.0)
-    return Geom("capsule", (radius, length / 2, 0.0), (length / 2, 0.0, 0.0), turned, visual=False)
+    return Geom(
+        "capsule", (radius, length / 2, 0.0), (length / 2, 0.0, 0.0), turned, visual=False
+    )
 
 
 def finger(side: float) -> Geom:
@@ -80,7 +90,9 @@ def mass(kilograms: float) -> Inertial:
 
 
 MASSES = {"base": 40.0, "mast": 8.0, "left": 0.1, "right": 0.1, "grip": 0.1}
-INERTIALS = {link: mass(MASSES.get(link, 2.0)) for link in ("base", *(row.link for row in TREE))}
+INERTIALS = {
+    link: mass(MASSES.get(link, 2.0)) for link in ("base", *(row.link for row in TREE))
+}
 SERVO = Gains(kp=1e3, kd=1e2, force=100.0, armature=1.0)
 
 

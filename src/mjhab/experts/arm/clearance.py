@@ -175,7 +175,9 @@ class RobotSpheres:
         if not len(link) or not len(self.trunk_link):
             return np.full(len(q), NOTHING_NEAR_M)
         pos, rot = self._frames(q)
-        return own_gaps(pos, rot, link, points, radius, self.trunk_link, *self._trunk_sides)
+        return own_gaps(
+            pos, rot, link, points, radius, self.trunk_link, *self._trunk_sides
+        )
 
     @cached_property
     def _distal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -216,7 +218,9 @@ def _cover(geom: Any) -> list[tuple[np.ndarray, float]]:
     room = np.maximum(half - _EDGE_RADIUS_M, 0.0)
     axes = [np.linspace(-r, r, 2 + int(r / _EDGE_RADIUS_M)) for r in room]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    edges = grid[np.delete(np.abs(grid) >= room - 1e-9, np.argmax(half), axis=1).all(axis=1)]
+    edges = grid[
+        np.delete(np.abs(grid) >= room - 1e-9, np.argmax(half), axis=1).all(axis=1)
+    ]
     rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
     return [
         (points, size),
@@ -242,9 +246,14 @@ def _fill(geom: Any) -> tuple[np.ndarray, float]:
         else:
             ring = radius - small
             angle = np.linspace(
-                0, 2 * np.pi, max(4, int(np.ceil(2 * np.pi * ring / small))), endpoint=False
+                0,
+                2 * np.pi,
+                max(4, int(np.ceil(2 * np.pi * ring / small))),
+                endpoint=False,
             )
-            local = np.stack([ring * np.cos(angle), ring * np.sin(angle), 0 * angle], axis=1)
+            local = np.stack(
+                [ring * np.cos(angle), ring * np.sin(angle), 0 * angle], axis=1
+            )
             local = np.concatenate([np.zeros((1, 3)), local])
     rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
     return local @ rot.T + np.asarray(geom.pos, dtype=np.float64), small
@@ -254,7 +263,8 @@ def _grid(room: np.ndarray, radius: float) -> np.ndarray:
     """Grid of points (P, 3) within ± ``room`` (3,) [m], at most 1.2 ``radius`` apart along each axis."""
     count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in room]
     axes = [
-        np.linspace(-r, r, n) if n > 1 else np.zeros(1) for r, n in zip(room, count, strict=True)
+        np.linspace(-r, r, n) if n > 1 else np.zeros(1)
+        for r, n in zip(room, count, strict=True)
     ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -265,7 +275,9 @@ def _bounding(geoms: Sequence[Any]) -> Boxes:
     for geom in geoms:
         size = np.asarray(geom.size, dtype=np.float64)
         half.append(
-            size if geom.shape == "box" else np.array([size[0], size[0], size[1] or size[0]])
+            size
+            if geom.shape == "box"
+            else np.array([size[0], size[0], size[1] or size[0]])
         )
     center = np.array([geom.pos for geom in geoms], dtype=np.float64).reshape(-1, 3)
     quat = np.array([geom.quat for geom in geoms], dtype=np.float64).reshape(-1, 4)

@@ -67,7 +67,9 @@ def tree_of(chain: Chain) -> Tree:
 
 
 @inline
-def place_link(tree: Tree, j: int, q: np.ndarray, pos: np.ndarray, rot: np.ndarray) -> None:
+def place_link(
+    tree: Tree, j: int, q: np.ndarray, pos: np.ndarray, rot: np.ndarray
+) -> None:
     """Write the world frame of link ``j + 1`` at configuration ``q`` (Q,) into ``pos`` (L, 3) and ``rot`` (L, 3, 3).
 
     The parent's frame must have been written before.

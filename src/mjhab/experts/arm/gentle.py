@@ -48,7 +48,8 @@ def care_for(view: WorldView, hurry: bool = False) -> Care:
     """
     tcp = view.tcp_pose[:3]
     far = {
-        name: float(np.linalg.norm(view.object_pose(name)[:3] - tcp)) for name in view.object_names
+        name: float(np.linalg.norm(view.object_pose(name)[:3] - tcp))
+        for name in view.object_names
     }
     if not far:
         return FIRM

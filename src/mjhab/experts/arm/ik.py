@@ -82,7 +82,9 @@ class Solutions:
 def columns(chain: Chain, *, torso: bool = True, base: bool = False) -> np.ndarray:
     """Configuration columns (D,) of the arm and, as asked for, of the torso and the base."""
     groups = ("arm", *(("torso",) if torso else ()), *(("base",) if base else ()))
-    return chain.columns_of([name for group in groups for name in chain.groups.get(group, ())])
+    return chain.columns_of(
+        [name for group in groups for name in chain.groups.get(group, ())]
+    )
 
 
 def random_seeds(
@@ -165,7 +167,10 @@ def solve(
     )
     ok = (pos_err <= 3 * options.pos_tolerance) & (rot_err <= 3 * options.rot_tolerance)
     return Solutions(
-        flat.reshape(*shape, -1), pos_err.reshape(shape), rot_err.reshape(shape), ok.reshape(shape)
+        flat.reshape(*shape, -1),
+        pos_err.reshape(shape),
+        rot_err.reshape(shape),
+        ok.reshape(shape),
     )
 
 
@@ -243,7 +248,9 @@ def step_limits(chain: Chain) -> np.ndarray:
     return limits
 
 
-def travel_steps(chain: Chain, start: np.ndarray, end: np.ndarray, dofs: np.ndarray) -> np.ndarray:
+def travel_steps(
+    chain: Chain, start: np.ndarray, end: np.ndarray, dofs: np.ndarray
+) -> np.ndarray:
     """Control steps (...,) that the slowest joint needs from ``start`` (Q,) to ``end`` (..., Q)."""
     return np.max(np.abs(end - start)[..., dofs] / step_limits(chain)[dofs], axis=-1)
 
@@ -281,7 +288,9 @@ def straight_line(
     far = np.linalg.norm(way, axis=1) / reach
     wide = np.linalg.norm(spin, axis=1) / turn
     share = 1.0 / np.maximum(np.maximum(far, wide), 1.0)
-    return pos + share[:, None] * way, mat_from_rotation_vector(share[:, None] * spin) @ rot
+    return pos + share[:, None] * way, mat_from_rotation_vector(
+        share[:, None] * spin
+    ) @ rot
 
 
 def _floats(values: np.ndarray) -> np.ndarray:

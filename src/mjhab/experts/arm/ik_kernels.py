@@ -23,14 +23,18 @@ MODES = {"pose": POSE, "approach": APPROACH, "closing": CLOSING, "position": POS
 
 
 @inline
-def _rotation_error(wish: np.ndarray, now: np.ndarray, m: np.ndarray, out: np.ndarray) -> None:
+def _rotation_error(
+    wish: np.ndarray, now: np.ndarray, m: np.ndarray, out: np.ndarray
+) -> None:
     """Write into ``out[3:]`` the rotation vector [rad] from rotation ``now`` (3, 3) to ``wish`` (3, 3).
 
     ``m`` (3, 3) is scratch memory.
     """
     for i in range(3):
         for k in range(3):
-            m[i, k] = wish[i, 0] * now[k, 0] + wish[i, 1] * now[k, 1] + wish[i, 2] * now[k, 2]
+            m[i, k] = (
+                wish[i, 0] * now[k, 0] + wish[i, 1] * now[k, 1] + wish[i, 2] * now[k, 2]
+            )
     # Shepperd's method: of four forms of the quaternion the one with the largest pivot.
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     xy = m[1, 0] + m[0, 1]
@@ -164,7 +168,12 @@ def _task(
 
 @kernel
 def _one_step(
-    tree: Tree, q: np.ndarray, rest: np.ndarray, rest_gain: float, dofs: np.ndarray, s: Space
+    tree: Tree,
+    q: np.ndarray,
+    rest: np.ndarray,
+    rest_gain: float,
+    dofs: np.ndarray,
+    s: Space,
 ) -> None:
     """Write into ``s.step`` (D,) the damped step that reduces the task error of ``q`` (Q,) within its joint limits."""
     for d in range(len(dofs)):

@@ -62,7 +62,9 @@ def arm_spheres(robot: Robot) -> RobotSpheres:
     than the boxes around furniture.
     """
     whole = spheres(robot)
-    return whole.only([name for name in whole.chain.links if name not in robot.trunk_links])
+    return whole.only(
+        [name for name in whole.chain.links if name not in robot.trunk_links]
+    )
 
 
 def planner(home: HomeShapes) -> Planner:
@@ -201,7 +203,9 @@ def move_joints(
     return False
 
 
-def drive_to(view: WorldView, goal: np.ndarray, *, gripper: float, max_steps: int = 120) -> Motion:
+def drive_to(
+    view: WorldView, goal: np.ndarray, *, gripper: float, max_steps: int = 120
+) -> Motion:
     """Drive the base around furniture to ``goal`` (3,) x, y [m], yaw [rad], with the arm in its present configuration.
 
     Returns whether the base arrived; False when there is no path.
@@ -265,7 +269,10 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
     for _ in range(move.max_steps):
         here, here_rot = tcp(view)
         off = np.linalg.norm(move.pos - here)
-        if off <= move.tolerance and angle_between(here_rot, move.rot) <= move.angle_tolerance:
+        if (
+            off <= move.tolerance
+            and angle_between(here_rot, move.rot) <= move.angle_tolerance
+        ):
             return True
         if view.link_forces.sum() > move.stop_on_force:
             return False
@@ -285,7 +292,9 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
         delta = ik.servo(
             robot, view.q, aim[None], carrot_rot, dofs, rest=rest, base_next=base_next
         )[0]
-        yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=move.gripper, drive=move.drive)
+        yield action(
+            view, view.q + delta / ARM_STEP_SHARE, gripper=move.gripper, drive=move.drive
+        )
     return False
 
 
@@ -319,7 +328,12 @@ def still_tcp(
 
 
 def raise_tcp(
-    view: WorldView, pos: np.ndarray, rot: np.ndarray, *, rest: np.ndarray, max_steps: int = 16
+    view: WorldView,
+    pos: np.ndarray,
+    rot: np.ndarray,
+    *,
+    rest: np.ndarray,
+    max_steps: int = 16,
 ) -> Motion:
     """Move the tcp with a held object to a pose nearby, slowly at first: a jerk would shift the object in the fingers.
 
@@ -370,7 +384,12 @@ def angle_between(now: np.ndarray, goal: np.ndarray) -> float:
 
 
 def close_fingers(
-    view: WorldView, target: str, *, steps: int = 12, settle: int = 3, rate: float = math.inf
+    view: WorldView,
+    target: str,
+    *,
+    steps: int = 12,
+    settle: int = 3,
+    rate: float = math.inf,
 ) -> Motion:
     """Close the gripper until both fingers press a target.
 

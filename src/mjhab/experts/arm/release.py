@@ -77,7 +77,11 @@ def play(view: WorldView) -> float:
 
 def away_speed(view: WorldView) -> float:
     """Speed [m/s] of the hand's retreat from the object that is still between the fingers."""
-    return TIGHT_AWAY_SPEED_M_S if JAMMED_PLAY_M < play(view) < TIGHT_PLAY_M else AWAY_SPEED_M_S
+    return (
+        TIGHT_AWAY_SPEED_M_S
+        if JAMMED_PLAY_M < play(view) < TIGHT_PLAY_M
+        else AWAY_SPEED_M_S
+    )
 
 
 def let_go_width(view: WorldView, obj: str, pos: np.ndarray, rot: np.ndarray) -> float:
@@ -96,7 +100,9 @@ def let_go_width(view: WorldView, obj: str, pos: np.ndarray, rot: np.ndarray) ->
     turn = np.repeat(rot[None], len(widths), axis=0)
     room = approach_clearance(at, turn, widths, at, near, view.robot.gripper)
     return float(
-        widths[1:][room[1:] > min(DRAW_BACK_CLEARANCE_M, room[0] - 0.004)].max(initial=widths[1])
+        widths[1:][room[1:] > min(DRAW_BACK_CLEARANCE_M, room[0] - 0.004)].max(
+            initial=widths[1]
+        )
     )
 
 
@@ -123,14 +129,19 @@ def drawn_back(
     arm = whole.only([name for name in whole.chain.links if name not in hand_links])
     near, target = surroundings(view, obj, pos)
     heading = float(view.base[2])
-    ways = np.array([-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]])
+    ways = np.array(
+        [-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]]
+    )
     ways = ways - (ways @ rot[:, 1])[:, None] * rot[:, 1]
     spots = (pos + np.array(DRAW_BACK_M)[:, None] * ways[:, None]).reshape(-1, 3)
     turns = np.repeat(rot[None], len(spots), axis=0)
-    found = ik.solve(robot, spots, turns, view.q[None], ik.columns(robot, torso=False), rest=rest)
+    found = ik.solve(
+        robot, spots, turns, view.q[None], ik.columns(robot, torso=False), rest=rest
+    )
     q = np.concatenate([view.q[None], found.q[:, 0]])
     room = np.minimum(
-        np.minimum(whole.self_clearance(q), arm.clearance(q, near)), hand.clearance(q, near)
+        np.minimum(whole.self_clearance(q), arm.clearance(q, near)),
+        hand.clearance(q, near),
     )
     gap = hand.clearance(q, target)
     fine = (

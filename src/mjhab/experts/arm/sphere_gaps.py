@@ -9,7 +9,9 @@ from mjhab.experts.jit import inline, kernel
 
 
 @inline
-def _place(pos: np.ndarray, rot: np.ndarray, local: np.ndarray) -> tuple[float, float, float]:
+def _place(
+    pos: np.ndarray, rot: np.ndarray, local: np.ndarray
+) -> tuple[float, float, float]:
     """World position of point ``local`` (3,) of a link with frame ``pos`` (3,), ``rot`` (3, 3)."""
     x = pos[0] + rot[0, 0] * local[0] + rot[0, 1] * local[1] + rot[0, 2] * local[2]
     y = pos[1] + rot[1, 0] * local[0] + rot[1, 1] * local[1] + rot[1, 2] * local[2]
@@ -75,7 +77,9 @@ def least_gaps(
                     continue
                 for m in range(first[i], first[i + 1]):
                     x, y, z = _place(pos[n, link], rot[n, link], points[m])
-                    best = min(best, box_gap(x, y, z, center[k], half[k], turn[k]) - radius[m])
+                    best = min(
+                        best, box_gap(x, y, z, center[k], half[k], turn[k]) - radius[m]
+                    )
         found[n] = best
     return found
 
@@ -127,7 +131,9 @@ def own_gaps(
                 sides[1, axis] = y
                 sides[2, axis] = z
             for m in range(len(link)):
-                gap = box_gap(spheres[m, 0], spheres[m, 1], spheres[m, 2], middle, half[k], sides)
+                gap = box_gap(
+                    spheres[m, 0], spheres[m, 1], spheres[m, 2], middle, half[k], sides
+                )
                 best = min(best, gap - radius[m])
         found[n] = best
     return found

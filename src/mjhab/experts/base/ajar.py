@@ -30,9 +30,9 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
     nx, ny = plain.clearance.shape
     x = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell
     y = plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell
-    cells = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1).reshape(
-        -1, 3
-    )
+    cells = np.stack(
+        [*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1
+    ).reshape(-1, 3)
     # Doors and drawers are upright: distances in the horizontal plane suffice.
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
     gap = nearest_box_distance(cells, flat).reshape(nx, ny) + OVERHANG_M

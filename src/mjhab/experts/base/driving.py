@@ -84,7 +84,12 @@ class Driver:
     """
 
     def __init__(
-        self, legs: Sequence[Leg], lookahead: float, pace: Pace, v: float = 0.0, w: float = 0.0
+        self,
+        legs: Sequence[Leg],
+        lookahead: float,
+        pace: Pace,
+        v: float = 0.0,
+        w: float = 0.0,
     ) -> None:
         self._legs = list(legs)
         self._lookahead = lookahead
@@ -109,7 +114,9 @@ class Driver:
             v, w, done = self._pilot.step(pose)
             self._left -= 1
             # Only the last leg has to end exactly: the others pass on to the next leg when their turn is nearly done.
-            done = done or (bool(self._legs) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S)
+            done = done or (
+                bool(self._legs) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S
+            )
             if not done and self._left >= 0:
                 break
             self._begin()
@@ -129,7 +136,9 @@ def towards(wish: float, now: float, gain: float) -> float:
     return float(np.clip(wish, now - down, now + up))
 
 
-def plan_drive(plan: Floorplan, pose: np.ndarray, legs: Sequence[Leg], pace: Pace) -> Trip:
+def plan_drive(
+    plan: Floorplan, pose: np.ndarray, legs: Sequence[Leg], pace: Pace
+) -> Trip:
     """Plan the quickest drive along legs that keeps about the clearance that the legs have.
 
     The drive uses curves, and turns on the spot where a curve comes too close to an obstacle.
@@ -199,7 +208,9 @@ def _joined(legs: Sequence[Leg]) -> list[Leg]:
             and abs(turn_between(last.yaw, leg.yaw)) < MAX_CURVE_RAD
             and len(pending) < 2
         ):
-            out[-1] = Leg(np.concatenate([last.points, leg.points[1:]]), leg.direction, leg.yaw)
+            out[-1] = Leg(
+                np.concatenate([last.points, leg.points[1:]]), leg.direction, leg.yaw
+            )
         else:
             out += [*pending, leg]
         pending = []
@@ -242,7 +253,9 @@ def _line_room(plan: Floorplan, points: np.ndarray, back: float) -> float:
     return float(plan.room(np.concatenate(poses)).min())
 
 
-def simulate(pose: np.ndarray, legs: Sequence[Leg], lookahead: float, pace: Pace) -> np.ndarray:
+def simulate(
+    pose: np.ndarray, legs: Sequence[Leg], lookahead: float, pace: Pace
+) -> np.ndarray:
     """Simulate the base poses (T, 3) of a drive from ``pose`` (3,) along legs, one per control step."""
     pose = pose.copy()
     speed = 0.0

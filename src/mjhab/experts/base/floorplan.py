@@ -64,7 +64,9 @@ class Arm:
         robot = motion.arm_spheres(view.robot)
         if held:
             robot = robot.with_held(*held_spheres(view, held))
-        q = np.stack([posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST_RAD else 2])
+        q = np.stack(
+            [posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST_RAD else 2]
+        )
         q[:, BASE] = 0.0
         center = robot.centers(robot.chain.forward(q)).reshape(-1, 3)
         radius = np.tile(robot.radius, len(q))
@@ -129,12 +131,21 @@ class Floorplan:
             & (height < FALLEN_HEIGHT_M)
             & (objects.half.max(axis=1) < FALLEN_SIZE_M)
         )
-        felt = np.zeros((0, 3)) if blocks is None else np.asarray(blocks, float).reshape(-1, 3)
+        felt = (
+            np.zeros((0, 3))
+            if blocks is None
+            else np.asarray(blocks, float).reshape(-1, 3)
+        )
         if len(low) or len(felt):
             fallen = np.column_stack([low.center[:, :2], low.half[:, :2].max(axis=1)])
             spots = np.concatenate([fallen, felt])
-            centers = cells.origin + (np.moveaxis(np.indices(base.shape), 0, -1) + 0.5) * cells.cell
-            gap = np.linalg.norm(centers[:, :, None] - spots[:, :2], axis=-1) - spots[:, 2]
+            centers = (
+                cells.origin
+                + (np.moveaxis(np.indices(base.shape), 0, -1) + 0.5) * cells.cell
+            )
+            gap = (
+                np.linalg.norm(centers[:, :, None] - spots[:, :2], axis=-1) - spots[:, 2]
+            )
             base = np.minimum(base, np.maximum(gap.min(axis=-1), 0.0))
             solid |= (gap[..., len(fallen) :] < 0.0).any(axis=-1)
         free = np.stack([_distance(level, cells.cell) for level in solid])
@@ -142,7 +153,9 @@ class Floorplan:
 
     def slimmer(self, base: float, arm: float) -> Floorplan:
         """The floor plan for smaller safety margins: ``base`` and ``arm`` [m] are subtracted from their clearances."""
-        less = dataclasses.replace(self.arm, radius=np.maximum(self.arm.radius - arm, 0.0))
+        less = dataclasses.replace(
+            self.arm, radius=np.maximum(self.arm.radius - arm, 0.0)
+        )
         return dataclasses.replace(self, base=self.base + base, arm=less)
 
     def room(self, poses: np.ndarray) -> np.ndarray:
@@ -171,7 +184,10 @@ class Floorplan:
     def rooms(self, yaws: np.ndarray) -> np.ndarray:
         """`room` (H, X, Y) at the centres of all cells for headings (H,); arm spheres are rounded to whole cells."""
         pad = 1 + int(
-            np.ceil(float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0)) / self.cell)
+            np.ceil(
+                float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0))
+                / self.cell
+            )
         )
         nx, ny = self.base.shape
         out = np.repeat(self.base[None], len(yaws), axis=0)
@@ -181,7 +197,9 @@ class Floorplan:
                 cos = np.cos(yaw)
                 sin = np.sin(yaw)
                 shift = np.rint(
-                    self.arm.offset[rows] @ np.array([[cos, sin], [-sin, cos]]) / self.cell
+                    self.arm.offset[rows]
+                    @ np.array([[cos, sin], [-sin, cos]])
+                    / self.cell
                 ).astype(int)
                 widest: dict[tuple[int, int], float] = {}
                 for (i, j), radius in zip(
@@ -263,11 +281,13 @@ def _distance(taken: np.ndarray, cell: float) -> np.ndarray:
 def _draw(solid: np.ndarray, boxes: Boxes, origin: np.ndarray, cell: float) -> None:
     """Mark in ``solid`` (L, X, Y) bool the cells whose centres are inside a box or less than half a cell beside it."""
     reach = np.einsum("kij,kj->ki", np.abs(boxes.rot), boxes.half)
-    low = np.floor((boxes.center - reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]).astype(
-        int
-    )
+    low = np.floor(
+        (boxes.center - reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]
+    ).astype(int)
     high = (
-        np.floor((boxes.center + reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]).astype(int)
+        np.floor(
+            (boxes.center + reach - [*origin, SLICES_M[0]]) / [cell, cell, _STEP]
+        ).astype(int)
         + 1
     )
     top = np.array([*solid.shape[1:], len(SLICES_M)])
@@ -280,9 +300,9 @@ def _draw(solid: np.ndarray, boxes: Boxes, origin: np.ndarray, cell: float) -> N
         # An upright box is rotated about the vertical alone; a leaning one is replaced by its bounding rectangle.
         local = (at - boxes.center[k, :2]) @ boxes.rot[k, :2, :2]
         leaning = abs(boxes.rot[k, 2, 2]) < 0.99
-        inside = (np.abs(local) <= (np.inf if leaning else boxes.half[k, :2] + cell / 2)).all(
-            axis=-1
-        )
+        inside = (
+            np.abs(local) <= (np.inf if leaning else boxes.half[k, :2] + cell / 2)
+        ).all(axis=-1)
         solid[a:b, i:m, j:n] |= inside
 
 

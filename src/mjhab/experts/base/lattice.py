@@ -37,7 +37,9 @@ COMFORT_CLEARANCE_M = 0.15
 """Clearance below which costs increase."""
 CAUTION_FACTOR = 3.0
 """Without spare clearance, a metre costs 1 + CAUTION_FACTOR times as much as with `COMFORT_CLEARANCE_M`."""
-START_WAYS_M = np.array([0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4])
+START_WAYS_M = np.array(
+    [0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4]
+)
 """Candidates for the length of the straight piece before the first turn, negative backwards."""
 LACKING_PRICE_S_M = 40.0
 """Cost of missing clearance during the first turn [s/m]."""
@@ -81,7 +83,9 @@ class Lattice:
         self.points = plan.origin + (CELLS_PER_STEP * index + 0.5) * plan.cell
         self._edges = self._make_edges()
 
-    def search(self, pose: np.ndarray, price: np.ndarray) -> tuple[float, list[Leg]] | None:
+    def search(
+        self, pose: np.ndarray, price: np.ndarray
+    ) -> tuple[float, list[Leg]] | None:
         """Search the path with the least cost from a base pose to any node, including the node's end cost.
 
         Args:
@@ -143,7 +147,9 @@ class Lattice:
             k = (h + 1) % 16
             good = fits[h] & fits[k] & (self._between[h] >= 0.0)
             angle = abs(turn_between(YAWS[h], YAWS[k]))
-            pay = (angle / TURN_RATE_RAD_S + TURN_COST_S) * 0.5 * (dear[h] + dear[k])[good]
+            pay = (
+                (angle / TURN_RATE_RAD_S + TURN_COST_S) * 0.5 * (dear[h] + dear[k])[good]
+            )
             parts += [
                 (number[h][good], number[k][good], pay),
                 (number[k][good], number[h][good], pay),
@@ -154,7 +160,9 @@ class Lattice:
     def _midway(self, h: int, a: tuple[slice, slice], dx: int, dy: int) -> np.ndarray:
         """Whether the midpoint has enough clearance, for moves with heading ``h`` that start in the window ``a``."""
         rows = np.arange(self.shape[1])[a[0]] * CELLS_PER_STEP + dx * CELLS_PER_STEP // 2
-        columns = np.arange(self.shape[2])[a[1]] * CELLS_PER_STEP + dy * CELLS_PER_STEP // 2
+        columns = (
+            np.arange(self.shape[2])[a[1]] * CELLS_PER_STEP + dy * CELLS_PER_STEP // 2
+        )
         return self._fine[h][np.ix_(rows, columns)] >= 0.0
 
     def _entries(self, pose: np.ndarray) -> dict[int, tuple[float, float, float]]:
@@ -167,7 +175,9 @@ class Lattice:
         found: dict[int, tuple[float, float, float]] = {}
         for far in START_WAYS_M.tolist():
             share = np.linspace(0.0, 1.0, 2 + int(abs(far) / 0.05))[:, None]
-            line = np.column_stack([pose[:2] + share * far * ahead, np.full(len(share), pose[2])])
+            line = np.column_stack(
+                [pose[:2] + share * far * ahead, np.full(len(share), pose[2])]
+            )
             if self.plan.room(line).min() < asked:
                 continue
             pay = abs(far) / SPEED_M_S * (BACKWARDS_FACTOR if far < 0 else 1.0) + (
@@ -204,7 +214,9 @@ class Lattice:
             else -1
         )
 
-    def _legs(self, pose: np.ndarray, entry: tuple[float, float], way: Sequence[int]) -> list[Leg]:
+    def _legs(
+        self, pose: np.ndarray, entry: tuple[float, float], way: Sequence[int]
+    ) -> list[Leg]:
         """Legs along the nodes ``way``, with a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(way), self.shape)
         far, turn = entry
@@ -219,7 +231,9 @@ class Lattice:
             there = self.points[x[k], y[k]]
             yaw = float(YAWS[h[k]])
             turn = 0.0
-            direction = 1 if (x[k] - x[k - 1], y[k] - y[k - 1]) == tuple(MOVES[h[k]]) else -1
+            direction = (
+                1 if (x[k] - x[k - 1], y[k] - y[k - 1]) == tuple(MOVES[h[k]]) else -1
+            )
             last = legs[-1] if legs else None
             if (
                 last is not None

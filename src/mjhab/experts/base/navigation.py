@@ -121,7 +121,9 @@ class Planner:
         """Length [m] of the planned path, infinite when there is none."""
         path = self.plan(start, goal)
         return (
-            np.inf if path is None else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+            np.inf
+            if path is None
+            else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
         )
 
     def costs(self, start: np.ndarray) -> np.ndarray:
@@ -131,7 +133,9 @@ class Planner:
 
     def costs_to(self, cells: np.ndarray) -> np.ndarray:
         """Cost (nx, ny) of the paths from all cells to the nearest of ``cells`` (nx, ny) bool; inf if none."""
-        found = dijkstra(self._graph, directed=False, indices=np.flatnonzero(cells), min_only=True)
+        found = dijkstra(
+            self._graph, directed=False, indices=np.flatnonzero(cells), min_only=True
+        )
         return np.asarray(found).reshape(self.clearance.shape)
 
     def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,8 +158,12 @@ class Planner:
         i = 0
         last = len(points) - 1
         while i < last:
-            asked = np.minimum(np.minimum.accumulate(own[i:])[1:], self.radius + self.comfort)
-            good = np.flatnonzero(self.line_clearance(points[i], points[i + 1 :]) >= asked - 1e-9)
+            asked = np.minimum(
+                np.minimum.accumulate(own[i:])[1:], self.radius + self.comfort
+            )
+            good = np.flatnonzero(
+                self.line_clearance(points[i], points[i + 1 :]) >= asked - 1e-9
+            )
             i += 1 + (int(good[-1]) if len(good) else 0)
             kept.append(i)
         return points[kept]
@@ -168,7 +176,9 @@ class Planner:
         return self._ways.get(source, lambda: self._find_ways(source))
 
     def _find_ways(self, source: int) -> tuple[np.ndarray, np.ndarray]:
-        found = dijkstra(self._graph, directed=False, indices=source, return_predecessors=True)
+        found = dijkstra(
+            self._graph, directed=False, indices=source, return_predecessors=True
+        )
         return np.asarray(found[0]), np.asarray(found[1])
 
     def _node(self, point: np.ndarray) -> int:

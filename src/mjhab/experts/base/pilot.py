@@ -82,7 +82,9 @@ class Pilot:
 
         Call once per control step.
         """
-        return _steer(self._way, self._state, float(pose[0]), float(pose[1]), float(pose[2]))
+        return _steer(
+            self._way, self._state, float(pose[0]), float(pose[1]), float(pose[2])
+        )
 
 
 def simulate(
@@ -111,13 +113,19 @@ def simulate(
 _NO_CARE = Care(np.inf, np.inf, np.inf, np.inf)
 
 
-def _way_along(path: np.ndarray, yaw: float, direction: int, lookahead: float, speed: float) -> Way:
+def _way_along(
+    path: np.ndarray, yaw: float, direction: int, lookahead: float, speed: float
+) -> Way:
     path = np.ascontiguousarray(path, dtype=np.float64)
     legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(legs)])
-    ending = path[-1] - [np.interp(along[-1] - _ENDING, along, path[:, k]) for k in range(2)]
+    ending = path[-1] - [
+        np.interp(along[-1] - _ENDING, along, path[:, k]) for k in range(2)
+    ]
     ending = ending / max(float(np.linalg.norm(ending)), 1e-9)
-    return Way(path, along, ending, float(yaw), float(direction), float(lookahead), float(speed))
+    return Way(
+        path, along, ending, float(yaw), float(direction), float(lookahead), float(speed)
+    )
 
 
 def _fresh_state(way: Way) -> np.ndarray:
@@ -202,7 +210,11 @@ def _steer(
     if state[1] > 0.0:
         turn = _wrapped(way.yaw - yaw)
         still = abs(turn) < _TURNED and abs(rate) < 0.4 and moved < 0.006
-        return 0.0, _clipped(4.5 * (turn - _PREVIEW * rate), -_TURN_RATE, _TURN_RATE), still
+        return (
+            0.0,
+            _clipped(4.5 * (turn - _PREVIEW * rate), -_TURN_RATE, _TURN_RATE),
+            still,
+        )
     lookahead = min(max(0.8 * left, 0.10), way.lookahead)
     aim_x, aim_y = _point(way, state[0] + lookahead)
     back = 0.0 if way.direction > 0 else np.pi
@@ -214,7 +226,9 @@ def _steer(
 
 
 @kernel
-def _drive(way: Way, state: np.ndarray, pose: np.ndarray, care: Care, careful: bool) -> np.ndarray:
+def _drive(
+    way: Way, state: np.ndarray, pose: np.ndarray, care: Care, careful: bool
+) -> np.ndarray:
     """Base poses (T, 3) of `simulate`; the first is ``pose`` (3,)."""
     poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
     poses[0] = pose

@@ -157,7 +157,15 @@ def plan_route(
         )
         room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
         return Route(
-            path, float(goal[2]), direction, lookahead, arm, delay, len(swept), room, care=care
+            path,
+            float(goal[2]),
+            direction,
+            lookahead,
+            arm,
+            delay,
+            len(swept),
+            room,
+            care=care,
         )
 
     early = at(0.0)
@@ -204,7 +212,9 @@ def drive_steps(now: np.ndarray, poses: np.ndarray, length: np.ndarray) -> np.nd
     bearing = np.arctan2(way[:, 1], way[:, 0])
     first = np.abs(wrap(bearing - now[2]))
     last = np.abs(wrap(poses[:, 2] - bearing))
-    turn = np.where(far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last)
+    turn = np.where(
+        far < 0.9, np.minimum(first + last, 2 * np.pi - first - last), first + last
+    )
     turn = np.where(far < 0.03, np.abs(wrap(poses[:, 2] - now[2])), turn)
     length = np.where(np.isfinite(length), np.maximum(length, far), np.inf)
     return 20.0 * (length / 0.6 + turn / 2.0) + np.where(far < 0.03, 0.0, 8.0)
@@ -219,7 +229,12 @@ def _way(view: WorldView, goal: np.ndarray) -> np.ndarray | None:
 
 
 def follow(
-    view: WorldView, route: Route, *, gripper: float, tolerance: float = 0.05, held: str = ""
+    view: WorldView,
+    route: Route,
+    *,
+    gripper: float,
+    tolerance: float = 0.05,
+    held: str = "",
 ) -> Motion:
     """Execute a route.
 
@@ -267,7 +282,10 @@ def follow(
         before = speed = eased(speed, before, care) if care else speed
         # The arm starts slowly from every intermediate posture: a jerk can shake out an object at the fingertips.
         began, last = (began, last) if np.array_equal(goal, last) else (step, goal)
-        ramp = min(1.0, 0.25 * (1 + step - min(step, route.delay if route.via is None else began)))
+        ramp = min(
+            1.0,
+            0.25 * (1 + step - min(step, route.delay if route.via is None else began)),
+        )
         yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         lost = 0 if not held or holds(view, held) else lost + 1
@@ -369,7 +387,8 @@ def arm_gone(far: float, delta: float) -> np.ndarray:
     gone = [0.0]
     while far - gone[-1] > SETTLED_RAD:
         gone.append(
-            gone[-1] + ik.ARM_STEP_RAD * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta)
+            gone[-1]
+            + ik.ARM_STEP_RAD * min(1.0, 0.25 * len(gone), (far - gone[-1]) / delta)
         )
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 

@@ -46,15 +46,23 @@ BLOCKED_PRICE_STEPS = 1000.0
 """Cost of a route with a collision [control steps]."""
 
 
-def obstacles(view: WorldView, goals: np.ndarray, shut: JointedLink | None = None) -> Boxes:
+def obstacles(
+    view: WorldView, goals: np.ndarray, shut: JointedLink | None = None
+) -> Boxes:
     """Boxes within the arm's reach of the present base pose or of ``goals`` (M, 3+): walls, furniture, and links at
     their present joint positions. The link ``shut`` counts as closed."""
-    links = [view.link_boxes()] if shut is None else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
+    links = (
+        [view.link_boxes()]
+        if shut is None
+        else [view.link_boxes((shut.id,)), shut.boxes(0.0)]
+    )
     boxes = Boxes.join([view.home.boxes, *links])
     places = np.concatenate([view.base[None, :2], goals[:, :2]])
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
-    return boxes.take(np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH_M))
+    return boxes.take(
+        np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH_M)
+    )
 
 
 def best_route(
@@ -134,14 +142,17 @@ def _turn_at_end(route: Route) -> float:
 
 def _passed(view: WorldView, route: Route) -> np.ndarray:
     """Expected configurations (T, J) on a route, two per control step."""
-    poses = simulate(view.base, route.path, route.yaw, route.direction, route.lookahead, route.care)
+    poses = simulate(
+        view.base, route.path, route.yaw, route.direction, route.lookahead, route.care
+    )
     robot = view.robot.chain
     needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
     steps = np.arange(0.0, route.steps + 0.25, 0.5)
     part = np.clip((steps - route.delay) / max(needed, 1.0), 0.0, 1.0)[:, None]
     out = view.q + part * (route.arm - view.q)
     out[:, :3] = np.stack(
-        [np.interp(steps, np.arange(len(poses)), column) for column in np.array(poses).T], axis=1
+        [np.interp(steps, np.arange(len(poses)), column) for column in np.array(poses).T],
+        axis=1,
     )
     return out
 
@@ -297,18 +308,26 @@ def _funnel(
         here, turn = motion.tcp(view)
         ahead, across, along = rot.T @ (goal - here)
         loose = 1.0 if step < max_steps // 2 else 1.5
-        if abs(ahead) < 0.014 * loose and abs(across) < 0.008 * loose and abs(along) < ALONG_BAR_M:
+        if (
+            abs(ahead) < 0.014 * loose
+            and abs(across) < 0.008 * loose
+            and abs(along) < ALONG_BAR_M
+        ):
             return True
         # Within a finger's reach of the handle the hand advances only in line with it.
         gap = max(ahead - FUNNEL_STEP_M, 0.0 if abs(across) < 0.015 else STRADDLE_M)
         clear = abs(across) < 0.015 or ahead > STRADDLE_M - 0.012
         shift = np.array([ahead - gap, across if clear else 0.0, along])
         shift *= min(1.0, 0.03 / max(float(np.linalg.norm(shift)), 1e-9))
-        aim_rot = ik.straight_line(here[None], goal[None], turn[None], rot[None], 1.0, 0.06)[1]
+        aim_rot = ik.straight_line(
+            here[None], goal[None], turn[None], rot[None], 1.0, 0.06
+        )[1]
         v, w = base_towards(view, posture)
         ahead_base = next_base(view, v, w)
         aim = (here + rot @ shift)[None]
-        delta = ik.servo(robot, view.q, aim, aim_rot, dofs, rest=posture, base_next=ahead_base)[0]
+        delta = ik.servo(
+            robot, view.q, aim, aim_rot, dofs, rest=posture, base_next=ahead_base
+        )[0]
         yield motion.action(
             view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w)
         )
@@ -329,7 +348,9 @@ def base_towards(
         most: largest forward speed [m/s].
     """
     q = view.q
-    ahead = float((wish[:2] - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
+    ahead = float(
+        (wish[:2] - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
+    )
     v = float(np.clip(speed + 1.5 * ahead, -most, most))
     return v, float(np.clip(3.0 * wrap(wish[2] - q[BASE_YAW]), -0.6, 0.6))
 

@@ -65,7 +65,8 @@ class Free:
     def spare(self, q: np.ndarray) -> np.ndarray:
         """Clearance (N,) [m] of configurations ``q`` (N, J) beyond the least one, while the base stands."""
         return np.minimum(
-            self.robot.clearance(q, self.boxes) - self.room, self.robot.self_clearance(q) - self.own
+            self.robot.clearance(q, self.boxes) - self.room,
+            self.robot.self_clearance(q) - self.own,
         )
 
     def likely(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -103,7 +104,9 @@ def arm_way(
     util.RNG.setSeed(PLANNING_SEED)
     info: Any = _space(start, end, free)
     problem: Any = base.ProblemDefinition(info)
-    problem.setStartAndGoalStates(_state(free.body, info, start), _state(free.body, info, end))
+    problem.setStartAndGoalStates(
+        _state(free.body, info, start), _state(free.body, info, end)
+    )
     planner = geometric.RRTConnect(info)
     planner.setRange(MAX_EDGE_STEPS)
     planner.setProblemDefinition(problem)
@@ -114,7 +117,8 @@ def arm_way(
         return None
     path = problem.getSolutionPath()
     between = [
-        _joints(free.body, path.getState(i), start) for i in range(1, path.getStateCount() - 1)
+        _joints(free.body, path.getState(i), start)
+        for i in range(1, path.getStateCount() - 1)
     ]
     return _shortened(np.array([start, *between, end]), free)
 
@@ -172,7 +176,8 @@ def _shortened(way: np.ndarray, free: Free) -> np.ndarray:
     at = 0
     while at < len(way) - 1:
         at = next(
-            (i for i in range(len(way) - 1, at + 1, -1) if free.edge(way[at], way[i])), at + 1
+            (i for i in range(len(way) - 1, at + 1, -1) if free.edge(way[at], way[i])),
+            at + 1,
         )
         kept.append(way[at])
     return np.array(kept)
@@ -182,7 +187,8 @@ def way_length(robot: Robot, way: np.ndarray) -> float:
     """Control steps that arm and torso need along the configurations ``way`` (P, J)."""
     return float(
         np.max(
-            np.abs(np.diff(way, axis=0))[:, ik.columns(robot.chain)] / joint_scale(robot), axis=1
+            np.abs(np.diff(way, axis=0))[:, ik.columns(robot.chain)] / joint_scale(robot),
+            axis=1,
         ).sum()
     )
 

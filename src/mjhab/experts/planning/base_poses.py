@@ -41,10 +41,14 @@ def way_out(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     points = box.center[0] + grid @ box.rot[0].T + np.array([0.0, 0.0, 0.025])
-    ahead = np.stack([np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1)
+    ahead = np.stack(
+        [np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1
+    )
     share = np.linspace(0.0, drive_in, 7)
     moved = points - share[None, :, None, None] * ahead[:, None, None]
-    gap = nearest_box_distance(moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9))
+    gap = nearest_box_distance(
+        moved.reshape(-1, 3), scene.beside.near(box.center[0], 0.9)
+    )
     return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
@@ -53,24 +57,39 @@ def base_poses(view: WorldView, work: Work) -> tuple[np.ndarray, np.ndarray]:
     point = work.point
     drive_in = work.drive_in
     r, angle, off = np.meshgrid(
-        np.arange(0.5, 1.26, 0.075), np.arange(32) * np.pi / 16, (-0.35, 0.0, 0.35), indexing="ij"
+        np.arange(0.5, 1.26, 0.075),
+        np.arange(32) * np.pi / 16,
+        (-0.35, 0.0, 0.35),
+        indexing="ij",
     )
     x = point[0] - r * np.cos(angle)
     y = point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
-    here = view.base - drive_in * np.array([np.cos(view.base[2]), np.sin(view.base[2]), 0.0])
+    here = view.base - drive_in * np.array(
+        [np.cos(view.base[2]), np.sin(view.base[2]), 0.0]
+    )
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate(
-        [poses, [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))]]
+        [
+            poses,
+            [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))],
+        ]
     )
     far_off = np.append(r.ravel() > FAR_BASE_M, np.zeros(4, bool))
     cells = planner(view)
-    back = poses[:, :2] - drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    back = poses[:, :2] - drive_in * np.stack(
+        [np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1
+    )
     far_off |= cells.clearance_at(back) < cells.radius
-    good = np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2])) >= cells.narrow
+    good = (
+        np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2]))
+        >= cells.narrow
+    )
     good &= floor_room(view.robot.footprint, poses, work.scene.near) > 0.0
     if work.avoid is not None and len(work.avoid):
-        gap = np.linalg.norm((poses[:, None] - work.avoid) * [1.0, 1.0, 0.3], axis=2).min(axis=1)
+        gap = np.linalg.norm((poses[:, None] - work.avoid) * [1.0, 1.0, 0.3], axis=2).min(
+            axis=1
+        )
         good &= gap > 0.10
     good[good] = in_sight(poses[good], point, work.scene.near)
     poses = poses[good]
@@ -89,13 +108,17 @@ def base_poses(view: WorldView, work: Work) -> tuple[np.ndarray, np.ndarray]:
     return _spread(poses[reachable], steps[reachable])
 
 
-def given_poses(view: WorldView, work: Work, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def given_poses(
+    view: WorldView, work: Work, poses: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The base ``poses`` (B, 3) with free floor that reach a hand pose, and the control steps (B,) of a straight drive
     to them."""
     cells = planner(view)
     here = float(cells.clearance_at(view.base[None, :2])[0])
     back = work.drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
-    room = np.minimum(cells.clearance_at(poses[:, :2]), cells.clearance_at(poses[:, :2] - back))
+    room = np.minimum(
+        cells.clearance_at(poses[:, :2]), cells.clearance_at(poses[:, :2] - back)
+    )
     near = overreach(view.robot.reach, poses, work.goals).min(axis=1) < MAX_OVERREACH_M
     free = near & (room >= min(cells.narrow, here))
     poses = poses[free]
@@ -113,7 +136,9 @@ def in_sight(poses: np.ndarray, point: np.ndarray, boxes: Boxes) -> np.ndarray:
     share = np.linspace(0.1, 0.9, 8)[:, None, None]
     line = poses[:, :2] + share * (point[:2] - poses[:, :2])
     height = np.full((*line.shape[:2], 1), point[2] + 0.15)
-    gap = nearest_box_distance(np.concatenate([line, height], axis=2).reshape(-1, 3), tall)
+    gap = nearest_box_distance(
+        np.concatenate([line, height], axis=2).reshape(-1, 3), tall
+    )
     return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
 
 
@@ -126,9 +151,9 @@ def floor_room(footprint: Footprint, poses: np.ndarray, boxes: Boxes) -> np.ndar
     )
     if not len(low):
         return np.ones(len(poses))
-    gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[:, :2].max(
-        axis=1
-    )
+    gap = np.linalg.norm(poses[:, None, :2] - low.center[:, :2], axis=2) - low.half[
+        :, :2
+    ].max(axis=1)
     return gap.min(axis=1) - footprint.radius
 
 
@@ -154,5 +179,7 @@ def overreach(reach: ArmReach, bases: np.ndarray, goals: HandGoals) -> np.ndarra
         [np.cos(bases[:, 2]), np.sin(bases[:, 2])], axis=1
     )
     level = np.linalg.norm(wrist[:, :2] - shoulder[:, None], axis=2) - reach.out
-    height = np.maximum(np.maximum(reach.low - wrist[:, 2], wrist[:, 2] - reach.high), 0.0)
+    height = np.maximum(
+        np.maximum(reach.low - wrist[:, 2], wrist[:, 2] - reach.high), 0.0
+    )
     return np.hypot(np.maximum(level, 0.0), height) - reach.length

@@ -110,7 +110,9 @@ def drive_in(
     """
     near, slow = HASTY_END_M if hasty else (0.02, 0.006)
     goal = _lined_up(view, reach, boxes)
-    yield from motion.move_joints(view, goal, gripper=gripper, tolerance=0.05, max_steps=12)
+    yield from motion.move_joints(
+        view, goal, gripper=gripper, tolerance=0.05, max_steps=12
+    )
     heading = float(goal[2])
     pressed = 0
     still = 0
@@ -186,7 +188,10 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
         ik.columns(robot, torso=False),
         rest=goal,
     )
-    near = found.ok[0, 0] and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MAX_CORRECTION_RAD
+    near = (
+        found.ok[0, 0]
+        and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MAX_CORRECTION_RAD
+    )
     better = near and _room_in(view.robot, found.q[0, 0], way, boxes) > _room_in(
         view.robot, end, way, boxes
     )
@@ -254,7 +259,9 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
 def hurry_home(view: WorldView, obj: str) -> Motion:
     """Bring the arm to rest while the base still drives out of a shelf, if one after the other takes too long and a
     collision-free way is found. Returns whether it set out; the object may be lost then."""
-    if view.steps_left > OUT_STEPS + HOME_DELAY * float(motion.steps_home(view.robot, view.q)):
+    if view.steps_left > OUT_STEPS + HOME_DELAY * float(
+        motion.steps_home(view.robot, view.q)
+    ):
         return False
     robot = motion.spheres(view.robot).with_held(*held_spheres(view, obj))
     route = plan_home(view, obj, robot, holding=True, ways=OUT_WAYS_M)

@@ -43,7 +43,9 @@ class LinkPath:
         if value >= values[-1]:
             return q[-1].copy()
         k = int(np.searchsorted(values, value, side="right")) - 1
-        return (q[k + 1] - q[k]) / (values[k + 1] - values[k]) * (value - values[k]) + q[k]
+        return (q[k + 1] - q[k]) / (values[k + 1] - values[k]) * (value - values[k]) + q[
+            k
+        ]
 
     @cached_property
     def _rising(self) -> tuple[np.ndarray, np.ndarray]:
@@ -62,7 +64,9 @@ class LinkPath:
         return float(self.hand_at(self.values[-1])[0][2])
 
 
-def action(view: WorldView, path: LinkPath, aim: float, step: float, gripper: float) -> np.ndarray:
+def action(
+    view: WorldView, path: LinkPath, aim: float, step: float, gripper: float
+) -> np.ndarray:
     """Compute the action (A,) that moves tcp and base towards their poses on the path at a joint value.
 
     Args:
@@ -94,4 +98,6 @@ def action(view: WorldView, path: LinkPath, aim: float, step: float, gripper: fl
         base_next=base_next,
         options=ik.ServoOptions(rest_gain=0.1),
     )[0]
-    return motion.action(view, q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w))
+    return motion.action(
+        view, q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w)
+    )

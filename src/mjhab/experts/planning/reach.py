@@ -39,7 +39,9 @@ _SEEDS = 5
 _KEPT = 50
 
 
-def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -> list[Stance]:
+def stances(
+    view: WorldView, work: Work, blocked: list[Blocked] | None = None
+) -> list[Stance]:
     """At most `MAX_STANCES` ways to bring the hand to one of the requested poses, quickest first.
 
     Args:
@@ -49,7 +51,9 @@ def stances(view: WorldView, work: Work, blocked: list[Blocked] | None = None) -
             `sampled.roomier`.
     """
     bases, drive = (
-        base_poses(view, work) if work.bases is None else given_poses(view, work, work.bases)
+        base_poses(view, work)
+        if work.bases is None
+        else given_poses(view, work, work.bases)
     )
     if not len(bases):
         return []
@@ -100,7 +104,9 @@ def clear_ones(q: np.ndarray, scene: Scene, room: float) -> np.ndarray:
 
 def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> np.ndarray:
     """Clearance (G,) [m] of hand and wrist from boxes on the straight approach to the goals."""
-    hand = approach_clearance(goals.pos, goals.rot, goals.opening, goals.pre, boxes, gripper)
+    hand = approach_clearance(
+        goals.pos, goals.rot, goals.opening, goals.pre, boxes, gripper
+    )
     back = 0.05 * goals.rot[:, :, 0]
     wrist = approach_clearance(
         goals.pos - back, goals.rot, goals.opening, goals.pre - back, boxes, gripper
@@ -120,7 +126,9 @@ def _pairs(
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-6)
     score = goals.score + 0.8 * toward @ goals.rot[:, :2, 0].T
     over = overreach(robot.reach, bases, goals)
-    score = np.where(over < MAX_OVERREACH_M, score - 20.0 * np.maximum(over, 0.0), -np.inf)
+    score = np.where(
+        over < MAX_OVERREACH_M, score - 20.0 * np.maximum(over, 0.0), -np.inf
+    )
     # Among equal hand poses every base pose tries different ones.
     score = score + 0.05 * np.random.default_rng(1).random(score.shape)
     best = np.argsort(-score, axis=1, kind="stable")[:, :_PER_BASE]
@@ -163,7 +171,13 @@ def _configurations(
     seeds[:, 0, BASE.stop :] = now[BASE.stop :]
     options = ik.Options(iterations=25, pos_tolerance=2e-3, rot_tolerance=2e-2)
     found = ik.solve(
-        robot, goals.pos[goal], goals.rot[goal], seeds, dofs, rest=body.rest, options=options
+        robot,
+        goals.pos[goal],
+        goals.rot[goal],
+        seeds,
+        dofs,
+        rest=body.rest,
+        options=options,
     )
     q = ik.unwind(robot, found.q, now)
     q[..., BASE] = bases[:, None]
@@ -171,7 +185,9 @@ def _configurations(
     if work.home:
         cost = cost + work.home * motion.steps_home(body, q)
     # A stretched arm cannot correct an error of the base pose.
-    cost = cost + _STRETCHED_PRICE * np.maximum(0.0, 0.9 - np.abs(q[..., body.elbow_column]))
+    cost = cost + _STRETCHED_PRICE * np.maximum(
+        0.0, 0.9 - np.abs(q[..., body.elbow_column])
+    )
     cost = np.where(found.ok, cost, np.inf).ravel()
     order = np.argsort(cost, kind="stable")[:300]
     order = order[np.isfinite(cost[order])]
@@ -193,7 +209,9 @@ def _before(q: np.ndarray, goal: np.ndarray, work: Work) -> tuple[np.ndarray, np
     goals = work.goals
     robot = scene.body.chain
     dofs = ik.columns(robot, torso=False)
-    options = ik.Options(iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0)
+    options = ik.Options(
+        iterations=12, pos_tolerance=2e-3, rot_tolerance=2e-2, rest_gain=0.0
+    )
     found = ik.solve(
         robot,
         goals.pre[goal],
@@ -214,7 +232,9 @@ def _before(q: np.ndarray, goal: np.ndarray, work: Work) -> tuple[np.ndarray, np
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
         shifted[:, 1] -= back * np.sin(shifted[:, 2])
         if back == 0.0:
-            room = np.minimum(arm.clearance(shifted, scene.all), whole.self_clearance(shifted))
+            room = np.minimum(
+                arm.clearance(shifted, scene.all), whole.self_clearance(shifted)
+            )
             room = np.minimum(room, hand.clearance(shifted, scene.all) + work.nearer)
         else:
             room = whole.clearance(shifted, scene.all)
@@ -239,16 +259,22 @@ def _routed(
         if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
         seen.append(q[i, BASE])
-        back = work.drive_in * np.array([np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0])
+        back = work.drive_in * np.array(
+            [np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0]
+        )
         route = plan_route(
             view, pre[i, BASE] - back, pre[i], robot, boxes, RouteWish(care=scene.care)
         )
         if route is None:
             continue
-        (clear if route.room >= 0.0 else tight).append(Stance(int(goal[i]), pre[i], q[i], route))
+        (clear if route.room >= 0.0 else tight).append(
+            Stance(int(goal[i]), pre[i], q[i], route)
+        )
         if len(clear) >= MAX_STANCES or len(clear) + len(tight) >= 3 * MAX_STANCES:
             break
-    tight = sorted((s for s in tight if s.route.room > MAX_DEFICIT_M), key=lambda s: -s.route.room)
+    tight = sorted(
+        (s for s in tight if s.route.room > MAX_DEFICIT_M), key=lambda s: -s.route.room
+    )
 
     def steps(stance: Stance) -> float:
         back = float(motion.steps_home(view.robot, stance.at))

@@ -91,8 +91,12 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
             if any(np.array_equal(pre[BASE], base) for base in tried):
                 continue
             tried.append(pre[BASE])
-            back = reach.drive_in * np.array([np.cos(pre[BASE_YAW]), np.sin(pre[BASE_YAW]), 0.0])
-            route = plan_around(view, pre[BASE] - back, pre, robot, boxes, care=reach.scene.care)
+            back = reach.drive_in * np.array(
+                [np.cos(pre[BASE_YAW]), np.sin(pre[BASE_YAW]), 0.0]
+            )
+            route = plan_around(
+                view, pre[BASE] - back, pre, robot, boxes, care=reach.scene.care
+            )
             if route is not None and (best is None or route.steps < best.route.steps):
                 best = Stance(int(goal), pre, at, route)
         if best is not None and best.route.steps + MIN_TOTAL_STEPS <= view.steps_left:
@@ -248,7 +252,9 @@ def _legs(
             break
     # RRT-Connect for one of the two paths, for postures whose other path is straight and free.
     for i in np.flatnonzero(out ^ back)[: 0 if found else POSTURES_SEARCHED]:
-        first = _leg(start, before[i], here) if out[i] else arm_way(start, before[i], here)
+        first = (
+            _leg(start, before[i], here) if out[i] else arm_way(start, before[i], here)
+        )
         last = (
             None
             if first is None
@@ -290,7 +296,9 @@ def _library(robot: Robot) -> np.ndarray:
         np.random.default_rng(PLANNING_SEED),
         1.0,
     )
-    return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * SELF_CLEARANCE_M][:MAX_POSTURES]
+    return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * SELF_CLEARANCE_M][
+        :MAX_POSTURES
+    ]
 
 
 def _clear_drives(postures: np.ndarray, poses: np.ndarray, free: Free) -> np.ndarray:

@@ -60,7 +60,10 @@ class Stances:
     def join(parts: Sequence[Stances]) -> Stances:
         """The stances of several sets with the same number of way points."""
         return Stances(
-            *(np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "steps", "back"))
+            *(
+                np.concatenate([getattr(p, k) for p in parts])
+                for k in ("q", "steps", "back")
+            )
         )
 
     def shifted(self, along: float) -> Stances:
@@ -80,7 +83,9 @@ class Frame:
     @classmethod
     def of(cls, link: JointedLink) -> Frame:
         """The plan frame of a link of a home."""
-        return cls(link.origin[:2].copy(), float(np.arctan2(link.rot[1, 0], link.rot[0, 0])))
+        return cls(
+            link.origin[:2].copy(), float(np.arctan2(link.rot[1, 0], link.rot[0, 0]))
+        )
 
     def point(self, xy: np.ndarray) -> np.ndarray:
         """Plan frame points (..., 2) in the world."""
@@ -93,7 +98,11 @@ class Frame:
     def base(self, q: np.ndarray) -> np.ndarray:
         """Configurations (..., Q) or base poses (..., 3) with the base columns moved to the world."""
         return np.concatenate(
-            [self.point(q[..., BASE_XY]), wrap(q[..., [BASE_YAW]] + self.yaw), q[..., BASE.stop :]],
+            [
+                self.point(q[..., BASE_XY]),
+                wrap(q[..., [BASE_YAW]] + self.yaw),
+                q[..., BASE.stop :],
+            ],
             axis=-1,
         )
 
@@ -102,12 +111,17 @@ _FOUND: dict[tuple[str, Hashable, str], Stances] = {}
 
 
 def cached(
-    robot: Robot, link: JointedLink, job: str, search: Callable[[Robot, JointedLink], Stances]
+    robot: Robot,
+    link: JointedLink,
+    job: str,
+    search: Callable[[Robot, JointedLink], Stances],
 ) -> Stances:
     """The stances of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
     key = (robot.name, link.spec, job)
     if key not in _FOUND:
-        plain = JointedLink(link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3))
+        plain = JointedLink(
+            link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)
+        )
         path = cache_dir() / "stances" / f"{_digest(robot, plain, job)}.npz"
         found = _read(path)
         if found is None:
@@ -119,7 +133,9 @@ def cached(
 
 def _digest(robot: Robot, link: JointedLink, job: str) -> str:
     """Hash of what the stances depend on: robot, link and job, the code of the search and its arithmetic."""
-    digest = hashlib.sha256(code_digest("core", "robots", "experts") + np.__version__.encode())
+    digest = hashlib.sha256(
+        code_digest("core", "robots", "experts") + np.__version__.encode()
+    )
     digest.update(robot.digest)
     digest.update(repr((robot.reach, robot.arm_links)).encode())
     digest.update(repr((link.spec, float(link.origin[2]), job)).encode())
@@ -138,7 +154,9 @@ def _read(path: Path) -> Stances | None:
 def _write(path: Path, found: Stances) -> None:
     """Keep stances in a cache file."""
     arrays = {"q": found.q, "steps": found.steps, "back": found.back}
-    write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+    write_cached(
+        path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
+    )
 
 
 def hand(forward: np.ndarray, closing: np.ndarray) -> np.ndarray:
@@ -190,7 +208,9 @@ def track(
         path, row = _drop([*path, following], row, reached)
         path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None))
     if not len(row):
-        return Stances(np.zeros((0, base.shape[1], body.chain.size)), np.zeros(0), np.zeros(0))
+        return Stances(
+            np.zeros((0, base.shape[1], body.chain.size)), np.zeros(0), np.zeros(0)
+        )
     return _soonest(body, path, row)
 
 
@@ -311,7 +331,11 @@ def rank(
         if also is None
         else np.concatenate([stances.q[:, :, BASE_XY], also], axis=1)
     )
-    room = motion.planner(view.home).clearance_at(frame.point(places)).min(axis=1, initial=np.inf)
+    room = (
+        motion.planner(view.home)
+        .clearance_at(frame.point(places))
+        .min(axis=1, initial=np.inf)
+    )
     first = frame.base(stances.q[:, 0])
     steps = np.maximum(stances.steps, drive_steps(view.base, first[:, BASE]))
     cost = (
@@ -334,5 +358,7 @@ def drive_steps(start: np.ndarray, goals: np.ndarray) -> np.ndarray:
     backward = np.abs(wrap(heading + np.pi - start[2])) + np.abs(
         wrap(goals[:, 2] - heading - np.pi)
     )
-    turn = np.where(far > 0.02, np.minimum(forward, backward), np.abs(wrap(goals[:, 2] - start[2])))
+    turn = np.where(
+        far > 0.02, np.minimum(forward, backward), np.abs(wrap(goals[:, 2] - start[2]))
+    )
     return 20.0 * (far / 0.55 + turn / 1.6) + 8.0

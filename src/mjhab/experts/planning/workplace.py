@@ -46,7 +46,9 @@ class HandGoals:
 
     def take(self, rows: np.ndarray) -> HandGoals:
         """The hand poses with the indices ``rows``."""
-        return HandGoals(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return HandGoals(
+            *(getattr(self, name)[rows] for name in self.__dataclass_fields__)
+        )
 
 
 @dataclass(frozen=True, eq=False)

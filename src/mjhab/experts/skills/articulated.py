@@ -15,7 +15,9 @@ def open_link(view: WorldView) -> Motion:
     subtask = view.subtask
     assert subtask is not None
     link = view.home.links[subtask.link]
-    yield from open_drawer(view, link) if link.spec.joint == "slide" else open_door(view, link)
+    yield from (
+        open_drawer(view, link) if link.spec.joint == "slide" else open_door(view, link)
+    )
     return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))
 
 
@@ -24,5 +26,7 @@ def close_link(view: WorldView) -> Motion:
     subtask = view.subtask
     assert subtask is not None
     link = view.home.links[subtask.link]
-    yield from close_drawer(view, link) if link.spec.joint == "slide" else close_door(view, link)
+    yield from (
+        close_drawer(view, link) if link.spec.joint == "slide" else close_door(view, link)
+    )
     return (yield from motion.stay_at_rest(view, gripper=motion.OPEN))

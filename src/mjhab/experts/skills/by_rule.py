@@ -140,7 +140,9 @@ def find_stance(
 def _bases(view: WorldView, point: np.ndarray) -> Iterator[np.ndarray]:
     """Generate base poses (3,) that face ``point`` (3,), in order of increasing cost of the drive to them."""
     angles = np.linspace(-np.pi, np.pi, BEARINGS, endpoint=False)
-    yaw, distance = (grid.ravel() for grid in np.meshgrid(angles, DISTANCES_M, indexing="ij"))
+    yaw, distance = (
+        grid.ravel() for grid in np.meshgrid(angles, DISTANCES_M, indexing="ij")
+    )
     xy = point[:2] - distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     planner = motion.planner(view.home)
     cost = planner.costs(view.base[:2])[planner.cells(xy)]
@@ -261,4 +263,6 @@ def move_hand(
         base_next=view.base[None] + motion.base_motion(view.base[2], drive),
         options=SERVO,
     )[0]
-    return motion.action(view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=drive)
+    return motion.action(
+        view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=drive
+    )

@@ -111,7 +111,9 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         yield from approach.go(view, path.route, around)
         rot = path.hand_at(path.values[1])[1]
         if (
-            yield from approach.take(view, link, rot, path.q[1], height=path.height, gripper=around)
+            yield from approach.take(
+                view, link, rot, path.q[1], height=path.height, gripper=around
+            )
         ):
             yield from _follow_arc(view, link, path, end, motion.CLOSED)
         until = wait_for(view, motion.is_quiet)
@@ -168,7 +170,9 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
     angle = float(np.ceil(10.0 * view.link_q(link.id))) / 10.0
     search = functools.partial(door_stances.sweeps, angle=angle)
     found = stances.cached(view.robot, link, f"sweep {angle:.1f}", search)
-    path = _reachable(view, link, found, np.linspace(1.0, 0.0, door_stances.SWEEP_WAY_POINTS))
+    path = _reachable(
+        view, link, found, np.linspace(1.0, 0.0, door_stances.SWEEP_WAY_POINTS)
+    )
     if path is None:
         return False
     yield from approach.go(view, path.route, motion.OPEN)
@@ -190,7 +194,9 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
             drive = min(SWEEP_SPEED_M_S, 0.2 + 0.35 * now, 3.0 * max(ahead, 0.0))
         aim = np.arctan2(way[1], way[0]) if ahead > 0.4 else end[2]
         turn = float(np.clip(3.0 * wrap(aim - view.base[2]), -0.6, 0.6))
-        yield motion.action(view, motion.rest_goal(view), gripper=motion.OPEN, drive=(drive, turn))
+        yield motion.action(
+            view, motion.rest_goal(view), gripper=motion.OPEN, drive=(drive, turn)
+        )
     return view.link_q(link.id) < AJAR_SHARE * link.range[1]
 
 
@@ -227,7 +233,8 @@ def _follow_arc(
         now = view.link_q(link.id)
         if (
             throws
-            and _coasts(style_of(view).speed * (last - now) / STEP_SECONDS) > now + COAST_SPARE_RAD
+            and _coasts(style_of(view).speed * (last - now) / STEP_SECONDS)
+            > now + COAST_SPARE_RAD
         ):
             return True
         # A closing door counts as closed only at rest: it may bounce.
@@ -273,7 +280,9 @@ def _coasts(speed: float) -> float:
     """Angle [rad] by which a released door swings on at a closing speed [rad/s], see `COAST_TIME_S`."""
     if not 0.0 < speed < np.inf:
         return 0.0
-    return COAST_TIME_S * (speed - COAST_STOP_RAD_S * float(np.log1p(speed / COAST_STOP_RAD_S)))
+    return COAST_TIME_S * (
+        speed - COAST_STOP_RAD_S * float(np.log1p(speed / COAST_STOP_RAD_S))
+    )
 
 
 def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
@@ -294,7 +303,9 @@ def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
             return True
         ahead = min(back, ENTER_STEP_M) * float(np.clip(2.0 - off / IN_LINE_M, 0.0, 1.0))
         goal = here + ahead * rot[:, 0] + min(1.0, ENTER_STEP_M / max(off, 1e-9)) * aside
-        aim_rot = ik.straight_line(here[None], pos[None], turn[None], rot[None], 1.0, 0.1)[1]
+        aim_rot = ik.straight_line(
+            here[None], pos[None], turn[None], rot[None], 1.0, 0.1
+        )[1]
         v, w = approach.base_towards(view, wish)
         delta = ik.servo(
             robot,
@@ -307,7 +318,10 @@ def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
             options=ik.ServoOptions(mode="approach", rest_gain=0.1),
         )[0]
         yield motion.action(
-            view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.CLOSED, drive=(v, w)
+            view,
+            view.q + delta / motion.ARM_STEP_SHARE,
+            gripper=motion.CLOSED,
+            drive=(v, w),
         )
     return False
 
@@ -327,12 +341,17 @@ def _pace(path: LinkPath, angle: float, way: float) -> float:
     there = path.at(angle + way * 0.1)
     most = float(np.abs(there - here)[list(path.robot.arm_columns)].max())
     return min(
-        MAX_SWING_RAD, 0.1 * (PULL_STEP_RAD if way > 0 else JOINT_STEP_RAD) / max(most, 1e-6)
+        MAX_SWING_RAD,
+        0.1 * (PULL_STEP_RAD if way > 0 else JOINT_STEP_RAD) / max(most, 1e-6),
     )
 
 
 def _reachable(
-    view: WorldView, link: JointedLink, found: Stances, angles: np.ndarray, back: float = 0.0
+    view: WorldView,
+    link: JointedLink,
+    found: Stances,
+    angles: np.ndarray,
+    back: float = 0.0,
 ) -> LinkPath | None:
     """Select the stance that is reached first among those whose whole motion is collision-free in this home.
 

@@ -68,7 +68,9 @@ def pull_angles(link: JointedLink, further: float = 0.0) -> np.ndarray:
 
     ``further``: share of the range beyond `OPEN_TO_SHARE` to which the door is pulled.
     """
-    return np.append(-0.01, np.linspace(0.0, (OPEN_TO_SHARE + further + 0.03) * link.range[1], 9))
+    return np.append(
+        -0.01, np.linspace(0.0, (OPEN_TO_SHARE + further + 0.03) * link.range[1], 9)
+    )
 
 
 def push_angles(link: JointedLink, half: bool) -> np.ndarray:
@@ -111,7 +113,10 @@ def _line(
     for x, y, heading, way in product(near, side, headings, ways):
         back = np.array([np.cos(heading), np.sin(heading)]) * way
         out.append(
-            np.c_[np.array([x, y]) + share[:, None] * back, np.full(len(share), np.pi + heading)]
+            np.c_[
+                np.array([x, y]) + share[:, None] * back,
+                np.full(len(share), np.pi + heading),
+            ]
         )
     return np.array(out)
 
@@ -121,7 +126,9 @@ def _in_reach(robot: Robot, base: np.ndarray, hands: np.ndarray) -> np.ndarray:
     yaw = base[..., 2]
     shoulder_ahead = robot.reach.ahead + robot.reach.out
     nearest, farthest = robot.reach.level
-    shoulder = base[..., :2] + shoulder_ahead * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    shoulder = base[..., :2] + shoulder_ahead * np.stack(
+        [np.cos(yaw), np.sin(yaw)], axis=-1
+    )
     far = np.linalg.norm(shoulder - hands[None, :, :2], axis=-1)
     return (far.max(axis=1) < farthest) & (far.min(axis=1) > nearest)
 
@@ -138,7 +145,9 @@ def _carcass(link: JointedLink) -> Boxes:
     """Box of the furniture behind the closed door."""
     low, high = _panel(link)
     middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
-    return Boxes(middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None])
+    return Boxes(
+        middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None]
+    )
 
 
 def _with_door(link: JointedLink, angle: float) -> Boxes:
@@ -150,7 +159,9 @@ def _with_door(link: JointedLink, angle: float) -> Boxes:
 def _level(yaw: np.ndarray) -> np.ndarray:
     """Hand rotations (K, 3, 3): horizontal, opposite to the directions ``yaw`` (K,), with the fingers side by side."""
     forward = -np.stack([np.cos(yaw), np.sin(yaw), 0.0 * yaw], axis=-1)
-    return stances.hand(forward, np.stack([-forward[:, 1], forward[:, 0], 0.0 * yaw], axis=-1))
+    return stances.hand(
+        forward, np.stack([-forward[:, 1], forward[:, 0], 0.0 * yaw], axis=-1)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,13 +216,19 @@ def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stanc
     thick = link.handle.thickness > THICK_BAR_M
     headings = m * np.array([0.6, 0.9, 1.2, 1.5] if thick else [0.3, 0.6, 0.9])
     ways = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
-    base = _line(np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, ways, share)
+    base = _line(
+        np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, ways, share
+    )
     found = []
-    for first, last in ((0.0, 0.6), (0.0, 1.2), (0.15, 0.7)) if thick else ((0.4, 0.6), (0.8, 0.7)):
+    for first, last in (
+        ((0.0, 0.6), (0.0, 1.2), (0.15, 0.7)) if thick else ((0.4, 0.6), (0.8, 0.7))
+    ):
         yaw = m * (first + (last - first) * share)
         pos = grip.copy()
         pos[0] += PRE_GRASP_M * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
-        found.append(_search(robot, link, base, _HandPath(pos, _level(yaw), angles), tries=5))
+        found.append(
+            _search(robot, link, base, _HandPath(pos, _level(yaw), angles), tries=5)
+        )
     return Stances.join(found)
 
 
@@ -232,7 +249,9 @@ def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
     ways = (-1.0, -0.8, -0.6, -0.4)
     m = _hand_side(link)
     headings = m * np.array([0.2, 0.45, 0.7, 0.95, 1.2])
-    base = _line(np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, ways, share)
+    base = _line(
+        np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, ways, share
+    )
     handle = link.handle
     face = _panel(link)[1][0]
     inward = _inward(link)
@@ -241,13 +260,21 @@ def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
         yaw = first + (last - first) * share
         lag = angles - yaw
         gap = (
-            face + TIP_M * np.abs(np.cos(lag)) + FINGER_SIDE_M * np.abs(np.sin(lag)) - handle.pos[0]
+            face
+            + TIP_M * np.abs(np.cos(lag))
+            + FINGER_SIDE_M * np.abs(np.sin(lag))
+            - handle.pos[0]
         )
         pos = []
         for angle, more in zip(angles, gap, strict=True):
             at, bar, out = link.handle_pose(float(angle))
             across = np.array([-out[1], out[0], 0.0])
-            pos.append(at + more * out + inward * across + (handle.half_length + ABOVE_BAR_M) * bar)
+            pos.append(
+                at
+                + more * out
+                + inward * across
+                + (handle.half_length + ABOVE_BAR_M) * bar
+            )
         hands = _HandPath(np.array(pos), _level(m * yaw), angles)
         # Few stances reach behind a wide open door: more tries there.
         tries = 5 if half else 8
@@ -292,7 +319,9 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> Stances:
     outside = far * np.cos(before[..., None] - bearing) - high[0]
     enters = meets.copy()
     enters[:, 1:] &= ~meets[:, :-1]
-    wrong = (enters & (outside < SWEEP_OUTSIDE_M)).any(axis=2) | (before - door > SWEEP_TURN_RAD)
+    wrong = (enters & (outside < SWEEP_OUTSIDE_M)).any(axis=2) | (
+        before - door > SWEEP_TURN_RAD
+    )
     shut = door <= SWEEP_END_RAD
     last = shut.argmax(axis=1)
     wrong &= (row > first[:, None]) & (row <= last[:, None])
@@ -324,7 +353,9 @@ def _last_clear(clear: np.ndarray) -> np.ndarray:
     return np.where(clear.all(axis=1), -1, (~clear).argmax(axis=1) - 1)
 
 
-def _resting_circles(robot: Robot, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+def _resting_circles(
+    robot: Robot, low: float, high: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Centres (C, 2) in the frame of the base and radii (C,) of the resting robot's spheres between two heights [m]."""
     whole = motion.spheres(robot)
     rest = robot.rest.copy()

@@ -67,7 +67,9 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
         yield from _drive_link(view, link, OPEN_TO_SHARE * full, -SPEED_M_S)
         yield from approach.let_go(view, BACK_OFF_M)
     # After a pull by the arm the hand is so close that open fingers could catch the handle.
-    return (yield from approach.fold(view, gripper=motion.CLOSED if pulls else motion.OPEN))
+    return (
+        yield from approach.fold(view, gripper=motion.CLOSED if pulls else motion.OPEN)
+    )
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
@@ -77,17 +79,23 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     """
     goal = 0.4 * CLOSED_SHARE * link.range[1]
     grasps = MAX_GRASPS if style_of(view).close == GRASP else 0
-    while view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED_SHARE * link.range[1]:
+    while (
+        view.steps_left > 30 and view.link_q(link.id) > 0.8 * CLOSED_SHARE * link.range[1]
+    ):
         if grasps > 0:
             grasps -= 1
             if (yield from _take_handle(view, link, 0.0)):
                 yield from _drive_link(view, link, goal, HELD_SPEED_M_S)
             # Wide open fingers would be stuck in a recess and pull the drawer along.
-            yield from approach.let_go(view, BACK_OFF_M, gripper=_around(view.robot, link))
+            yield from approach.let_go(
+                view, BACK_OFF_M, gripper=_around(view.robot, link)
+            )
             continue
         found = stances.cached(view.robot, link, "push", _push_stances)
         moved = found.shifted(view.link_q(link.id))
-        goals, _ = stances.rank(view, stances.Frame.of(link), moved, found.q[:, :1, BASE_XY])
+        goals, _ = stances.rank(
+            view, stances.Frame.of(link), moved, found.q[:, :1, BASE_XY]
+        )
         best = approach.best_route(view, goals[:, 0])
         if best is None:
             return False
@@ -211,7 +219,8 @@ def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
 def _arm_values(link: JointedLink) -> np.ndarray:
     """Joint values (1 + PULL_POINTS,) [m] of the way points of `_arm_stances`; at first the hand is before the bar."""
     return np.append(
-        -PRE_GRASP_M, np.linspace(0.0, (OPEN_TO_SHARE + 0.05) * link.range[1], PULL_POINTS)
+        -PRE_GRASP_M,
+        np.linspace(0.0, (OPEN_TO_SHARE + 0.05) * link.range[1], PULL_POINTS),
     )
 
 

@@ -77,7 +77,10 @@ class Aim(NamedTuple):
         distance = WANTED_DISTANCE_M + inside_depth(view, point)
         area = view.front_area(subtask.link) if subtask.link else None
         return cls(
-            point, distance, view.config.nav_distance, None if area is None else np.array(area)
+            point,
+            distance,
+            view.config.nav_distance,
+            None if area is None else np.array(area),
         )
 
     def bearing(self, xy: np.ndarray) -> np.ndarray:
@@ -108,7 +111,9 @@ class Aim(NamedTuple):
         pay = 4.0 * np.maximum(far - self.distance, 0.0) + 6.0 * np.maximum(
             MIN_DISTANCE_M - far, 0.0
         )
-        pay = pay + 12.0 * (lattice.plan.hidden(xy[good], self.point, SUPPORT_DISTANCE_M) > 0.0)
+        pay = pay + 12.0 * (
+            lattice.plan.hidden(xy[good], self.point, SUPPORT_DISTANCE_M) > 0.0
+        )
         pay = pay + 3.0 * (lattice.plan.hidden(xy[good], self.point, 0.1) > 0.0)
         pay = pay + DETOUR_PRICE_S_M * detour[good]
         room = lattice.room[:, good]
@@ -151,7 +156,8 @@ def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:
     """
     cells = planner(view)
     centres = (
-        cells.origin + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
+        cells.origin
+        + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
     )
     far = np.linalg.norm(centres - aim.point[:2], axis=-1)
     work = (
@@ -189,7 +195,9 @@ def plan_trip(
     for base, less in SLIMMER_M:
         plan = whole.slimmer(base, less)
         lattice = Lattice(plan)
-        found = lattice.search(view.base, aim.price(lattice, detours(view, aim, lattice.points)))
+        found = lattice.search(
+            view.base, aim.price(lattice, detours(view, aim, lattice.points))
+        )
         if found is not None:
             legs = _facing(plan, aim, view.base, found[1])
             return plan_drive(plan, view.base, legs, GENTLE if held else BRISK)
@@ -201,7 +209,9 @@ def _facing(plan: Floorplan, aim: Aim, pose: np.ndarray, legs: list[Leg]) -> lis
     end, yaw = (legs[-1].points[-1], legs[-1].yaw) if legs else (pose[:2], float(pose[2]))
     last = turn_between(yaw, float(aim.bearing(end)))
     return (
-        [*legs, *turns(end, yaw, last)] if not legs or plan.turning(end, yaw, last) >= 0.0 else legs
+        [*legs, *turns(end, yaw, last)]
+        if not legs or plan.turning(end, yaw, last) >= 0.0
+        else legs
     )
 
 
@@ -225,7 +235,9 @@ def _drive(
         track.append(view.base)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         tried = tried + 1 if abs(forward) > 0.05 or abs(turn) > 0.2 else 0
-        if pressed >= BLOCKED_STEPS or (tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])):
+        if pressed >= BLOCKED_STEPS or (
+            tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])
+        ):
             return _ahead(view, leg)
         if np.abs(_joints(view) - joints).max(initial=0.0) > DOOR_MOVED:
             return None
@@ -244,10 +256,13 @@ def _ahead(view: WorldView, leg: Leg) -> np.ndarray:
     ahead = leg.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     arm_felt = (
         leg.direction > 0
-        and view.link_forces[list(view.robot.arm_force_rows)].sum() > 0.5 * view.link_forces.sum()
+        and view.link_forces[list(view.robot.arm_force_rows)].sum()
+        > 0.5 * view.link_forces.sum()
     )
     at = (
-        view.tcp_pose[:2] + 0.15 * ahead if arm_felt else q[BASE_XY] + (0.3 + FELT_RADIUS_M) * ahead
+        view.tcp_pose[:2] + 0.15 * ahead
+        if arm_felt
+        else q[BASE_XY] + (0.3 + FELT_RADIUS_M) * ahead
     )
     return np.array([[*at, FELT_RADIUS_M]])
 
@@ -263,10 +278,14 @@ def _back_off(view: WorldView, posture: np.ndarray, gripper: float, trip: Trip) 
         if len(away)
         else q[BASE_XY] - 0.2 * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     )
-    ahead = float((origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]))
+    ahead = float(
+        (origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
+    )
     speed, _ = motion.base_speeds(view)
     for _ in range(14):
-        speed = towards(float(np.copysign(0.3, ahead)), speed, trip.pace.rise * STEP_SECONDS)
+        speed = towards(
+            float(np.copysign(0.3, ahead)), speed, trip.pace.rise * STEP_SECONDS
+        )
         yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))
     return True
 
@@ -280,7 +299,8 @@ def _arrived(view: WorldView, aim: Aim) -> bool:
     """Whether the base faces the goal from an allowed position."""
     q = view.q
     facing = (
-        abs(float(wrap(aim.bearing(q[BASE_XY]) - q[BASE_YAW]))) <= view.config.nav_bearing - 0.05
+        abs(float(wrap(aim.bearing(q[BASE_XY]) - q[BASE_YAW])))
+        <= view.config.nav_bearing - 0.05
     )
     return bool(facing and aim.allows(q[BASE_XY], 0.0))
 

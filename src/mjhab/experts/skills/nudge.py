@@ -125,7 +125,8 @@ class _Push:
         out[:2] += beyond * (np.sin(turn) * self.inward)
         sign = np.sign(self.outer[0] * self.inward[1] - self.outer[1] * self.inward[0])
         out[3:] = quat_mul(
-            quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(sign * turn)), pose[3:]
+            quat_from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array(sign * turn)),
+            pose[3:],
         )
         return out
 
@@ -140,7 +141,10 @@ def plan_nudge(
     """
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)
-    if shape.kind != "box" or np.abs(mat_from_quat(pose[3:])[2]).max() < MIN_UPRIGHT_COSINE:
+    if (
+        shape.kind != "box"
+        or np.abs(mat_from_quat(pose[3:])[2]).max() < MIN_UPRIGHT_COSINE
+    ):
         return None
     for push in _pushes(pose, shape, scene, inward, graspable):
         height = 2.0 * (pose[2] - scene.support_z)
@@ -158,7 +162,9 @@ def plan_nudge(
                 )
                 for stance in stances(view, work):
                     steps = in_steps(depth) + stance.route.steps
-                    if stance.route.room > _MAX_DEFICIT_M and (best is None or steps < best[0]):
+                    if stance.route.room > _MAX_DEFICIT_M and (
+                        best is None or steps < best[0]
+                    ):
                         best = steps, stance, depth
             if best is not None:
                 return Nudge(best[1], goals, best[2], push.turn, inward, push.outer)
@@ -186,7 +192,11 @@ def _level(rot: np.ndarray) -> list[int]:
 
 
 def _pushes(
-    pose: np.ndarray, shape: ObjectShape, scene: Scene, inward: np.ndarray, graspable: Graspable
+    pose: np.ndarray,
+    shape: ObjectShape,
+    scene: Scene,
+    inward: np.ndarray,
+    graspable: Graspable,
 ) -> list[_Push]:
     """For either end the smallest turn after which it can be grasped, the smaller one first."""
     line = outline(shape, mat_from_quat(pose[3:]))
@@ -223,23 +233,35 @@ def _touches(shape: ObjectShape, pose: np.ndarray, scene: Scene) -> bool:
     half = pose[2] - scene.support_z
     edge = pose[:2] + 0.96 * outline(shape, mat_from_quat(pose[3:]))[::4]
     points = [
-        np.column_stack([edge, np.full(len(edge), pose[2] + h * half)]) for h in (-0.8, 0.0, 0.9)
+        np.column_stack([edge, np.full(len(edge), pose[2] + h * half)])
+        for h in (-0.8, 0.0, 0.9)
     ]
-    return bool(len(boxes) and sphere_box_distance(np.concatenate(points), boxes).min() < 0.004)
+    return bool(
+        len(boxes) and sphere_box_distance(np.concatenate(points), boxes).min() < 0.004
+    )
 
 
-def _angle(hand: Gripper, shape: ObjectShape, pose: np.ndarray, inward: np.ndarray) -> float:
+def _angle(
+    hand: Gripper, shape: ObjectShape, pose: np.ndarray, inward: np.ndarray
+) -> float:
     """Angle between the way in and the level axis along which the hand gets around a box at a pose."""
     rot = mat_from_quat(pose[3:])
     i, j = _level(rot)
-    along = [rot[:2, b] @ inward for a, b in ((i, j), (j, i)) if 2 * shape.half[a] < hand.opening]
+    along = [
+        rot[:2, b] @ inward
+        for a, b in ((i, j), (j, i))
+        if 2 * shape.half[a] < hand.opening
+    ]
     return float(np.arccos(np.clip(np.abs(along).max(initial=0.0), 0.0, 1.0)))
 
 
 def _corner(hand: Gripper, rot: np.ndarray, inward: np.ndarray) -> np.ndarray:
     """The fingertip corner (3,) of the open hand that is furthest in, relative to the tool centre."""
     side = np.sign(rot[:2, 1] @ inward)
-    return hand.finger[0] * rot[:, 0] + (hand.opening / 2 + hand.thickness) * side * rot[:, 1]
+    return (
+        hand.finger[0] * rot[:, 0]
+        + (hand.opening / 2 + hand.thickness) * side * rot[:, 1]
+    )
 
 
 def _goals(
@@ -263,10 +285,14 @@ def _goals(
             approach = np.array(
                 [*(level * (np.cos(yaw) * push.inward + np.sin(yaw) * push.outer)), -tilt]
             )
-            aside = np.array([*(np.sin(yaw) * push.inward - np.cos(yaw) * push.outer), 0.0])
+            aside = np.array(
+                [*(np.sin(yaw) * push.inward - np.cos(yaw) * push.outer), 0.0]
+            )
             for flip in (1.0, -1.0):
                 rot.append(frame_from_axes(approach, flip * aside))
-                pos.append([*(centre + push.end - _corner(hand, rot[-1], push.inward)[:2]), z])
+                pos.append(
+                    [*(centre + push.end - _corner(hand, rot[-1], push.inward)[:2]), z]
+                )
                 score.append(-2.0 * max(share - 0.2, 0.0) - 0.5 * less)
     at = np.array(pos).reshape(-1, 3)
     ahead = np.array([*push.inward, 0.0])
@@ -280,7 +306,9 @@ def _goals(
     )
 
 
-def nudge(view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Graspable) -> Motion:
+def nudge(
+    view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Graspable
+) -> Motion:
     """Drive there and push until the box can be grasped. Returns whether it turned."""
     stance = plan.stance
     goal = plan.stance.goal
@@ -317,7 +345,9 @@ def _push(
     """Push inwards, keeping to the end of the box as it turns."""
     start = mat_from_quat(view.object_pose(obj)[3:])
     half = view.object_type(obj).half
-    front, along = sorted(_level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward)))
+    front, along = sorted(
+        _level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward))
+    )
     robot = view.robot.chain
     corner = _corner(view.robot.gripper, hand.rot, plan.inward)[:2]
     turn = 0.0
@@ -331,7 +361,11 @@ def _push(
         aside = np.clip((end - here[:2] - corner) @ plan.outer, -MAX_ASIDE_M, MAX_ASIDE_M)
         aim = np.array(
             [
-                *(here[:2] + PUSH_SPEED_M_S * STEP_SECONDS * plan.inward + aside * plan.outer),
+                *(
+                    here[:2]
+                    + PUSH_SPEED_M_S * STEP_SECONDS * plan.inward
+                    + aside * plan.outer
+                ),
                 hand.height,
             ]
         )
@@ -339,18 +373,30 @@ def _push(
             here[None], aim[None], here_rot[None], hand.rot[None], 1.0, 0.05
         )[1]
         delta = ik.servo(
-            robot, view.q, aim[None], aim_rot, ik.columns(robot, torso=False), rest=hand.rest
+            robot,
+            view.q,
+            aim[None],
+            aim_rot,
+            ik.columns(robot, torso=False),
+            rest=hand.rest,
         )[0]
-        yield motion.action(view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.OPEN)
+        yield motion.action(
+            view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.OPEN
+        )
         pose = view.object_pose(obj)
         turn = _turn(start[:, along], mat_from_quat(pose[3:])[:, along])
         if view.link_forces.sum() > MAX_PUSH_FORCE_N:
             break
-        if turn >= LEAST_TURN_SHARE * plan.turn and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS:
+        if (
+            turn >= LEAST_TURN_SHARE * plan.turn
+            and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS
+        ):
             break
     return bool(turn > TURNED_SHARE * plan.turn)
 
 
 def _turn(before: np.ndarray, after: np.ndarray) -> float:
     """Angle between two directions (3,) seen from above."""
-    return float(np.abs(wrap(np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0]))))
+    return float(
+        np.abs(wrap(np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])))
+    )

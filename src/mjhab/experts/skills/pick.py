@@ -122,9 +122,13 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
         if taken:
             if (depth or inside) and not (keep and (yield from hurry_home(view, obj))):
                 speed = (
-                    HASTY_SPEED_M_S if inside or view.steps_left < LATE_OUT_STEPS else OUT_SPEED_M_S
+                    HASTY_SPEED_M_S
+                    if inside or view.steps_left < LATE_OUT_STEPS
+                    else OUT_SPEED_M_S
                 )
-                yield from drive_out(view, SHELF_DEPTH_M, gripper=motion.CLOSED, speed=speed)
+                yield from drive_out(
+                    view, SHELF_DEPTH_M, gripper=motion.CLOSED, speed=speed
+                )
             if not keep and holds(view, obj):
                 return True
             yield from go_home(view, obj)
@@ -140,7 +144,8 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
         yield from _let_go(view)
     if (
         not depth
-        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY]))) < INSIDE_M
+        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY])))
+        < INSIDE_M
     ):
         return True
     # From inside the next way in can hardly be found.
@@ -163,7 +168,11 @@ def _planned(
         if found is None and wish != ANY:
             found = plan_pick(view, obj, failed, k)
         # On a shelf waiting helps little, and an object that has to be turned needs the time.
-        if found is not None or attempt or not inside_depth(view, view.object_pose(obj)[:3]):
+        if (
+            found is not None
+            or attempt
+            or not inside_depth(view, view.object_pose(obj)[:3])
+        ):
             return found
     return None
 
@@ -187,9 +196,14 @@ def _nudge(view: WorldView, obj: str) -> Motion:
 
     def graspable(after: np.ndarray, more: float) -> int:
         straight = float(inward[0]), float(inward[1])
-        every = shelf_grasps(shape, after, scene, straight, around, GRASP_ROOM_M[0][0] + more)
+        every = shelf_grasps(
+            shape, after, scene, straight, around, GRASP_ROOM_M[0][0] + more
+        )
         return int(
-            (hand_room(view.robot.gripper, every, around) > GRASP_ROOM_M[0][1] + 1.5 * more).sum()
+            (
+                hand_room(view.robot.gripper, every, around)
+                > GRASP_ROOM_M[0][1] + 1.5 * more
+            ).sum()
         )
 
     plan = plan_nudge(view, obj, scene, inward, graspable)
@@ -201,7 +215,12 @@ def _nudge(view: WorldView, obj: str) -> Motion:
 
 
 def _take(
-    view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float, hasty: bool = False
+    view: WorldView,
+    obj: str,
+    stance: Stance,
+    goals: HandGoals,
+    depth: float,
+    hasty: bool = False,
 ) -> Generator[np.ndarray, None, bool | None]:
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach or,
     on a shelf, was shifted on the way."""
@@ -277,7 +296,9 @@ def _reach(
         opening: gripper command.
         fine: move slowly at the end.
     """
-    yield from motion.move_joints(view, joints[0], gripper=opening, tolerance=0.04, max_steps=20)
+    yield from motion.move_joints(
+        view, joints[0], gripper=opening, tolerance=0.04, max_steps=20
+    )
     # The torso is slow to stop: the last piece belongs to the arm alone.
     straight = motion.HandMove(
         pos=goal.pre[0],
@@ -303,14 +324,22 @@ def _reach(
 
 
 def _lift(
-    view: WorldView, obj: str, up: np.ndarray, rot: np.ndarray, rest: np.ndarray, hasty: bool
+    view: WorldView,
+    obj: str,
+    up: np.ndarray,
+    rot: np.ndarray,
+    rest: np.ndarray,
+    hasty: bool,
 ) -> Motion:
     """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (J,): preferred posture.
 
     ``hasty``: on a shelf, a lift that the arm cannot do in a few steps is left out.
     """
     steps = HASTY_LIFT_STEPS if hasty else LIFT_STEPS
-    if not (yield from motion.raise_tcp(view, up, rot, rest=rest, max_steps=steps)) and not hasty:
+    if (
+        not (yield from motion.raise_tcp(view, up, rot, rest=rest, max_steps=steps))
+        and not hasty
+    ):
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(
             view,
@@ -348,7 +377,12 @@ def _let_go(view: WorldView) -> Motion:
         yield from motion.move_tcp(
             view,
             motion.HandMove(
-                pos=back, rot=rot, gripper=motion.OPEN, speed=0.3, tolerance=0.02, max_steps=15
+                pos=back,
+                rot=rot,
+                gripper=motion.OPEN,
+                speed=0.3,
+                tolerance=0.02,
+                max_steps=15,
             ),
         )
     )

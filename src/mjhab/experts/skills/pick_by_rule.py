@@ -46,7 +46,11 @@ LIFT_STEP_M = 0.03
 
 def pick(view: WorldView) -> Motion:
     """Pick up the object of the active subtask, by the rule or by a search as the style demands."""
-    return (yield from (pick_by_rule(view) if style_of(view).plan == RULE else search.pick(view)))
+    return (
+        yield from (
+            pick_by_rule(view) if style_of(view).plan == RULE else search.pick(view)
+        )
+    )
 
 
 def pick_by_rule(view: WorldView) -> Motion:
@@ -70,7 +74,9 @@ def pick_by_rule(view: WorldView) -> Motion:
         if (view.finger_forces(obj) > PRESSED_N).all():
             yield _carry(view, bool(pose[2] < height + LIFT_M), drive)
         elif stance.far(view):
-            yield motion.action(view, motion.rest_goal(view), gripper=motion.OPEN, drive=drive)
+            yield motion.action(
+                view, motion.rest_goal(view), gripper=motion.OPEN, drive=drive
+            )
         else:
             turned = mat_from_quat(pose[3:])
             hand = turned @ rot
@@ -81,7 +87,9 @@ def pick_by_rule(view: WorldView) -> Motion:
 def _carry(view: WorldView, low: bool, drive: Drive) -> np.ndarray:
     """Action (A,) with a held object: lift it while it is ``low``, then move the arm to rest."""
     if not low:
-        return motion.action(view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive)
+        return motion.action(
+            view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive
+        )
     here, rot = motion.tcp(view)
     return move_hand(
         view, here + np.array([0.0, 0.0, LIFT_STEP_M]), rot, motion.CLOSED, drive, view.q

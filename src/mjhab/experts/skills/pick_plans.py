@@ -113,7 +113,9 @@ def plan_pick(
     blocked: list[Blocked] = []
     for asked, hand, nearer in GRASP_ROOM_M[min(attempt, 1) :]:
         keep = every.clear >= asked
-        grasps = every.take(np.flatnonzero(keep if room is None else keep & (room > hand)))
+        grasps = every.take(
+            np.flatnonzero(keep if room is None else keep & (room > hand))
+        )
         if len(grasps) <= tried:
             continue
         tried = len(grasps)
@@ -178,7 +180,9 @@ def plan_inside(
     around = scene.beside.near(pose[:3], 0.5)
     shape = view.object_shape(obj)
     every = balanced(
-        shelf_grasps(shape, pose, scene, direction_to(view, pose), around, GRASP_ROOM_M[-1][0]),
+        shelf_grasps(
+            shape, pose, scene, direction_to(view, pose), around, GRASP_ROOM_M[-1][0]
+        ),
         pose[:3],
     )
     room = hand_room(view.robot.gripper, every, around)

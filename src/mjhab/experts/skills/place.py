@@ -143,7 +143,9 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
         found = plan_place(view, obj, goal, tried)
         if found is None and style.release == DROP_IT:
             found = plan_place(view, obj, goal, replace(tried, drop=0.0))
-        if found is not None and (best is None or _worth(view, found) > _worth(view, best)):
+        if found is not None and (
+            best is None or _worth(view, found) > _worth(view, best)
+        ):
             best = found
         if attempt < 2 and (best is None or _worth(view, best) < (True, MAX_DEFICIT_M)):
             hurry = True
@@ -215,7 +217,9 @@ class Release:
     drop: float = 0.0
 
 
-def plan_place(view: WorldView, obj: str, goal: np.ndarray, attempt: Attempt) -> Found | None:
+def plan_place(
+    view: WorldView, obj: str, goal: np.ndarray, attempt: Attempt
+) -> Found | None:
     """Plan how to place an object near ``goal`` (3,) [m].
 
     Returns:
@@ -256,7 +260,9 @@ def plan_place(view: WorldView, obj: str, goal: np.ndarray, attempt: Attempt) ->
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
-def roomy(view: WorldView, obj: str, goal: np.ndarray, near: Boxes, release: Release) -> HandGoals:
+def roomy(
+    view: WorldView, obj: str, goal: np.ndarray, near: Boxes, release: Release
+) -> HandGoals:
     """Those of the `hand_goals` at which the hand is clear of the boxes ``near``."""
     goals = hand_goals(view, obj, goal, release)
     return goals.take(
@@ -266,7 +272,9 @@ def roomy(view: WorldView, obj: str, goal: np.ndarray, near: Boxes, release: Rel
     )
 
 
-def hand_goals(view: WorldView, obj: str, goal: np.ndarray, release: Release) -> HandGoals:
+def hand_goals(
+    view: WorldView, obj: str, goal: np.ndarray, release: Release
+) -> HandGoals:
     """Compute hand poses that release the held object near its goal, from its present pose relative to the hand.
 
     Args:
@@ -289,16 +297,29 @@ def hand_goals(view: WorldView, obj: str, goal: np.ndarray, release: Release) ->
     floor = float(goal[2]) - shape.half[2]
     # Tall objects fall over when they are released tilted.
     ball = shape.kind == "sphere"
-    upset = 0.2 if ball else LEAN_PRICE if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
+    upset = (
+        0.2
+        if ball
+        else LEAN_PRICE
+        if shelf
+        else 2.0 + 2.0 * shape.half[2] / min(shape.half)
+    )
     upset *= STUCK_FACTOR if not ball and play(view) < TIGHT_PLAY_M else 1.0
     back = view.base[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
     offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
     spots = [goal[:2] + near * back + left * aside for near, left in offsets]
-    spots = [spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)]
+    spots = [
+        spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)
+    ]
     most = GOAL_SHARE * view.config.goal_tol
-    yaws = np.arange(SHELF_YAWS if shelf else YAWS) * 2 * np.pi / (SHELF_YAWS if shelf else YAWS)
+    yaws = (
+        np.arange(SHELF_YAWS if shelf else YAWS)
+        * 2
+        * np.pi
+        / (SHELF_YAWS if shelf else YAWS)
+    )
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
     turns = mat_from_rotation_vector(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
     leans = mat_from_rotation_vector(np.array(tilts)[:, None] * np.array([*aside, 0.0]))
@@ -320,7 +341,9 @@ def hand_goals(view: WorldView, obj: str, goal: np.ndarray, release: Release) ->
                 np.array([*(spot - tips[:2]), floor + low + max(DROP_HEIGHT_M, drop)])
                 - rot[-1] @ offset
             )
-            score.append(-price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2])))
+            score.append(
+                -price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2]))
+            )
     at = np.array(pos)
     pre = at + np.array([0.0, 0.0, SHELF_ABOVE_M if shelf else ABOVE_M])
     width = np.full(len(at), 2.0 * float(view.q[view.robot.columns.fingers].mean()))
@@ -332,8 +355,16 @@ def _sides(every: bool) -> list[tuple[np.ndarray, float]]:
     sides = [(np.eye(3), 0.0)]
     if every:
         half = np.pi / 2
-        for axis in ((half, 0, 0), (-half, 0, 0), (0, half, 0), (0, -half, 0), (2 * half, 0, 0)):
-            sides.append((mat_from_rotation_vector(np.array([axis], float))[0], LAID_PRICE))
+        for axis in (
+            (half, 0, 0),
+            (-half, 0, 0),
+            (0, half, 0),
+            (0, -half, 0),
+            (2 * half, 0, 0),
+        ):
+            sides.append(
+                (mat_from_rotation_vector(np.array([axis], float))[0], LAID_PRICE)
+            )
     return sides
 
 
@@ -346,7 +377,9 @@ def _on_surface(view: WorldView, goal: np.ndarray, xy: np.ndarray) -> bool:
     return False
 
 
-def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float) -> Motion:
+def _put(
+    view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float
+) -> Motion:
     """Execute a plan: drive to the stance, lower the object, release it, retreat. Returns whether it is released."""
     pos = goals.pos[stance.goal]
     rot = goals.rot[stance.goal]
@@ -368,7 +401,9 @@ def _put(view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: flo
         yield from motion.move_joints(
             view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed
         )
-    yield from motion.move_joints(view, joints[0], gripper=closed, tolerance=0.04, max_steps=20)
+    yield from motion.move_joints(
+        view, joints[0], gripper=closed, tolerance=0.04, max_steps=20
+    )
     near = motion.HandMove(
         pos=pre,
         rot=rot,

@@ -36,7 +36,11 @@ AWAY_STEP_M = 0.02
 
 def place(view: WorldView) -> Motion:
     """Place the held object at the goal of the active subtask, by the rule or by a search as the style demands."""
-    return (yield from (place_by_rule(view) if style_of(view).plan == RULE else search.place(view)))
+    return (
+        yield from (
+            place_by_rule(view) if style_of(view).plan == RULE else search.place(view)
+        )
+    )
 
 
 def place_by_rule(view: WorldView) -> Motion:
@@ -60,15 +64,21 @@ def place_by_rule(view: WorldView) -> Motion:
         if not arrived:
             v, w, arrived = pilot.step(view.base)
             drive = eased((v, w), motion.base_speeds(view), care)
-        opens = opens or (funnel.distance(view) < AT_GOAL_M and funnel.turn(view) < AT_GOAL_RAD)
+        opens = opens or (
+            funnel.distance(view) < AT_GOAL_M and funnel.turn(view) < AT_GOAL_RAD
+        )
         if opens and not holds(view, obj) and not view.signal("at_goal"):
             break
         if opens and funnel.distance(view) > AWAY_M:
-            yield motion.action(view, motion.rest_goal(view), gripper=motion.OPEN, drive=drive)
+            yield motion.action(
+                view, motion.rest_goal(view), gripper=motion.OPEN, drive=drive
+            )
         elif opens:
             yield _away(view, funnel, holds(view, obj))
         elif stance.far(view):
-            yield motion.action(view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive)
+            yield motion.action(
+                view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive
+            )
         else:
             yield funnel.step(view, motion.CLOSED, drive)
     return False
@@ -81,12 +91,16 @@ def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
     return move_hand(view, aim, rot, motion.OPEN, (0.0, 0.0), funnel.ready)
 
 
-def plan(view: WorldView, obj: str, goal: np.ndarray) -> tuple[RuledStance, Funnel] | None:
+def plan(
+    view: WorldView, obj: str, goal: np.ndarray
+) -> tuple[RuledStance, Funnel] | None:
     """Choose a stance and a release pose for an object at ``goal`` (3,) [m]; None on shelves and if none is found."""
     if inside_depth(view, goal):
         return None
     near, _ = surroundings(view, obj, goal)
-    goals = search.roomy(view, obj, goal, near, search.Release(shelf=False, any_side=False))
+    goals = search.roomy(
+        view, obj, goal, near, search.Release(shelf=False, any_side=False)
+    )
     support = float(goal[2]) - view.object_type(obj).half[2]
     nothing = near.take(np.zeros(0, np.int64))
     scene = Scene(near, nothing, support, view.robot, held_spheres(view, obj))
@@ -96,4 +110,6 @@ def plan(view: WorldView, obj: str, goal: np.ndarray) -> tuple[RuledStance, Funn
     stance = find_stance(view, scene, goal, hands)
     if stance is None:
         return None
-    return stance, Funnel(goals.pos[stance.row], goals.rot[stance.row], DOWN, stance.ready)
+    return stance, Funnel(
+        goals.pos[stance.row], goals.rot[stance.row], DOWN, stance.ready
+    )

@@ -10,7 +10,10 @@ from mjhab.learning.ms_hab.extractors import CnnSizes, Extractors
 from mjhab.learning.ms_hab.network import ACTION_SIZE, Network, Shapes, mlp, output_sizes
 
 _CNN = CnnSizes(
-    channels=(24, 36, 48, 64, 64), kernels=(5, 5, 5, 3, 3), strides=(2, 2, 2, 1, 1), features=1024
+    channels=(24, 36, 48, 64, 64),
+    kernels=(5, 5, 5, 3, 3),
+    strides=(2, 2, 2, 1, 1),
+    features=1024,
 )
 
 

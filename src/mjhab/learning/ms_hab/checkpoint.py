@@ -24,7 +24,9 @@ from mjhab.learning.ms_hab.sac import Sac
 AGENT = "agent"
 """Key of a checkpoint under which MS-HAB stores the parameters of the policy (mshab/train_*.py)."""
 _SHOWN_KEYS = 6
-_SAVE_ALONE = "Save the parameters alone: torch.save({'agent': agent.state_dict()}, path)."
+_SAVE_ALONE = (
+    "Save the parameters alone: torch.save({'agent': agent.state_dict()}, path)."
+)
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,9 @@ def load_network(path: Path) -> tuple[str, Network]:
     shapes = {key: tuple(value.shape) for key, value in parameters.items()}
     layout = _recognise(path, shapes)
     used = {
-        key: value for key, value in parameters.items() if not key.startswith(layout.training_only)
+        key: value
+        for key, value in parameters.items()
+        if not key.startswith(layout.training_only)
     }
     shapes = {key: shapes[key] for key in used}
     try:
@@ -136,7 +140,9 @@ def _parameters(path: Path, content: Any) -> dict[str, Tensor]:
         or not all(isinstance(value, Tensor) for value in agent.values())
     ):
         held = (
-            ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
+            ", ".join(map(str, content))
+            if isinstance(content, Mapping)
+            else type(content).__name__
         )
         raise UsageError(
             f"{path} holds no parameters of a policy: expected a dict of tensors under {AGENT!r}; it holds {held}."
@@ -154,7 +160,9 @@ def _recognise(path: Path, shapes: Shapes) -> Layout:
         if any(key.startswith(layout.mark) for key in shapes):
             return layout
     published = {name: layout.build({}).state_dict() for name, layout in LAYOUTS.items()}
-    nearest = max(published, key=lambda name: len(_parts(published[name]) & _parts(shapes)))
+    nearest = max(
+        published, key=lambda name: len(_parts(published[name]) & _parts(shapes))
+    )
     missing = [key for key in published[nearest] if key not in shapes]
     extra = [key for key in shapes if key not in published[nearest]]
     raise UsageError(

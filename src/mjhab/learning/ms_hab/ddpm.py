@@ -23,7 +23,10 @@ def squared_cosine_betas(steps: int = STEPS) -> Tensor:
     def kept(share: float) -> float:
         return math.cos((share + OFFSET) / (1 + OFFSET) * math.pi / 2) ** 2
 
-    betas = [min(1 - kept((i + 1) / steps) / kept(i / steps), LARGEST_BETA) for i in range(steps)]
+    betas = [
+        min(1 - kept((i + 1) / steps) / kept(i / steps), LARGEST_BETA)
+        for i in range(steps)
+    ]
     return torch.tensor(betas, dtype=torch.float32)
 
 
@@ -45,7 +48,9 @@ def sample(predict_noise: Callable[[Tensor, Tensor], Tensor], noise: Tensor) -> 
         before = kept[t - 1] if t > 0 else torch.ones_like(kept[0])
         step = torch.full((len(current),), t, dtype=torch.int64, device=noise.device)
         predicted = predict_noise(current, step)
-        clean = ((current - (1 - kept[t]).sqrt() * predicted) / kept[t].sqrt()).clamp(-1, 1)
+        clean = ((current - (1 - kept[t]).sqrt() * predicted) / kept[t].sqrt()).clamp(
+            -1, 1
+        )
         alpha = kept[t] / before
         beta = 1 - alpha
         mean = (

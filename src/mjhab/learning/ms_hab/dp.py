@@ -51,12 +51,16 @@ class Dp(Network):
         )
         self.frames = max(1, (condition - step_size) // (features + STATE_SIZE))
         self.visual_encoder = _VisualEncoder(shapes, len(self.cameras), features)
-        self.noise_pred_net = _UNet(shapes, step_size, self.frames * (features + STATE_SIZE))
+        self.noise_pred_net = _UNet(
+            shapes, step_size, self.frames * (features + STATE_SIZE)
+        )
         self.noise_shape = (ddpm.STEPS, PLAN_STEPS, self.noise_pred_net.actions)
 
     def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:
         """The 8 actions to execute, (B, 8, 13)."""
-        images = squash_depth(torch.stack([depth[camera] for camera in self.cameras], dim=2))
+        images = squash_depth(
+            torch.stack([depth[camera] for camera in self.cameras], dim=2)
+        )
         seen = self.visual_encoder(images.flatten(0, 1)).unflatten(0, images.shape[:2])
         condition = torch.cat([seen, state], dim=-1).flatten(1)
 
@@ -74,7 +78,11 @@ class _VisualEncoder(nn.Module):
         channels = cameras
         for i, published in enumerate(_CONVS):
             width = size(shapes, f"visual_encoder.cnn.{3 * i}.weight", 0, published)
-            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)]
+            layers += [
+                nn.Conv2d(channels, width, 3, padding=1),
+                nn.ReLU(),
+                nn.MaxPool2d(2),
+            ]
             channels = width
         self.cnn = nn.Sequential(*layers, nn.Conv2d(channels, channels, 1), nn.ReLU())
         self.fc = nn.Sequential(nn.Linear(channels, features), nn.ReLU())
@@ -118,7 +126,9 @@ class _ResidualBlock(nn.Module):
             [_ConvBlock(inputs, outputs, kernel), _ConvBlock(outputs, outputs, kernel)]
         )
         self.cond_encoder = nn.Sequential(nn.Mish(), nn.Linear(condition, 2 * outputs))
-        self.residual_conv = nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
+        self.residual_conv = (
+            nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
+        )
 
     def forward(self, x: Tensor, condition: Tensor) -> Tensor:
         scale, shift = self.cond_encoder(condition)[..., None].chunk(2, dim=1)
@@ -156,9 +166,13 @@ class _UNet(nn.Module):
             nn.Linear(4 * step_size, step_size),
         )
         self.down_modules = nn.ModuleList()
-        for i, (above, width) in enumerate(zip([self.actions, *widths], widths, strict=False)):
+        for i, (above, width) in enumerate(
+            zip([self.actions, *widths], widths, strict=False)
+        ):
             last = i == len(widths) - 1
-            shrink = nn.Identity() if last else _Resample(nn.Conv1d(width, width, 3, 2, 1))
+            shrink = (
+                nn.Identity() if last else _Resample(nn.Conv1d(width, width, 3, 2, 1))
+            )
             self.down_modules.append(
                 nn.ModuleList([block(above, width), block(width, width), shrink])
             )
@@ -172,7 +186,8 @@ class _UNet(nn.Module):
                 nn.ModuleList([block(2 * width, above), block(above, above), grow])
             )
         self.final_conv = nn.Sequential(
-            _ConvBlock(widths[0], widths[0], kernel), nn.Conv1d(widths[0], self.actions, 1)
+            _ConvBlock(widths[0], widths[0], kernel),
+            nn.Conv1d(widths[0], self.actions, 1),
         )
 
     def forward(self, actions: Tensor, step: Tensor, observed: Tensor) -> Tensor:

@@ -65,11 +65,16 @@ def names_below(shapes: Shapes, prefix: str, known: Sequence[str]) -> tuple[str,
     return tuple(name for name in found if name in known) or tuple(known)
 
 
-def output_sizes(shapes: Shapes, prefix: str, stride: int, default: Sequence[int]) -> list[int]:
+def output_sizes(
+    shapes: Shapes, prefix: str, stride: int, default: Sequence[int]
+) -> list[int]:
     """Output sizes of the weight layers of the nn.Sequential ``prefix``; their indices are ``stride`` apart."""
-    indices = [key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix)]
+    indices = [
+        key.removeprefix(prefix).split(".")[0] for key in shapes if key.startswith(prefix)
+    ]
     last = max(
-        (int(index) for index in indices if index.isdigit()), default=stride * (len(default) - 1)
+        (int(index) for index in indices if index.isdigit()),
+        default=stride * (len(default) - 1),
     )
     published = [*default, *itertools.repeat(default[-1], last // stride)]
     return [
@@ -90,6 +95,10 @@ def flat_size(cnn: nn.Module, channels: int) -> int:
     """Number of features that a CNN computes from a 128 x 128 image; 0 if the image is too small for it."""
     try:
         with torch.no_grad():
-            return cnn(torch.zeros(1, channels, IMAGE_SIDE_PX, IMAGE_SIDE_PX)).flatten(1).shape[1]
+            return (
+                cnn(torch.zeros(1, channels, IMAGE_SIDE_PX, IMAGE_SIDE_PX))
+                .flatten(1)
+                .shape[1]
+            )
     except RuntimeError:
         return 0

@@ -101,7 +101,9 @@ def check_environment(config: Config) -> None:
     )
     wrong = []
     if not {"depth", "rgbd"} & set(config.obs_mode.split("+")):
-        wrong.append(f"obs_mode is {config.obs_mode!r}, not one with depth (such as 'depth')")
+        wrong.append(
+            f"obs_mode is {config.obs_mode!r}, not one with depth (such as 'depth')"
+        )
     if not set(ENV_OPTIONS["cameras"]) <= set(config.cameras):
         wrong.append(f"cameras are {tuple(config.cameras)}, not {ENV_OPTIONS['cameras']}")
     if size != (IMAGE_SIDE_PX, IMAGE_SIDE_PX):
@@ -167,7 +169,9 @@ class MsHabPolicy:
         """
         self._see(obs)
         due = [w for w, planned in enumerate(self._planned) if not planned]
-        at_once = _WORLDS_AT_ONCE_ON_CPU if self._device.type == "cpu" else max(1, len(due))
+        at_once = (
+            _WORLDS_AT_ONCE_ON_CPU if self._device.type == "cpu" else max(1, len(due))
+        )
         for start in range(0, len(due), at_once):
             self._plan(due[start : start + at_once], info)
         actions = np.stack([planned.popleft() for planned in self._planned])
@@ -183,7 +187,9 @@ class MsHabPolicy:
             looked_at[_STATE] = state
         for name, seen in looked_at.items():
             if name not in self._frames:
-                self._frames[name] = np.repeat(seen[:, None], self._network.frames, axis=1)
+                self._frames[name] = np.repeat(
+                    seen[:, None], self._network.frames, axis=1
+                )
             frames = self._frames[name]
             frames[:, :-1] = frames[:, 1:].copy()
             frames[:, -1] = seen
@@ -192,7 +198,8 @@ class MsHabPolicy:
 
     def _plan(self, worlds: list[int], info: Mapping[str, Any]) -> None:
         depth = {
-            camera: self._tensor(self._frames[camera][worlds]) for camera in self._network.cameras
+            camera: self._tensor(self._frames[camera][worlds])
+            for camera in self._network.cameras
         }
         state = self._tensor(self._frames[_STATE][worlds])
         noise = self._tensor(np.stack([self._draw(w, info) for w in worlds]))
@@ -209,7 +216,9 @@ class MsHabPolicy:
         if generator is None:
             # A world without an episode waits for its first one; its actions are not executed.
             episode = info["episode_spec"][world] or {"seed": 0, "index": 0}
-            generator = stream(int(episode["seed"]), "policy", "ms_hab", int(episode["index"]))
+            generator = stream(
+                int(episode["seed"]), "policy", "ms_hab", int(episode["index"])
+            )
             self._noise[world] = generator
         return generator.standard_normal(self._network.noise_shape, dtype=np.float32)
 
@@ -225,9 +234,9 @@ def _looked_at(
     Raises:
         UsageError: something is missing or has another shape.
     """
-    keys = {name: f"sensor_data/{name.removesuffix('_depth')}/depth" for name in cameras} | {
-        _STATE: _STATE
-    }
+    keys = {
+        name: f"sensor_data/{name.removesuffix('_depth')}/depth" for name in cameras
+    } | {_STATE: _STATE}
     shapes = dict.fromkeys(cameras, (worlds, IMAGE_SIDE_PX, IMAGE_SIDE_PX, 1)) | {
         _STATE: (worlds, STATE_SIZE)
     }

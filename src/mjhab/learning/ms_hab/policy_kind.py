@@ -30,7 +30,10 @@ def inspect_policy(spec: str) -> PolicyFacts:
     load_network(path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return PolicyFacts(
-        f"ms_hab-{path.stem}", {"policy_sha256": digest}, ENV_OPTIONS, reads_instruction=False
+        f"ms_hab-{path.stem}",
+        {"policy_sha256": digest},
+        ENV_OPTIONS,
+        reads_instruction=False,
     )
 
 

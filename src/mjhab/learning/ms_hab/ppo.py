@@ -30,7 +30,9 @@ class Ppo(Network):
 
     def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:
         """The mean of the Gaussian, (B, 1, 13)."""
-        return self.actor_mean(self.feature_net.extractors.features(depth, state[:, -1]))[:, None]
+        return self.actor_mean(self.feature_net.extractors.features(depth, state[:, -1]))[
+            :, None
+        ]
 
 
 class _Features(nn.Module):

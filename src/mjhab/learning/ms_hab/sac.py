@@ -55,21 +55,28 @@ class _Encoder(nn.Module):
     def __init__(self, shapes: Shapes, cameras: tuple[str, ...], frames: int) -> None:
         super().__init__()
         self.cnns = nn.ModuleDict(
-            {camera: _Cnn(shapes, f"{_CNNS}{camera}.layers.", frames) for camera in cameras}
+            {
+                camera: _Cnn(shapes, f"{_CNNS}{camera}.layers.", frames)
+                for camera in cameras
+            }
         )
         self.pixels_projections = nn.ModuleDict()
         for camera, cnn in self.cnns.items():
             width = size(shapes, f"{_PIXELS}{camera}.projection.0.weight", 0, 50)
             self.pixels_projections[camera] = _Projection(flat_size(cnn, frames), width)
         state_width = size(shapes, _STATE, 0, 50)
-        self.state_projection = _Projection(size(shapes, _STATE, 1, STATE_SIZE), state_width)
+        self.state_projection = _Projection(
+            size(shapes, _STATE, 1, STATE_SIZE), state_width
+        )
         self.width = state_width + sum(
-            size(shapes, f"{_PIXELS}{camera}.projection.0.weight", 0, 50) for camera in cameras
+            size(shapes, f"{_PIXELS}{camera}.projection.0.weight", 0, 50)
+            for camera in cameras
         )
 
     def forward(self, depth: Mapping[str, Tensor], state: Tensor) -> Tensor:
         pixels = [
-            self.pixels_projections[camera](cnn(depth[camera])) for camera, cnn in self.cnns.items()
+            self.pixels_projections[camera](cnn(depth[camera]))
+            for camera, cnn in self.cnns.items()
         ]
         return torch.cat([*pixels, self.state_projection(state)], dim=1)
 

@@ -87,7 +87,9 @@ class PpoConfig:
         if not 0.0 < self.gamma <= 1.0:
             raise UsageError(f"gamma must be above 0 and at most 1, got {self.gamma}.")
         if not 0.0 <= self.gae_lambda <= 1.0:
-            raise UsageError(f"gae_lambda must lie between 0 and 1, got {self.gae_lambda}.")
+            raise UsageError(
+                f"gae_lambda must lie between 0 and 1, got {self.gae_lambda}."
+            )
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,9 @@ class SacConfig:
                 f"the replay buffer ({self.capacity}) must hold a batch ({self.batch}) of at least 2."
             )
         if self.updates_per_step < 0:
-            raise UsageError(f"updates_per_step must be at least 0, got {self.updates_per_step}.")
+            raise UsageError(
+                f"updates_per_step must be at least 0, got {self.updates_per_step}."
+            )
 
 
 @dataclass(frozen=True)
@@ -213,11 +217,11 @@ class ReinforcementConfig:
         below = self.worlds // unit * unit
         worlds = [str(number) for number in (below, below + unit) if number]
         fewer = next(number for number in range(parts, 0, -1) if rows % number == 0)
-        more = next((number for number in range(parts, rows + 1) if rows % number == 0), fewer)
-        minibatches = [str(number) for number in sorted({fewer, more})]
-        return (
-            f"--worlds {' or '.join(worlds)}, or --set ppo.minibatches={' or '.join(minibatches)}"
+        more = next(
+            (number for number in range(parts, rows + 1) if rows % number == 0), fewer
         )
+        minibatches = [str(number) for number in sorted({fewer, more})]
+        return f"--worlds {' or '.join(worlds)}, or --set ppo.minibatches={' or '.join(minibatches)}"
 
     @property
     def student(self) -> StudentConfig:
@@ -233,7 +237,12 @@ class ReinforcementConfig:
 
 
 STATE_INPUTS = InputConfig(
-    cameras=(), image_size=0, previous_action=False, base_velocity=True, condition=True, shift=0
+    cameras=(),
+    image_size=0,
+    previous_action=False,
+    base_velocity=True,
+    condition=True,
+    shift=0,
 )
 """The 42-D state and the base velocity; no images."""
 LINK_INPUTS = dataclasses.replace(STATE_INPUTS, link_state=True)
@@ -337,7 +346,12 @@ PAPER_STATE_PPO = dataclasses.replace(
 """The paper's hyper-parameters with the inputs of "fast", for a comparison at equal numbers of samples."""
 
 FAST_SAC = ReinforcementConfig(
-    SAC, "fast", DEPTH_INPUTS, NetworkConfig(hidden=256, layers=3), sac=SacConfig(), worlds=32
+    SAC,
+    "fast",
+    DEPTH_INPUTS,
+    NetworkConfig(hidden=256, layers=3),
+    sac=SacConfig(),
+    worlds=32,
 )
 
 PAPER_SAC = ReinforcementConfig(
@@ -453,7 +467,9 @@ def reinforcement_preset(algorithm: str, name: str = "") -> ReinforcementConfig:
     return find_preset(PRESETS, algorithm, name)
 
 
-def changed(config: ReinforcementConfig, values: Mapping[str, Any]) -> ReinforcementConfig:
+def changed(
+    config: ReinforcementConfig, values: Mapping[str, Any]
+) -> ReinforcementConfig:
     """Return a copy of the config with other values.
 
     Names that are not fields of `ReinforcementConfig` are set in its ``ppo`` or ``sac`` part. Values of None are

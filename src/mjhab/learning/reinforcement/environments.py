@@ -24,7 +24,9 @@ def training_env(
     if more.get("horizon") or more.get("stillness"):
         options = unbound(options, scene.subtask, trains=True)
     options |= more
-    return make_train(**options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled")
+    return make_train(
+        **options, num_envs=worlds, threads=threads, seed=seed, autoreset="disabled"
+    )
 
 
 def demonstration_env(

@@ -17,7 +17,9 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
     return found
 
 
-def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
+def restore_optimizer(
+    optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor]
+) -> None:
     """Load the tensors that ``optimizer_tensors`` returned into an optimizer.
 
     Raises:
@@ -31,7 +33,9 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Te
         if not 0 <= entry < len(parameters) or (
             value.ndim and value.shape != parameters[entry].shape
         ):
-            raise ValueError(f"the state {key!r} of an optimizer fits none of its parameters")
+            raise ValueError(
+                f"the state {key!r} of an optimizer fits none of its parameters"
+            )
         state.setdefault(entry, {})[name] = value
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 

@@ -26,7 +26,9 @@ class Value(nn.Module):
     def forward(self, seen: Seen) -> Tensor:
         """State values (B,)."""
         features = self.encoder.joined(seen.vector, seen.images)
-        return self.layers(torch.cat([features, self.privileged(seen.privileged)], dim=1))[:, 0]
+        return self.layers(
+            torch.cat([features, self.privileged(seen.privileged)], dim=1)
+        )[:, 0]
 
 
 class Critics(nn.Module):
@@ -42,14 +44,25 @@ class Critics(nn.Module):
     support: Tensor
 
     def __init__(
-        self, config: StudentConfig, sac: SacConfig, features: int, privileged: int, actions: int
+        self,
+        config: StudentConfig,
+        sac: SacConfig,
+        features: int,
+        privileged: int,
+        actions: int,
     ) -> None:
         super().__init__()
         network = config.network
         outputs = max(sac.atoms, 1)
-        widths = [features + privileged + actions, *[network.hidden] * network.layers, outputs]
+        widths = [
+            features + privileged + actions,
+            *[network.hidden] * network.layers,
+            outputs,
+        ]
         self.privileged = Normalizer(privileged, MOST_SPREADS)
-        self.heads = nn.ModuleList(mlp(widths, norm=True, last=False) for _ in range(sac.critics))
+        self.heads = nn.ModuleList(
+            mlp(widths, norm=True, last=False) for _ in range(sac.critics)
+        )
         self.atoms = sac.atoms
         support = torch.linspace(sac.value_low, sac.value_high, outputs)
         self.register_buffer("support", support)

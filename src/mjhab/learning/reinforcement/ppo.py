@@ -259,7 +259,9 @@ class PpoLearner:
         ended = torch.stack([t.ended for t in transitions])
         is_last = ended.clone()
         is_last[-1] = True
-        last = [t.next_seen.rows(mask) for t, mask in zip(transitions, is_last, strict=True)]
+        last = [
+            t.next_seen.rows(mask) for t, mask in zip(transitions, is_last, strict=True)
+        ]
         values = self._values(seen).view(ended.shape)
         next_values = torch.empty_like(values)
         next_values[:-1] = values[1:]
@@ -275,7 +277,9 @@ class PpoLearner:
     def _values(self, seen: Seen) -> Tensor:
         """Values (N,) of N observations, computed in batches of VALUED_ROWS."""
         count = len(seen.vector)
-        parts = [slice(start, start + VALUED_ROWS) for start in range(0, count, VALUED_ROWS)]
+        parts = [
+            slice(start, start + VALUED_ROWS) for start in range(0, count, VALUED_ROWS)
+        ]
         return torch.cat([self.agent.value(seen.rows(part)) for part in parts])
 
     def _random(self, what: str) -> torch.Generator:
@@ -317,7 +321,9 @@ class PpoLearner:
         assert self.shown is not None
         batch = self.shown.draw(self.config.imitation_batch, random)
         error = self.agent.mean(batch.seen) - batch.actions.clamp(-1.0, 1.0)
-        return nn.functional.huber_loss(error, torch.zeros_like(error), delta=IMITATION_HUBER)
+        return nn.functional.huber_loss(
+            error, torch.zeros_like(error), delta=IMITATION_HUBER
+        )
 
     def update(self, rollout: Rollout, progress: float) -> dict[str, float]:
         """Update the agent from a rollout; returns the metrics to report.
@@ -430,7 +436,8 @@ class PpoLearner:
         # The newest observation of a history suffices: the older ones were added before.
         self.statistics.add(seen.vector[:, -layout.width :])
         self.statistics.fit(
-            [part for part in normalizers if part is not value.privileged], layout.measured_width
+            [part for part in normalizers if part is not value.privileged],
+            layout.measured_width,
         )
         if seen.privileged.shape[1]:
             self.privileged.add(seen.privileged)

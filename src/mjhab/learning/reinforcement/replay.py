@@ -60,7 +60,9 @@ class ReplayShape:
     def words(self) -> str:
         """Description of the size for messages."""
         count = self.worlds * self.steps
-        return f"replay buffer: {count:,} control steps, {self.total_bytes / 2**30:.2f} GiB"
+        return (
+            f"replay buffer: {count:,} control steps, {self.total_bytes / 2**30:.2f} GiB"
+        )
 
     def check(self, device: torch.device, folder: Path | None = None) -> None:
         """Refuse a buffer that does not fit into memory, or whose new files do not fit on the disk of ``folder``.
@@ -76,7 +78,9 @@ class ReplayShape:
         self._check_room(free, "free")
         if folder is not None:
             # The files are sparse: on a full disk the first access beyond it would kill the process.
-            self._check_room(shutil.disk_usage(folder).free, f"free on the disk of {folder}")
+            self._check_room(
+                shutil.disk_usage(folder).free, f"free on the disk of {folder}"
+            )
 
     def _check_room(self, free: int, where: str) -> None:
         most = int(MEMORY_SHARE * free)
@@ -110,7 +114,15 @@ class ReplayBuffer:
             so a run resumed from the older checkpoint draws the same transitions.
     """
 
-    _ARRAYS = ("vector", "images", "privileged", "actions", "reward", "terminated", "begins")
+    _ARRAYS = (
+        "vector",
+        "images",
+        "privileged",
+        "actions",
+        "reward",
+        "terminated",
+        "begins",
+    )
 
     def __init__(
         self,
@@ -229,7 +241,9 @@ class ReplayBuffer:
         while lacking:
             # Entries without a transition are drawn and rejected: they are few, and the rest stays uniform.
             more = 2 * lacking + 8
-            places = torch.rand(more, 2, generator=random, dtype=torch.float64).to(self.device)
+            places = torch.rand(more, 2, generator=random, dtype=torch.float64).to(
+                self.device
+            )
             lengths = (kept[ready] - 1).cumsum(0)
             number = (places[:, 0] * lengths[-1]).long()
             which = torch.searchsorted(lengths, number, right=True)

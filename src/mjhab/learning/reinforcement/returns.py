@@ -40,7 +40,9 @@ def advantages(outcomes: Outcomes, gamma: float, gae_lambda: float) -> Tensor:
     return found
 
 
-def finite_horizon_advantages(outcomes: Outcomes, gamma: float, gae_lambda: float) -> Tensor:
+def finite_horizon_advantages(
+    outcomes: Outcomes, gamma: float, gae_lambda: float
+) -> Tensor:
     """Advantages (T, W) as MS-HAB computes them (``finite_horizon_gae`` in mshab/train_ppo.py).
 
     They average the k-step returns, for k = 1, 2, ... up to the end of the rollout or of the episode, with weights

@@ -110,14 +110,18 @@ class SacLearner:
         drawn = stream(self.seed, f"sac-{what}", self.updates).integers(1 << 62)
         return torch.Generator().manual_seed(int(drawn))
 
-    def batch(self, online: ReplayBuffer, demonstrations: ReplayBuffer | None) -> Transitions:
+    def batch(
+        self, online: ReplayBuffer, demonstrations: ReplayBuffer | None
+    ) -> Transitions:
         """Draw a batch: demonstrations first, if there are any, then transitions of the agent."""
         random = self.random("batch")
         count = self.config.batch
         if demonstrations is None:
             return online.draw(count, random)
         shown = round(self.config.demonstration_share * count)
-        return _joined(demonstrations.draw(shown, random), online.draw(count - shown, random))
+        return _joined(
+            demonstrations.draw(shown, random), online.draw(count - shown, random)
+        )
 
     def update(
         self, batch: Transitions, demonstrated: int, imitation: float, frozen: bool
@@ -159,14 +163,18 @@ class SacLearner:
                 index = least[None, :, None].expand(1, -1, self.config.atoms)
                 probabilities = said.softmax(dim=-1).gather(0, index)[0]
                 value = critics.support[None] - entropy[:, None]
-                returns = batch.reward[:, None] + self.config.gamma * goes_on[:, None] * value
+                returns = (
+                    batch.reward[:, None] + self.config.gamma * goes_on[:, None] * value
+                )
                 wanted = critics.project(probabilities, returns)
             else:
                 value = worth.min(dim=0).values - entropy
                 wanted = batch.reward + self.config.gamma * goes_on * value
         said = agent.judge(batch.seen, batch.actions)
         if self.config.atoms:
-            loss = -(wanted[None] * said.log_softmax(dim=-1)).sum(dim=-1).mean(dim=1).sum()
+            loss = (
+                -(wanted[None] * said.log_softmax(dim=-1)).sum(dim=-1).mean(dim=1).sum()
+            )
         else:
             loss = ((said[..., 0] - wanted[None]) ** 2).mean(dim=1).sum()
         self._step("judge", loss, self.judging)
@@ -211,13 +219,17 @@ class SacLearner:
         self.optimizers[name].zero_grad(set_to_none=True)
         loss.backward()
         distributed.average_gradients(parameters)
-        check_finite(gradient_norm(parameters), f"the norm of the gradient of the {name}", update)
+        check_finite(
+            gradient_norm(parameters), f"the norm of the gradient of the {name}", update
+        )
         self.optimizers[name].step()
 
     @torch.no_grad()
     def _follow(self) -> None:
         """Move the target critics towards the critics by the factor tau."""
-        pairs = zip(self.agent.target.parameters(), self.agent.judge.parameters(), strict=True)
+        pairs = zip(
+            self.agent.target.parameters(), self.agent.judge.parameters(), strict=True
+        )
         for kept, new in pairs:
             kept.lerp_(new, self.config.tau)
 

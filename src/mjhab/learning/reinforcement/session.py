@@ -89,7 +89,9 @@ class ReinforcementRequest:
 
     def __post_init__(self) -> None:
         inputs = inputs_of_robot(self.config.inputs, self.scene.robot)
-        object.__setattr__(self, "config", dataclasses.replace(self.config, inputs=inputs))
+        object.__setattr__(
+            self, "config", dataclasses.replace(self.config, inputs=inputs)
+        )
 
     @property
     def judged_split(self) -> str:
@@ -122,7 +124,11 @@ class ReinforcementSession:
     """State of a run. Make one with `open_reinforcement`."""
 
     def __init__(
-        self, request: ReinforcementRequest, folder: TrainingFolder, checkpoint: Path, resume: bool
+        self,
+        request: ReinforcementRequest,
+        folder: TrainingFolder,
+        checkpoint: Path,
+        resume: bool,
     ) -> None:
         threads = request.config.inputs.network_threads(request.threads)
         if threads:
@@ -134,7 +140,9 @@ class ReinforcementSession:
         self.start = _start_of(request)
         self.config = request.config
         if self.start is not None:
-            self.config = dataclasses.replace(request.config, inputs=self.start.config.inputs)
+            self.config = dataclasses.replace(
+                request.config, inputs=self.start.config.inputs
+            )
         # Each process draws its own episodes and its own noise.
         self.seed = request.seed + 1_000_003 * distributed.rank()
         self.env = training_env(
@@ -208,10 +216,16 @@ class ReinforcementSession:
         from mjhab.episodes.starts import valid_targets
 
         target = self.request.scene.target
-        targets = (target,) if target else tuple(valid_targets(self.env.config, self.env.layout))
+        targets = (
+            (target,)
+            if target
+            else tuple(valid_targets(self.env.config, self.env.layout))
+        )
         layout = layout_of(self.env, self.config.inputs, targets)
         # Training episodes may be of another stillness, by which the environment's profile is not recognised.
-        return dataclasses.replace(layout, profile=self.request.scene.profile or layout.profile)
+        return dataclasses.replace(
+            layout, profile=self.request.scene.profile or layout.profile
+        )
 
     # -- progress -----------------------------------------------------------------------------------------------------
 
@@ -407,7 +421,12 @@ def _check_start(request: ReinforcementRequest) -> None:
         UsageError: names the options that give a trained actor.
     """
     ppo = request.config.ppo
-    if ppo is not None and ppo.critic_updates and not ppo.demonstrations and not request.start:
+    if (
+        ppo is not None
+        and ppo.critic_updates
+        and not ppo.demonstrations
+        and not request.start
+    ):
         raise UsageError(
             f"preset {request.config.preset} begins from a trained student: give --start CHECKPOINT, or train from "
             "random weights with --preset scratch."
@@ -423,7 +442,9 @@ def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
     config = request.config
     if request.start:
         # The network of the preset stays: it is that of the critic.
-        config = dataclasses.replace(config, inputs=load_student(Path(request.start)).config.inputs)
+        config = dataclasses.replace(
+            config, inputs=load_student(Path(request.start)).config.inputs
+        )
     return {
         "algorithm": config.algorithm,
         "config": asdict(config),

@@ -23,7 +23,15 @@ PRIVILEGED = (
     "the checks of the active subtask, 0 or 1",
 )
 """Inputs that a privileged critic receives in addition to the actor's, in this order."""
-PRIVILEGED_CHECKS = ("is_grasped", "at_goal", "ee_rest", "is_static", "opened", "closed", "touch")
+PRIVILEGED_CHECKS = (
+    "is_grasped",
+    "at_goal",
+    "ee_rest",
+    "is_static",
+    "opened",
+    "closed",
+    "touch",
+)
 """Checks of the active subtask, keys of ``info``."""
 FORCE_SCALE_N = 1000.0
 """Unit of the force input [N]."""
@@ -64,7 +72,9 @@ class Seen:
 
     def to(self, device: torch.device) -> Seen:
         """Copy on another device."""
-        return Seen(self.vector.to(device), self.images.to(device), self.privileged.to(device))
+        return Seen(
+            self.vector.to(device), self.images.to(device), self.privileged.to(device)
+        )
 
     def rows(self, index: Any) -> Seen:
         """The rows that ``index`` selects."""
@@ -86,13 +96,17 @@ class Sight:
         self._privileged = privileged
         like = torch.as_tensor(env.state.robot_q)
         self.device = like.device
-        self._near = torch.from_numpy(nearness(np.arange(FARTHEST_MM + 1, dtype=np.int16)))
+        self._near = torch.from_numpy(
+            nearness(np.arange(FARTHEST_MM + 1, dtype=np.int16))
+        )
         self._near = self._near.to(self.device)
         worlds = env.num_envs
         inputs = layout.inputs
         size = inputs.image_size if layout.image_keys else 0
         frames = (len(layout.image_keys), size, size)
-        self._vectors = torch.zeros(worlds, inputs.history, layout.width, device=self.device)
+        self._vectors = torch.zeros(
+            worlds, inputs.history, layout.width, device=self.device
+        )
         self._images = torch.zeros(
             worlds, inputs.history, *frames, dtype=torch.uint8, device=self.device
         )
@@ -151,7 +165,11 @@ class Sight:
         else:
             self._vectors = _shifted(self._vectors, vector, fresh, again)
             self._images = _shifted(self._images, images, fresh, again)
-        return Seen(self._vectors.flatten(1), self._images.flatten(1, 2), self._privileged_of(info))
+        return Seen(
+            self._vectors.flatten(1),
+            self._images.flatten(1, 2),
+            self._privileged_of(info),
+        )
 
     def _frames(self, obs: Mapping[str, Any]) -> Tensor:
         """Images (W, cameras, height, width) uint8 of one step."""
@@ -159,7 +177,9 @@ class Sight:
         if not keys:
             return self._images[:, -1]
         depths = [torch.as_tensor(obs[key])[..., 0] for key in keys]
-        return torch.stack([self._near[depth.clamp(min=0).long()] for depth in depths], dim=1)
+        return torch.stack(
+            [self._near[depth.clamp(min=0).long()] for depth in depths], dim=1
+        )
 
     def _privileged_of(self, info: Mapping[str, Any]) -> Tensor:
         worlds = self._env.num_envs

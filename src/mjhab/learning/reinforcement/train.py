@@ -243,7 +243,9 @@ class _PpoRun(_Run):
         ppo = self.agent.config
         if not ppo.demonstrations:
             return
-        self.learner.shown = self._demonstrations(ppo.demonstrations, ppo.demonstration_style)
+        self.learner.shown = self._demonstrations(
+            ppo.demonstrations, ppo.demonstration_style
+        )
         if session.saved is None and session.start is None:
             session.log.show({"phase": "imitation"})
             self.learner.imitate(self._imitated)
@@ -308,7 +310,11 @@ class _SacRun(_Run):
         start = session.start
         assert start is None or isinstance(start, SquashedGaussian)
         self.agent = Sac(
-            self.config, session.layout, session.privileged_width, session.request.seed, start
+            self.config,
+            session.layout,
+            session.privileged_width,
+            session.request.seed,
+            start,
         ).to(worlds.device)
         self.actor = self.agent.actor
         self.learner = SacLearner(self.agent, self.config, session.seed)
@@ -382,9 +388,14 @@ class _SacRun(_Run):
         seen = worlds.seen
         with torch.no_grad():
             random = self._noise()
-            if self.session.standing.samples < self.sac.warm_up and self.session.start is None:
+            if (
+                self.session.standing.samples < self.sac.warm_up
+                and self.session.start is None
+            ):
                 shape = (worlds.count, len(self.session.layout.actions))
-                actions = 2.0 * torch.rand(shape, generator=random).to(worlds.device) - 1.0
+                actions = (
+                    2.0 * torch.rand(shape, generator=random).to(worlds.device) - 1.0
+                )
             else:
                 features = self.agent.actor.features(seen.vector, seen.images)
                 actions, _ = self.agent.actor.sample(features, random)
@@ -409,7 +420,9 @@ class _SacRun(_Run):
         batch = self.learner.batch(self.online, self.shown)
         demonstrated = round(sac.demonstration_share * sac.batch) if self.shown else 0
         frozen = since < sac.frozen_actor_samples
-        told = self.learner.update(batch, demonstrated, sac.imitation_coefficient * share, frozen)
+        told = self.learner.update(
+            batch, demonstrated, sac.imitation_coefficient * share, frozen
+        )
         standing.updates = self.learner.updates
         standing.trained = True
         return told

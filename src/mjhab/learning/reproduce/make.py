@@ -23,7 +23,12 @@ from mjhab.learning.reproduce.rows import (
     algorithm_of,
     policy_targets,
 )
-from mjhab.learning.reproduce.spec import TableSpec, chosen_rows, policy_rows, table_config
+from mjhab.learning.reproduce.spec import (
+    TableSpec,
+    chosen_rows,
+    policy_rows,
+    table_config,
+)
 from mjhab.learning.reproduce.variants import STUDIES, VARIANTS, Variant
 from mjhab.learning.require import require_learn
 from mjhab.learning.runs.run import refused_leaves_nothing
@@ -119,7 +124,11 @@ Trained = tuple[TableRow, str, Path]
 
 
 def _judge_policies(
-    spec: TableSpec, row: TableRow, trained: Sequence[Trained], variant: Variant, sinks: Sinks
+    spec: TableSpec,
+    row: TableRow,
+    trained: Sequence[Trained],
+    variant: Variant,
+    sinks: Sinks,
 ) -> list[Path]:
     """Evaluate each policy of a row in its share of the episodes; returns the run folders."""
     share = -(-spec.episodes // len(trained))
@@ -142,14 +151,22 @@ def _judge_policies(
 
 
 def _judge_task(
-    spec: TableSpec, row: TableRow, trained: Sequence[Trained], variant: Variant, sinks: Sinks
+    spec: TableSpec,
+    row: TableRow,
+    trained: Sequence[Trained],
+    variant: Variant,
+    sinks: Sinks,
 ) -> Path:
     """Evaluate the policies of all subtasks together in a whole task; returns the run folder."""
     folder = spec.out / row.folder
     entries = []
     for part, target, run in trained:
         # The policies file refers to checkpoints below its own folder, so that both can be moved together.
-        copy = folder / POLICIES.removesuffix(".json") / f"{_name_of(part, target)}.safetensors"
+        copy = (
+            folder
+            / POLICIES.removesuffix(".json")
+            / f"{_name_of(part, target)}.safetensors"
+        )
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(run / STUDENT, copy)
         entries.append(Entry(part.subtask, target, str(copy)))
@@ -237,7 +254,11 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
     from mjhab.learning.runs.collection import Scene
 
     scene = Scene(
-        row.task, row.subtask, target or FOR_ALL, assets=spec.assets, **profile_options(spec)
+        row.task,
+        row.subtask,
+        target or FOR_ALL,
+        assets=spec.assets,
+        **profile_options(spec),
     )
     resume = (run / CONFIG).is_file()
     if spec.column == STUDENTS:
@@ -260,7 +281,9 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
     return train_reinforcement(request, run, resume)
 
 
-def _train_student(spec: TableSpec, scene: Scene, run: Path, resume: bool) -> TrainingResult:
+def _train_student(
+    spec: TableSpec, scene: Scene, run: Path, resume: bool
+) -> TrainingResult:
     from mjhab.learning.runs.collection import Means
     from mjhab.learning.runs.request import Request
     from mjhab.learning.runs.train import train

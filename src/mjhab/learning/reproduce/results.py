@@ -71,11 +71,17 @@ def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
     low, high = wilson(successes, len(records))
     seconds = sum(summary["cpu_seconds"] for summary in summaries)
     return {
-        "success_once": mean(record.success_once for record in records) if records else None,
+        "success_once": mean(record.success_once for record in records)
+        if records
+        else None,
         "low": low,
         "high": high,
-        "success_at_end": mean(record.success_at_end for record in records) if records else None,
-        "subtasks_completed": mean(record.completed / len(record.plan) for record in records)
+        "success_at_end": mean(record.success_at_end for record in records)
+        if records
+        else None,
+        "subtasks_completed": mean(
+            record.completed / len(record.plan) for record in records
+        )
         if records
         else None,
         "episodes": len(records),
@@ -120,12 +126,24 @@ def result_of(
     "paper" holds the paper's success-once rates [%] under the rules of Table 1, by SUCCESS_COLUMNS. "paper_says" is the
     paper's statement about other rules, or "".
     """
-    published = (variant == AS_PUBLISHED.name or config["what"] == TABLE5) and bool(row.subtask)
-    paper = paper_success(row.task, row.subtask, config["split"], row.target) if published else {}
+    published = (variant == AS_PUBLISHED.name or config["what"] == TABLE5) and bool(
+        row.subtask
+    )
+    paper = (
+        paper_success(row.task, row.subtask, config["split"], row.target)
+        if published
+        else {}
+    )
     says = ABLATIONS.get(config["what"], {}).get(variant, "")
     if isinstance(says, dict):
         says = says.get(config["split"], "")
-    return {"row": row.name, "rules": variant, **found, "paper": paper, "paper_says": says}
+    return {
+        "row": row.name,
+        "rules": variant,
+        **found,
+        "paper": paper,
+        "paper_says": says,
+    }
 
 
 def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -169,10 +187,14 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
     """HTML page with our numbers and those of the paper."""
     head = "".join(f"<th>{escape(title)}</th>" for title in titles())
     lines = [
-        "<tr>" + "".join(f"<td>{escape(str(value))}</td>" for value in cells(result)) + "</tr>"
+        "<tr>"
+        + "".join(f"<td>{escape(str(value))}</td>" for value in cells(result))
+        + "</tr>"
         for result in results
     ]
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    table = (
+        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    )
     rules = "; ".join(f"{rule.name}: {rule.about}" for rule in VARIANTS[config["what"]])
     hint = (
         f"Success-once rates of our policies in column {config['column']} (preset {config['preset']}) in homes of "

@@ -119,12 +119,16 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
         raise unknown_name("column", spec.column, COLUMNS)
     profile_named(spec.profile)
     if spec.what in STUDIES and spec.column != STUDENTS:
-        raise UsageError(f"{spec.what} is about imitation: leave out --column {spec.column}.")
+        raise UsageError(
+            f"{spec.what} is about imitation: leave out --column {spec.column}."
+        )
     if spec.what in STUDIES and spec.policies is not None:
         raise UsageError(f"{spec.what} compares ways of training: leave out --policies.")
     for name in ("demos", "updates"):
         if getattr(spec, name) and spec.what not in STUDIES:
-            raise UsageError(f"--{name} is for {', '.join(STUDIES)}, not for {spec.what}.")
+            raise UsageError(
+                f"--{name} is for {', '.join(STUDIES)}, not for {spec.what}."
+            )
     rows = [known[name] for name in spec.rows or DEFAULT_ROWS.get(spec.what, known)]
     for row in rows:
         for part in policy_rows(row):
@@ -149,8 +153,25 @@ def _check_preset(spec: TableSpec, row: TableRow) -> None:
 
 def table_config(spec: TableSpec) -> dict[str, Any]:
     """The part of the config that all rows of a folder share, as JSON data."""
-    names = ("what", "column", "budget_minutes", "split", "episodes", "seed", "assets", "backend")
+    names = (
+        "what",
+        "column",
+        "budget_minutes",
+        "split",
+        "episodes",
+        "seed",
+        "assets",
+        "backend",
+    )
     shown = {name: getattr(spec, name) for name in names}
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}
-    given = {name: getattr(spec, name) for name in ("demos", "updates") if getattr(spec, name)}
-    return {**shown, **given, "preset": spec.preset_name, **policies, **profile_options(spec)}
+    given = {
+        name: getattr(spec, name) for name in ("demos", "updates") if getattr(spec, name)
+    }
+    return {
+        **shown,
+        **given,
+        "preset": spec.preset_name,
+        **policies,
+        **profile_options(spec),
+    }

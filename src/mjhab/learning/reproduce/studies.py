@@ -23,7 +23,12 @@ SECONDS_PER_MINUTE = 60.0
 
 
 def train_imitation(
-    spec: TableSpec, row: TableRow, imitation: Imitation, folder: Path, run: Path, resume: bool
+    spec: TableSpec,
+    row: TableRow,
+    imitation: Imitation,
+    folder: Path,
+    run: Path,
+    resume: bool,
 ) -> TrainingResult:
     """Train a policy of a row, or continue its training.
 
@@ -42,11 +47,16 @@ def train_imitation(
     from mjhab.learning.runs.request import Request
     from mjhab.learning.runs.train import train
 
-    scene = Scene(row.task, row.subtask, row.target, assets=spec.assets, **profile_options(spec))
-    means = Means(spec.worlds, spec.workers, spec.threads or max(1, cores() // spec.workers))
+    scene = Scene(
+        row.task, row.subtask, row.target, assets=spec.assets, **profile_options(spec)
+    )
+    means = Means(
+        spec.worlds, spec.workers, spec.threads or max(1, cores() // spec.workers)
+    )
     config = config_of(spec, imitation)
     places = tuple(
-        _collected(spec, config, scene, means, folder / DATA, name) for name in imitation.data
+        _collected(spec, config, scene, means, folder / DATA, name)
+        for name in imitation.data
     )
     half = f"success and index < {_episodes(spec) // 2}" if len(places) > 1 else ""
     request = Request(
@@ -71,8 +81,12 @@ def config_of(spec: TableSpec, imitation: Imitation) -> TrainConfig:
     chosen = preset_of(BC, spec.preset_name)
     if imitation.algorithm != BC:
         paper = preset_of(DIFFUSION).student
-        inputs = dataclasses.replace(paper.inputs, image_size=chosen.student.inputs.image_size)
-        student = dataclasses.replace(paper, inputs=inputs, updates=chosen.student.updates)
+        inputs = dataclasses.replace(
+            paper.inputs, image_size=chosen.student.inputs.image_size
+        )
+        student = dataclasses.replace(
+            paper, inputs=inputs, updates=chosen.student.updates
+        )
         chosen = TrainConfig(student)
     updates = (f"updates={spec.updates}",) if spec.updates else ()
     return with_changes(chosen, (*imitation.changes, *updates))
@@ -105,12 +119,16 @@ def _collected(
     from mjhab.learning.runs.request import Request, layout_for
 
     preset = preset_of(BC, spec.preset_name).student
-    inputs = dataclasses.replace(preset.inputs, image_size=config.student.inputs.image_size)
+    inputs = dataclasses.replace(
+        preset.inputs, image_size=config.student.inputs.image_size
+    )
     seen = TrainConfig(dataclasses.replace(preset, inputs=inputs))
     layout = layout_for(Request(seen, scene, means))
     changes = {**_by_name(preset.style), **_by_name(STYLES[name])}
     hold_steps = config.student.hold_steps
-    wanted = Round(0, _episodes(spec), hold_steps=hold_steps, style=tuple(changes.values()))
+    wanted = Round(
+        0, _episodes(spec), hold_steps=hold_steps, style=tuple(changes.values())
+    )
     folder = out / _data_folder(config.student, preset, name)
     Collector(scene, layout.env_options(), means, spec.seed).collect(wanted, folder)
     return folder

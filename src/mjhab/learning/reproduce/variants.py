@@ -61,8 +61,14 @@ CHANGED: dict[str, tuple[str, tuple[str, ...]]] = {
     "chunk_4": ("4 actions predicted", ("chunk=4",)),
     "whole_episodes": ("demonstrations are not cut after success", ("hold_steps=-1",)),
     "last_weights": ("no moving average of the weights", ("optimizer.ema=0",)),
-    "no_previous_action": ("without the previous action", ("inputs.previous_action=false",)),
-    "no_base_velocity": ("without the velocity of the base", ("inputs.base_velocity=false",)),
+    "no_previous_action": (
+        "without the previous action",
+        ("inputs.previous_action=false",),
+    ),
+    "no_base_velocity": (
+        "without the velocity of the base",
+        ("inputs.base_velocity=false",),
+    ),
     "px_64": ("images of 64 x 64 px", ("inputs.image_size=64",)),
 }
 """Variants of `CHOICES` that change fields of the preset: description and fields, by name."""
@@ -121,7 +127,9 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
         AS_PUBLISHED,
         NO_LIMIT,
         Variant("cylinder", "goals are cylinders", goal_type="cylinder"),
-        Variant("simplified", "no force limit, goals are cylinders", math.inf, "cylinder"),
+        Variant(
+            "simplified", "no force limit, goals are cylinders", math.inf, "cylinder"
+        ),
     ),
     TABLE5: (
         Variant("bc", "behaviour cloning", imitation=Imitation(BC)),
@@ -138,7 +146,9 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
     FILTERS: (
         Variant("place_in_goal", "objects put down", imitation=Imitation(data=(PLACED,))),
         Variant("drop_to_goal", "objects dropped", imitation=Imitation(data=(DROPPED,))),
-        Variant("split_50_50", "half of each", imitation=Imitation(data=(PLACED, DROPPED))),
+        Variant(
+            "split_50_50", "half of each", imitation=Imitation(data=(PLACED, DROPPED))
+        ),
     ),
     CHOICES: (
         *(

@@ -109,7 +109,9 @@ def make_env(
         options = longer(options, collected.horizon) | {
             "overrides": {"hold_steps": collected.hold_steps}
         }
-    return make(**options, num_envs=means.worlds, threads=means.threads, autoreset="disabled")
+    return make(
+        **options, num_envs=means.worlds, threads=means.threads, autoreset="disabled"
+    )
 
 
 def longer(options: dict[str, Any], horizon: int) -> dict[str, Any]:
@@ -168,9 +170,14 @@ class Collector:
             True,
             images,
         )
-        told = {**asdict(wanted), "student": wanted.student.name if wanted.student else ""}
+        told = {
+            **asdict(wanted),
+            "student": wanted.student.name if wanted.student else "",
+        }
         config = {"scene": asdict(self._scene), "seed": self._seed, "round": told}
-        job = Job(spec, config, out, wanted.episodes, self._means.workers, self._means.worlds)
+        job = Job(
+            spec, config, out, wanted.episodes, self._means.workers, self._means.worlds
+        )
         crew = make_crew(0 if alone else self._means.workers, self._ray)
         standing = generate(job, crew, tell, stopped, resume=True)
         if standing.complete and not standing.kept:
@@ -186,7 +193,9 @@ def round_seed(seed: int, number: int) -> int:
     return 1000 * seed + number
 
 
-def build_stage(scene: Scene, view: dict[str, Any], means: Means, collected: Round) -> Stage:
+def build_stage(
+    scene: Scene, view: dict[str, Any], means: Means, collected: Round
+) -> Stage:
     """Make the environment and policy of a worker; called in the worker's process."""
     import torch
 
@@ -211,7 +220,9 @@ def stage_in(env: SequentialTaskEnv, collected: Round) -> Stage:
     styles = Styles.parse(collected.style)
     if collected.style:
         about["style"] = styles.words
-    policy = TakeOver(student, make_expert(env, styles), collected.longest, len(env.action_table))
+    policy = TakeOver(
+        student, make_expert(env, styles), collected.longest, len(env.action_table)
+    )
     return Stage(env, policy, about, (ALL,))
 
 
@@ -222,7 +233,9 @@ class StageKeeper:
         self._env: SequentialTaskEnv | None = None
         self._made_of: Any = None
 
-    def stage(self, scene: Scene, view: dict[str, Any], means: Means, collected: Round) -> Stage:
+    def stage(
+        self, scene: Scene, view: dict[str, Any], means: Means, collected: Round
+    ) -> Stage:
         """Make the stage of a round."""
         made_of = (
             scene,

@@ -49,7 +49,11 @@ class EvaluationClock:
     def reserve(self, episodes: int) -> float:
         """Time to reserve for ``episodes`` [s]; on a guess never more than MOST_GUESSED_SHARE of the budget."""
         needed = self._episode * episodes
-        return needed if self._is_measured else min(needed, MOST_GUESSED_SHARE * self._budget)
+        return (
+            needed
+            if self._is_measured
+            else min(needed, MOST_GUESSED_SHARE * self._budget)
+        )
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,9 @@ class Judgement:
         return {
             "split": self.split,
             "success_once": mean(record.success_once for record in records),
-            "interval": list(wilson(sum(record.success_once for record in records), len(records))),
+            "interval": list(
+                wilson(sum(record.success_once for record in records), len(records))
+            ),
             "episodes": len(records),
             "evaluated_samples": self.samples,
         }

@@ -38,25 +38,37 @@ def render_training_report(
         "loss-plot": curve(rows, "samples", "loss", "samples", "loss", lines=True),
         "samples-plot": curve(rows, "samples", "success_once", "samples", "success once"),
         "time-plot": curve(
-            [_minutes(row) for row in rows], "minutes", "success_once", "minutes", "success once"
+            [_minutes(row) for row in rows],
+            "minutes",
+            "success_once",
+            "minutes",
+            "success once",
         ),
     }
     body.append(
         parts.section(
-            "Loss", "Mean over the updates between two reports.", '<div id="loss-plot"></div>'
+            "Loss",
+            "Mean over the updates between two reports.",
+            '<div id="loss-plot"></div>',
         )
     )
     hint = "Fraction of the evaluated episodes that succeed at least once."
-    body.append(parts.section("Success over samples", hint, '<div id="samples-plot"></div>'))
+    body.append(
+        parts.section("Success over samples", hint, '<div id="samples-plot"></div>')
+    )
     body.append(
         parts.section(
-            "Success over time", "Wall time, collection included.", '<div id="time-plot"></div>'
+            "Success over time",
+            "Wall time, collection included.",
+            '<div id="time-plot"></div>',
         )
     )
     if records:
         body.append(
             parts.section(
-                "Last evaluation", "Results per target.", parts.success_table(rows_by_kind(records))
+                "Last evaluation",
+                "Results per target.",
+                parts.success_table(rows_by_kind(records)),
             )
         )
         counts = labels_by_kind(records)
@@ -68,7 +80,9 @@ def render_training_report(
     body.append(_films(folder))
     body.append(
         parts.section(
-            "Run", "The resolved config of this run.", parts.config_list(flat(folder.config))
+            "Run",
+            "The resolved config of this run.",
+            parts.config_list(flat(folder.config)),
         )
     )
     return render_page(_title(folder), "\n".join(filter(None, body)), {"plots": plots})
@@ -92,7 +106,9 @@ def curve(
         "line": {"color": LINE if lines else POINTS, "width": 2},
     }
     y_axis = (
-        {"title": {"text": y_title}} if lines else {"title": {"text": y_title}, "range": [0, 1]}
+        {"title": {"text": y_title}}
+        if lines
+        else {"title": {"text": y_title}, "range": [0, 1]}
     )
     return {
         "data": [trace],
@@ -150,7 +166,11 @@ def _success_card(summary: Mapping[str, Any]) -> tuple[str, str, str]:
 def _cards(summary: Mapping[str, Any]) -> str:
     values = [
         _success_card(summary),
-        ("time", f"{summary['seconds'] / 60:.1f} min", "collection and evaluation included"),
+        (
+            "time",
+            f"{summary['seconds'] / 60:.1f} min",
+            "collection and evaluation included",
+        ),
         ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
         *_time_card(summary),
         (
@@ -172,7 +192,9 @@ def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     shares = summary.get("time_shares")
     if not shares:
         return []
-    rest = ", ".join(f"{name} {parts.percent(shares[name])}" for name in shares if name != "env")
+    rest = ", ".join(
+        f"{name} {parts.percent(shares[name])}" for name in shares if name != "env"
+    )
     return [("time in the environment", parts.percent(shares["env"]), rest)]
 
 
@@ -213,4 +235,6 @@ def _caption(film: Path) -> str:
 
 def _video(path: Path) -> str:
     data = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f'<video controls muted playsinline src="data:video/mp4;base64,{data}"></video>'
+    return (
+        f'<video controls muted playsinline src="data:video/mp4;base64,{data}"></video>'
+    )

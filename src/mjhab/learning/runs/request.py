@@ -13,7 +13,13 @@ from mjhab.data.select.query import Filter
 from mjhab.learning.configs import TrainConfig
 from mjhab.learning.demos import goals_of_data, layout_of_data
 from mjhab.learning.devices import CPU
-from mjhab.learning.layout import Layout, compare_layouts, image_options, inputs_of_robot, layout_of
+from mjhab.learning.layout import (
+    Layout,
+    compare_layouts,
+    image_options,
+    inputs_of_robot,
+    layout_of,
+)
 from mjhab.learning.runs.collection import Means, Scene, make_env
 from mjhab.learning.runs.defaults import FILMED_EPISODES
 
@@ -117,7 +123,9 @@ def _targets(scene: Scene, env: SequentialTaskEnv) -> tuple[str, ...]:
     """Types of targets that episodes of a scene are about."""
     from mjhab.episodes.starts import valid_targets
 
-    return (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
+    return (
+        (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
+    )
 
 
 def _check_judged(request: Request) -> None:

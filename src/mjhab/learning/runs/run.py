@@ -75,7 +75,9 @@ def refused_leaves_nothing(path: Path) -> Iterator[None]:
 
 
 def _has_work(path: Path) -> bool:
-    return any(file.stat().st_size > 0 for pattern in WORK for file in path.rglob(pattern))
+    return any(
+        file.stat().st_size > 0 for pattern in WORK for file in path.rglob(pattern)
+    )
 
 
 class TrainingFolder:
@@ -86,7 +88,9 @@ class TrainingFolder:
         self.config = dict(config)
 
     @classmethod
-    def open(cls, path: Path, config: Mapping[str, Any], *, resume: bool = False) -> TrainingFolder:
+    def open(
+        cls, path: Path, config: Mapping[str, Any], *, resume: bool = False
+    ) -> TrainingFolder:
         """Prepare ``path`` for a run of ``config`` (plain JSON data).
 
         Raises:
@@ -133,7 +137,9 @@ class TrainingFolder:
         """Read the reported rows, up to ``step`` updates if given; incomplete lines are skipped."""
         path = self.path / METRICS
         found = []
-        for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
+        for line in (
+            path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        ):
             try:
                 found.append(parse_json(line))
             except ValueError:
@@ -163,20 +169,26 @@ class Logbook:
         step: number of updates in the checkpoint that the run resumes from; rows of later updates are dropped.
     """
 
-    def __init__(self, folder: TrainingFolder, earlier_seconds: float = 0.0, step: int = 0) -> None:
+    def __init__(
+        self, folder: TrainingFolder, earlier_seconds: float = 0.0, step: int = 0
+    ) -> None:
         from torch.utils.tensorboard.writer import SummaryWriter
 
         self.rows = folder.read_metrics(step)
         folder.write_metrics(self.rows)
         self._file = (folder.path / METRICS).open("a", encoding="utf-8")
-        self._board = SummaryWriter(str(folder.path / TENSORBOARD), purge_step=step or None)
+        self._board = SummaryWriter(
+            str(folder.path / TENSORBOARD), purge_step=step or None
+        )
         self._began = time.perf_counter() - earlier_seconds
         earlier_cpu_seconds = max((row["cpu_seconds"] for row in self.rows), default=0.0)
         # One process may train several policies in turn (`mjhab reproduce`).
         self._cpu_began = _cpu_seconds() - earlier_cpu_seconds
         self._shown: dict[str, str] = {}
         self._title = f"mjhab train, {folder.path}"
-        self._live = Live(console=Console(stderr=True), auto_refresh=False, transient=False)
+        self._live = Live(
+            console=Console(stderr=True), auto_refresh=False, transient=False
+        )
         self._drawn = 0.0
 
     @property

@@ -82,7 +82,11 @@ class Session:
         self.progress = Progress()
         self.judged = Judgement()
         """The latest complete evaluation."""
-        saved = load_checkpoint(folder.training) if resume and folder.training.is_file() else None
+        saved = (
+            load_checkpoint(folder.training)
+            if resume and folder.training.is_file()
+            else None
+        )
         if saved is not None:
             self.progress = saved_state(folder.training, saved.about, Progress)
         self.device = training_device(request.device)
@@ -93,7 +97,9 @@ class Session:
                 self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None and bool(saved.about.get("fitted", True))
         self.collectors = [
-            Collector(scene, layout.env_options(), request.means, request.seed, request.ray)
+            Collector(
+                scene, layout.env_options(), request.means, request.seed, request.ray
+            )
             for scene in self.scenes
         ]
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
@@ -107,7 +113,12 @@ class Session:
         self.log.show({"phase": "reading demonstrations"})
         workers = self.request.means.workers
         data = load_demonstrations(
-            places, self.layout, self.config.hold_steps, where, workers, self.request.per_target
+            places,
+            self.layout,
+            self.config.hold_steps,
+            where,
+            workers,
+            self.request.per_target,
         )
         self.sources.append(data if self.device.type == CPU else data.on(self.device))
         if not self.fitted:
@@ -162,16 +173,22 @@ class Session:
 
     def sampler(self, new_share: float) -> BatchSampler:
         """Sampler of batches from the loaded data; ``new_share`` is the fraction from the newest demonstrations."""
-        return BatchSampler(self.sources, self.config.optimizer.batch, new_share, self.request.seed)
+        return BatchSampler(
+            self.sources, self.config.optimizer.batch, new_share, self.request.seed
+        )
 
     @property
     def newest_share(self) -> float:
         """Fraction of the training data's control steps that belong to the newest demonstrations."""
-        return len(self.sources[-1].usable) / sum(len(source.usable) for source in self.sources)
+        return len(self.sources[-1].usable) / sum(
+            len(source.usable) for source in self.sources
+        )
 
     # -- training ----------------------------------------------------------------------------------------------------
 
-    def train(self, updates: int, new_share: float = 1.0, cool_down: bool = False) -> None:
+    def train(
+        self, updates: int, new_share: float = 1.0, cool_down: bool = False
+    ) -> None:
         """Make the remaining updates of this round.
 
         Args:
@@ -197,7 +214,10 @@ class Session:
                 losses.append(self.trainer.update(batch, rate).loss)
                 self.progress.round_step += 1
                 self.progress.samples += len(batch.actions)
-            if self.trainer.step % REPORT_EVERY == 0 or self.progress.round_step == updates:
+            if (
+                self.trainer.step % REPORT_EVERY == 0
+                or self.progress.round_step == updates
+            ):
                 seconds = time.perf_counter() - began
                 numbers = {
                     "loss": sum(losses) / len(losses),
@@ -274,7 +294,9 @@ class Session:
         split = self.request.judged_split if last else self.request.scene.split
         began = time.perf_counter()
         found = {
-            scene.name: self._evaluate_in(scene, split, episodes, films, self.place(folder, scene))
+            scene.name: self._evaluate_in(
+                scene, split, episodes, films, self.place(folder, scene)
+            )
             for scene in self.scenes
         }
         self.judged = Judgement(split, self.progress.samples, found)
@@ -314,6 +336,8 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
     config = resolved_config(request)
     check_folder(out, config, resume=resume, replaceable=False)
     layout = layout_for(request)
-    session = Session(request, layout, TrainingFolder.open(out, config, resume=resume), resume)
+    session = Session(
+        request, layout, TrainingFolder.open(out, config, resume=resume), resume
+    )
     with session.log:
         yield session

@@ -20,7 +20,9 @@ def train_supervised(session: Session) -> None:
     if request.data:
         session.load(request.data, request.filter)
     else:
-        session.collect(Round(0, config.demos, hold_steps=config.hold_steps, style=config.style))
+        session.collect(
+            Round(0, config.demos, hold_steps=config.hold_steps, style=config.style)
+        )
     for part in range(1, EVALUATIONS + 1):
         until = config.updates * part // EVALUATIONS
         if session.progress.round_step < until:

@@ -61,7 +61,9 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
             folder = session.folder
             folder.write_summary(summary)
             report = folder.write_report(
-                render_training_report(folder, session.log.rows, session.judged.records, summary)
+                render_training_report(
+                    folder, session.log.rows, session.judged.records, summary
+                )
             )
     return TrainingResult(summary, report, interrupted)
 

@@ -101,13 +101,23 @@ class Trainer:
         warmup = min(1.0, (self.step + 1) / max(self.config.warmup, 1))
         if self.config.schedule == "constant":
             return warmup
-        return warmup * 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.step / max(self.updates, 1))))
+        return (
+            warmup
+            * 0.5
+            * (1.0 + math.cos(math.pi * min(1.0, self.step / max(self.updates, 1))))
+        )
 
     def _follow(self) -> None:
         """Update the moving average; its decay starts low and rises to ``config.ema``."""
-        decay = min(self.config.ema, (1 + self.step) / (10 + self.step)) if self.config.ema else 0.0
+        decay = (
+            min(self.config.ema, (1 + self.step) / (10 + self.step))
+            if self.config.ema
+            else 0.0
+        )
         with torch.no_grad():
-            for kept, new in zip(self.average.parameters(), self.student.parameters(), strict=True):
+            for kept, new in zip(
+                self.average.parameters(), self.student.parameters(), strict=True
+            ):
                 kept.lerp_(new, 1.0 - decay)
 
     def tensors(self) -> dict[str, Tensor]:
@@ -137,7 +147,9 @@ class Trainer:
         for name, parameter in self.student.named_parameters():
             if name in first:
                 if not first[name].shape == second[name].shape == parameter.shape:
-                    raise ValueError(f"the moments of {name} have another shape than its weights")
+                    raise ValueError(
+                        f"the moments of {name} have another shape than its weights"
+                    )
                 self.optimizer.state[parameter] = {
                     "step": torch.tensor(float(step)),
                     "exp_avg": first[name].to(parameter.device, copy=True),

@@ -29,7 +29,8 @@ class ActionTransformer(Student):
         layers = config.network.layers
         self.encoder = Encoder(config, layout)
         self.image_tokens = nn.ModuleList(
-            nn.Linear(config.network.image_features, width) for _ in range(self.encoder.cameras)
+            nn.Linear(config.network.image_features, width)
+            for _ in range(self.encoder.cameras)
         )
         self.vector_token = nn.Linear(self.encoder.vector_width, width)
         self.latent_token = nn.Linear(LATENT_WIDTH, width)
@@ -57,14 +58,17 @@ class ActionTransformer(Student):
     def predict(self, images: list[Tensor], vector: Tensor, latent: Tensor) -> Tensor:
         """Normalized actions (B, chunk, A) from image features, the vector and a latent (B, LATENT_WIDTH)."""
         tokens = [
-            to_token(image) for to_token, image in zip(self.image_tokens, images, strict=True)
+            to_token(image)
+            for to_token, image in zip(self.image_tokens, images, strict=True)
         ]
         tokens += [self.vector_token(vector), self.latent_token(latent)]
         memory = self.context(torch.stack(tokens, dim=1))
         queries = self.queries.expand(len(vector), -1, -1)
         return self.head(self.decoder(queries, memory))
 
-    def style(self, vector: Tensor, target: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    def style(
+        self, vector: Tensor, target: Tensor, valid: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Mean and logarithm of the variance (B, LATENT_WIDTH) of the latent of demonstrated chunks."""
         actions = self.action_token(target) + self.chunk_places
         head = self.style_query.expand(len(vector), -1, -1)
@@ -80,7 +84,9 @@ class ActionTransformer(Student):
         target = self.targets(batch)
         mean, log_variance = self.style(vector, target, batch.valid)
         noise = normal(mean.shape, random, mean)
-        predicted = self.predict(images, vector, mean + noise * (0.5 * log_variance).exp())
+        predicted = self.predict(
+            images, vector, mean + noise * (0.5 * log_variance).exp()
+        )
         divergence = -0.5 * (1.0 + log_variance - mean**2 - log_variance.exp()).mean()
         return self.error(predicted, batch, target) + KL_WEIGHT * divergence
 

@@ -63,7 +63,9 @@ class BehaviourCloning(Student):
         return self.action_normalizer.restore(self._read(features))
 
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
-        return self.error(self.predict(batch.vector, batch.images), batch, self.targets(batch))
+        return self.error(
+            self.predict(batch.vector, batch.images), batch, self.targets(batch)
+        )
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         return self.chunk_of(self.trunk(vector, images))

@@ -42,7 +42,9 @@ class DiffusionPolicy(Student):
         )
         seen = inputs.history * (config.network.image_features + layout.width)
         self.unet = UNet(len(layout.actions), seen, config.network.unet)
-        self.register_buffer("kept", squared_cosine(config.sampling_steps), persistent=False)
+        self.register_buffer(
+            "kept", squared_cosine(config.sampling_steps), persistent=False
+        )
 
     @property
     def normalizer(self) -> Normalizer:
@@ -63,7 +65,9 @@ class DiffusionPolicy(Student):
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
         target = self.targets(batch)
         noise = normal(target.shape, random, target)
-        step = torch.randint(0, len(self.kept), (len(target),), generator=random).to(target.device)
+        step = torch.randint(0, len(self.kept), (len(target),), generator=random).to(
+            target.device
+        )
         kept = self.kept[step][:, None, None]
         noisy = kept.sqrt() * target + (1.0 - kept).sqrt() * noise
         return self.error(
@@ -74,10 +78,14 @@ class DiffusionPolicy(Student):
         seen = self.see(vector, images)
         point = noise[:, 0]
         for step in reversed(range(len(self.kept))):
-            predicted = self.unet(point, torch.full((len(noise),), step, device=noise.device), seen)
+            predicted = self.unet(
+                point, torch.full((len(noise),), step, device=noise.device), seen
+            )
             kept = self.kept[step]
             before = self.kept[step - 1] if step else torch.ones_like(kept)
-            clean = ((point - (1.0 - kept).sqrt() * predicted) / kept.sqrt()).clamp(-1.0, 1.0)
+            clean = ((point - (1.0 - kept).sqrt() * predicted) / kept.sqrt()).clamp(
+                -1.0, 1.0
+            )
             fade = kept / before
             mean = before.sqrt() * (1.0 - fade) / (1.0 - kept) * clean
             mean = mean + fade.sqrt() * (1.0 - before) / (1.0 - kept) * point
@@ -94,7 +102,10 @@ def squared_cosine(steps: int) -> Tensor:
     def level(t: float) -> float:
         return math.cos((t + COSINE_OFFSET) / (1.0 + COSINE_OFFSET) * math.pi / 2.0) ** 2
 
-    betas = [min(1.0 - level((k + 1) / steps) / level(k / steps), MOST_BETA) for k in range(steps)]
+    betas = [
+        min(1.0 - level((k + 1) / steps) / level(k / steps), MOST_BETA)
+        for k in range(steps)
+    ]
     return torch.cumprod(1.0 - torch.tensor(betas), dim=0)
 
 
@@ -133,7 +144,8 @@ class UNet(nn.Module):
         super().__init__()
         half = STEP_FEATURES // 2
         self.register_buffer(
-            "frequencies", torch.exp(-math.log(10_000.0) * torch.arange(half) / (half - 1))
+            "frequencies",
+            torch.exp(-math.log(10_000.0) * torch.arange(half) / (half - 1)),
         )
         self.clock = nn.Sequential(
             nn.Linear(STEP_FEATURES, 4 * STEP_FEATURES),
@@ -164,7 +176,9 @@ class UNet(nn.Module):
                 grow,
             ]
             self.up.append(nn.ModuleList(blocks))
-        self.out = nn.Sequential(ConvBlock(levels[0], levels[0]), nn.Conv1d(levels[0], actions, 1))
+        self.out = nn.Sequential(
+            ConvBlock(levels[0], levels[0]), nn.Conv1d(levels[0], actions, 1)
+        )
 
     def forward(self, chunk: Tensor, step: Tensor, seen: Tensor) -> Tensor:
         angles = step[:, None] * self.frequencies

@@ -26,10 +26,15 @@ class FlowMatching(Student):
         width = config.network.hidden
         numbers = config.chunk * len(layout.actions)
         self.velocity = nn.Sequential(
-            mlp([self.trunk.width + numbers + 2 * TIME_FREQUENCIES, width, width], norm=True),
+            mlp(
+                [self.trunk.width + numbers + 2 * TIME_FREQUENCIES, width, width],
+                norm=True,
+            ),
             nn.Linear(width, numbers),
         )
-        self.register_buffer("frequencies", torch.pi * 2.0 ** torch.arange(TIME_FREQUENCIES) / 8.0)
+        self.register_buffer(
+            "frequencies", torch.pi * 2.0 ** torch.arange(TIME_FREQUENCIES) / 8.0
+        )
 
     @property
     def normalizer(self) -> Normalizer:

@@ -74,7 +74,9 @@ class SquashedGaussian(Student):
 
     def loss(self, batch: Batch, random: torch.Generator) -> Tensor:
         wanted = batch.actions[:, :1].clamp(-LARGEST_ACTION, LARGEST_ACTION)
-        return self.error(self.chunk(batch.vector, batch.images, wanted), _first(batch), wanted)
+        return self.error(
+            self.chunk(batch.vector, batch.images, wanted), _first(batch), wanted
+        )
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         mean, _ = self.distribution(self.features(vector, images))
@@ -105,7 +107,9 @@ def gaussian_of(student: BehaviourCloning) -> ActionGaussian:
             "an actor of sac and rlpd cannot begin from a student of preset paper: its network has other layers. Train "
             "one of preset small, quick or state, or use mjhab train ppo --start."
         )
-    config = dataclasses.replace(student.config, algorithm=GAUSSIAN_ACTIONS, chunk=1, execute=1)
+    config = dataclasses.replace(
+        student.config, algorithm=GAUSSIAN_ACTIONS, chunk=1, execute=1
+    )
     made = ActionGaussian(config, student.layout)
     made.trunk.load_state_dict(student.trunk.state_dict())
     count = len(student.layout.actions)

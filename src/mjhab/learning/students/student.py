@@ -85,7 +85,9 @@ class Student(nn.Module):
         return (errors * weight).sum() / (weight.sum() * errors.shape[-1])
 
     @torch.no_grad()
-    def act(self, vector: np.ndarray, images: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    def act(
+        self, vector: np.ndarray, images: np.ndarray, noise: np.ndarray
+    ) -> np.ndarray:
         """Chunks of actions (B, chunk, A) float32 in [-1, 1]."""
         chunk = self.chunk(
             torch.from_numpy(vector), torch.from_numpy(images), torch.from_numpy(noise)

@@ -78,13 +78,26 @@ def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
             for y in range(height):
                 for x in range(width):
                     inverse[y, x] = 0.0
-            draw(scenery.geometry, placing, home, 0, bodies, lens, cull, inverse, ids, poses)
+            draw(
+                scenery.geometry,
+                placing,
+                home,
+                0,
+                bodies,
+                lens,
+                cull,
+                inverse,
+                ids,
+                poses,
+            )
             if views.depth.shape[1] > 0:
                 read_depth(inverse, views.depth[world, camera])
             if views.seg.shape[1] > 0:
                 read_segments(inverse, ids, scenery.seg, views.seg[world, camera])
             if views.rgb.shape[1] > 0:
-                ambient_occlusion(inverse, cell, lens.focal, room.raw, room.share, room.depths)
+                ambient_occlusion(
+                    inverse, cell, lens.focal, room.raw, room.share, room.depths
+                )
                 openness = Openness(room.share, room.depths, 1.0 / cell)
                 shade(
                     scenery.surface,

@@ -19,7 +19,9 @@ SMALL = 2
 
 
 @inline
-def _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom):
+def _fill_small(
+    inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom
+):
     """Fill a triangle (corners in the order of positive area) by testing every pixel of its bounding rectangle."""
     for row in range(top, bottom + 1):
         y = row + 0.5
@@ -51,7 +53,9 @@ def _bound(xa, ya, xb, yb, y):
 
 
 @inline
-def _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom):
+def _fill_rows(
+    inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom
+):
     """Fill a triangle (corners in the order of positive area) row by row within the bounding rectangle."""
     y = top + 0.5
     a, da, side_a = _bound(x0, y0, x1, y1, y)
@@ -149,9 +153,28 @@ def fill(inverse, ids, tag, x0, y0, w0, x1, y1, w1, x2, y2, w2, keep):
     if area < 0.0:
         x1, y1, x2, y2 = x2, y2, x1, y1
     if (right - left + 1) * (bottom - top + 1) <= SMALL:
-        _fill_small(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom)
+        _fill_small(
+            inverse,
+            ids,
+            tag,
+            x0,
+            y0,
+            x1,
+            y1,
+            x2,
+            y2,
+            w0,
+            gx,
+            gy,
+            left,
+            right,
+            top,
+            bottom,
+        )
         return
-    _fill_rows(inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom)
+    _fill_rows(
+        inverse, ids, tag, x0, y0, x1, y1, x2, y2, w0, gx, gy, left, right, top, bottom
+    )
 
 
 @inline

@@ -19,7 +19,9 @@ def draw(geometry, placing, home, which, bodies, lens, cull, inverse, ids, scrat
     ``cull``: drop back faces. ``drawn`` of the scratch gets the level of detail of every instance.
     """
     height, width = inverse.shape
-    count = find_in_sight(geometry, placing, home, which, bodies, lens, width, height, scratch)
+    count = find_in_sight(
+        geometry, placing, home, which, bodies, lens, width, height, scratch
+    )
     sort_by_depth(count, scratch)
     for n in range(count):
         k = scratch.order[n]

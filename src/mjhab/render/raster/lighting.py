@@ -163,7 +163,9 @@ def light_nodes(lamps, home, nodes, count):
             hx = lx + nodes[n + VX]
             hy = ly + nodes[n + VY]
             hz = lz + nodes[n + VZ]
-            h = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + _TINY)
+            h = (nx * hx + ny * hy + nz * hz) / np.sqrt(
+                hx * hx + hy * hy + hz * hz + _TINY
+            )
             # Smaller cosines give no visible highlight, and their powers are denormal numbers, which are slow.
             h2 = max(h * h, _FAINT)
             h4 = h2 * h2
@@ -185,7 +187,9 @@ def light_nodes(lamps, home, nodes, count):
         away = one - facing
         away = away * away
         rim = nodes[n + GLOSS] * np.float32(0.25) * away * away * share
-        side = share * (one + np.float32(0.10) * nodes[n + NX] + np.float32(0.05) * nodes[n + NY])
+        side = share * (
+            one + np.float32(0.10) * nodes[n + NX] + np.float32(0.05) * nodes[n + NY]
+        )
         up = (half + half * nz) * side
         down = (half - half * nz) * side
         head = _HEAD * facing

@@ -31,7 +31,8 @@ def _distance(geometry, mesh, scratch, i, lens):
     for axis in range(3):
         scale = scratch.scale[i, axis]
         off = abs(
-            _camera_in_mesh(scratch, i, lens, axis) - geometry.mesh_middle[mesh, axis] * scale
+            _camera_in_mesh(scratch, i, lens, axis)
+            - geometry.mesh_middle[mesh, axis] * scale
         )
         out = max(off - abs(geometry.mesh_half[mesh, axis] * scale), 0.0)
         total += out * out
@@ -76,7 +77,8 @@ def _find_front(geometry, i, mesh, lens, scratch):
     for k in range(count):
         at = start + k
         inside[k] = (
-            planes[0, at] * x + planes[1, at] * y + planes[2, at] * z + planes[3, at] > least
+            planes[0, at] * x + planes[1, at] * y + planes[2, at] * z + planes[3, at]
+            > least
         )
     found = np.uint64(0)
     for k in range(count):
@@ -159,7 +161,17 @@ def draw_mesh(geometry, i, mesh, k, lens, cull, inverse, ids, scratch):
                 continue
             if behind > 0:
                 fill_clipped(
-                    inverse, ids, tag, points, scratch.polygon, a, b, c, lens.focal, near, keep
+                    inverse,
+                    ids,
+                    tag,
+                    points,
+                    scratch.polygon,
+                    a,
+                    b,
+                    c,
+                    lens.focal,
+                    near,
+                    keep,
                 )
                 continue
         fill(

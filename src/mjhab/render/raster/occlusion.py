@@ -21,7 +21,10 @@ def _disk() -> np.ndarray:
     k = np.arange(TAPS)
     bayer = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])
     angle = k[None] * 2.39996 + bayer[:, None] * (2.0 * np.pi / TURNS)
-    reach = np.sqrt((k + 0.5) / TAPS)[None] * (0.7 + 0.3 * ((bayer * 7 % TURNS) / TURNS))[:, None]
+    reach = (
+        np.sqrt((k + 0.5) / TAPS)[None]
+        * (0.7 + 0.3 * ((bayer * 7 % TURNS) / TURNS))[:, None]
+    )
     return np.stack([reach * np.cos(angle), reach * np.sin(angle)], -1)
 
 
@@ -72,7 +75,13 @@ def _blocked(inverse, y, x, focal, turn):
     for k in range(TAPS):
         col = int(x + 0.5 + reach * DISK[turn, k, 0])
         row = int(y + 0.5 + reach * DISK[turn, k, 1])
-        if col < 0 or row < 0 or col >= width or row >= height or inverse[row, col] <= 0.0:
+        if (
+            col < 0
+            or row < 0
+            or col >= width
+            or row >= height
+            or inverse[row, col] <= 0.0
+        ):
             continue
         qz = 1.0 / inverse[row, col]
         dx = (col + 0.5 - cx) / focal * qz - px

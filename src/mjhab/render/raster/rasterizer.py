@@ -49,7 +49,9 @@ CHUNKS_PER_THREAD = 4
 """Number of portions of worlds per thread; several, so that threads finish at about the same time."""
 
 
-def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
+def look_at(
+    eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)
+) -> np.ndarray:
     """Compute the orientation of a camera at ``eye`` that looks at ``target``, in MuJoCo's convention.
 
     Args:
@@ -64,7 +66,9 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     """
     back = np.asarray(eye, float) - np.asarray(target, float)
     if np.linalg.norm(back) < 1e-9:
-        raise UsageError("look_at: eye and target are the same point; give two different points.")
+        raise UsageError(
+            "look_at: eye and target are the same point; give two different points."
+        )
     back /= np.linalg.norm(back)
     right = np.cross(np.asarray(up, float), back)
     if np.linalg.norm(right) < 1e-6:
@@ -132,7 +136,9 @@ class Rasterizer:
         self._shadows: OrderedDict[tuple[int, int], np.ndarray] = OrderedDict()
         self.num_threads = num_threads or os.cpu_count() or 1
         self._pool = (
-            ThreadPoolExecutor(self.num_threads, "raster") if self.num_threads > 1 else None
+            ThreadPoolExecutor(self.num_threads, "raster")
+            if self.num_threads > 1
+            else None
         )
 
     def close(self) -> None:
@@ -198,7 +204,8 @@ class Rasterizer:
             self._each(lambda job: self._draw(views, *job, picture), jobs)
         else:
             self._each(
-                lambda job: self._draw_fast(views, *job, height, width), self._portions(len(home))
+                lambda job: self._draw_fast(views, *job, height, width),
+                self._portions(len(home)),
             )
         return {name: getattr(views, name) for name in outputs}
 
@@ -206,13 +213,19 @@ class Rasterizer:
         size = max(1, worlds // (CHUNKS_PER_THREAD * self.num_threads))
         return [(first, min(first + size, worlds)) for first in range(0, worlds, size)]
 
-    def _each(self, work: Callable[[tuple[int, int]], None], jobs: list[tuple[int, int]]) -> None:
+    def _each(
+        self, work: Callable[[tuple[int, int]], None], jobs: list[tuple[int, int]]
+    ) -> None:
         for _ in (
-            map(work, jobs) if self._pool is None or len(jobs) == 1 else self._pool.map(work, jobs)
+            map(work, jobs)
+            if self._pool is None or len(jobs) == 1
+            else self._pool.map(work, jobs)
         ):
             pass
 
-    def _draw_fast(self, views: Views, first: int, last: int, height: int, width: int) -> None:
+    def _draw_fast(
+        self, views: Views, first: int, last: int, height: int, width: int
+    ) -> None:
         """Render all cameras of the worlds ``first`` to ``last - 1``."""
         room = self._room(height, width, FAST_CELL)
         draw_worlds(
@@ -230,14 +243,18 @@ class Rasterizer:
     def _check(self, home: np.ndarray, bodies: int, width: int, height: int) -> None:
         homes = len(self.scene.home_pos)
         if len(home) and (home.min() < 0 or home.max() >= homes):
-            raise UsageError(f"home must be in 0..{homes - 1}; got {home.min()}..{home.max()}.")
+            raise UsageError(
+                f"home must be in 0..{homes - 1}; got {home.min()}..{home.max()}."
+            )
         needed = int(self.scene.instance_body.max(initial=0)) + 1
         if bodies < needed:
             raise UsageError(
                 f"body_pos must have at least {needed} bodies (the scene names body {needed - 1})."
             )
         if width < 1 or height < 1:
-            raise UsageError(f"width and height must be positive; got {width} x {height}.")
+            raise UsageError(
+                f"width and height must be positive; got {width} x {height}."
+            )
 
     def _draw(self, views: Views, w: int, c: int, picture: _Picture) -> None:
         """Render camera ``c`` of world ``w``."""
@@ -318,7 +335,9 @@ class Rasterizer:
         lamps = s.lamps
         stride = FAST_STRIDE * picture.samples
         openness = Openness(room.share, room.depths, 1.0 / cell)
-        ambient_occlusion(room.inverse, cell, lens.focal, room.raw, room.share, room.depths)
+        ambient_occlusion(
+            room.inverse, cell, lens.focal, room.raw, room.share, room.depths
+        )
         if picture.shadows:
             drawn = room.draw.drawn.copy()
             lamps = lamps._replace(shadow=self._lamp_maps(shot, room))
@@ -393,11 +412,15 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     return view
 
 
-def _images(shape: tuple[int, int, int, int], outputs: Sequence[str]) -> dict[str, np.ndarray]:
+def _images(
+    shape: tuple[int, int, int, int], outputs: Sequence[str]
+) -> dict[str, np.ndarray]:
     """Uninitialised images of ``shape`` (W, C, h, w) by output; with C 0 for outputs not requested."""
     worlds, cameras, height, width = shape
     kinds = {"rgb": (np.uint8, (3,)), "depth": (np.float32, ()), "seg": (np.int32, ())}
     return {
-        name: np.empty((worlds, cameras if name in outputs else 0, height, width, *tail), kind)
+        name: np.empty(
+            (worlds, cameras if name in outputs else 0, height, width, *tail), kind
+        )
         for name, (kind, tail) in kinds.items()
     }

@@ -64,7 +64,9 @@ def _placing(scene: RenderScene, geometry: Geometry) -> Placing:
     there = (scene.home_scale != 0.0).all(axis=2)
     still = there & (scene.instance_body == 0) & (scene.home_pos[:, :, 2] > PARKED_BELOW)
     moving = there & (scene.instance_body != 0)
-    rows = [np.flatnonzero(part) for pair in zip(still, moving, strict=True) for part in pair]
+    rows = [
+        np.flatnonzero(part) for pair in zip(still, moving, strict=True) for part in pair
+    ]
     ends = np.cumsum([0, *map(len, rows)])
     present = np.concatenate(rows).astype(np.int32)
     home = np.repeat(np.arange(len(there)), np.diff(ends[::2]))
@@ -72,7 +74,9 @@ def _placing(scene: RenderScene, geometry: Geometry) -> Placing:
     scale = scene.home_scale[home, present]
     world = scene.instance_body[present, None] == 0
     pos = np.where(world, scene.home_pos[home, present], scene.instance_pos[present])
-    mat = np.where(world[..., None], scene.home_mat[home, present], scene.instance_mat[present])
+    mat = np.where(
+        world[..., None], scene.home_mat[home, present], scene.instance_mat[present]
+    )
     center = pos + np.einsum("prc,pc->pr", mat, scale * ball[:, :3])
     radius = ball[:, 3] * np.abs(scale).max(axis=1)
     return Placing(
@@ -86,7 +90,9 @@ def _placing(scene: RenderScene, geometry: Geometry) -> Placing:
         present,
         ends[::2],
         ends[1::2],
-        np.ascontiguousarray(np.concatenate([center, radius[:, None]], axis=1).T, np.float32),
+        np.ascontiguousarray(
+            np.concatenate([center, radius[:, None]], axis=1).T, np.float32
+        ),
     )
 
 
@@ -140,7 +146,9 @@ def _planes(scene: RenderScene) -> np.ndarray:
     normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     offset = -np.einsum("fk,fk->f", normal, a)
-    return np.ascontiguousarray(np.concatenate([normal, offset[:, None]], axis=1).T, np.float32)
+    return np.ascontiguousarray(
+        np.concatenate([normal, offset[:, None]], axis=1).T, np.float32
+    )
 
 
 def _box_sides(
@@ -162,14 +170,23 @@ def _box_sides(
     size = np.take_along_axis(normal, axis[:, None], 1)[:, 0]
     number = 2 * axis + (size > 0.0)
     # Each triangle has half the area of its side; ``apart`` tells below whether the two overlap.
-    if (np.bincount(number, minlength=6) != 2).any() or np.abs(np.abs(size) - 4.0).max() > 1e-4:
+    if (np.bincount(number, minlength=6) != 2).any() or np.abs(
+        np.abs(size) - 4.0
+    ).max() > 1e-4:
         return none
     order = np.argsort(number, kind="stable").reshape(6, 2)
     at = np.take_along_axis(corners.mean(axis=1), axis[:, None], 1)[:, 0]
     outward = (at * size > 0.0).all()
-    apart = np.abs(corners[order[:, 0]].mean(1) + corners[order[:, 1]].mean(1)).max(axis=1)
+    apart = np.abs(corners[order[:, 0]].mean(1) + corners[order[:, 1]].mean(1)).max(
+        axis=1
+    )
     looks = [scene.face_material, scene.face_normal, scene.face_uv, scene.face_density]
     alike = all(
-        np.allclose(look[rows][order[:, 0]], look[rows][order[:, 1]], atol=1e-5) for look in looks
+        np.allclose(look[rows][order[:, 0]], look[rows][order[:, 1]], atol=1e-5)
+        for look in looks
     )
-    return order[:, 0].astype(np.int32) if outward and alike and np.allclose(apart, 2.0) else none
+    return (
+        order[:, 0].astype(np.int32)
+        if outward and alike and np.allclose(apart, 2.0)
+        else none
+    )

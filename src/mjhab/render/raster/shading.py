@@ -100,7 +100,9 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
 
 
 @color_inline
-def _place_node(surface, poses, lens, openness, room, i, face, gloss, inverse, row, col, n):
+def _place_node(
+    surface, poses, lens, openness, room, i, face, gloss, inverse, row, col, n
+):
     """Write node ``n`` of the light: the point, the normal and so on of the pixel (row, col) on ``face``."""
     height, width = inverse.shape
     focal_inv = 1.0 / lens.focal
@@ -166,7 +168,9 @@ def _fill_plain(line, left, count, r, g, b, p, d):
 
 
 @color_inline
-def _place_runs(surface, poses, home, lens, openness, room, row, begin, end, inverse, ids, stride):
+def _place_runs(
+    surface, poses, home, lens, openness, room, row, begin, end, inverse, ids, stride
+):
     """Find the runs of the pixels ``begin`` to ``end - 1`` of a row, and place the nodes of their light.
 
     Pixels of the background get their colour at once.
@@ -184,7 +188,11 @@ def _place_runs(surface, poses, home, lens, openness, room, row, begin, end, inv
         seen = inverse[row, x] > 0.0
         tag = ids[row, x]
         x += 1
-        while x < end and (inverse[row, x] > 0.0) == seen and (ids[row, x] == tag or not seen):
+        while (
+            x < end
+            and (inverse[row, x] > 0.0) == seen
+            and (ids[row, x] == tag or not seen)
+        ):
             x += 1
         if not seen:
             for k in range(start, x):
@@ -214,7 +222,18 @@ def _place_runs(surface, poses, home, lens, openness, room, row, begin, end, inv
         last = at if short else x - 1
         while True:
             _place_node(
-                surface, poses, lens, openness, room, i, face, gloss, inverse, row, at, nodes
+                surface,
+                poses,
+                lens,
+                openness,
+                room,
+                i,
+                face,
+                gloss,
+                inverse,
+                row,
+                at,
+                nodes,
             )
             nodes += 1
             if at == last:
@@ -270,7 +289,9 @@ def _shade_run(surface, lens, room, run, row, inverse, ids, stride):
     s0, su, sc, t0, tu, tc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if not plain:
         w = float(inverse[row, at])
-        s0, su, sc, t0, tu, tc = texture_map(surface, f, i, face, m, (at - cx) * inv, v, w)
+        s0, su, sc, t0, tu, tc = texture_map(
+            surface, f, i, face, m, (at - cx) * inv, v, w
+        )
     left = start
     while left < stop:
         # The column of the next node.
@@ -298,7 +319,11 @@ def _shade_run(surface, lens, room, run, row, inverse, ids, stride):
                 u = (x - cx) * inv
                 t = float(x - left)
                 r, g, b = textured(
-                    surface, m, level, s0 + depth * (su * u + sc), t0 + depth * (tu * u + tc)
+                    surface,
+                    m,
+                    level,
+                    s0 + depth * (su * u + sc),
+                    t0 + depth * (tu * u + tc),
                 )
                 line[0, x] = r * (p[0] + t * d[0]) + p[3] + t * d[3]
                 line[1, x] = g * (p[1] + t * d[1]) + p[4] + t * d[4]
@@ -332,7 +357,9 @@ def _store(line, total, s, part, tone, rgb, row):
 
 
 @color_kernel
-def shade(surface, poses, lamps, home, lens, inverse, ids, openness, tone, room, stride, rgb):
+def shade(
+    surface, poses, lamps, home, lens, inverse, ids, openness, tone, room, stride, rgb
+):
     """Shade an image into ``rgb`` (h, w, 3) uint8 sRGB from the z-buffer, averaging s x s samples in linear light.
 
     Args:
@@ -354,7 +381,18 @@ def shade(surface, poses, lamps, home, lens, inverse, ids, openness, tone, room,
             # A stretch of a row has at most one node per pixel.
             end = min(begin + MOST_NODES, columns)
             runs, nodes = _place_runs(
-                surface, poses, home, lens, openness, room, row, begin, end, inverse, ids, stride
+                surface,
+                poses,
+                home,
+                lens,
+                openness,
+                room,
+                row,
+                begin,
+                end,
+                inverse,
+                ids,
+                stride,
             )
             light_nodes(lamps, home, room.nodes, nodes)
             for run in range(runs):

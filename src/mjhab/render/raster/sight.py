@@ -17,7 +17,9 @@ RECT_SLACK = 1e-6
 """Pixels whose centres are at most this far outside a rectangle [px] count as inside."""
 BUCKETS_PER_M = 12.0
 """Buckets of the front-to-back order per metre of depth [1/m]."""
-SIGNS = np.array([[-1.0 if k >> axis & 1 == 0 else 1.0 for k in range(8)] for axis in range(3)])
+SIGNS = np.array(
+    [[-1.0 if k >> axis & 1 == 0 else 1.0 for k in range(8)] for axis in range(3)]
+)
 """(3, 8): corner k of a box lies on the positive side of axis a if bit a of k is set."""
 
 
@@ -40,7 +42,9 @@ def place_balls(placing, home, bodies, scratch):
         mat = bodies.mat
         n = k - start
         for r in range(3):
-            ball[r, n] = bodies.pos[b, r] + mat[b, r, 0] * x + mat[b, r, 1] * y + mat[b, r, 2] * z
+            ball[r, n] = (
+                bodies.pos[b, r] + mat[b, r, 0] * x + mat[b, r, 1] * y + mat[b, r, 2] * z
+            )
         ball[3, n] = placing.ball[3, k] if ball[2, n] >= PARKED_BELOW else -np.inf
 
 
@@ -71,7 +75,9 @@ def _place(placing, home, i, bodies, scratch):
         )
         for c in range(3):
             rot[i, r, c] = (
-                m0 * placing.mat[i, 0, c] + m1 * placing.mat[i, 1, c] + m2 * placing.mat[i, 2, c]
+                m0 * placing.mat[i, 0, c]
+                + m1 * placing.mat[i, 1, c]
+                + m2 * placing.mat[i, 2, c]
             )
 
 
@@ -130,9 +136,9 @@ def _to_view(scratch, i, k, lens):
         m1 = sign * lens.mat[1, r]
         m2 = sign * lens.mat[2, r]
         for c in range(3):
-            view[k, r, c] = (m0 * rot[i, 0, c] + m1 * rot[i, 1, c] + m2 * rot[i, 2, c]) * scale[
-                i, c
-            ]
+            view[k, r, c] = (
+                m0 * rot[i, 0, c] + m1 * rot[i, 1, c] + m2 * rot[i, 2, c]
+            ) * scale[i, c]
         view[k, r, 3] = m0 * d0 + m1 * d1 + m2 * d2
 
 
@@ -266,7 +272,9 @@ def find_in_sight(geometry, placing, home, which, bodies, lens, width, height, s
         _place(placing, home, i, bodies, scratch)
         _to_view(scratch, i, count, lens)
         chosen[count] = i
-        count += _box_in_sight(geometry, placing.mesh[i], count, lens, width, height, scratch)
+        count += _box_in_sight(
+            geometry, placing.mesh[i], count, lens, width, height, scratch
+        )
     return count
 
 

@@ -127,4 +127,6 @@ def texture_level(surface, m, face, f, i, pixel):
     if surface.pattern[m]:
         return copy_for(pixel * max(wide / surface.size[m, 0], high / surface.size[m, 1]))
     grow = max(abs(f[i, 12]), abs(f[i, 13]), abs(f[i, 14]))
-    return copy_for(pixel * surface.face_density[face] * grow * np.sqrt(float(wide * high)))
+    return copy_for(
+        pixel * surface.face_density[face] * grow * np.sqrt(float(wide * high))
+    )

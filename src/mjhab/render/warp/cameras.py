@@ -143,7 +143,8 @@ class WarpCameras:
         self._mount_mat = wp.array(mats.astype(np.float32), dtype=wp.mat33)
         fovy = np.array([mount.fovy for mount in mounts])
         self._focal = wp.array(
-            (0.5 * self._size[0] / np.tan(0.5 * fovy)).astype(np.float32), dtype=wp.float32
+            (0.5 * self._size[0] / np.tan(0.5 * fovy)).astype(np.float32),
+            dtype=wp.float32,
         )
 
     def _make_worlds(self) -> Any:
@@ -177,8 +178,14 @@ class WarpCameras:
         frame.near = NEAR
         shape = (self._chunk, len(self._cameras), self._tiles)
         frame.listed = wp.zeros(shape, dtype=wp.int32)
-        frame.movers = wp.zeros((*shape, max(1, len(self._scene.movers.body))), dtype=wp.int16)
-        colored = (self._chunk, len(self._cameras) if "rgb" in self._outputs else 0, height * width)
+        frame.movers = wp.zeros(
+            (*shape, max(1, len(self._scene.movers.body))), dtype=wp.int16
+        )
+        colored = (
+            self._chunk,
+            len(self._cameras) if "rgb" in self._outputs else 0,
+            height * width,
+        )
         frame.inverse = wp.zeros(colored, dtype=wp.float32)
         frame.ids = wp.zeros(colored, dtype=wp.int32)
         return frame
@@ -194,7 +201,9 @@ class WarpCameras:
             len(self._cameras) if "rgb" in self._outputs else 0,
             cells.width * cells.height,
         )
-        cells.raw, cells.share, cells.depths = (wp.zeros(shape, dtype=wp.float32) for _ in range(3))
+        cells.raw, cells.share, cells.depths = (
+            wp.zeros(shape, dtype=wp.float32) for _ in range(3)
+        )
         return cells
 
     def _make_images(self) -> dict[str, wp.array]:
@@ -275,7 +284,9 @@ class WarpCameras:
             return
         spots = (*shape, cells.width * cells.height)
         wp.launch(
-            warp_occlusion.block_cells, dim=spots, inputs=[scene.looks, worlds, frame, cells, first]
+            warp_occlusion.block_cells,
+            dim=spots,
+            inputs=[scene.looks, worlds, frame, cells, first],
         )
         wp.launch(warp_occlusion.blur_cells, dim=spots, inputs=[worlds, cells, first])
         wp.launch(
@@ -287,11 +298,19 @@ class WarpCameras:
 
 
 def _check(
-    mounted: Sequence[str], cameras: Sequence[str], size: tuple[int, int], outputs: Sequence[str]
+    mounted: Sequence[str],
+    cameras: Sequence[str],
+    size: tuple[int, int],
+    outputs: Sequence[str],
 ) -> None:
-    for kind, given, known in (("camera", cameras, mounted), ("output", outputs, OUTPUTS)):
+    for kind, given, known in (
+        ("camera", cameras, mounted),
+        ("output", outputs, OUTPUTS),
+    ):
         if not given:
-            raise UsageError(f"WarpCameras: no {kind} given; known are {', '.join(known)}.")
+            raise UsageError(
+                f"WarpCameras: no {kind} given; known are {', '.join(known)}."
+            )
         for name in given:
             if name not in known:
                 raise unknown_name(kind, name, known)

@@ -96,13 +96,19 @@ def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first:
             continue
         qz = 1.0 / other
         d = (
-            wp.vec3((float(col) + 0.5 - cx) / focal * qz, (float(row) + 0.5 - cy) / focal * qz, qz)
+            wp.vec3(
+                (float(col) + 0.5 - cx) / focal * qz,
+                (float(row) + 0.5 - cy) / focal * qz,
+                qz,
+            )
             - p
         )
         square = wp.dot(d, d)
         if square < AO_RADIUS * AO_RADIUS:
             rise = wp.max(wp.dot(d, n) - 0.004 * z, 0.0)
-            total += rise / wp.sqrt(square + 1.0e-4) * (1.0 - square / (AO_RADIUS * AO_RADIUS))
+            total += (
+                rise / wp.sqrt(square + 1.0e-4) * (1.0 - square / (AO_RADIUS * AO_RADIUS))
+            )
     cells.raw[k, c, at] = total / float(AO_TAPS)
 
 
@@ -140,9 +146,14 @@ def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float
     for corner in range(4):
         r = corner // 2
         q = corner % 2
-        at = wp.min(i + r, cells.height - 1) * cells.width + wp.min(j + q, cells.width - 1)
+        at = wp.min(i + r, cells.height - 1) * cells.width + wp.min(
+            j + q, cells.width - 1
+        )
         w = wp.where(r == 1, fy, 1.0 - fy) * wp.where(q == 1, fx, 1.0 - fx) + 1.0e-3
-        w = w * (1.0e-4 + wp.max(0.0, 1.0 - 20.0 * wp.abs(cells.depths[k, c, at] * depth - 1.0)))
+        w = w * (
+            1.0e-4
+            + wp.max(0.0, 1.0 - 20.0 * wp.abs(cells.depths[k, c, at] * depth - 1.0))
+        )
         total += w * cells.share[k, c, at]
         weight += w
     return total / weight

@@ -25,7 +25,9 @@ _LEAF = 4
 """Faces per leaf of a home's bounding volume hierarchy."""
 
 
-def choose_levels(scene: RenderScene, detail: float = DETAIL, budget: int = BUDGET) -> np.ndarray:
+def choose_levels(
+    scene: RenderScene, detail: float = DETAIL, budget: int = BUDGET
+) -> np.ndarray:
     """Choose one level of detail per instance, for all distances.
 
     Args:
@@ -42,12 +44,16 @@ def choose_levels(scene: RenderScene, detail: float = DETAIL, budget: int = BUDG
     before = None
     while True:
         level = np.array(
-            [_level(scene, *pair, detail) for pair in zip(scene.instance_mesh, grow, strict=True)]
+            [
+                _level(scene, *pair, detail)
+                for pair in zip(scene.instance_mesh, grow, strict=True)
+            ]
         )
         faces = scene.mesh_face_count[level]
         fits = (
             max(
-                (there[:, ~moving] * faces[~moving]).sum(axis=1).max(initial=0), faces[moving].sum()
+                (there[:, ~moving] * faces[~moving]).sum(axis=1).max(initial=0),
+                faces[moving].sum(),
             )
             <= budget
         )
@@ -100,7 +106,9 @@ class DeviceScene:
 
     def _faces(self, instance: int) -> slice:
         start = int(self.scene.mesh_face_start[self._level[instance]])
-        return slice(start, start + int(self.scene.mesh_face_count[self._level[instance]]))
+        return slice(
+            start, start + int(self.scene.mesh_face_count[self._level[instance]])
+        )
 
     def _make_looks(self) -> Any:
         scene = self.scene
@@ -170,7 +178,9 @@ class DeviceScene:
         movers.body = _ints(scene.instance_body[which])
         movers.pos = _rows(scene.instance_pos[which], wp.vec3)
         movers.mat = _rows(scene.instance_mat[which], wp.mat33)
-        ids = np.array([self._meshes[f"mesh {mesh}"].id for mesh in level.tolist()], np.uint64)
+        ids = np.array(
+            [self._meshes[f"mesh {mesh}"].id for mesh in level.tolist()], np.uint64
+        )
         movers.mesh = wp.array(ids, dtype=wp.uint64)
         movers.first_face = _ints(scene.mesh_face_start[level])
         movers.ball = _rows(
@@ -223,7 +233,10 @@ class DeviceScene:
 
 def _mesh(points: np.ndarray, index: np.ndarray) -> wp.Mesh:
     return wp.Mesh(
-        _rows(points, wp.vec3), _ints(index.reshape(-1)), bvh_constructor="sah", bvh_leaf_size=_LEAF
+        _rows(points, wp.vec3),
+        _ints(index.reshape(-1)),
+        bvh_constructor="sah",
+        bvh_leaf_size=_LEAF,
     )
 
 

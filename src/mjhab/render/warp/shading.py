@@ -79,7 +79,11 @@ def _light(
             continue
         inv = 1.0 / wp.sqrt(square + 1.0e-9)
         power = (
-            LAMP_GAIN * facing * inv * (1.0 - square * square * FADE) / (0.35 + FALLOFF * square)
+            LAMP_GAIN
+            * facing
+            * inv
+            * (1.0 - square * square * FADE)
+            / (0.35 + FALLOFF * square)
         )
         diffuse += color * power
         if gloss > DULL:
@@ -116,7 +120,9 @@ class Shown:
 
 
 @wp.func
-def _shown(stills: Stills, movers: Movers, worlds: Worlds, world: int, home: int, tag: int):
+def _shown(
+    stills: Stills, movers: Movers, worlds: Worlds, world: int, home: int, tag: int
+):
     """The face that an entry of ``Frame.ids`` stands for."""
     shown = Shown()
     if tag >= 0:
@@ -180,12 +186,16 @@ def _facing(looks: Looks, shown: Shown, eye: wp.vec3, ray: wp.vec3, depth: float
 
 
 @wp.func
-def _surface(looks: Looks, home: int, shown: Shown, at: Facing, focal: float, open_share: float):
+def _surface(
+    looks: Looks, home: int, shown: Shown, at: Facing, focal: float, open_share: float
+):
     """Linear rgb of a lit surface point seen by a camera with the focal length ``focal`` [px]."""
     m = looks.instance_material[home, shown.instance]
     if m < 0:
         m = looks.face_material[shown.face]
-    light, shine = _light(looks, home, at.point, at.normal, at.to_eye, looks.gloss[m], open_share)
+    light, shine = _light(
+        looks, home, at.point, at.normal, at.to_eye, looks.gloss[m], open_share
+    )
     color = looks.color[m]
     if looks.texture[m] >= 0:
         size = at.depth / (focal * wp.sqrt(wp.max(at.cosine, 0.05)))

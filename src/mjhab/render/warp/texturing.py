@@ -92,7 +92,9 @@ def pattern_color(
     second = wp.where(longer, high, low)
     size = looks.size[m]
     texture = looks.texture[m]
-    texels = wp.vec2(float(1 << looks.bits[texture, 0]), float(1 << looks.bits[texture, 1]))
+    texels = wp.vec2(
+        float(1 << looks.bits[texture, 0]), float(1 << looks.bits[texture, 1])
+    )
     level = _copy_for(pixel * wp.max(texels[0] / size[0], texels[1] / size[1]))
     # Every instance has another offset in the pattern.
     s = q[first] / size[0] + 0.37 * float(i)

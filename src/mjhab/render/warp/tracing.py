@@ -127,7 +127,10 @@ def pixel_slopes(frame: Frame, c: int, pixel: int):
     """Slopes (right, up) of the ray through the centre of a pixel (row * width + column) of camera ``c``."""
     x = float(pixel % frame.width) + 0.5
     y = float(pixel // frame.width) + 0.5
-    return wp.vec2(x - 0.5 * float(frame.width), 0.5 * float(frame.height) - y) / frame.focal[c]
+    return (
+        wp.vec2(x - 0.5 * float(frame.width), 0.5 * float(frame.height) - y)
+        / frame.focal[c]
+    )
 
 
 @wp.func
@@ -147,7 +150,10 @@ def mover_of(movers: Movers, tag: int):
 
 @wp.kernel
 def find_homes(
-    row: wp.array[int], home_of_row: wp.array[int], body_pos: wp.array2d[wp.vec3], worlds: Worlds
+    row: wp.array[int],
+    home_of_row: wp.array[int],
+    body_pos: wp.array2d[wp.vec3],
+    worlds: Worlds,
 ):
     """Set the home of every world and whether its physics is sane (all body positions finite and near)."""
     world = wp.tid()
@@ -177,7 +183,10 @@ def place_cameras(
 
 @wp.kernel
 def place_movers(
-    movers: Movers, body_pos: wp.array2d[wp.vec3], body_mat: wp.array2d[wp.mat33], worlds: Worlds
+    movers: Movers,
+    body_pos: wp.array2d[wp.vec3],
+    body_mat: wp.array2d[wp.mat33],
+    worlds: Worlds,
 ):
     """Compute the world poses of the movers from those of their bodies."""
     world, d = wp.tid()
@@ -213,7 +222,9 @@ def list_movers(stills: Stills, movers: Movers, worlds: Worlds, frame: Frame, fi
         at = worlds.pos[world, d]
         if scale[0] * scale[1] * scale[2] == 0.0 or not at[2] > BURIED:
             continue
-        center = at + worlds.mat[world, d] * wp.cw_mul(scale, wp.vec3(ball[0], ball[1], ball[2]))
+        center = at + worlds.mat[world, d] * wp.cw_mul(
+            scale, wp.vec3(ball[0], ball[1], ball[2])
+        )
         radius = ball[3] * wp.max(wp.abs(scale))
         seen = axes * (center - eye)
         x = seen[0]
@@ -354,7 +365,9 @@ def trace(
                 continue
             turned = wp.transpose(rot)
             start = wp.cw_div(turned * (eye - worlds.pos[world, d]), scale)
-            nearer = _cast(movers.mesh[d], start, wp.cw_div(turned * ray, scale), frame.near, far)
+            nearer = _cast(
+                movers.mesh[d], start, wp.cw_div(turned * ray, scale), frame.near, far
+            )
             if nearer.depth > 0.0:
                 best = nearer.depth
                 tag = -1 - ((d << TAG_BITS) | nearer.face)

@@ -76,7 +76,9 @@ def make_controller(
     )
 
 
-def check_actions(actions: np.ndarray, table: Sequence[ActionEntry], num_worlds: int) -> np.ndarray:
+def check_actions(
+    actions: np.ndarray, table: Sequence[ActionEntry], num_worlds: int
+) -> np.ndarray:
     """Check actions and return them as float32 (W, A).
 
     Args:
@@ -89,7 +91,9 @@ def check_actions(actions: np.ndarray, table: Sequence[ActionEntry], num_worlds:
     """
     actions = np.asarray(actions)
     if actions.dtype.kind not in "fiu":
-        raise UsageError(f"actions must be numbers (float32), got an array of type {actions.dtype}")
+        raise UsageError(
+            f"actions must be numbers (float32), got an array of type {actions.dtype}"
+        )
     if actions.shape != (num_worlds, len(table)):
         raise UsageError(
             f"actions must have shape ({num_worlds}, {len(table)}), got {actions.shape}"

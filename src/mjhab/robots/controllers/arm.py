@@ -9,7 +9,12 @@ import numpy as np
 
 from mjhab.core.arrays import Array, as_like, between, namespace, to_numpy, zeros
 from mjhab.core.errors import UsageError
-from mjhab.robots.controllers.table import ActionEntry, absolute_rows, delta_rows, speed_rows
+from mjhab.robots.controllers.table import (
+    ActionEntry,
+    absolute_rows,
+    delta_rows,
+    speed_rows,
+)
 from mjhab.robots.parts import ActionLimits, Drives
 from mjhab.robots.robot import Robot
 
@@ -54,7 +59,9 @@ class Arm:
         self.drives = Drives()
         self.target = zeros((request.num_worlds, len(robot.arm_columns)), like)
         limits = [robot.joint_limits[j] for j in robot.arm_columns]
-        self.low, self.high = (as_like([pair[k] for pair in limits], like) for k in (0, 1))
+        self.low, self.high = (
+            as_like([pair[k] for pair in limits], like) for k in (0, 1)
+        )
 
     def still(self, q: Array) -> Array:
         """Return the action (W, len(rows)) in physical units that holds the arm at positions ``q`` (W, A) [rad]."""
@@ -66,7 +73,9 @@ class Arm:
 
     def get_state(self, world: int) -> dict[str, np.ndarray]:
         """Return the controller state of one world for `set_state`; {} if it has none."""
-        return {"arm_target": to_numpy(self.target[world]).copy()} if self.remembers else {}
+        return (
+            {"arm_target": to_numpy(self.target[world]).copy()} if self.remembers else {}
+        )
 
     def set_state(self, world: int, state: dict[str, np.ndarray]) -> None:
         """Restore the controller state of one world from `get_state`."""
@@ -127,7 +136,9 @@ class JointPosition(CommandedArm):
     """``pd_joint_pos``: absolute joint positions."""
 
     def __init__(self, request: ArmRequest) -> None:
-        super().__init__(request, absolute_rows(request.robot, request.robot.group("arm")))
+        super().__init__(
+            request, absolute_rows(request.robot, request.robot.group("arm"))
+        )
 
     def command(self, move: Array, q: Array) -> Array:
         return move
@@ -157,7 +168,9 @@ class JointPositionVelocity(CommandedArm):
             if delta
             else absolute_rows(robot, robot.group("arm"))
         )
-        super().__init__(request, first + speed_rows(robot, request.limits, normalized=delta))
+        super().__init__(
+            request, first + speed_rows(robot, request.limits, normalized=delta)
+        )
         self._delta = delta
         self._count = len(robot.arm_columns)
         # A speed added to a position command by this factor [s] acts as the speed target of the servo:

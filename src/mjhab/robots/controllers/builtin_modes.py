@@ -18,7 +18,9 @@ PD_JOINT_DELTA_POS = ControlMode("pd_joint_delta_pos", JointDelta)
 PD_JOINT_TARGET_DELTA_POS = ControlMode("pd_joint_target_delta_pos", JointTargetDelta)
 PD_JOINT_POS = ControlMode("pd_joint_pos", JointPosition)
 PD_JOINT_VEL = ControlMode("pd_joint_vel", JointVelocity)
-PD_JOINT_POS_VEL = ControlMode("pd_joint_pos_vel", partial(JointPositionVelocity, delta=False))
+PD_JOINT_POS_VEL = ControlMode(
+    "pd_joint_pos_vel", partial(JointPositionVelocity, delta=False)
+)
 PD_JOINT_DELTA_POS_VEL = ControlMode(
     "pd_joint_delta_pos_vel", partial(JointPositionVelocity, delta=True)
 )

@@ -80,7 +80,9 @@ class Controller:
         )
         self.dim = len(self.table)
         self.gripper = len(arm.rows)
-        self.low = np.array([-1.0 if row.normalized else row.low for row in self.table], np.float32)
+        self.low = np.array(
+            [-1.0 if row.normalized else row.low for row in self.table], np.float32
+        )
         self.high = np.array(
             [1.0 if row.normalized else row.high for row in self.table], np.float32
         )
@@ -108,7 +110,9 @@ class Controller:
         # All joints commanded as measured position + change are computed in one sum: by default arm, head and torso.
         sums = not isinstance(self._arm, CommandedArm)
         robot = self.robot
-        moved = dict(zip(robot.arm_columns, range(self.gripper), strict=True)) if sums else {}
+        moved = (
+            dict(zip(robot.arm_columns, range(self.gripper), strict=True)) if sums else {}
+        )
         if not self._stiff_body:
             moved |= dict(zip(robot.body_columns, range(start, self._base), strict=True))
         self._moved = as_like(list(moved), like, whole)
@@ -124,7 +128,9 @@ class Controller:
         self._low = as_like(self.low, like)
         self._high = as_like(self.high, like)
         free = as_like(
-            [column not in self._zeroed for column in range(self.dim)], like, namespace(like).bool
+            [column not in self._zeroed for column in range(self.dim)],
+            like,
+            namespace(like).bool,
         )
         self._free = free
         self._held_body = ~free[self._body]
@@ -144,7 +150,9 @@ class Controller:
         if self._zeroed:
             a = xp.where(self._free, a, 0.0)
         out = empty((len(a), len(self.robot.joints)), robot_q)
-        out[:, self._moved] = robot_q[:, self._moved] + self.limits.joint_delta * a[:, self._deltas]
+        out[:, self._moved] = (
+            robot_q[:, self._moved] + self.limits.joint_delta * a[:, self._deltas]
+        )
         if isinstance(self._arm, CommandedArm):
             arm_q = robot_q[:, self._arm_columns]
             out[:, self._arm_columns] = self._arm.command(
@@ -155,9 +163,9 @@ class Controller:
                 self._held_body, self._body_target, a[:, self._body]
             )
         low, high = self.limits.gripper
-        out[:, self._finger_columns] = low + 0.5 * (a[:, self.gripper : self.gripper + 1] + 1.0) * (
-            high - low
-        )
+        out[:, self._finger_columns] = low + 0.5 * (
+            a[:, self.gripper : self.gripper + 1] + 1.0
+        ) * (high - low)
         self._drive(out, a, robot_q[:, 2])
         return out
 
@@ -182,7 +190,9 @@ class Controller:
         xp = namespace(state.robot_q)
         q = state.robot_q
         actions = xp.zeros((len(q), self.dim), dtype=xp.float32, device=device_of(q))
-        actions[:, : self.gripper] = self._arm.still(q[:, self._arm_columns]) / self._arm_units
+        actions[:, : self.gripper] = (
+            self._arm.still(q[:, self._arm_columns]) / self._arm_units
+        )
         if self._stiff_body:
             actions[:, self._body] = q[:, self._body_columns]
         return actions
@@ -198,7 +208,9 @@ class Controller:
     def get_state(self, world: int) -> dict[str, np.ndarray]:
         """Return the controller state of one world for `set_state`; {} for modes without state."""
         body = (
-            {"body_target": to_numpy(self._body_target[world]).copy()} if self._stiff_body else {}
+            {"body_target": to_numpy(self._body_target[world]).copy()}
+            if self._stiff_body
+            else {}
         )
         return self._arm.get_state(world) | body
 

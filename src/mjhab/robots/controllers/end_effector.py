@@ -82,7 +82,8 @@ class EndEffector(CommandedArm):
         xp = namespace(move)
         length = xp.sqrt(xp.sum(move[:, 3:] ** 2, axis=1, keepdims=True))
         turn = mat_from_rotation_vector(
-            move[:, 3:] * (self._turn / xp.maximum(length, constant((self._turn,), length)))
+            move[:, 3:]
+            * (self._turn / xp.maximum(length, constant((self._turn,), length)))
         )
         if self._own_axes:
             return pos + (rot @ move[:, :3, None])[..., 0], rot @ turn
@@ -96,7 +97,9 @@ class EndEffector(CommandedArm):
             jac = self._chain.jacobian(q, frames)[:, :rows]
             error = pos - frames.pos[:, self._chain.tip_index]
             if self._rotates:
-                spin = rotation_vector(rot @ frames.rot[:, self._chain.tip_index].swapaxes(1, 2))
+                spin = rotation_vector(
+                    rot @ frames.rot[:, self._chain.tip_index].swapaxes(1, 2)
+                )
                 error = xp.concat([error, LEVER * spin], axis=1)
                 jac = jac * constant(_WEIGHTS, jac)[:, None]
             bounds = StepBounds(self.low - q, self.high - q, LARGEST_STEP)
@@ -116,7 +119,13 @@ def _rows(
         center, reach = _workspace(robot.arm_chain)
         places = [
             ActionEntry(
-                f"ee_{axis}", link, c - reach, c + reach, "m", f"{root}, absolute", normalized=False
+                f"ee_{axis}",
+                link,
+                c - reach,
+                c + reach,
+                "m",
+                f"{root}, absolute",
+                normalized=False,
             )
             for axis, c in zip(_AXES, center, strict=True)
         ]

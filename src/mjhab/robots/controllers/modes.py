@@ -76,7 +76,10 @@ class ControlMode:
 
 CONTROL_MODES: Registry[ControlMode] = Registry(
     "control mode",
-    {name: f"mjhab.robots.controllers.builtin_modes:{name.upper()}" for name in _BUILTIN_MODES},
+    {
+        name: f"mjhab.robots.controllers.builtin_modes:{name.upper()}"
+        for name in _BUILTIN_MODES
+    },
 )
 """All control modes, the built-in ones first."""
 

@@ -52,7 +52,8 @@ def delta_rows(
 ) -> tuple[ActionEntry, ...]:
     """Return the entries of joints for position changes of up to ``size`` [m or rad] per control step."""
     return tuple(
-        ActionEntry(joint, joint, -size, size, unit_of(robot, joint), frame) for joint in joints
+        ActionEntry(joint, joint, -size, size, unit_of(robot, joint), frame)
+        for joint in joints
     )
 
 
@@ -77,7 +78,9 @@ def speed_rows(
     """Return the entries of the arm joints for speeds [rad/s]."""
     size = limits.joint_speed
     return tuple(
-        ActionEntry(f"{name}_speed", name, -size, size, "rad/s", "joint", normalized=normalized)
+        ActionEntry(
+            f"{name}_speed", name, -size, size, "rad/s", "joint", normalized=normalized
+        )
         for name in robot.group("arm")
     )
 
@@ -85,10 +88,14 @@ def speed_rows(
 def gripper_row(robot: Robot, limits: ActionLimits) -> ActionEntry:
     """Return the gripper's entry: one position [m] for both fingers."""
     finger = robot.group("fingers")[-1]
-    return ActionEntry("gripper", finger, *limits.gripper, "m", "joint, absolute, both fingers")
+    return ActionEntry(
+        "gripper", finger, *limits.gripper, "m", "joint, absolute, both fingers"
+    )
 
 
-def base_rows(robot: Robot, limits: ActionLimits, holonomic: bool) -> tuple[ActionEntry, ...]:
+def base_rows(
+    robot: Robot, limits: ActionLimits, holonomic: bool
+) -> tuple[ActionEntry, ...]:
     """Return the entries of the base: speeds in the base frame at the start of the control step [m/s, rad/s]."""
     v = limits.forward
     w = limits.yaw_rate

@@ -45,10 +45,14 @@ INERTIALS: dict[str, Inertial] = {
         0.008336, (-0.0306, 0.0007, 0.0552), (1.02e-6, 0.0, 0.0, 5.1e-7, 0.0, 1.27e-6)
     ),
     "torso_fixed_link": _inertial(
-        13.2775, (-0.0722, 0.0057, 0.2656), (0.3861, 0.0015, -0.0102, 0.3388, 0.0117, 0.1018)
+        13.2775,
+        (-0.0722, 0.0057, 0.2656),
+        (0.3861, 0.0015, -0.0102, 0.3388, 0.0117, 0.1018),
     ),
     "torso_lift_link": _inertial(
-        10.7796, (-0.0013, -0.0009, 0.2935), (0.3354, 0.0, -0.0162, 0.3354, -0.0006, 0.0954)
+        10.7796,
+        (-0.0013, -0.0009, 0.2935),
+        (0.3354, 0.0, -0.0162, 0.3354, -0.0006, 0.0954),
     ),
     "bellows_link": _BELLOWS,
     "bellows_link2": _BELLOWS,
@@ -59,7 +63,9 @@ INERTIALS: dict[str, Inertial] = {
         0.9087, (0.0081, 0.0025, 0.0113), (0.0061, 0.0, 0.0002, 0.0014, -0.0001, 0.0061)
     ),
     "shoulder_pan_link": _inertial(
-        2.5587, (0.0927, -0.0056, 0.0564), (0.0043, -0.0001, 0.001, 0.0087, -0.0001, 0.0087)
+        2.5587,
+        (0.0927, -0.0056, 0.0564),
+        (0.0043, -0.0001, 0.001, 0.0087, -0.0001, 0.0087),
     ),
     "shoulder_lift_link": _inertial(
         2.6615, (0.1432, 0.0072, -0.0001), (0.0028, -0.0021, 0.0, 0.0111, 0.0, 0.0112)
@@ -91,11 +97,16 @@ def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float])
     low, high = zip(x, y, z, strict=True)
     half = [0.5 * (b - a) for a, b in zip(low, high, strict=True)]
     mid = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
-    return Geom("box", (half[0], half[1], half[2]), (mid[0], mid[1], mid[2]), visual=False)
+    return Geom(
+        "box", (half[0], half[1], half[2]), (mid[0], mid[1], mid[2]), visual=False
+    )
 
 
 def _cylinder(
-    axis: str, radius: float, span: tuple[float, float], at: tuple[float, float] = (0.0, 0.0)
+    axis: str,
+    radius: float,
+    span: tuple[float, float],
+    at: tuple[float, float] = (0.0, 0.0),
 ) -> Geom:
     """Make a cylinder along ``axis`` over ``span``; ``at``: its two other coordinates, in order [m]."""
     half = 0.5 * (span[1] - span[0])
@@ -103,7 +114,9 @@ def _cylinder(
     if axis == "x":
         return Geom("cylinder", (radius, half, 0.0), (mid, *at), ALONG_X, visual=False)
     if axis == "y":
-        return Geom("cylinder", (radius, half, 0.0), (at[0], mid, at[1]), ALONG_Y, visual=False)
+        return Geom(
+            "cylinder", (radius, half, 0.0), (at[0], mid, at[1]), ALONG_Y, visual=False
+        )
     return Geom("cylinder", (radius, half, 0.0), (*at, mid), visual=False)
 
 

@@ -10,7 +10,9 @@ _PALM_X = (-0.062, -0.093, -0.124)
 _PALM_Y = (-0.036, 0.0, 0.036)
 _PALM_Z = (-0.012, 0.012)
 _WRIST_X = (-0.18, -0.23, -0.28)
-_PALM = tuple(Sphere((x, y, z), _PALM_RADIUS) for x in _PALM_X for y in _PALM_Y for z in _PALM_Z)
+_PALM = tuple(
+    Sphere((x, y, z), _PALM_RADIUS) for x in _PALM_X for y in _PALM_Y for z in _PALM_Z
+)
 _WRIST = tuple(Sphere((x, 0.0, 0.0), _WRIST_RADIUS) for x in _WRIST_X)
 
 GRIPPER = Gripper(

@@ -62,7 +62,13 @@ ROBOT = Robot(
     # HAB's navigation meshes use a radius of 0.3 m.
     footprint=Footprint(radius=0.285, spawn=0.3, wide=0.29, narrow=0.27, top=0.40),
     reach=ArmReach(
-        ahead=0.033, out=0.117, low=0.806, high=1.192, length=0.624, hand=0.305, level=(0.35, 0.95)
+        ahead=0.033,
+        out=0.117,
+        low=0.806,
+        high=1.192,
+        length=0.624,
+        hand=0.305,
+        level=(0.35, 0.95),
     ),
     elbow="elbow_flex_joint",
     visuals=_visuals,

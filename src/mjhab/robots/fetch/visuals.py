@@ -41,7 +41,12 @@ _PARTS: dict[str, tuple[str, str]] = {
     "gripper_link": ("gripper_link.stl", "fetch_grey"),
 }
 _MAX_FACES = 5000
-_MAX_FACES_OF = {"r_wheel_link": 400, "l_wheel_link": 400, "estop_link": 300, "laser_link": 300}
+_MAX_FACES_OF = {
+    "r_wheel_link": 400,
+    "l_wheel_link": 400,
+    "estop_link": 300,
+    "laser_link": 300,
+}
 
 
 @lru_cache(maxsize=1)
@@ -62,7 +67,9 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
         loaded = trimesh.load_mesh(path)
         body, offset, turn = _mount(link)
         vertices = np.asarray(loaded.vertices) @ turn.T + offset
-        mesh = coarse_mesh(vertices, np.asarray(loaded.faces), _MAX_FACES_OF.get(link, _MAX_FACES))
+        mesh = coarse_mesh(
+            vertices, np.asarray(loaded.faces), _MAX_FACES_OF.get(link, _MAX_FACES)
+        )
         parts.append((body, mesh, material))
     return parts + _fingers() + _eyes()
 
@@ -75,7 +82,13 @@ def _mesh_folder() -> Path:
             "the robot's visual meshes come from the package gymnasium-robotics, which is not installed; "
             f"run: {pip_install('gymnasium-robotics')}"
         )
-    return Path(next(iter(found.submodule_search_locations))) / "envs" / "assets" / "stls" / "fetch"
+    return (
+        Path(next(iter(found.submodule_search_locations)))
+        / "envs"
+        / "assets"
+        / "stls"
+        / "fetch"
+    )
 
 
 def _mount(link: str) -> tuple[str, np.ndarray, np.ndarray]:
@@ -94,7 +107,9 @@ def _mount(link: str) -> tuple[str, np.ndarray, np.ndarray]:
 
 def _box(half: tuple[float, float, float], pos: tuple[float, float, float]) -> Mesh:
     box = trimesh.creation.box(2.0 * np.array(half))
-    return Mesh((box.vertices + np.array(pos)).astype(np.float32), box.faces.astype(np.int32))
+    return Mesh(
+        (box.vertices + np.array(pos)).astype(np.float32), box.faces.astype(np.int32)
+    )
 
 
 def _fingers() -> list[tuple[str, Mesh, str]]:
@@ -105,7 +120,9 @@ def _fingers() -> list[tuple[str, Mesh, str]]:
         geom = finger_box(-inward)
         (hx, hy, hz) = geom.size
         (x, y, z) = geom.pos
-        out.append((link, _box((hx, hy - pad, hz), (x, y - inward * pad, z)), "fetch_grey"))
+        out.append(
+            (link, _box((hx, hy - pad, hz), (x, y - inward * pad, z)), "fetch_grey")
+        )
         out.append(
             (
                 link,

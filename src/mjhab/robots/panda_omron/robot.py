@@ -30,7 +30,8 @@ _PITCH = 0.5
 _LOOK_DOWN = tuple(
     float(x)
     for x in quat_mul(
-        quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array(_PITCH)), np.array(LOOK_FORWARD)
+        quat_from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array(_PITCH)),
+        np.array(LOOK_FORWARD),
     )
 )
 """Orientation (wxyz) of a camera that looks along +x of its body, pitched down by ``_PITCH`` [rad]."""
@@ -99,12 +100,21 @@ ROBOT = Robot(
     fingers=FINGERS,
     force_links=(BASE, COLUMN, "link0", *ARM_LINKS, "right_gripper"),
     trunk_links=(BASE, COLUMN, "link0"),
-    distal_links=("link5", "link6", "link7", "right_gripper", "leftfinger", "rightfinger"),
+    distal_links=(
+        "link5",
+        "link6",
+        "link7",
+        "right_gripper",
+        "leftfinger",
+        "rightfinger",
+    ),
     arm_links=(COLUMN, "link0", "link1", "link2", "link3", "link4", "link5", "link6"),
     wrist_links=("link6", "link7", "right_gripper"),
     cameras=(
         CameraMount("panda_omron_head", COLUMN, (-0.35, 0.0, 0.95), _LOOK_DOWN, 1.6),  # pyright: ignore[reportArgumentType]
-        CameraMount("panda_omron_hand", "right_gripper", (0.02, 0.0, 0.10), LOOK_FORWARD, 1.6),
+        CameraMount(
+            "panda_omron_hand", "right_gripper", (0.02, 0.0, 0.10), LOOK_FORWARD, 1.6
+        ),
     ),
     gains={
         "base": Gains(kp=0.0, kd=1e3, force=600.0, armature=0.0),
@@ -116,7 +126,13 @@ ROBOT = Robot(
     gripper=GRIPPER,
     footprint=Footprint(radius=0.40, spawn=0.36, wide=0.38, narrow=0.31, top=0.39),
     reach=ArmReach(
-        ahead=0.21, out=0.0, low=1.033, high=1.373, length=0.62, hand=0.20, level=(0.30, 0.80)
+        ahead=0.21,
+        out=0.0,
+        low=1.033,
+        high=1.373,
+        length=0.62,
+        hand=0.20,
+        level=(0.30, 0.80),
     ),
     elbow="joint4",
     visuals=_visuals,

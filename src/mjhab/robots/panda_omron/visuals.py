@@ -44,18 +44,25 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
         file = robosuite_file(f"bases/meshes/omron_mobile_base/omron_{number}.obj")
         loaded = trimesh.load_mesh(file, process=False)
         vertices = np.asarray(loaded.vertices) + WHEELBASE_POS
-        parts.append((BASE, coarse_mesh(vertices, np.asarray(loaded.faces), MAX_FACES), material))
+        parts.append(
+            (BASE, coarse_mesh(vertices, np.asarray(loaded.faces), MAX_FACES), material)
+        )
     for part in panda_files().meshes(group=0):
         loaded = trimesh.load_mesh(part.file)
         vertices = np.asarray(loaded.vertices) @ part.rot.T + part.pos
         mesh = coarse_mesh(vertices, np.asarray(loaded.faces), MAX_FACES)
-        parts.append((part.link, mesh, "panda_grey" if part.link in _GREY_LINKS else "panda_white"))
+        parts.append(
+            (part.link, mesh, "panda_grey" if part.link in _GREY_LINKS else "panda_white")
+        )
     return parts + _column()
 
 
 def _column() -> list[tuple[str, Mesh, str]]:
     """Return meshes of the two tubes of the lifting column, which are primitives in the files."""
-    tubes = ((BASE, (CENTER_X - 0.05, 0.0, 0.50), 0.12), (COLUMN, (-0.05, 0.0, -0.20), 0.1125))
+    tubes = (
+        (BASE, (CENTER_X - 0.05, 0.0, 0.50), 0.12),
+        (COLUMN, (-0.05, 0.0, -0.20), 0.1125),
+    )
     parts = []
     for link, middle, radius in tubes:
         tube = trimesh.creation.cylinder(radius, 0.4, sections=32)

@@ -34,7 +34,14 @@ def decor_meshes() -> dict[str, Mesh]:
         "plant_bush": foliage(2, 34, 0.30, 0.50, 0.08),
         "plant_small": foliage(3, 18, 0.11, 0.17, 0.03),
         "pot_tall": lathe(
-            [(0.0, 0.0), (0.12, 0.0), (0.16, 0.34), (0.14, 0.34), (0.14, 0.30), (0.0, 0.30)]
+            [
+                (0.0, 0.0),
+                (0.12, 0.0),
+                (0.16, 0.34),
+                (0.14, 0.34),
+                (0.14, 0.30),
+                (0.0, 0.30),
+            ]
         ),
         "pot_bush": lathe(
             [
@@ -84,7 +91,9 @@ def _plant(name: str, leaves: str, radius: float, height: float, pot: str) -> Pr
     top = 1.35 if tall else 0.75
     geoms = [
         rod((0.0, 0.0, height / 2), radius, height, pot, visual=False),
-        rod((0.0, 0.0, (height + top) / 2), 0.10, top - height, "leaf_green", visual=False),
+        rod(
+            (0.0, 0.0, (height + top) / 2), 0.10, top - height, "leaf_green", visual=False
+        ),
         look("pot_tall" if tall else "pot_bush", pot),
         look(leaves, "leaf_green" if tall else "leaf_light", (0.0, 0.0, height - 0.05)),
         rod((0.0, 0.0, height - 0.03), radius - 0.025, 0.01, "soil", collide=False),
@@ -164,7 +173,12 @@ def _picture(name: str) -> Prop:
     big = name == "picture_01"
     w, h, z = (0.9, 0.6, 1.6) if big else (0.5, 0.7, 1.6)
     geoms = [
-        box((0.012, 0.0, z), (0.024, w, h), "walnut" if big else "black_metal", collide=False),
+        box(
+            (0.012, 0.0, z),
+            (0.024, w, h),
+            "walnut" if big else "black_metal",
+            collide=False,
+        ),
         box(
             (0.026, 0.0, z),
             (0.004, w - 0.06, h - 0.06),
@@ -174,16 +188,37 @@ def _picture(name: str) -> Prop:
     ]
     if big:
         geoms.append(
-            box((0.029, 0.0, z - 0.16), (0.003, w - 0.06, h - 0.38), "picture_hill", collide=False)
+            box(
+                (0.029, 0.0, z - 0.16),
+                (0.003, w - 0.06, h - 0.38),
+                "picture_hill",
+                collide=False,
+            )
         )
         geoms.append(
-            rod((0.029, 0.22, z + 0.12), 0.08, 0.004, "picture_sun", axis="x", collide=False)
+            rod(
+                (0.029, 0.22, z + 0.12),
+                0.08,
+                0.004,
+                "picture_sun",
+                axis="x",
+                collide=False,
+            )
         )
     else:
         geoms.append(
-            rod((0.029, 0.0, z + 0.08), 0.13, 0.004, "cushion_coral", axis="x", collide=False)
+            rod(
+                (0.029, 0.0, z + 0.08),
+                0.13,
+                0.004,
+                "cushion_coral",
+                axis="x",
+                collide=False,
+            )
         )
-        geoms.append(box((0.029, 0.0, z - 0.16), (0.003, 0.30, 0.05), "book_blue", collide=False))
+        geoms.append(
+            box((0.029, 0.0, z - 0.16), (0.003, 0.30, 0.05), "book_blue", collide=False)
+        )
     return Prop(name, tuple(geoms), blocks_base=False)
 
 
@@ -195,8 +230,12 @@ def _window() -> Prop:
     t = 0.06
     geoms = [box((0.01, 0.0, z), (0.02, w, h), "window_glass", collide=False)]
     for s in (-1.0, 1.0):
-        geoms.append(box((0.02, s * w / 2, z), (0.05, t, h + t), "trim_white", collide=False))
-        geoms.append(box((0.02, 0.0, z + s * h / 2), (0.05, w, t), "trim_white", collide=False))
+        geoms.append(
+            box((0.02, s * w / 2, z), (0.05, t, h + t), "trim_white", collide=False)
+        )
+        geoms.append(
+            box((0.02, 0.0, z + s * h / 2), (0.05, w, t), "trim_white", collide=False)
+        )
         geoms.append(
             box(
                 (0.035, s * (w / 2 + 0.10), z - 0.05),
@@ -207,10 +246,22 @@ def _window() -> Prop:
         )
     geoms.append(box((0.02, 0.0, z), (0.04, 0.04, h), "trim_white", collide=False))
     geoms.append(
-        box((0.04, 0.0, z - h / 2 - 0.04), (0.10, w + 0.1, 0.03), "trim_white", collide=False)
+        box(
+            (0.04, 0.0, z - h / 2 - 0.04),
+            (0.10, w + 0.1, 0.03),
+            "trim_white",
+            collide=False,
+        )
     )
     geoms.append(
-        rod((0.05, 0.0, z + h / 2 + 0.13), 0.012, w + 0.6, "brass", axis="y", collide=False)
+        rod(
+            (0.05, 0.0, z + h / 2 + 0.13),
+            0.012,
+            w + 0.6,
+            "brass",
+            axis="y",
+            collide=False,
+        )
     )
     return Prop("window_01", tuple(geoms), blocks_base=False)
 

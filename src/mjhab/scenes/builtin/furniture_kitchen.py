@@ -8,7 +8,15 @@ with bar handles that collide; the original handles have no collision geometry.
 from __future__ import annotations
 
 from mjhab.scenes.shapes.shapes import box, rod, span
-from mjhab.scenes.spec import Articulation, FrontArea, Geom, Handle, Link, Receptacle, Vec3
+from mjhab.scenes.spec import (
+    Articulation,
+    FrontArea,
+    Geom,
+    Handle,
+    Link,
+    Receptacle,
+    Vec3,
+)
 
 FRONT_BACK_X_M = 0.303
 """x of the back face of the counter's drawer fronts [m]; a front is 20 mm thick."""
@@ -23,7 +31,9 @@ FRIDGE_FRONT_AREA = FrontArea(near_m=0.933, far_m=1.833, half_width_m=0.6)
 """Area where robots stand to open a fridge, as in MS-HAB (mshab/utils/gen/gen_spawn_positions.py)."""
 
 # name, y extent, z extent of the front, surface height of the drawer floor, mass [kg]
-_DRAWERS: tuple[tuple[str, tuple[float, float], tuple[float, float], float, float], ...] = (
+_DRAWERS: tuple[
+    tuple[str, tuple[float, float], tuple[float, float], float, float], ...
+] = (
     ("drawer1_top", (-1.40, -0.60), (0.645, 0.835), 0.705, 5.0),
     ("drawer1_bottom", (-1.40, -0.60), (0.115, 0.635), 0.16, 5.0),
     ("drawer2_top", (-0.05, 0.60), (0.645, 0.835), 0.705, 4.0),
@@ -53,7 +63,9 @@ def kitchen_counter() -> Articulation:
         )
         for name, y, z, floor, _ in _DRAWERS
     )
-    return Articulation("kitchen_counter", (*_counter_body(), *_sink()), links, surfaces + inside)
+    return Articulation(
+        "kitchen_counter", (*_counter_body(), *_sink()), links, surfaces + inside
+    )
 
 
 def _link_z(z: tuple[float, float]) -> float:
@@ -78,7 +90,11 @@ def _counter_body() -> list[Geom]:
             "cabinet_front",
         ),
         span(
-            (-0.325, -0.315), (-1.42, 1.42), (WORKTOP_HEIGHT_M, 1.36), "backsplash", collide=False
+            (-0.325, -0.315),
+            (-1.42, 1.42),
+            (WORKTOP_HEIGHT_M, 1.36),
+            "backsplash",
+            collide=False,
         ),
         box(
             (FRONT_BACK_X_M + FRONT_THICKNESS_M + 0.012, -0.12, 0.60),
@@ -89,7 +105,12 @@ def _counter_body() -> list[Geom]:
     ]
     for y in (-1.40, -0.60, -0.05, 0.60, 1.40):
         geoms.append(
-            span((-0.305, FRONT_BACK_X_M), (y - 0.009, y + 0.009), (0.10, 0.84), "cabinet_carcass")
+            span(
+                (-0.305, FRONT_BACK_X_M),
+                (y - 0.009, y + 0.009),
+                (0.10, 0.84),
+                "cabinet_carcass",
+            )
         )
     return geoms
 
@@ -118,8 +139,17 @@ def _sink() -> list[Geom]:
             axis="x",
             collide=False,
         ),
-        rod((-0.095, -0.325, WORKTOP_HEIGHT_M + 0.21), 0.011, 0.05, "steel", collide=False),
-        rod((-0.25, -0.29, WORKTOP_HEIGHT_M + 0.10), 0.007, 0.07, "steel", axis="y", collide=False),
+        rod(
+            (-0.095, -0.325, WORKTOP_HEIGHT_M + 0.21), 0.011, 0.05, "steel", collide=False
+        ),
+        rod(
+            (-0.25, -0.29, WORKTOP_HEIGHT_M + 0.10),
+            0.007,
+            0.07,
+            "steel",
+            axis="y",
+            collide=False,
+        ),
     ]
 
 
@@ -146,16 +176,35 @@ def _drawer(
             "cabinet_front",
         ),
         span((back, back + 0.012), (-inner, inner), (surface, side), "drawer_inside"),
-        span((back, FRONT_BACK_X_M), (inner - 0.012, inner), (surface, side), "drawer_inside"),
-        span((back, FRONT_BACK_X_M), (-inner, -inner + 0.012), (surface, side), "drawer_inside"),
+        span(
+            (back, FRONT_BACK_X_M),
+            (inner - 0.012, inner),
+            (surface, side),
+            "drawer_inside",
+        ),
+        span(
+            (back, FRONT_BACK_X_M),
+            (-inner, -inner + 0.012),
+            (surface, side),
+            "drawer_inside",
+        ),
     ]
     bar_x = out + BAR_GAP_M + BAR_THICKNESS_M / 2
     half = 0.085
     geoms += _bar((bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), half, out, "brass")
-    handle = Handle((bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), half, BAR_THICKNESS_M)
+    handle = Handle(
+        (bar_x, 0.0, handle_z), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), half, BAR_THICKNESS_M
+    )
     pos = (0.0, (y[0] + y[1]) / 2, mid)
     return Link(
-        name, "slide", (1.0, 0.0, 0.0), (0.0, DRAWER_TRAVEL_M), pos, mass, tuple(geoms), handle
+        name,
+        "slide",
+        (1.0, 0.0, 0.0),
+        (0.0, DRAWER_TRAVEL_M),
+        pos,
+        mass,
+        tuple(geoms),
+        handle,
     )
 
 
@@ -172,7 +221,11 @@ def _bar(
     size = (thick, reach if along[1] else thick, reach if along[2] else thick)
     geoms = [box(center, size, material)]
     for end in (-half, half):
-        post = ((front + center[0]) / 2, center[1] + end * along[1], center[2] + end * along[2])
+        post = (
+            (front + center[0]) / 2,
+            center[1] + end * along[1],
+            center[2] + end * along[2],
+        )
         geoms.append(box(post, (center[0] - front, 0.012, 0.012), material))
     return geoms
 
@@ -198,7 +251,13 @@ def fridge() -> Articulation:
         "middle_top": 1.16,
         "top": 1.53,
     }
-    free = {"bottom": 0.34, "middle_bottom": 0.32, "middle": 0.28, "middle_top": 0.35, "top": 0.34}
+    free = {
+        "bottom": 0.34,
+        "middle_bottom": 0.32,
+        "middle": 0.28,
+        "middle_top": 0.35,
+        "top": 0.34,
+    }
     shelves = tuple(
         Receptacle(name, (-0.01, -0.03, z), (0.165, 0.23), free[name], "shelf")
         for name, z in heights.items()
@@ -219,18 +278,42 @@ def _carcass() -> list[Geom]:
         span(x, (0.315, 0.345), (0.0, 1.95), "fridge_body"),
         span(x, (-0.315, 0.315), (1.90, 1.95), "fridge_body"),
         span((-0.305, 0.27), (-0.315, 0.315), (0.03, 0.12), "fridge_inside"),
-        span((-0.305, _DOOR_INNER_X_M), (-0.315, 0.315), (0.81, _DECK_HEIGHT_M), "fridge_inside"),
-        span((-0.305, -0.300), (-0.315, 0.315), (0.12, 1.90), "fridge_inside", collide=False),
+        span(
+            (-0.305, _DOOR_INNER_X_M),
+            (-0.315, 0.315),
+            (0.81, _DECK_HEIGHT_M),
+            "fridge_inside",
+        ),
+        span(
+            (-0.305, -0.300),
+            (-0.315, 0.315),
+            (0.12, 1.90),
+            "fridge_inside",
+            collide=False,
+        ),
         box((0.10, 0.0, 1.893), (0.10, 0.16, 0.012), "lamp_shade", collide=False),
     ]
     for side in (-1.0, 1.0):
         geoms.append(
-            box((-0.01, side * 0.3125, 1.01), (0.58, 0.005, 1.78), "fridge_inside", collide=False)
+            box(
+                (-0.01, side * 0.3125, 1.01),
+                (0.58, 0.005, 1.78),
+                "fridge_inside",
+                collide=False,
+            )
         )
     for z in _SHELF_HEIGHTS_M.values():
-        geoms.append(span((-0.305, 0.165), (-0.315, 0.315), (z - 0.018, z), "fridge_shelf"))
         geoms.append(
-            span((0.165, 0.171), (-0.315, 0.315), (z - 0.018, z + 0.004), "steel", collide=False)
+            span((-0.305, 0.165), (-0.315, 0.315), (z - 0.018, z), "fridge_shelf")
+        )
+        geoms.append(
+            span(
+                (0.165, 0.171),
+                (-0.315, 0.315),
+                (z - 0.018, z + 0.004),
+                "steel",
+                collide=False,
+            )
         )
     return geoms
 
@@ -280,5 +363,10 @@ def _bin(inner: float, height: float) -> list[Geom]:
     y = (-_FRIDGE_WIDTH_M + 0.07, -0.08)
     return [
         span((inner - 0.075, inner), y, (height, height + 0.012), "fridge_bin"),
-        span((inner - 0.075, inner - 0.067), y, (height + 0.012, height + 0.07), "fridge_bin"),
+        span(
+            (inner - 0.075, inner - 0.067),
+            y,
+            (height + 0.012, height + 0.07),
+            "fridge_bin",
+        ),
     ]

@@ -46,7 +46,12 @@ def _legs(
     x: float, y: float, height: float, thick: float, material: str, collide: bool = True
 ) -> list[Geom]:
     return [
-        box((sx * x, sy * y, height / 2), (thick, thick, height), material, collide=collide)
+        box(
+            (sx * x, sy * y, height / 2),
+            (thick, thick, height),
+            material,
+            collide=collide,
+        )
         for sx in (-1.0, 1.0)
         for sy in (-1.0, 1.0)
     ]
@@ -59,7 +64,11 @@ def _table_01() -> Prop:
         *_legs(0.375, 0.65, 0.714, 0.055, "oak"),
         box((0.0, 0.0, 0.68), (0.72, 1.27, 0.06), "oak", collide=False),
     ]
-    return Prop("table_01", tuple(geoms), (Receptacle("top", (0.0, 0.0, 0.75), (0.37, 0.64), 0.8),))
+    return Prop(
+        "table_01",
+        tuple(geoms),
+        (Receptacle("top", (0.0, 0.0, 0.75), (0.37, 0.64), 0.8),),
+    )
 
 
 def _table_02() -> Prop:
@@ -71,7 +80,11 @@ def _table_02() -> Prop:
         box((0.05, 0.22, 0.172), (0.22, 0.16, 0.022), "book_blue", collide=False),
         box((0.05, 0.21, 0.193), (0.20, 0.15, 0.020), "book_yellow", collide=False),
     ]
-    return Prop("table_02", tuple(geoms), (Receptacle("top", (0.0, 0.0, 0.45), (0.30, 0.54), 0.8),))
+    return Prop(
+        "table_02",
+        tuple(geoms),
+        (Receptacle("top", (0.0, 0.0, 0.45), (0.30, 0.54), 0.8),),
+    )
 
 
 def _table_03() -> Prop:
@@ -102,7 +115,9 @@ def _chair_01() -> Prop:
         geoms.append(box((0.19, sy * 0.2, 0.2075), (0.034, 0.034, 0.415), "walnut"))
         geoms.append(box((-0.20, sy * 0.2, 0.43), (0.034, 0.034, 0.86), "walnut"))
     return Prop(
-        "chair_01", tuple(geoms), (Receptacle("seat", (0.015, 0.0, 0.46), (0.175, 0.19), 0.6),)
+        "chair_01",
+        tuple(geoms),
+        (Receptacle("seat", (0.015, 0.0, 0.46), (0.175, 0.19), 0.6),),
     )
 
 
@@ -127,7 +142,9 @@ def _sofa() -> Prop:
         box((-0.13, -0.60, 0.60), (0.14, 0.36, 0.32), "cushion_coral", visual=False),
         *_legs(0.38, 0.85, 0.06, 0.05, "walnut", collide=False),
     ]
-    return Prop("sofa", tuple(geoms), (Receptacle("seat", (0.20, 0.0, 0.44), (0.22, 0.68), 0.6),))
+    return Prop(
+        "sofa", tuple(geoms), (Receptacle("seat", (0.20, 0.0, 0.44), (0.22, 0.68), 0.6),)
+    )
 
 
 def _tvstand() -> Prop:
@@ -137,7 +154,9 @@ def _tvstand() -> Prop:
         *_legs(0.18, 0.74, 0.06, 0.04, "black_metal", False),
     ]
     for y in (-0.53, 0.53):
-        geoms.append(box((0.227, y, 0.28), (0.008, 0.50, 0.38), "white_lacquer", collide=False))
+        geoms.append(
+            box((0.227, y, 0.28), (0.008, 0.50, 0.38), "white_lacquer", collide=False)
+        )
         geoms.append(
             box(
                 (0.236, y - 0.18 * (1 if y > 0 else -1), 0.38),
@@ -146,10 +165,16 @@ def _tvstand() -> Prop:
                 collide=False,
             )
         )
-    geoms.append(box((0.226, 0.0, 0.28), (0.006, 0.52, 0.38), "black_metal", collide=False))
-    geoms.append(box((0.231, 0.0, 0.26), (0.008, 0.42, 0.06), "black_glass", collide=False))
+    geoms.append(
+        box((0.226, 0.0, 0.28), (0.006, 0.52, 0.38), "black_metal", collide=False)
+    )
+    geoms.append(
+        box((0.231, 0.0, 0.26), (0.008, 0.42, 0.06), "black_glass", collide=False)
+    )
     return Prop(
-        "tvstand", tuple(geoms), (Receptacle("top", (0.01, 0.0, 0.50), (0.19, 0.74), 0.35),)
+        "tvstand",
+        tuple(geoms),
+        (Receptacle("top", (0.01, 0.0, 0.50), (0.19, 0.74), 0.35),),
     )
 
 

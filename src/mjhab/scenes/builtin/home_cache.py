@@ -46,7 +46,9 @@ def cached_homes(
     path = cache_dir() / "homes" / f"{pack}-{digest}.json"
     props = read_cached(path, lambda file: _read(file, len(keys)))
     if props is not None:
-        return tuple(replace(bare(*key), props=row) for key, row in zip(keys, props, strict=True))
+        return tuple(
+            replace(bare(*key), props=row) for key, row in zip(keys, props, strict=True)
+        )
     homes = tuple(furnish(*key) for key in keys)
     rows = [[(p.template, p.pos, p.yaw) for p in home.props] for home in homes]
     write_cached(path, lambda temporary: temporary.write_text(json.dumps(rows)))
@@ -58,4 +60,7 @@ def _read(path: Path, count: int) -> list[tuple[Placement, ...]]:
     rows = json.loads(path.read_text(encoding="utf-8"))
     if len(rows) != count:
         raise ValueError(f"{path} has {len(rows)} homes, not {count}")
-    return [tuple(Placement(name, (x, y, z), yaw) for name, (x, y, z), yaw in row) for row in rows]
+    return [
+        tuple(Placement(name, (x, y, z), yaw) for name, (x, y, z), yaw in row)
+        for row in rows
+    ]

@@ -130,7 +130,10 @@ PLANS: tuple[Plan, ...] = (
         (10.0, 6.4),
         "wall_white",
         "wall_blue",
-        (Wall("y", 5.6, 0.0, 6.4, ((2.5, 4.2),)), Wall("x", 2.4, 0.0, 5.54, ((4.3, 5.3),))),
+        (
+            Wall("y", 5.6, 0.0, 6.4, ((2.5, 4.2),)),
+            Wall("x", 2.4, 0.0, 5.54, ((4.3, 5.3),)),
+        ),
         (
             Room("kitchen", (5.6, 0.0, 10.0, 6.4), "floor_slate"),
             Room("living", (0.0, 2.4, 5.6, 6.4), "floor_walnut"),
@@ -234,7 +237,10 @@ PLANS: tuple[Plan, ...] = (
         (11.2, 6.2),
         "wall_white",
         "wall_rose",
-        (Wall("y", 3.2, 0.0, 6.2, ((2.5, 3.5),)), Wall("y", 7.1, 0.0, 6.2, ((2.5, 4.2),))),
+        (
+            Wall("y", 3.2, 0.0, 6.2, ((2.5, 3.5),)),
+            Wall("y", 7.1, 0.0, 6.2, ((2.5, 4.2),)),
+        ),
         (
             Room("bedroom", (0.0, 0.0, 3.2, 6.2), "floor_carpet"),
             Room("living", (3.2, 0.0, 7.1, 6.2), "floor_oak"),
@@ -341,7 +347,9 @@ PLANS: tuple[Plan, ...] = (
     ),
 )
 
-_NARROW = "hard case, solvable: the fridge opens toward a wall 0.9 m away; its doors open fully"
+_NARROW = (
+    "hard case, solvable: the fridge opens toward a wall 0.9 m away; its doors open fully"
+)
 HARD: dict[tuple[int, int], HardCase] = {
     (3, 19): HardCase(("fridge", 9.955, 5.835, -90), 0.90, _NARROW),
     (3, 20): HardCase(

@@ -123,7 +123,8 @@ def bare_floor(floor: Floor) -> Home:
     width, depth = plan.size
     kitchen = tuple(_place(p) for p in plan.kitchen)
     rooms = tuple(
-        span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False) for r in plan.rooms
+        span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False)
+        for r in plan.rooms
     )
     return Home(
         floor.name,
@@ -186,7 +187,10 @@ def wall_geoms(plan: Plan) -> tuple[Geom, ...]:
         span((-t, 0.0), (0.0, d), (0.0, WALL_HEIGHT_M), plan.outer_wall),
         span((w, w + t), (0.0, d), (0.0, WALL_HEIGHT_M), plan.outer_wall),
     ]
-    return (*outer, *(geom for wall in plan.walls for geom in _inner_wall(wall, plan.inner_wall)))
+    return (
+        *outer,
+        *(geom for wall in plan.walls for geom in _inner_wall(wall, plan.inner_wall)),
+    )
 
 
 def _inner_wall(wall: Wall, material: str) -> list[Geom]:
@@ -199,7 +203,9 @@ def _inner_wall(wall: Wall, material: str) -> list[Geom]:
     return pieces
 
 
-def furnish(home: Home, plan: Plan, rng: np.random.Generator, clear: dict[str, Zone]) -> Home:
+def furnish(
+    home: Home, plan: Plan, rng: np.random.Generator, clear: dict[str, Zone]
+) -> Home:
     """Add props to a home such that nothing overlaps, clear zones stay free, and a robot reaches every receptacle.
 
     Args:
@@ -218,13 +224,17 @@ def furnish(home: Home, plan: Plan, rng: np.random.Generator, clear: dict[str, Z
             furnished = replace(home, props=placed)
             if usable(furnished, _templates_pack()):
                 return furnished
-    raise RuntimeError(f"{home.name}: no usable arrangement of the furniture in {_MAX_TRIES} tries")
+    raise RuntimeError(
+        f"{home.name}: no usable arrangement of the furniture in {_MAX_TRIES} tries"
+    )
 
 
 def usable(home: Home, pack: Pack) -> bool:
     """Return whether the free floor is connected (see `MIN_CONNECTED_SHARE`) and every receptacle is in reach of it."""
     free = free_map(home, pack)
-    share = free.navigable().sum() / max((free.clearance >= NAVMESH_BASE_RADIUS_M).sum(), 1)
+    share = free.navigable().sum() / max(
+        (free.clearance >= NAVMESH_BASE_RADIUS_M).sum(), 1
+    )
     return bool(share >= MIN_CONNECTED_SHARE) and all(
         r.center <= MAX_REACH_TO_CENTER_M and r.farthest <= MAX_REACH_TO_ANY_POINT_M
         for r in reach(home, pack, free)
@@ -235,7 +245,9 @@ def _try_furnish(
     plan: Plan, micro: int, rng: np.random.Generator, taken: list[Footprint]
 ) -> tuple[Placement, ...] | None:
     order = np.arange(len(plan.spots)) if micro == 0 else rng.permutation(len(plan.spots))
-    small = [_place((name, *plan.spots[k])) for name, k in zip(SMALL, order, strict=False)]
+    small = [
+        _place((name, *plan.spots[k])) for name, k in zip(SMALL, order, strict=False)
+    ]
     result: list[Placement] = []
     for group, tries in (
         ([_place(p) for p in plan.fixed], 1),
@@ -256,7 +268,10 @@ def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
     if hard is None:
         return KEEP_CLEAR_M
     x, (low, high) = KEEP_CLEAR_M["fridge"]
-    return {**KEEP_CLEAR_M, "fridge": (x, (low, min(high, FRIDGE_HALF_WIDTH_M + hard.side)))}
+    return {
+        **KEEP_CLEAR_M,
+        "fridge": (x, (low, min(high, FRIDGE_HALF_WIDTH_M + hard.side))),
+    }
 
 
 def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
@@ -272,7 +287,9 @@ def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
         body = footprint(at, _template(at.template))
         assert body is not None
         taken.append(body)
-        taken.append(Footprint("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT_M)))
+        taken.append(
+            Footprint("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT_M))
+        )
     return taken
 
 
@@ -304,7 +321,9 @@ def _settle(
 
 def _shift(placement: Placement, rng: np.random.Generator) -> Placement:
     small = placement.template in SMALL
-    across, along, turn = _SMALL_SHIFT if small else _SHIFTS.get(placement.template, _ALONG_WALL)
+    across, along, turn = (
+        _SMALL_SHIFT if small else _SHIFTS.get(placement.template, _ALONG_WALL)
+    )
     a, b, yaw = (rng.uniform(-1.0, 1.0, 3) * (across, along, turn)).tolist()
     c = math.cos(placement.yaw)
     s = math.sin(placement.yaw)

@@ -68,10 +68,18 @@ _BOWL_BASE_PIECES = 8
 def builtin_objects() -> dict[str, ObjectType]:
     """Return the ten object types by name."""
     makers = {
-        "002_master_chef_can": lambda h: _can(h, "coffee_blue", "label_white", "coffee_lid"),
-        "003_cracker_box": lambda h: _carton(h, "cracker_red", "cracker_orange", "label_white"),
-        "004_sugar_box": lambda h: _carton(h, "sugar_yellow", "label_white", "sugar_blue"),
-        "005_tomato_soup_can": lambda h: _can(h, "soup_red", "label_white", "tin", "soup_gold"),
+        "002_master_chef_can": lambda h: _can(
+            h, "coffee_blue", "label_white", "coffee_lid"
+        ),
+        "003_cracker_box": lambda h: _carton(
+            h, "cracker_red", "cracker_orange", "label_white"
+        ),
+        "004_sugar_box": lambda h: _carton(
+            h, "sugar_yellow", "label_white", "sugar_blue"
+        ),
+        "005_tomato_soup_can": lambda h: _can(
+            h, "soup_red", "label_white", "tin", "soup_gold"
+        ),
         "007_tuna_fish_can": lambda h: _can(h, "tuna_blue", "label_white", "tin"),
         "008_pudding_box": lambda h: _flat_carton(
             h, "pudding_brown", "label_white", "cracker_orange"
@@ -88,7 +96,12 @@ def builtin_objects() -> dict[str, ObjectType]:
         half = (size[0] / 2, size[1] / 2, size[2] / 2)
         collision, visuals = makers[name](half)
         types[name] = ObjectType(
-            name, MASSES[name], half, tuple(collision), tuple(visuals), SCAN_YAW.get(name, 0.0)
+            name,
+            MASSES[name],
+            half,
+            tuple(collision),
+            tuple(visuals),
+            SCAN_YAW.get(name, 0.0),
         )
     return types
 
@@ -133,7 +146,12 @@ def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], li
     hx, hy, hz = half
     skin = 0.0005
     visuals = [
-        box((0.0, 0.0, 0.0), (2 * (hx - skin), 2 * (hy - skin), 2 * hz), main, collide=False),
+        box(
+            (0.0, 0.0, 0.0),
+            (2 * (hx - skin), 2 * (hy - skin), 2 * hz),
+            main,
+            collide=False,
+        ),
         box(
             (0.0, 0.0, -0.45 * hz),
             (2 * (hx - skin / 2), 2 * (hy - skin / 2), 0.45 * hz),
@@ -171,17 +189,32 @@ def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], li
     return [Geom("box", half, visual=False)], visuals
 
 
-def _flat_carton(half: Vec3, main: str, mark: str, spot: str) -> tuple[list[Geom], list[Geom]]:
+def _flat_carton(
+    half: Vec3, main: str, mark: str, spot: str
+) -> tuple[list[Geom], list[Geom]]:
     """Collision and visual geoms of a lying box, with labels on top and bottom."""
     hx, hy, hz = half
     skin = 0.0005
-    visuals = [box((0.0, 0.0, 0.0), (2 * hx, 2 * hy, 2 * (hz - skin)), main, collide=False)]
+    visuals = [
+        box((0.0, 0.0, 0.0), (2 * hx, 2 * hy, 2 * (hz - skin)), main, collide=False)
+    ]
     for s in (-1.0, 1.0):
         visuals.append(
-            box((0.25 * hx, 0.0, s * (hz - skin)), (0.9 * hx, 1.6 * hy, skin), mark, collide=False)
+            box(
+                (0.25 * hx, 0.0, s * (hz - skin)),
+                (0.9 * hx, 1.6 * hy, skin),
+                mark,
+                collide=False,
+            )
         )
         visuals.append(
-            rod((-0.45 * hx, 0.3 * hy, s * (hz - skin)), 0.3 * hx, skin, spot, collide=False)
+            rod(
+                (-0.45 * hx, 0.3 * hy, s * (hz - skin)),
+                0.3 * hx,
+                skin,
+                spot,
+                collide=False,
+            )
         )
         visuals.append(
             box(
@@ -198,15 +231,30 @@ def _meat_can(half: Vec3) -> tuple[list[Geom], list[Geom]]:
     """Collision and visual geoms of a rectangular tin with metal rims and a printed sleeve."""
     hx, hy, hz = half
     visuals = [
-        box((0.0, 0.0, 0.0), (2 * hx - 0.003, 2 * hy - 0.003, 2 * hz), "tin", collide=False),
+        box(
+            (0.0, 0.0, 0.0),
+            (2 * hx - 0.003, 2 * hy - 0.003, 2 * hz),
+            "tin",
+            collide=False,
+        ),
         box((0.0, 0.0, 0.0), (2 * hx, 2 * hy, 1.75 * hz), "meat_blue", collide=False),
     ]
     for s in (-1.0, 1.0):
         visuals.append(
-            box((s * hx, 0.0, 0.1 * hz), (0.001, 1.4 * hy, 0.7 * hz), "meat_yellow", collide=False)
+            box(
+                (s * hx, 0.0, 0.1 * hz),
+                (0.001, 1.4 * hy, 0.7 * hz),
+                "meat_yellow",
+                collide=False,
+            )
         )
         visuals.append(
-            box((0.0, s * hy, 0.1 * hz), (1.2 * hx, 0.001, 0.5 * hz), "label_white", collide=False)
+            box(
+                (0.0, s * hy, 0.1 * hz),
+                (1.2 * hx, 0.001, 0.5 * hz),
+                "label_white",
+                collide=False,
+            )
         )
     return [Geom("box", half, visual=False)], visuals
 
@@ -227,7 +275,12 @@ def _can(
         for s in (-1.0, 1.0):
             visuals.append(
                 rod(
-                    (s * (r - 0.004), 0.0, 0.04 * h), 0.35 * r, 0.0082, dot, axis="x", collide=False
+                    (s * (r - 0.004), 0.0, 0.04 * h),
+                    0.35 * r,
+                    0.0082,
+                    dot,
+                    axis="x",
+                    collide=False,
                 )
             )
     return [Geom("cylinder", (r, h, 0.0), visual=False)], visuals
@@ -250,10 +303,15 @@ def _bowl() -> tuple[list[Geom], list[Geom]]:
             visual=False,
         )
     ]
-    for count, mesh in ((BOWL_FACETS, "bowl_rim_piece"), (_BOWL_BASE_PIECES, "bowl_base_piece")):
+    for count, mesh in (
+        (BOWL_FACETS, "bowl_rim_piece"),
+        (_BOWL_BASE_PIECES, "bowl_base_piece"),
+    ):
         for i in range(count):
             turn = about_z(2 * math.pi * i / count)
-            pieces.append(Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False))
+            pieces.append(
+                Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False)
+            )
     return pieces, [look("bowl_outside", "bowl_red"), look("bowl_inside", "bowl_inside")]
 
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 from functools import cache
 
 from mjhab.scenes import roles
-from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
+from mjhab.scenes.builtin.furniture import (
+    builtin_articulations,
+    builtin_props,
+    furniture_meshes,
+)
 from mjhab.scenes.builtin.homes import builtin_homes
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.pack_source import PackSource
@@ -23,7 +27,10 @@ ROLES = Roles(
             "kitchen_counter/counter_right",
             "kitchen_counter/sink",
         ),
-        roles.COUNTER_TOP: ("kitchen_counter/counter_left", "kitchen_counter/counter_right"),
+        roles.COUNTER_TOP: (
+            "kitchen_counter/counter_left",
+            "kitchen_counter/counter_right",
+        ),
         roles.SINK: ("kitchen_counter/sink",),
         roles.DINING_TABLE: ("table_01/*",),
         roles.DRAWER: ("kitchen_counter/drawer3",),

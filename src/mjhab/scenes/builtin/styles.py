@@ -17,7 +17,11 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.seeding import stream
-from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props, furniture_meshes
+from mjhab.scenes.builtin.furniture import (
+    builtin_articulations,
+    builtin_props,
+    furniture_meshes,
+)
 from mjhab.scenes.builtin.home_cache import cached_homes
 from mjhab.scenes.builtin.home_plans import PLANS, Piece, Plan, Room, Spot, Wall
 from mjhab.scenes.builtin.homes import KEEP_CLEAR_M, Floor, bare_floor, furnish
@@ -56,26 +60,46 @@ STYLES: tuple[FurnitureStyle, ...] = (
     FurnitureStyle(
         "nordic",
         ("wall_white", "wall_sage"),
-        {"floor_tile": "floor_ash", "floor_oak": "floor_ash", "floor_slate": "floor_tile"},
+        {
+            "floor_tile": "floor_ash",
+            "floor_oak": "floor_ash",
+            "floor_slate": "floor_tile",
+        },
         {"oak": "birch", "walnut": "birch", "sofa_fabric": "cushion_cream"},
     ),
     FurnitureStyle(
         "classic",
         ("wall_sand", "wall_white"),
-        {"floor_oak": "floor_walnut", "floor_ash": "floor_walnut", "floor_carpet": "rug_red"},
+        {
+            "floor_oak": "floor_walnut",
+            "floor_ash": "floor_walnut",
+            "floor_carpet": "rug_red",
+        },
         {"oak": "walnut", "birch": "walnut", "sofa_fabric": "beanbag_fabric"},
     ),
     FurnitureStyle(
         "loft",
         ("wall_blue", "wall_blue"),
-        {"floor_tile": "floor_slate", "floor_oak": "floor_slate", "floor_walnut": "floor_slate"},
+        {
+            "floor_tile": "floor_slate",
+            "floor_oak": "floor_slate",
+            "floor_walnut": "floor_slate",
+        },
         {"oak": "black_metal", "birch": "walnut", "sofa_fabric": "mat_grey"},
     ),
     FurnitureStyle(
         "lacquer",
         ("wall_rose", "wall_sand"),
-        {"floor_oak": "floor_tile", "floor_ash": "floor_tile", "floor_walnut": "floor_oak"},
-        {"oak": "white_lacquer", "walnut": "white_lacquer", "sofa_fabric": "cushion_coral"},
+        {
+            "floor_oak": "floor_tile",
+            "floor_ash": "floor_tile",
+            "floor_walnut": "floor_oak",
+        },
+        {
+            "oak": "white_lacquer",
+            "walnut": "white_lacquer",
+            "sofa_fabric": "cushion_coral",
+        },
     ),
 )
 _DRAWN_OUT_M = ((0.0, 0.0), (0.9, 0.0), (0.0, 0.8), (0.7, 0.6), (1.2, 0.0))
@@ -91,7 +115,11 @@ class Macro:
 
 
 MACROS: tuple[Macro, ...] = tuple(
-    Macro(k % len(PLANS), mirrored=k < len(PLANS), by=_DRAWN_OUT_M[(k + k // len(PLANS)) % 5])
+    Macro(
+        k % len(PLANS),
+        mirrored=k < len(PLANS),
+        by=_DRAWN_OUT_M[(k + k // len(PLANS)) % 5],
+    )
     for k in range(2 * len(PLANS))
 )
 """Macro layouts 0 to 4 are the built-in plans mirrored, 5 to 9 the same not mirrored; enlargements differ."""
@@ -115,7 +143,9 @@ def _entries() -> tuple[tuple[Split, int, int, int], ...]:
 
 
 ENTRIES = _entries()
-KEYS: tuple[Key, ...] = tuple((macro, style * 10 + number) for _, macro, style, number in ENTRIES)
+KEYS: tuple[Key, ...] = tuple(
+    (macro, style * 10 + number) for _, macro, style, number in ENTRIES
+)
 """(macro, micro) of every home; micro is 10 times the style plus the number."""
 
 
@@ -180,7 +210,11 @@ def drawn_out(plan: Plan, axis: int, by: float) -> Plan:
         low[axis + 2] = moved(low[axis + 2])
         return replace(each, extent=(low[0], low[1], low[2], low[3]))
 
-    size = (moved(plan.size[0]), plan.size[1]) if axis == 0 else (plan.size[0], moved(plan.size[1]))
+    size = (
+        (moved(plan.size[0]), plan.size[1])
+        if axis == 0
+        else (plan.size[0], moved(plan.size[1]))
+    )
     return replace(
         plan,
         size=size,
@@ -236,9 +270,12 @@ def plan_of(macro: int, style: int) -> Plan:
     plan = mirrored(plan) if chosen.mirrored else plan
     plan = drawn_out(drawn_out(plan, 0, chosen.by[0]), 1, chosen.by[1])
     rooms = tuple(
-        replace(room, floor=looks.floors.get(room.floor, room.floor)) for room in plan.rooms
+        replace(room, floor=looks.floors.get(room.floor, room.floor))
+        for room in plan.rooms
     )
-    return replace(plan, outer_wall=looks.walls[0], inner_wall=looks.walls[1], rooms=rooms)
+    return replace(
+        plan, outer_wall=looks.walls[0], inner_wall=looks.walls[1], rooms=rooms
+    )
 
 
 def _floor(macro: int, micro: int) -> Floor:
@@ -286,7 +323,9 @@ def style_props(style: FurnitureStyle) -> dict[str, Prop]:
 
 def style_roles() -> Roles:
     """Return the roles of the built-in furniture, with the corresponding templates of all styles added."""
-    return replace(ROLES, places={role: _renamed(places) for role, places in ROLES.places.items()})
+    return replace(
+        ROLES, places={role: _renamed(places) for role, places in ROLES.places.items()}
+    )
 
 
 def _renamed(places: Sequence[str]) -> tuple[str, ...]:

@@ -120,4 +120,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _unfit(where: str, expected: str, value: Any) -> ValueError:
-    return ValueError(f"{where or 'the document'}: expected {expected}, got {shown(value)}")
+    return ValueError(
+        f"{where or 'the document'}: expected {expected}, got {shown(value)}"
+    )

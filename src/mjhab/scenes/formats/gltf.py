@@ -91,7 +91,9 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
         with np.errstate(over="ignore", invalid="ignore"):
             parts = _Reader(document, blob).primitives(textures)
     except ValueError as error:
-        raise UsageError(f"{path}: broken glTF ({error}); download the file again.") from error
+        raise UsageError(
+            f"{path}: broken glTF ({error}); download the file again."
+        ) from error
     for part in parts:
         if not (np.abs(part.vertices) <= MAX_FILE_NUMBER).all():
             raise UsageError(
@@ -140,7 +142,9 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     while offset + 8 <= length:
         size, kind = struct.unpack_from("<I4s", raw, offset)
         if offset + 8 + size > length:
-            raise UsageError(f"{path}: chunk {kind!r} is cut off; download the file again.")
+            raise UsageError(
+                f"{path}: chunk {kind!r} is cut off; download the file again."
+            )
         found.setdefault(kind, raw[offset + 8 : offset + 8 + size])
         offset += 8 + size
     if b"JSON" not in found:
@@ -175,7 +179,9 @@ class _Reader:
         children = {child for node in nodes for child in node.wholes("children")}
         roots: list[int] = []
         if self.document.parts("scenes"):
-            roots = self.document.pick("scenes", self.document.whole("scene", 0)).wholes("nodes")
+            roots = self.document.pick("scenes", self.document.whole("scene", 0)).wholes(
+                "nodes"
+            )
         out: list[Primitive] = []
         for root in roots or [i for i in range(len(nodes)) if i not in children]:
             self._walk(root, np.eye(4), textures, out, 0)
@@ -184,7 +190,12 @@ class _Reader:
         return out
 
     def _walk(
-        self, index: int, parent: np.ndarray, textures: bool, out: list[Primitive], depth: int
+        self,
+        index: int,
+        parent: np.ndarray,
+        textures: bool,
+        out: list[Primitive],
+        depth: int,
     ) -> None:
         self._visits += 1
         if depth > MAX_NODE_DEPTH or self._visits > MAX_NODES:
@@ -203,7 +214,9 @@ class _Reader:
         for child in node.wholes("children"):
             self._walk(child, pose, textures, out, depth + 1)
 
-    def _primitive(self, name: str, part: Fields, pose: np.ndarray, textures: bool) -> Primitive:
+    def _primitive(
+        self, name: str, part: Fields, pose: np.ndarray, textures: bool
+    ) -> Primitive:
         attributes = part.part("attributes")
         points = self._array(attributes.whole("POSITION"), "VEC3", _ANY)
         vertices = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
@@ -211,7 +224,9 @@ class _Reader:
         if "indices" in part:
             corners = self._array(part.whole("indices"), "SCALAR", _INDICES).ravel()
         if len(corners) % 3:
-            raise ValueError(f"{part.where} has {len(corners)} corners, which are no triangles")
+            raise ValueError(
+                f"{part.where} has {len(corners)} corners, which are no triangles"
+            )
         if len(corners) and int(corners.max()) >= len(vertices):
             raise ValueError(f"mesh {name!r} names a vertex that does not exist")
         faces = corners.reshape(-1, 3).astype(np.int32)
@@ -224,10 +239,14 @@ class _Reader:
             return Primitive(name, vertices, faces, None, None, color)
         uv = self._array(attributes.whole("TEXCOORD_0"), "VEC2", _ANY).astype(np.float64)
         if len(uv) != len(vertices):
-            raise ValueError(f"mesh {name!r} has {len(vertices)} vertices and {len(uv)} TEXCOORD_0")
+            raise ValueError(
+                f"mesh {name!r} has {len(vertices)} vertices and {len(uv)} TEXCOORD_0"
+            )
         uv = np.c_[uv, np.ones(len(uv))] @ bend.T
         if not (np.abs(uv) <= MAX_UV).all():
-            raise ValueError(f"mesh {name!r} has TEXCOORD_0 beyond {MAX_UV:g} or not finite")
+            raise ValueError(
+                f"mesh {name!r} has TEXCOORD_0 beyond {MAX_UV:g} or not finite"
+            )
         return Primitive(name, vertices, faces, uv, texture, color)
 
     def _array(self, index: int, shape: str, kinds: Collection[int]) -> np.ndarray:
@@ -250,13 +269,19 @@ class _Reader:
         start = view.whole("byteOffset", 0) + accessor.whole("byteOffset", 0)
         stride = view.whole("byteStride", size * width)
         if stride < size * width:
-            raise ValueError(f"{view.place('byteStride')}: {stride} bytes are less than an element")
+            raise ValueError(
+                f"{view.place('byteStride')}: {stride} bytes are less than an element"
+            )
         if count and start + stride * (count - 1) + size * width > len(self.blob):
             raise ValueError(f"{accessor.where} reaches past the end of the binary chunk")
         if not count:
             return np.zeros((0, width), kind)
         data = np.ndarray((count, width), kind, self.blob, start, (stride, size))
-        if "normalized" in accessor and accessor.value("normalized") and component in _WHOLE:
+        if (
+            "normalized" in accessor
+            and accessor.value("normalized")
+            and component in _WHOLE
+        ):
             data = data / np.iinfo(kind).max
         return data
 
@@ -269,7 +294,9 @@ class _Reader:
         surface = material.part("pbrMetallicRoughness")
         color = surface.numbers("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3]
         if not ((color >= 0.0) & (color <= 1.0)).all():
-            raise ValueError(f"{surface.place('baseColorFactor')}: expected numbers from 0 to 1")
+            raise ValueError(
+                f"{surface.place('baseColorFactor')}: expected numbers from 0 to 1"
+            )
         if "baseColorTexture" not in surface:
             return color, None, bend
         reference = surface.part("baseColorTexture")
@@ -303,12 +330,16 @@ class _Reader:
                 width, height = picture.size
                 self._pixels += width * height
                 if width * height > MAX_TEXTURE_PIXELS or self._pixels > MAX_PIXELS:
-                    raise ValueError(f"{image.where} has {width} x {height} pixels, too many")
+                    raise ValueError(
+                        f"{image.where} has {width} x {height} pixels, too many"
+                    )
                 rgb = picture.convert("RGB")
         except (SyntaxError, OSError, Image.DecompressionBombError) as error:
             raise ValueError(f"{image.where}: {reason(error)}") from error
         # Sides that are powers of two have exact mip levels.
-        width, height = (min(MAX_TEXTURE, 1 << (side.bit_length() - 1)) for side in rgb.size)
+        width, height = (
+            min(MAX_TEXTURE, 1 << (side.bit_length() - 1)) for side in rgb.size
+        )
         return np.asarray(rgb.resize((width, height), Image.Resampling.BOX))
 
 

@@ -101,7 +101,9 @@ def read_urdf(path: Path) -> Urdf:
     try:
         top = ElementTree.fromstring(raw)
     except (ElementTree.ParseError, RecursionError, ValueError) as error:
-        raise UsageError(f"{path}: not valid XML ({error}); download the file again.") from error
+        raise UsageError(
+            f"{path}: not valid XML ({error}); download the file again."
+        ) from error
     links = {_name(path, e, "name"): _link(path, e) for e in top.iter("link")}
     joints = {}
     for element in top.iter("joint"):
@@ -122,7 +124,9 @@ def read_urdf(path: Path) -> Urdf:
     return Urdf(top.get("name", path.stem), links, joints, roots[0])
 
 
-def _check_reaches_root(path: Path, link: str, joints: dict[str, UrdfJoint], root: str) -> None:
+def _check_reaches_root(
+    path: Path, link: str, joints: dict[str, UrdfJoint], root: str
+) -> None:
     """Raise a UsageError if the joints above a link form a loop instead of leading to the root."""
     above = link
     for _ in range(len(joints) + 1):
@@ -147,7 +151,9 @@ def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
         mesh = part.find("geometry/mesh")
         if mesh is None:
             raise UsageError(f"{path}: link {name!r}: visual shapes must be meshes.")
-        scale = _numbers(path, f"link {name!r}: mesh scale", mesh.get("scale", "1 1 1"), 3)
+        scale = _numbers(
+            path, f"link {name!r}: mesh scale", mesh.get("scale", "1 1 1"), 3
+        )
         try:
             file = beside(path, _need(path, mesh, "filename"))
         except ValueError as error:
@@ -192,7 +198,13 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
         )
         limits = (low, high)
     return UrdfJoint(
-        name, kind, ends[0], ends[1], _origin(path, element, f"joint {name!r}"), axis, limits
+        name,
+        kind,
+        ends[0],
+        ends[1],
+        _origin(path, element, f"joint {name!r}"),
+        axis,
+        limits,
     )
 
 
@@ -200,9 +212,13 @@ def _origin(path: Path, element: ElementTree.Element, where: str) -> np.ndarray:
     pose = np.eye(4)
     origin = element.find("origin")
     if origin is not None:
-        roll, pitch, yaw = _numbers(path, f"{where}: origin rpy", origin.get("rpy", "0 0 0"), 3)
+        roll, pitch, yaw = _numbers(
+            path, f"{where}: origin rpy", origin.get("rpy", "0 0 0"), 3
+        )
         pose[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
-        pose[:3, 3] = _numbers(path, f"{where}: origin xyz", origin.get("xyz", "0 0 0"), 3)
+        pose[:3, 3] = _numbers(
+            path, f"{where}: origin xyz", origin.get("xyz", "0 0 0"), 3
+        )
     return pose
 
 

@@ -62,7 +62,9 @@ def load_json(path: Path) -> dict[str, Any]:
 def field(path: Path, record: Any, key: str, where: str = "") -> Any:
     """``record[key]``, or a UsageError that names the file and the field."""
     if not isinstance(record, dict) or key not in record:
-        raise UsageError(f"{path}: field {f'{where}.{key}' if where else key!r} is missing.")
+        raise UsageError(
+            f"{path}: field {f'{where}.{key}' if where else key!r} is missing."
+        )
     return record[key]
 
 
@@ -74,16 +76,24 @@ def numbers(path: Path, record: Any, key: str, count: int, where: str = "") -> n
     except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.shape != (count,) or not (np.abs(array) <= MAX_FILE_NUMBER).all():
-        expected = f"expected {count} numbers, got {shown(value)} (up to {MAX_FILE_NUMBER:g})"
+        expected = (
+            f"expected {count} numbers, got {shown(value)} (up to {MAX_FILE_NUMBER:g})"
+        )
         raise UsageError(f"{path}: field {where}.{key}: {expected}.")
     return array
 
 
-def number(path: Path, record: Any, key: str, where: str = "", *, positive: bool = False) -> float:
+def number(
+    path: Path, record: Any, key: str, where: str = "", *, positive: bool = False
+) -> float:
     """A number of a record, not beyond `MAX_FILE_NUMBER`, or a UsageError that names the file and the field."""
-    found = float(numbers(path, {key: [field(path, record, key, where)]}, key, 1, where)[0])
+    found = float(
+        numbers(path, {key: [field(path, record, key, where)]}, key, 1, where)[0]
+    )
     if positive and not found > 0.0:
-        raise UsageError(f"{path}: field {where}.{key}: expected a number above 0, got {found:g}.")
+        raise UsageError(
+            f"{path}: field {where}.{key}: expected a number above 0, got {found:g}."
+        )
     return found
 
 
@@ -95,7 +105,9 @@ def file_in(path: Path, record: Any, key: str) -> Path:
     """
     value = field(path, record, key)
     if not isinstance(value, str):
-        raise UsageError(f"{path}: field {key!r}: expected the name of a file, got {shown(value)}.")
+        raise UsageError(
+            f"{path}: field {key!r}: expected the name of a file, got {shown(value)}."
+        )
     try:
         return beside(path, value).resolve()
     except ValueError as error:
@@ -129,7 +141,9 @@ def rotation(path: Path, record: dict[str, Any], where: str) -> np.ndarray:
         return np.eye(3)
     given = numbers(path, record, "rotation", 4, where)
     if np.linalg.norm(given) < _MIN_QUATERNION_LENGTH:
-        raise UsageError(f"{path}: field {where}.rotation: not a quaternion: {given.tolist()}.")
+        raise UsageError(
+            f"{path}: field {where}.rotation: not a quaternion: {given.tolist()}."
+        )
     return mat_from_quat(given / np.linalg.norm(given))
 
 
@@ -147,5 +161,8 @@ def placement(path: Path, record: dict[str, Any], template: str, where: str) -> 
 def place(template: str, pos: np.ndarray, rotation: np.ndarray) -> Placement:
     """Make a placement from a position (3,) [m] and a rotation (3, 3); without a quaternion if it is upright."""
     yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    tilted = np.hypot(rotation[0, 2], rotation[1, 2]) > _MAX_LEVEL_TILT_RAD or rotation[2, 2] < 0
+    tilted = (
+        np.hypot(rotation[0, 2], rotation[1, 2]) > _MAX_LEVEL_TILT_RAD
+        or rotation[2, 2] < 0
+    )
     return Placement(template, point(pos), yaw, quat_of(rotation) if tilted else None)

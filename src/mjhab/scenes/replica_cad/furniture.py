@@ -15,7 +15,14 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.builtin.furniture_kitchen import FRIDGE_FRONT_AREA
 from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb, read_hulls
-from mjhab.scenes.formats.urdf import Urdf, UrdfBox, UrdfJoint, UrdfLink, UrdfVisual, read_urdf
+from mjhab.scenes.formats.urdf import (
+    Urdf,
+    UrdfBox,
+    UrdfJoint,
+    UrdfLink,
+    UrdfVisual,
+    read_urdf,
+)
 from mjhab.scenes.replica_cad import handles
 from mjhab.scenes.replica_cad.files import (
     HOW_TO_GET,
@@ -31,7 +38,15 @@ from mjhab.scenes.replica_cad.receptacles import fit, spaces
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.shapes.hulls import hull_mesh
 from mjhab.scenes.shapes.meshes import Mesh
-from mjhab.scenes.spec import Articulation, Geom, Handle, Link, Placement, Prop, Receptacle
+from mjhab.scenes.spec import (
+    Articulation,
+    Geom,
+    Handle,
+    Link,
+    Placement,
+    Prop,
+    Receptacle,
+)
 
 ARTICULATED = {"kitchen_counter": handles.drawer, "fridge": handles.door}
 """Furniture that opens by default, with the function for its handles; other URDFs are welded unless requested."""
@@ -116,15 +131,22 @@ class Furniture:
         look = file_in(path, body, "render_asset")
         if not body.get("use_bounding_box_for_collision") and "collision_asset" in body:
             geoms = self._hulls(
-                name, read_hulls(file_in(path, body, "collision_asset")), drawn=not look.is_file()
+                name,
+                read_hulls(file_in(path, body, "collision_asset")),
+                drawn=not look.is_file(),
             )
         elif look.is_file():
             points = (
-                np.concatenate([p.vertices for p in read_glb(look, textures=False)]) @ TO_Z_UP.T
+                np.concatenate([p.vertices for p in read_glb(look, textures=False)])
+                @ TO_Z_UP.T
             )
             low = points.min(0)
             high = points.max(0)
-            geoms = [Geom("box", point((high - low) / 2), point((high + low) / 2), visual=False)]
+            geoms = [
+                Geom(
+                    "box", point((high - low) / 2), point((high + low) / 2), visual=False
+                )
+            ]
         else:
             raise UsageError(
                 f"{path}: field 'render_asset' names {look}, which does not exist; {HOW_TO_GET}."
@@ -135,7 +157,9 @@ class Furniture:
             self.missing.append(look)
         blocks = not any(word in name.split("_") for word in FLAT_WORDS)
         pieces = [outline(g, self.meshes) for g in geoms if g.collide]
-        places = [fit(space, pieces) for space in spaces(path, body, {"": _as_pose(TO_Z_UP)})]
+        places = [
+            fit(space, pieces) for space in spaces(path, body, {"": _as_pose(TO_Z_UP)})
+        ]
         return Prop(name, tuple(geoms), tuple(p for p in places if p), blocks)
 
     def _hulls(self, name: str, hulls: list[np.ndarray], *, drawn: bool) -> list[Geom]:
@@ -143,13 +167,17 @@ class Furniture:
         for k, points in enumerate(hulls):
             mesh = f"{name}/hull_{k}"
             self.meshes[mesh] = hull_mesh(points @ TO_Z_UP.T)
-            geoms.append(Geom("mesh", (1.0, 1.0, 1.0), material="steel", mesh=mesh, visual=drawn))
+            geoms.append(
+                Geom("mesh", (1.0, 1.0, 1.0), material="steel", mesh=mesh, visual=drawn)
+            )
         return geoms
 
     def _look(self, name: str, mesh: str, parts: list[tuple[Path, np.ndarray]]) -> Geom:
         for file, pose in parts:
             if not file.is_file():
-                raise UsageError(f"{name}: render mesh {file} does not exist; {HOW_TO_GET}.")
+                raise UsageError(
+                    f"{name}: render mesh {file} does not exist; {HOW_TO_GET}."
+                )
             self.looks.add(mesh, file, pose)
         return Geom("mesh", (1.0, 1.0, 1.0), material=MATERIAL, mesh=mesh, collide=False)
 
@@ -177,15 +205,23 @@ class Furniture:
         geoms: list[Geom] = []
         for link in urdf.links.values():
             geoms += _boxes(link.boxes, frames[link.name], scale)
-        seen = [v for link in urdf.links.values() for v in _placed(link, frames[link.name], scale)]
+        seen = [
+            v
+            for link in urdf.links.values()
+            for v in _placed(link, frames[link.name], scale)
+        ]
         geoms.append(self._look(name, f"{name}/look", seen))
         places = self._receptacles(path, frames, scale, geoms, {})
         return Prop(name, tuple(geoms), places)
 
-    def _articulation(self, name: str, urdf: Urdf, path: Path, scale: float) -> Articulation:
+    def _articulation(
+        self, name: str, urdf: Urdf, path: Path, scale: float
+    ) -> Articulation:
         frames = self._frames(name, urdf, scale)
         fixed = [k for k in urdf.links if urdf.moving(k) == urdf.root]
-        body: list[Geom] = [g for k in fixed for g in _boxes(urdf.links[k].boxes, frames[k], scale)]
+        body: list[Geom] = [
+            g for k in fixed for g in _boxes(urdf.links[k].boxes, frames[k], scale)
+        ]
         seen = [v for k in fixed for v in _placed(urdf.links[k], frames[k], scale)]
         body.append(self._look(name, f"{name}/look", seen))
         links = []
@@ -197,12 +233,16 @@ class Furniture:
                     f"{path}: joint {joint.name!r}: joints on moving links are not supported."
                 )
             links.append(
-                self._link(name, path, urdf.links[joint.child], joint, frames[joint.child], scale)
+                self._link(
+                    name, path, urdf.links[joint.child], joint, frames[joint.child], scale
+                )
             )
         moved = {link.name: np.array(link.pos) for link in links}
         shapes = [*body, *(_shifted(g, link.pos) for link in links for g in link.geoms)]
         places = self._receptacles(path, frames, scale, shapes, moved)
-        return Articulation(name, tuple(body), tuple(links), places, FRONT_AREAS.get(name))
+        return Articulation(
+            name, tuple(body), tuple(links), places, FRONT_AREAS.get(name)
+        )
 
     def _link(
         self,
@@ -218,7 +258,9 @@ class Furniture:
         local = frame.copy()
         local[:3, 3] = 0.0
         geoms = _boxes(shapes, local, scale)
-        geoms.append(self._look(name, f"{name}/{link.name}/look", _placed(link, local, scale)))
+        geoms.append(
+            self._look(name, f"{name}/{link.name}/look", _placed(link, local, scale))
+        )
         turn = frame[:3, :3]
         published = handles.PUBLISHED.get(link.name) if name in ARTICULATED else None
         handle = Handle(
@@ -255,7 +297,9 @@ class Furniture:
     ) -> tuple[tuple[UrdfBox, ...], handles.Grip]:
         """Collision boxes of a link, and its grip, in the frame of the URDF link."""
         if not link.boxes:
-            raise UsageError(f"{path}: link {link.name!r} of {name!r} has no collision boxes.")
+            raise UsageError(
+                f"{path}: link {link.name!r} of {name!r} has no collision boxes."
+            )
         if name not in ARTICULATED:
             return link.boxes, handles.plain(
                 link.boxes, np.array(_FRONT.get(name, (1.0, 0.0, 0.0))), scale
@@ -298,9 +342,9 @@ def _righted(world: np.ndarray) -> np.ndarray:
     if axis[2] == -1.0:
         return np.diag([1.0, -1.0, -1.0])
     side = np.cross(axis, [0.0, 0.0, 1.0])
-    return np.stack([side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]]).T @ np.stack(
-        [side, np.cross(axis, side), axis]
-    )
+    return np.stack(
+        [side, np.cross([0.0, 0.0, 1.0], side), [0.0, 0.0, 1.0]]
+    ).T @ np.stack([side, np.cross(axis, side), axis])
 
 
 def _as_pose(rotation: np.ndarray) -> np.ndarray:
@@ -316,12 +360,21 @@ def _boxes(boxes: tuple[UrdfBox, ...], frame: np.ndarray, scale: float) -> list[
         pos = frame[:3, :3] @ (scale * box.pose[:3, 3]) + frame[:3, 3]
         turn = quat_of(frame[:3, :3] @ box.pose[:3, :3])
         out.append(
-            Geom("box", point(scale * box.half), point(pos), turn, material=MATERIAL, visual=False)
+            Geom(
+                "box",
+                point(scale * box.half),
+                point(pos),
+                turn,
+                material=MATERIAL,
+                visual=False,
+            )
         )
     return out
 
 
-def _placed(link: UrdfLink, frame: np.ndarray, scale: float) -> list[tuple[Path, np.ndarray]]:
+def _placed(
+    link: UrdfLink, frame: np.ndarray, scale: float
+) -> list[tuple[Path, np.ndarray]]:
     """Render meshes of a link, each with the map (4, 4) from its points to the frame that ``frame`` is relative to."""
     out = []
     for visual in link.visuals:

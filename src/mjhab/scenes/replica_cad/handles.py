@@ -35,16 +35,36 @@ class Front:
 
 
 _LEFT = Front(
-    0.2707, (-0.1403, 0.1415), (-0.3890, 0.3900), 0.2961, (-0.0073, 0.0171), (-0.0393, 0.0584)
+    0.2707,
+    (-0.1403, 0.1415),
+    (-0.3890, 0.3900),
+    0.2961,
+    (-0.0073, 0.0171),
+    (-0.0393, 0.0584),
 )
 _MIDDLE = Front(
-    0.2763, (-0.0883, 0.0774), (-0.2464, 0.2451), 0.3013, (-0.0135, 0.0109), (-0.0470, 0.0508)
+    0.2763,
+    (-0.0883, 0.0774),
+    (-0.2464, 0.2451),
+    0.3013,
+    (-0.0135, 0.0109),
+    (-0.0470, 0.0508),
 )
 _RIGHT = Front(
-    0.2742, (-0.0651, 0.0703), (-0.3986, 0.3819), 0.2936, (-0.0085, 0.0159), (-0.0451, 0.0526)
+    0.2742,
+    (-0.0651, 0.0703),
+    (-0.3986, 0.3819),
+    0.2936,
+    (-0.0085, 0.0159),
+    (-0.0451, 0.0526),
 )
 _LOW_RIGHT = Front(
-    0.2709, (-0.1462, 0.1335), (-0.3900, 0.3872), 0.2906, (-0.0206, 0.0039), (-0.0404, 0.0573)
+    0.2709,
+    (-0.1462, 0.1335),
+    (-0.3900, 0.3872),
+    0.2906,
+    (-0.0206, 0.0039),
+    (-0.0404, 0.0573),
 )
 FRONTS = {
     "drawer1_top": _LEFT,
@@ -77,7 +97,11 @@ RIBS = {
         0.0627, (0.1082, 0.1007), (-0.6890, -0.6391), (-0.0660, 0.5120), (-0.0348, 0.4906)
     ),
     "bottom_door": Rib(
-        0.0623, (0.1066, 0.0994), (-0.6900, -0.6396), (-0.3440, 0.0040), (-0.3127, -0.0170)
+        0.0623,
+        (0.1066, 0.0994),
+        (-0.6900, -0.6396),
+        (-0.3440, 0.0040),
+        (-0.3127, -0.0170),
     ),
 }
 _BIN_WALL_M = 0.008
@@ -145,7 +169,9 @@ def drawer(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], 
     (z0, z1) = cut.block_z
     pos = np.array([cut.x + FINGERTIP_REACH_M, (y0 + y1) / 2, (z0 + z1) / 2])
     # The long side of the block is along z, horizontal in the drawer.
-    grip = Grip(pos, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
+    grip = Grip(
+        pos, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0
+    )
     if len(boxes) != 5:
         return boxes, grip
     front = max(boxes, key=lambda b: float(b.pose[0, 3]))
@@ -180,7 +206,9 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
     (z0, z1) = rib.straight
     pos = np.array([rib.door_x + 0.002 + FINGERTIP_REACH_M, (y0 + y1) / 2, (z0 + z1) / 2])
     # The link's z axis points down; the bar's direction is upwards.
-    grip = Grip(pos, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0)
+    grip = Grip(
+        pos, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0
+    )
     if len(boxes) != 1:
         return boxes, grip
     more = [_rib(rib, float(boxes[0].pose[0, 3]))]
@@ -189,10 +217,14 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
             span(x, y, (z[1] - _BIN_WALL_M, z[1])),
             span((x[0], x[0] + _BIN_WALL_M), y, (z[0], z[1] - _BIN_WALL_M)),
             span(
-                (x[0] + _BIN_WALL_M, x[1]), (y[0], y[0] + _BIN_WALL_M), (z[0], z[1] - _BIN_WALL_M)
+                (x[0] + _BIN_WALL_M, x[1]),
+                (y[0], y[0] + _BIN_WALL_M),
+                (z[0], z[1] - _BIN_WALL_M),
             ),
             span(
-                (x[0] + _BIN_WALL_M, x[1]), (y[1] - _BIN_WALL_M, y[1]), (z[0], z[1] - _BIN_WALL_M)
+                (x[0] + _BIN_WALL_M, x[1]),
+                (y[1] - _BIN_WALL_M, y[1]),
+                (z[0], z[1] - _BIN_WALL_M),
             ),
         ]
     more += [span(x, y, z) for x, y, z in _LIDDED.get(name, ())]
@@ -211,7 +243,10 @@ def _rib(rib: Rib, inner: float) -> UrdfBox:
     pose[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
     pose[:3, 3] = ((front + inner) / 2, sum(rib.y) / 2, middle)
     return UrdfBox(
-        np.array([(front - inner) / 2, (rib.y[1] - rib.y[0]) / 2, (rib.z[1] - rib.z[0]) / 2]), pose
+        np.array(
+            [(front - inner) / 2, (rib.y[1] - rib.y[0]) / 2, (rib.z[1] - rib.z[0]) / 2]
+        ),
+        pose,
     )
 
 
@@ -227,11 +262,13 @@ def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
         scale: uniform scale of the furniture, by which lengths of the gripper are divided.
     """
     reach = [
-        float(out @ box.pose[:3, 3] + np.abs(out @ box.pose[:3, :3]) @ box.half) for box in boxes
+        float(out @ box.pose[:3, 3] + np.abs(out @ box.pose[:3, :3]) @ box.half)
+        for box in boxes
     ]
     knob = boxes[int(np.argmax(reach))]
     face = max(
-        (r for r, box in zip(reach, boxes, strict=True) if box is not knob), default=max(reach)
+        (r for r, box in zip(reach, boxes, strict=True) if box is not knob),
+        default=max(reach),
     )
     half = np.where(np.abs(out) > 0.5, 0.0, np.abs(knob.pose[:3, :3]) @ knob.half)
     bar = np.eye(3)[int(half.argmax())]

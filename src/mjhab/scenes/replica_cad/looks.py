@@ -41,7 +41,9 @@ class Looks:
         for name, mesh in made.items():
             arrays |= mesh_arrays(name, mesh)
         # Not compressed, because decompressing textures takes longer than reading them.
-        write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        write_cached(
+            path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
+        )
         return made
 
     def _parts(self, name: str) -> list[Primitive]:
@@ -49,7 +51,9 @@ class Looks:
         for file, pose in self.wanted[name]:
             for part in read_glb(file):
                 parts.append(
-                    dataclasses.replace(part, vertices=part.vertices @ pose[:3, :3].T + pose[:3, 3])
+                    dataclasses.replace(
+                        part, vertices=part.vertices @ pose[:3, :3].T + pose[:3, 3]
+                    )
                 )
         return parts
 
@@ -66,7 +70,9 @@ class Looks:
                     state = (stat.st_size, stat.st_mtime_ns)
                 except OSError:
                     state = (0, 0)
-                digest.update(repr((name, file.name, state)).encode() + pose.round(9).tobytes())
+                digest.update(
+                    repr((name, file.name, state)).encode() + pose.round(9).tobytes()
+                )
         return digest.hexdigest()[:24]
 
 

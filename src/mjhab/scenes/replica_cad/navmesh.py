@@ -40,22 +40,34 @@ def read_navmesh(path: Path) -> NavMesh:
     try:
         raw = path.read_bytes()
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror or error}).") from error
+        raise UsageError(
+            f"{path}: cannot be read ({error.strerror or error})."
+        ) from error
     tile = raw.find(_TILE_MAGIC)
     if raw[:4] != _SET_MAGIC or tile < 0:
-        raise UsageError(f"{path}: not a navigation mesh of one tile; download the file again.")
+        raise UsageError(
+            f"{path}: not a navigation mesh of one tile; download the file again."
+        )
     try:
         x, _, z, width, depth = struct.unpack_from("<5f", raw, 12)
         polygon_count, vertex_count = struct.unpack_from("<2i", raw, tile + 24)
         start = tile + _HEADER_BYTES
-        vertices = np.frombuffer(raw, "<f4", 3 * vertex_count, start).reshape(-1, 3).astype(float)
+        vertices = (
+            np.frombuffer(raw, "<f4", 3 * vertex_count, start)
+            .reshape(-1, 3)
+            .astype(float)
+        )
         polygons = []
         for k in range(polygon_count):
             record = struct.unpack_from(
                 "<I6H6HH2B", raw, start + 12 * vertex_count + _POLYGON_BYTES * k
             )
             corners = vertices[list(record[1 : 1 + record[14]])]
-            polygons.append(np.stack([corners[:, 0], -corners[:, 2], corners[:, 1]], axis=1))
+            polygons.append(
+                np.stack([corners[:, 0], -corners[:, 2], corners[:, 1]], axis=1)
+            )
     except (struct.error, ValueError, IndexError) as error:
-        raise UsageError(f"{path}: cut off ({error}); download the file again.") from error
+        raise UsageError(
+            f"{path}: cut off ({error}); download the file again."
+        ) from error
     return NavMesh((x, -(z + depth), x + width, -z), polygons)

@@ -50,7 +50,10 @@ def _open(request: PackRequest) -> Pack:
 
 @lru_cache(maxsize=4)
 def _read(
-    folder: Path, scenes: tuple[str, ...], stage_mesh: Path | None, articulate: tuple[str, ...]
+    folder: Path,
+    scenes: tuple[str, ...],
+    stage_mesh: Path | None,
+    articulate: tuple[str, ...],
 ) -> Pack:
     from mjhab.scenes.replica_cad.reader import open_replica_cad
 

@@ -95,7 +95,11 @@ def open_replica_cad(
         p.name.removesuffix(SCENE_SUFFIX)
         for p in (folder / "configs" / "scenes").glob("*" + SCENE_SUFFIX)
     )
-    chosen = _named(scenes, names) if scenes else [name for name in names if STAGED.fullmatch(name)]
+    chosen = (
+        _named(scenes, names)
+        if scenes
+        else [name for name in names if STAGED.fullmatch(name)]
+    )
     if not chosen:
         raise UsageError(
             f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {HOW_TO_GET}."
@@ -244,7 +248,9 @@ class _Scenes:
             tuple(Light(pos) for pos in _LAMP_POSITIONS_M),
         )
 
-    def _stage(self, path: Path, body: dict[str, Any]) -> tuple[tuple[Geom, ...], Extent] | None:
+    def _stage(
+        self, path: Path, body: dict[str, Any]
+    ) -> tuple[tuple[Geom, ...], Extent] | None:
         """Walls and floor extent of a scene's stage; None, noted in ``missing``, if its mesh does not exist."""
         record = entry(path, body, "stage_instance")
         given = _template(path, record, "stage_instance")
@@ -252,7 +258,10 @@ class _Scenes:
             file = self.stage_mesh
         else:
             config = (
-                self.folder / "configs" / "stages" / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
+                self.folder
+                / "configs"
+                / "stages"
+                / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
             )
             file = file_in(config, load_json(config), "render_asset")
         shift = np.zeros(3)
@@ -276,20 +285,29 @@ class _Scenes:
         points = []
         for at in placed:
             template = (
-                self.furniture.props.get(at.template) or self.furniture.articulations[at.template]
+                self.furniture.props.get(at.template)
+                or self.furniture.articulations[at.template]
             )
             local = np.concatenate(
                 [outline(g, self.furniture.meshes) for g in template.geoms if g.collide]
             )
-            points.append(local @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos))
-        corners = np.concatenate(points)[:, :2] if points else np.array([[-3.0, -3.0], [3.0, 3.0]])
+            points.append(
+                local @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos)
+            )
+        corners = (
+            np.concatenate(points)[:, :2]
+            if points
+            else np.array([[-3.0, -3.0], [3.0, 3.0]])
+        )
         low = corners.min(0) - _FLOOR_MARGIN_M
         high = corners.max(0) + _FLOOR_MARGIN_M
         return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
 def _scale(path: Path, record: dict[str, Any], where: str) -> float:
-    return number(path, {"uniform_scale": 1.0, **record}, "uniform_scale", where, positive=True)
+    return number(
+        path, {"uniform_scale": 1.0, **record}, "uniform_scale", where, positive=True
+    )
 
 
 def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
@@ -303,7 +321,9 @@ def _text(path: Path, record: Any, key: str, where: str) -> str:
     """Text of a field, or a UsageError that names the field."""
     value = entry(path, record, key, where)
     if not isinstance(value, str):
-        raise UsageError(f"{path}: field {where}.{key}: expected a name, got {shown(value)}.")
+        raise UsageError(
+            f"{path}: field {where}.{key}: expected a name, got {shown(value)}."
+        )
     return value
 
 

@@ -60,7 +60,9 @@ def spaces(
     found = []
     given = body.get("user_defined", {})
     if not isinstance(given, dict):
-        raise UsageError(f"{path}: field 'user_defined': expected an object, got {shown(given)}.")
+        raise UsageError(
+            f"{path}: field 'user_defined': expected an object, got {shown(given)}."
+        )
     for key, record in given.items():
         if not key.startswith(_KEY_PREFIX):
             continue
@@ -69,7 +71,10 @@ def spaces(
         if not isinstance(link, str) or link not in frames:
             continue
         pose = frames[link]
-        center = pose[:3, :3] @ (scale * numbers(path, record, "position", 3, where)) + pose[:3, 3]
+        center = (
+            pose[:3, :3] @ (scale * numbers(path, record, "position", 3, where))
+            + pose[:3, 3]
+        )
         # A few half-extents of the data set are negative.
         half = np.abs(numbers(path, record, "scale", 3, where))
         half = scale * np.abs(np.round(pose[:3, :3])) @ half
@@ -84,7 +89,10 @@ def _name(key: str, record: dict[str, Any]) -> str:
 
 
 def fit(
-    space: Space, pieces: Sequence[np.ndarray], link: str = "", origin: np.ndarray | None = None
+    space: Space,
+    pieces: Sequence[np.ndarray],
+    link: str = "",
+    origin: np.ndarray | None = None,
 ) -> Receptacle | None:
     """Fit a receptacle to a box of space.
 
@@ -120,7 +128,9 @@ def fit(
     low = np.array([cells[0][i0], cells[1][j0]]) - step * [i0 == 0, j0 == 0]
     high = np.array([cells[0][i1], cells[1][j1]]) + step * [i1 == last, j1 == last]
     inside = room.reshape(_CELLS_PER_SIDE, _CELLS_PER_SIDE)[i0 : i1 + 1, j0 : j1 + 1]
-    center = np.append((low + high) / 2, level) - (np.zeros(3) if origin is None else origin)
+    center = np.append((low + high) / 2, level) - (
+        np.zeros(3) if origin is None else origin
+    )
     u, v = ((high - low) / 2).tolist()
     height = float(inside.min())
     kind: Literal["open", "drawer", "shelf"] = (
@@ -149,14 +159,18 @@ def _levels(
         below = high <= middle
         surface = np.where(below, np.maximum(surface, high), surface)
         ceiling = np.where(~below, np.minimum(ceiling, low), ceiling)
-    surface = np.where((surface > bottom - _MAX_DROP_M) & (ceiling > surface), surface, -np.inf)
+    surface = np.where(
+        (surface > bottom - _MAX_DROP_M) & (ceiling > surface), surface, -np.inf
+    )
     return surface, ceiling
 
 
 def _usual(levels: np.ndarray) -> float:
     """Median of the largest group of values that lie within `_MAX_UNEVENNESS_M`."""
     order = np.sort(levels)
-    count = np.searchsorted(order, order + _MAX_UNEVENNESS_M, side="right") - np.arange(len(order))
+    count = np.searchsorted(order, order + _MAX_UNEVENNESS_M, side="right") - np.arange(
+        len(order)
+    )
     first = int(count.argmax())
     return float(np.median(order[first : first + int(count[first])]))
 

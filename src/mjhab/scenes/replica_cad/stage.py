@@ -59,7 +59,8 @@ def stage_shape(
     turn = TO_Z_UP if rotation is None else TO_Z_UP @ rotation
     move = np.zeros(3) if shift is None else TO_Z_UP @ shift
     triangles = (
-        np.concatenate([p.vertices[p.faces] for p in read_glb(path, textures=False)]) @ turn.T
+        np.concatenate([p.vertices[p.faces] for p in read_glb(path, textures=False)])
+        @ turn.T
         + move
     )
     low = triangles.reshape(-1, 3).min(0)
@@ -71,7 +72,9 @@ def stage_shape(
 
 def wall_faces(triangles: np.ndarray) -> list[Face]:
     """Compute vertical rectangles that cover the vertical ones of the triangles (T, 3, 3) [m]."""
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normal = np.cross(
+        triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    )
     size = np.linalg.norm(normal, axis=1)
     keep = (size > 1e-7) & (np.abs(normal[:, 2]) < MAX_NORMAL_RISE * size)
     triangles = triangles[keep]
@@ -101,7 +104,8 @@ def _rectangles(triangles: np.ndarray, normal: np.ndarray, offset: float) -> lis
     if len(us) < 2 or len(zs) < 2:
         return []
     middle = np.stack(
-        np.meshgrid((us[1:] + us[:-1]) / 2, (zs[1:] + zs[:-1]) / 2, indexing="ij"), axis=-1
+        np.meshgrid((us[1:] + us[:-1]) / 2, (zs[1:] + zs[:-1]) / 2, indexing="ij"),
+        axis=-1,
     )
     filled = np.zeros(middle.shape[:2], bool)
     for corners in flat:
@@ -112,7 +116,10 @@ def _rectangles(triangles: np.ndarray, normal: np.ndarray, offset: float) -> lis
         z = (float(zs[j0]), float(zs[j1]))
         width = u[1] - u[0]
         height = z[1] - z[0]
-        if min(width, height) >= _MIN_FACE_WIDTH_M and width * height >= _MIN_FACE_AREA_M2:
+        if (
+            min(width, height) >= _MIN_FACE_WIDTH_M
+            and width * height >= _MIN_FACE_AREA_M2
+        ):
             out.append(Face(normal, offset, u, z))
     return out
 
@@ -161,9 +168,9 @@ def _depth(face: Face, faces: list[Face]) -> float:
         behind = face.offset + other.offset
         # u of the opposite face runs in the opposite direction.
         u = (-other.u[1], -other.u[0])
-        meets = min(face.u[1], u[1]) > max(face.u[0], u[0]) and min(face.z[1], other.z[1]) > max(
-            face.z[0], other.z[0]
-        )
+        meets = min(face.u[1], u[1]) > max(face.u[0], u[0]) and min(
+            face.z[1], other.z[1]
+        ) > max(face.z[0], other.z[0])
         if meets and 0.004 < behind < depth:
             depth = behind
     return depth
@@ -176,5 +183,9 @@ def _box(face: Face, depth: float) -> Geom:
     size = (depth / 2, (face.u[1] - face.u[0]) / 2, (face.z[1] - face.z[0]) / 2)
     pos = (float(middle[0]), float(middle[1]), sum(face.z) / 2)
     return Geom(
-        "box", size, pos, (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))), MATERIAL
+        "box",
+        size,
+        pos,
+        (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))),
+        MATERIAL,
     )

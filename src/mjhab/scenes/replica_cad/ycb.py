@@ -77,7 +77,9 @@ def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
         try:
             types[name], added = object_from_scan(name, read_scan(path))
         except QhullError as error:
-            raise UsageError(f"{path}: the scan is flat; download the file again.") from error
+            raise UsageError(
+                f"{path}: the scan is flat; download the file again."
+            ) from error
         meshes.update(added)
     return types, meshes
 
@@ -94,9 +96,13 @@ def read_scan(path: Path) -> Scan:
             f"{path}: not one mesh with a base colour texture; download the file again."
         )
     extent = np.ptp(part.vertices, axis=0)
-    check_extent(path, extent, "This is no scan of a YCB object; download the file again.")
+    check_extent(
+        path, extent, "This is no scan of a YCB object; download the file again."
+    )
     center = (part.vertices.min(axis=0) + part.vertices.max(axis=0)) / 2
-    return Scan(part.vertices - center, part.faces.astype(np.int64), part.uv, part.texture)
+    return Scan(
+        part.vertices - center, part.faces.astype(np.int64), part.uv, part.texture
+    )
 
 
 def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]]:
@@ -161,7 +167,9 @@ class HullSurface:
         b = corners[:, 1]
         c = corners[:, 2]
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-        return HullSurface(corners.mean(axis=1), np.concatenate([part[1] for part in done]), areas)
+        return HullSurface(
+            corners.mean(axis=1), np.concatenate([part[1] for part in done]), areas
+        )
 
     def turned(self, yaw: float) -> HullSurface:
         """Return the samples rotated about z by ``yaw`` [rad]."""
@@ -233,8 +241,12 @@ def primitive_share(surface: HullSurface, shape: str, half: Vec3) -> float:
     else:
         radial = np.hypot(points[:, 0], points[:, 1]) - half[0]
         beyond = np.stack([radial, np.abs(points[:, 2]) - half[2]], axis=1)
-    gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
-    return float(surface.areas[np.abs(gap) <= PRIMITIVE_TOLERANCE_M].sum() / surface.areas.sum())
+    gap = np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(
+        beyond.max(axis=1), 0.0
+    )
+    return float(
+        surface.areas[np.abs(gap) <= PRIMITIVE_TOLERANCE_M].sum() / surface.areas.sum()
+    )
 
 
 def _halve(triangles: np.ndarray, edge: np.ndarray) -> np.ndarray:
@@ -283,7 +295,9 @@ def _sphere(count: int) -> np.ndarray:
 def _lump(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
     """Collision geom and mesh of a scan as one convex hull."""
     mesh = f"{name}_hull"
-    return [Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False)], {mesh: hull_of(scan.vertices)}
+    return [Geom("mesh", (1.0, 1.0, 1.0), mesh=mesh, visual=False)], {
+        mesh: hull_of(scan.vertices)
+    }
 
 
 def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
@@ -305,7 +319,9 @@ def _bowl(name: str, scan: Scan) -> tuple[list[Geom], dict[str, Mesh]]:
         meshes[mesh] = hull_of(_wedge(low, high, count))
         for i in range(count):
             turn = about_z(2 * math.pi * i / count)
-            geoms.append(Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False))
+            geoms.append(
+                Geom("mesh", (1.0, 1.0, 1.0), quat=turn, mesh=mesh, visual=False)
+            )
     return geoms, meshes
 
 
@@ -324,7 +340,9 @@ def bowl_profile(vertices: np.ndarray) -> tuple[tuple[float, float], ...]:
     middles = (levels[:-1] + levels[1:]) / 2
     index = np.clip(np.searchsorted(levels, vertices[:, 2]) - 1, 0, len(middles) - 1)
     radius = np.hypot(vertices[:, 0], vertices[:, 1])
-    outline = np.array([np.percentile(radius[index == k], 95) for k in range(len(middles))])
+    outline = np.array(
+        [np.percentile(radius[index == k], 95) for k in range(len(middles))]
+    )
     chord = outline[0] + (outline[-1] - outline[0]) * (middles - middles[0]) / (
         middles[-1] - middles[0]
     )

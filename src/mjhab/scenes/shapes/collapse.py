@@ -161,7 +161,9 @@ class _Mesh:
         number = np.full(len(self.place), -1)
         number[used] = np.arange(len(used))
         faces = index.reshape(-1, 3)
-        return Simplified(self.place[used], faces, self.source.copy()), number[self.merged]
+        return Simplified(self.place[used], faces, self.source.copy()), number[
+            self.merged
+        ]
 
 
 def _edges(faces: np.ndarray) -> np.ndarray:
@@ -182,7 +184,9 @@ def _quadrics(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     unit = normal / np.maximum(area, 1e-30)[:, None]
     result = np.zeros((len(vertices), 4, 4))
     _add_planes(result, faces, unit, corners[:, 0], area)
-    ends, first, count = np.unique(_edges(faces), axis=0, return_index=True, return_counts=True)
+    ends, first, count = np.unique(
+        _edges(faces), axis=0, return_index=True, return_counts=True
+    )
     ends = ends[count == 1]
     along = vertices[ends[:, 1]] - vertices[ends[:, 0]]
     upright = np.cross(along, unit[first[count == 1] // 3])
@@ -193,7 +197,11 @@ def _quadrics(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _add_planes(
-    quadric: np.ndarray, at: np.ndarray, unit: np.ndarray, point: np.ndarray, weight: np.ndarray
+    quadric: np.ndarray,
+    at: np.ndarray,
+    unit: np.ndarray,
+    point: np.ndarray,
+    weight: np.ndarray,
 ) -> None:
     plane = np.concatenate([unit, -np.einsum("fi,fi->f", unit, point)[:, None]], axis=1)
     outer = weight[:, None, None] * plane[:, :, None] * plane[:, None, :]

@@ -35,7 +35,9 @@ class Footprint:
         if a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3]:
             return False
         return (
-            self.z[0] < other.z[1] and other.z[0] < self.z[1] and meet(self.corners, other.corners)
+            self.z[0] < other.z[1]
+            and other.z[0] < self.z[1]
+            and meet(self.corners, other.corners)
         )
 
 
@@ -56,7 +58,9 @@ def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarra
         points = _signs() * np.array(geom.size)
     else:
         r = geom.size[0]
-        half = {"sphere": r, "cylinder": geom.size[1], "capsule": geom.size[1] + r}[geom.shape]
+        half = {"sphere": r, "cylinder": geom.size[1], "capsule": geom.size[1] + r}[
+            geom.shape
+        ]
         angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
         ring = np.stack([np.cos(angle), np.sin(angle)], 1) * (r / math.cos(math.pi / 16))
         points = np.concatenate(
@@ -66,10 +70,14 @@ def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarra
 
 
 def _signs() -> np.ndarray:
-    return np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    return np.array(
+        [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+    )
 
 
-def bounds(geoms: Iterable[Geom], meshes: Mapping[str, object] | None = None) -> np.ndarray:
+def bounds(
+    geoms: Iterable[Geom], meshes: Mapping[str, object] | None = None
+) -> np.ndarray:
     """Compute the bounds (2, 3) [m], lower and upper, of the colliding geoms, in the frame of their template.
 
     Raises:
@@ -103,7 +111,9 @@ def all_geoms(template: Prop | Articulation) -> tuple[Geom, ...]:
     return (*template.geoms, *moved)
 
 
-def rectangle(placement: Placement, x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
+def rectangle(
+    placement: Placement, x: tuple[float, float], y: tuple[float, float]
+) -> np.ndarray:
     """Compute the corners (4, 2) [m] in the world of a rectangle with extents x, y [m] in a placed template's frame."""
     local = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
     c = math.cos(placement.yaw)

@@ -27,7 +27,9 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
     hull = ConvexHull(points)
     corners = points[hull.vertices]
     normals = np.unique(hull.equations[:, :3].round(6), axis=0)
-    edges = (points[hull.simplices] - points[np.roll(hull.simplices, 1, axis=1)]).reshape(-1, 3)
+    edges = (points[hull.simplices] - points[np.roll(hull.simplices, 1, axis=1)]).reshape(
+        -1, 3
+    )
     best: tuple[float, np.ndarray] | None = None
     for normal in np.concatenate([np.eye(3), normals]):
         z = normal / np.linalg.norm(normal)
@@ -48,7 +50,9 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
         k = int(area.argmin())
         volume = float(area[k] * np.ptp(local[:, 2]))
         if best is None or volume < best[0] * (1 - 1e-9):
-            turn = np.array([[c[k, 0], -s[k, 0], 0.0], [s[k, 0], c[k, 0], 0.0], [0.0, 0.0, 1.0]])
+            turn = np.array(
+                [[c[k, 0], -s[k, 0], 0.0], [s[k, 0], c[k, 0], 0.0], [0.0, 0.0, 1.0]]
+            )
             best = (volume, frame @ turn)
     assert best is not None
     rot = best[1]
@@ -71,7 +75,12 @@ def boxed_hull(geom: Geom, pack: Pack) -> Geom:
     pos = (np.array(geom.pos) + quat_rotate(quat, center)).tolist()
     turn = quat_mul(quat, quat_from_mat(rot)).tolist()
     return dataclasses.replace(
-        geom, shape="box", size=tuple(half.tolist()), pos=tuple(pos), quat=tuple(turn), mesh=""
+        geom,
+        shape="box",
+        size=tuple(half.tolist()),
+        pos=tuple(pos),
+        quat=tuple(turn),
+        mesh="",
     )
 
 

@@ -50,10 +50,15 @@ def mesh_from_arrays(name: str, arrays: Mapping[str, np.ndarray]) -> Mesh:
     Raises:
         KeyError: vertices or faces of the mesh are missing.
     """
-    optional = {part: arrays[f"{name}/{part}"] for part in _OPTIONAL if f"{name}/{part}" in arrays}
+    optional = {
+        part: arrays[f"{name}/{part}"] for part in _OPTIONAL if f"{name}/{part}" in arrays
+    }
     textures: list[np.ndarray] = []
     while (key := f"{name}/texture{len(textures)}") in arrays:
         textures.append(arrays[key])
     return Mesh(
-        arrays[f"{name}/vertices"], arrays[f"{name}/faces"], **optional, textures=tuple(textures)
+        arrays[f"{name}/vertices"],
+        arrays[f"{name}/faces"],
+        **optional,
+        textures=tuple(textures),
     )

@@ -41,7 +41,9 @@ def stuck_links(home: Home, pack: Pack) -> list[str]:
     found = []
     for name, free in free_travel(home, pack).items():
         thing, link_name = name.split("/")
-        full = next(k.range[1] for k in pack.articulations[thing].links if k.name == link_name)
+        full = next(
+            k.range[1] for k in pack.articulations[thing].links if k.name == link_name
+        )
         wanted = stated.get(name, full)
         if free < wanted - 1e-6:
             found.append(f"{name} opens to {free:.2f} of {wanted:.2f}")
@@ -53,7 +55,9 @@ def _travel(link: Link, at: Placement, around: list[Footprint]) -> float:
     pieces = [_flat(g, link, at.pos[2]) for g in link.geoms if g.collide]
 
     def free(q: float) -> bool:
-        moved = [Footprint(link.name, _moved(corners, link, at, q), z) for corners, z in pieces]
+        moved = [
+            Footprint(link.name, _moved(corners, link, at, q), z) for corners, z in pieces
+        ]
         return not any(piece.meets(other) for piece in moved for other in around)
 
     good = low
@@ -76,13 +80,20 @@ def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float,
     points = outline(geom)
     flat = np.unique(points[:, :2].round(9), axis=0)
     z = points[:, 2] + link.pos[2] + lift
-    return flat[ConvexHull(flat).vertices], (float(z.min()) + _SKIN_M, float(z.max()) - _SKIN_M)
+    return flat[ConvexHull(flat).vertices], (
+        float(z.min()) + _SKIN_M,
+        float(z.max()) - _SKIN_M,
+    )
 
 
 def _moved(corners: np.ndarray, link: Link, at: Placement, q: float) -> np.ndarray:
     """World positions (N, 2) [m] of ``corners`` (N, 2), given in the frame of a link, at joint position q."""
     slides = link.joint == "slide"
-    local = corners + q * np.array(link.axis[:2]) if slides else corners @ _turn(q * link.axis[2])
+    local = (
+        corners + q * np.array(link.axis[:2])
+        if slides
+        else corners @ _turn(q * link.axis[2])
+    )
     return (local + np.array(link.pos[:2])) @ _turn(at.yaw) + np.array(at.pos[:2])
 
 
@@ -103,15 +114,21 @@ def _solids(home: Home, pack: Pack, opening: Placement) -> list[Footprint]:
             or np.hypot(*np.subtract(placement.pos[:2], opening.pos[:2])) > near
         ):
             continue
-        template = pack.props.get(placement.template) or pack.articulations[placement.template]
+        template = (
+            pack.props.get(placement.template) or pack.articulations[placement.template]
+        )
         solid += [
-            _solid(g, placement, pack, placement.template) for g in template.geoms if g.collide
+            _solid(g, placement, pack, placement.template)
+            for g in template.geoms
+            if g.collide
         ]
     return solid
 
 
 def _solid(geom: Geom, at: Placement, pack: Pack, name: str) -> Footprint:
-    points = outline(geom, pack.meshes) @ mat_from_quat(np.array(at.rotation)).T + np.array(at.pos)
+    points = outline(geom, pack.meshes) @ mat_from_quat(
+        np.array(at.rotation)
+    ).T + np.array(at.pos)
     flat = np.unique(points[:, :2].round(9), axis=0)
     return Footprint(
         name,

@@ -41,12 +41,16 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
         both = np.concatenate([faces, faces[back][:, ::-1]])
         color = np.broadcast_to(linear_to_srgb(part.color), (len(both), 3))
         uv = np.concatenate([uv, uv[back][:, ::-1]])
-        columns.append((part.vertices, both + start, color, uv, np.full(len(both), number)))
+        columns.append(
+            (part.vertices, both + start, color, uv, np.full(len(both), number))
+        )
         start += len(part.vertices)
     vertices, faces, color, uv, texture = (
         np.concatenate(column) for column in zip(*columns, strict=True)
     )
-    plain = Mesh(vertices.astype(np.float32), faces.astype(np.int32), color.astype(np.float32))
+    plain = Mesh(
+        vertices.astype(np.float32), faces.astype(np.int32), color.astype(np.float32)
+    )
     if not textures:
         return plain
     return Mesh(
@@ -91,17 +95,20 @@ def _open_faces(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces (n,) of connected components with a border, whose back is visible."""
     # Vertices at the same position count as one, because texture seams split them.
     weld = np.unique(np.round(points, 5), axis=0, return_inverse=True)[1].reshape(-1)
-    ends = np.sort(np.stack([weld[faces], weld[np.roll(faces, -1, axis=1)]], axis=-1), axis=-1)
-    keys = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)[1].reshape(
-        -1, 3
+    ends = np.sort(
+        np.stack([weld[faces], weld[np.roll(faces, -1, axis=1)]], axis=-1), axis=-1
     )
+    keys = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)[
+        1
+    ].reshape(-1, 3)
     number = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(keys.ravel(), kind="stable")
     key = keys.ravel()[order]
     owner = number[order]
     same = key[1:] == key[:-1]
     links = coo_matrix(
-        (np.ones(same.sum()), (owner[1:][same], owner[:-1][same])), shape=(len(faces),) * 2
+        (np.ones(same.sum()), (owner[1:][same], owner[:-1][same])),
+        shape=(len(faces),) * 2,
     )
     piece = connected_components(links, directed=False)[1]
     rim = np.bincount(keys.ravel())[keys] == 1

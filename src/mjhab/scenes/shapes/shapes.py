@@ -64,15 +64,28 @@ def rod(
 
 
 def ball(
-    center: Vec3, radius: float, material: str, *, collide: bool = True, visual: bool = True
+    center: Vec3,
+    radius: float,
+    material: str,
+    *,
+    collide: bool = True,
+    visual: bool = True,
 ) -> Geom:
     """Make a sphere from its centre and radius [m]."""
     return Geom(
-        "sphere", (radius, 0.0, 0.0), center, IDENTITY, material, collide=collide, visual=visual
+        "sphere",
+        (radius, 0.0, 0.0),
+        center,
+        IDENTITY,
+        material,
+        collide=collide,
+        visual=visual,
     )
 
 
-def look(mesh: str, material: str, pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY) -> Geom:
+def look(
+    mesh: str, material: str, pos: Vec3 = (0.0, 0.0, 0.0), quat: Quat = IDENTITY
+) -> Geom:
     """Make a visual-only mesh geom from the name of a mesh."""
     return Geom("mesh", (1.0, 1.0, 1.0), pos, quat, material, mesh, collide=False)
 
@@ -119,7 +132,10 @@ def rounded_box(size: Vec3, radius: float, steps: int = 2) -> Mesh:
             v, f = _rounded_side(half, radius, steps, axis, sign)
             faces.append(f + sum(len(p) for p in vertices))
             vertices.append(v)
-    return Mesh(np.concatenate(vertices).astype(np.float32), np.concatenate(faces).astype(np.int32))
+    return Mesh(
+        np.concatenate(vertices).astype(np.float32),
+        np.concatenate(faces).astype(np.int32),
+    )
 
 
 def _rounded_side(
@@ -141,7 +157,9 @@ def _rounded_side(
     p[:, v] = grid_v.ravel()
     inner = np.clip(p, -core, core)
     away = p - inner
-    p = inner + radius * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    p = inner + radius * away / np.maximum(
+        np.linalg.norm(away, axis=1, keepdims=True), 1e-12
+    )
     n, m = grid_u.shape
     a = (np.arange(n - 1)[:, None] * m + np.arange(m - 1)).ravel()
     quads = np.stack([a, a + m, a + m + 1, a + 1], 1)

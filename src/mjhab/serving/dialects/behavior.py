@@ -12,7 +12,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
-from mjhab.serving.dialects.parts import entry_of, mapping, numbers_of, own_parts, present, stacked
+from mjhab.serving.dialects.parts import (
+    entry_of,
+    mapping,
+    numbers_of,
+    own_parts,
+    present,
+    stacked,
+)
 from mjhab.serving.packing import ProtocolError
 
 _PROPRIO = "::proprio"
@@ -64,14 +71,18 @@ class Behavior:
             numbers = numbers[None]
         numbers = numbers_of(numbers, 3)
         if len(numbers) != batch:
-            raise ProtocolError(f"the answer has actions for {len(numbers)} worlds, not {batch}")
+            raise ProtocolError(
+                f"the answer has actions for {len(numbers)} worlds, not {batch}"
+            )
         return numbers
 
     def read(self, message: Any) -> Incoming:
         request = mapping(message)
         if "reset" in request:
             return Incoming(True)
-        state = next((value for key, value in request.items() if str(key).endswith(_PROPRIO)), None)
+        state = next(
+            (value for key, value in request.items() if str(key).endswith(_PROPRIO)), None
+        )
         batch = len(state) if isinstance(state, np.ndarray) and state.ndim == 2 else None
         return Incoming(False, request, batch)
 

@@ -13,7 +13,9 @@ from mjhab.serving.dialects.dialect import OWN, Dialect
 from mjhab.serving.dialects.openpi import OpenPi
 from mjhab.serving.dialects.roboarena import RoboArena
 
-_ROBOARENA_KEYS = frozenset({"image_resolution", "needs_session_id", "n_external_cameras"})
+_ROBOARENA_KEYS = frozenset(
+    {"image_resolution", "needs_session_id", "n_external_cameras"}
+)
 _DIALECTS: tuple[Dialect, ...] = (OpenPi(), RoboArena(), Behavior())
 DIALECTS: dict[str, Dialect] = {dialect.name: dialect for dialect in _DIALECTS}
 

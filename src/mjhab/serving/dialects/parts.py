@@ -20,7 +20,9 @@ def own_parts(asks: Sequence[Ask], batch: bool) -> dict[str, Any]:
     """What servers of mjhab want to know, under their key; nothing for others."""
     if any(ask.own is None for ask in asks):
         return {}
-    return {OWN: [dict(ask.own or {}) for ask in asks] if batch else dict(asks[0].own or {})}
+    return {
+        OWN: [dict(ask.own or {}) for ask in asks] if batch else dict(asks[0].own or {})
+    }
 
 
 def stacked(arrays: Sequence[np.ndarray | None], batch: bool) -> np.ndarray | None:
@@ -68,7 +70,9 @@ def numbers_of(value: Any, dimensions: int) -> np.ndarray:
     if numbers.ndim == dimensions - 1:
         numbers = numbers[None]
     if numbers.ndim != dimensions or not numbers.size:
-        raise ProtocolError(f"actions have {dimensions} dimensions, got the shape {numbers.shape}")
+        raise ProtocolError(
+            f"actions have {dimensions} dimensions, got the shape {numbers.shape}"
+        )
     return numbers
 
 

@@ -12,7 +12,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
-from mjhab.serving.dialects.parts import described, mapping, numbers_of, own_parts, present
+from mjhab.serving.dialects.parts import (
+    described,
+    mapping,
+    numbers_of,
+    own_parts,
+    present,
+)
 from mjhab.serving.packing import ProtocolError
 
 
@@ -69,7 +75,9 @@ class RoboArena:
         request = dict(mapping(message))
         endpoint = request.pop("endpoint", None)
         if endpoint not in ("infer", "reset"):
-            raise ProtocolError(f'the key "endpoint" must be "infer" or "reset", not {endpoint!r}')
+            raise ProtocolError(
+                f'the key "endpoint" must be "infer" or "reset", not {endpoint!r}'
+            )
         return Incoming(endpoint == "reset", request)
 
     def answer(self, chunks: np.ndarray, incoming: Incoming, infer_ms: float) -> Any:

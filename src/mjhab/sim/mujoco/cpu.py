@@ -62,7 +62,11 @@ class CpuSimulator:
     """
 
     def __init__(
-        self, layout: Layout, num_worlds: int, num_threads: int = 0, drives: Drives | None = None
+        self,
+        layout: Layout,
+        num_worlds: int,
+        num_threads: int = 0,
+        drives: Drives | None = None,
     ) -> None:
         if num_worlds < 1:
             raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
@@ -121,7 +125,9 @@ class CpuSimulator:
         """Reset worlds to the states ``qpos`` (n, nq) of homes with zero velocity; others stay bitwise the same."""
         self._clear(ids, homes)
         self._qpos[ids] = qpos
-        self._ctrl[ids] = holding_ctrl(self._world_models[0], self.layout.robot, np.asarray(qpos))
+        self._ctrl[ids] = holding_ctrl(
+            self._world_models[0], self.layout.robot, np.asarray(qpos)
+        )
         self._forward(ids)
 
     def _clear(self, ids: Sequence[int], homes: Sequence[str]) -> None:
@@ -158,7 +164,9 @@ class CpuSimulator:
         changed = np.flatnonzero(self._qpos[world] != qpos)
         self._qpos[world] = qpos
         self._qvel[world, self.addresses.robot_v] = 0.0
-        for start, dof in zip(self.addresses.object_q, self.addresses.object_v, strict=True):
+        for start, dof in zip(
+            self.addresses.object_q, self.addresses.object_v, strict=True
+        ):
             if np.any((changed >= start) & (changed < start + 7)):
                 self._qvel[world, dof : dof + 6] = 0.0
         self.batch.forward(ids=[world])
@@ -247,7 +255,9 @@ class CpuSimulator:
             force[world, link] = norm3(normal_force(readings))
         return force
 
-    def _hand_forces(self, pressed: np.ndarray, touch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _hand_forces(
+        self, pressed: np.ndarray, touch: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the contact forces of the targets on the left finger, the right finger and the tcp link.
 
         Args:
@@ -270,7 +280,9 @@ class CpuSimulator:
         force[world, link, target] = -pushed
         return force, np.asarray(contact.any(axis=1))
 
-    def _read(self, world: np.ndarray, start: np.ndarray, block: np.ndarray) -> np.ndarray:
+    def _read(
+        self, world: np.ndarray, start: np.ndarray, block: np.ndarray
+    ) -> np.ndarray:
         """Return (n, len(block)) sensor data: row i is that of world ``world[i]`` from column ``start[i]`` on."""
         return self._sensors[world[:, None], start[:, None] + block]
 

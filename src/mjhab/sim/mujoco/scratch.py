@@ -17,7 +17,11 @@ from mjhab.core.joints import BASE_YAW
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.core.timing import SUBSTEPS
-from mjhab.layout.contact_sensors import FORCE_SENSOR_WIDTH, TOUCH_SENSOR_WIDTH, pair_force
+from mjhab.layout.contact_sensors import (
+    FORCE_SENSOR_WIDTH,
+    TOUCH_SENSOR_WIDTH,
+    pair_force,
+)
 from mjhab.layout.home_models import model_bytes
 from mjhab.robots.model import apply_drives
 from mjhab.robots.parts import Drives
@@ -69,7 +73,9 @@ class _World:
         model = self._models.get((home, plain), lambda: self._make(home, plain))
         a = self._sim.addresses
         # After a reset, trees with sleep policy INIT sleep at qpos0; a tree whose qpos differs from it wakes up.
-        rows = (np.delete(a.object_q, carried) if carried >= 0 else a.object_q).astype(int)
+        rows = (np.delete(a.object_q, carried) if carried >= 0 else a.object_q).astype(
+            int
+        )
         columns = rows[:, None] + np.arange(7)
         model.qpos0[columns] = qpos[columns]
         if carried >= 0:
@@ -86,7 +92,9 @@ class _World:
         if plain:
             apply_drives(model, self._sim.layout.robot, Drives())
         a = self._sim.addresses
-        trees = model.body_treeid[np.concatenate([a.object_body, a.link_body]).astype(int)]
+        trees = model.body_treeid[
+            np.concatenate([a.object_body, a.link_body]).astype(int)
+        ]
         model.tree_sleep_policy[trees] = int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
         return model
 
@@ -172,9 +180,13 @@ class Scratch:
         load = self.sim.addresses.object_body[carried] if carried >= 0 else -1
         ours = robot | (self._geom_body[pairs] == load)
         # A contact counts if exactly one side is robot or carried object, or if both sides are the robot.
-        return bool((ours.any(axis=1) & ~ours.all(axis=1)).any() or robot.all(axis=1).any())
+        return bool(
+            (ours.any(axis=1) & ~ours.all(axis=1)).any() or robot.all(axis=1).any()
+        )
 
-    def holding(self, slot: int, robot: np.ndarray, tcp_in_object: np.ndarray) -> np.ndarray:
+    def holding(
+        self, slot: int, robot: np.ndarray, tcp_in_object: np.ndarray
+    ) -> np.ndarray:
         """Return the state (nq,) of the layout's first home with an object placed in the gripper.
 
         Args:
@@ -187,7 +199,9 @@ class Scratch:
         qpos = self.sim.model(home).qpos0.copy()
         qpos[a.robot_q] = robot
         start = a.object_q[slot]
-        qpos[start : start + 7] = pose_mul(self.tcp_pose(home, qpos), pose_inv(tcp_in_object))
+        qpos[start : start + 7] = pose_mul(
+            self.tcp_pose(home, qpos), pose_inv(tcp_in_object)
+        )
         return qpos
 
     def try_grasp(
@@ -242,12 +256,16 @@ class Scratch:
                     return None
             return relative, fingers
 
-    def _load_pose(self, model: mujoco.MjModel, data: mujoco.MjData, start: int) -> np.ndarray:
+    def _load_pose(
+        self, model: mujoco.MjModel, data: mujoco.MjData, start: int
+    ) -> np.ndarray:
         """Return the pose (7,) in the tcp frame of the object whose qpos begins at column ``start``."""
         mujoco.mj_kinematics(model, data)
         return pose_mul(pose_inv(self._read_tcp(data)), data.qpos[start : start + 7])
 
-    def _grasped(self, data: mujoco.MjData, slot: int, min_force: float, max_angle: float) -> bool:
+    def _grasped(
+        self, data: mujoco.MjData, slot: int, min_force: float, max_angle: float
+    ) -> bool:
         a = self.sim.addresses
         touch = a.touch[slot]
         touches = data.sensordata[touch : touch + TOUCH_SENSOR_WIDTH]
@@ -257,7 +275,9 @@ class Scratch:
             # The sensor gives the force of the finger on the object.
             force = -pair_force(readings, touches)[0]
             size = np.linalg.norm(force)
-            opening = data.xmat[a.robot_body[finger.link]].reshape(3, 3) @ np.array(finger.opens)
+            opening = data.xmat[a.robot_body[finger.link]].reshape(3, 3) @ np.array(
+                finger.opens
+            )
             if size < min_force or force @ opening < np.cos(max_angle) * size:
                 return False
         return True

@@ -41,7 +41,11 @@ def settle(
     hold_robot(model, data)
     steps = round(seconds / model.opt.timestep)
     mujoco.mj_step(model, data, steps)
-    speed = np.abs(data.qvel[a.object_v[:, None] + np.arange(6)]).max() if len(a.object_v) else 0.0
+    speed = (
+        np.abs(data.qvel[a.object_v[:, None] + np.arange(6)]).max()
+        if len(a.object_v)
+        else 0.0
+    )
     return data.qpos.copy(), float(speed)
 
 
@@ -52,7 +56,9 @@ def holding_ctrl(model: mujoco.MjModel, robot: Robot, qpos: np.ndarray) -> np.nd
     object is gripped from the first substep on.
     """
     joints = model.actuator_trnid[:, 0]
-    out = np.where(model.actuator_biasprm[:, 1] != 0.0, qpos[:, model.jnt_qposadr[joints]], 0.0)
+    out = np.where(
+        model.actuator_biasprm[:, 1] != 0.0, qpos[:, model.jnt_qposadr[joints]], 0.0
+    )
     out[:, list(robot.finger_columns)] = robot.limits.gripper[0]
     return out
 

@@ -34,7 +34,9 @@ class BuildProgress:
         self.seconds = 0.0
         self._last_line = -LINE_EVERY
 
-    def watch(self, compiler: Callable[..., Any], source: Callable[..., str]) -> Callable[..., Any]:
+    def watch(
+        self, compiler: Callable[..., Any], source: Callable[..., str]
+    ) -> Callable[..., Any]:
         """Return ``compiler`` wrapped so that each call counts a module and prints a message.
 
         ``source`` returns the path of the compiled file from the arguments of ``compiler``.
@@ -78,6 +80,8 @@ def announce_builds() -> BuildProgress:
     wp.config.log_level = wp.LOG_WARNING
     progress = BuildProgress()
     # Warp itself reports a module only after compiling it. Cached modules do not call these two functions.
-    build.build_cpu = progress.watch(build.build_cpu, lambda binary, source, *_: str(source))
+    build.build_cpu = progress.watch(
+        build.build_cpu, lambda binary, source, *_: str(source)
+    )
     build.build_cuda = progress.watch(build.build_cuda, lambda source, *_: str(source))
     return progress

@@ -24,7 +24,9 @@ from mjhab.sim.warp.homes import HOME_FIELDS, HomeTables
 CPU_DEVICE_ITERATIONS = 30
 """Solver iterations on Warp's CPU device, which always runs all of them (on CUDA the solver stops on convergence)."""
 _OVERFLOW = mjw.OverflowType
-CONTACT_OVERFLOW = _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
+CONTACT_OVERFLOW = (
+    _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
+)
 ROW_OVERFLOW = _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ | _OVERFLOW.NVMAX
 ENGINE_OVERFLOW = _OVERFLOW.EPA_HORIZON
 _BUFFER_BITS = {
@@ -83,7 +85,9 @@ class Engine:
         # MuJoCo compares every contact sensor with every contact; `kernels.add_contacts` reads each contact once.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         with set_up(device):
-            self.model = mjw.put_model(model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds))
+            self.model = mjw.put_model(
+                model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds)
+            )
             self.data = mjw.make_data(
                 model,
                 num_worlds,
@@ -195,9 +199,16 @@ class Engine:
     def _record_peak(self, model: mjw.Model, data: mjw.Data) -> None:
         # Called after each collision pass. With sleep enabled there are two per substep, and the second resets the
         # engine's counter, so that the engine forgets an overflow of the first pass.
-        wp.launch(kernels.record_peak, dim=1, inputs=[data.ncollision], outputs=[self.pairs_peak])
+        wp.launch(
+            kernels.record_peak,
+            dim=1,
+            inputs=[data.ncollision],
+            outputs=[self.pairs_peak],
+        )
 
-    def clear(self, worlds: torch.Tensor, rows: torch.Tensor, rings: torch.Tensor) -> None:
+    def clear(
+        self, worlds: torch.Tensor, rows: torch.Tensor, rings: torch.Tensor
+    ) -> None:
         """Put worlds into homes with zero velocity, ctrl, warm start and time; the caller then writes ``qpos_t``.
 
         Args:
@@ -208,7 +219,9 @@ class Engine:
         self.homes.put(worlds, rows)
         for zeroed in (self.qvel_t, self.ctrl_t, self.warmstart_t, self.time_t):
             zeroed[worlds] = 0.0
-        self.asleep_t[worlds] = torch.where(rings < 0, AWAKE, rings).to(self.asleep_t.dtype)
+        self.asleep_t[worlds] = torch.where(rings < 0, AWAKE, rings).to(
+            self.asleep_t.dtype
+        )
 
     def step(self) -> None:
         """Advance all worlds by one control step under ``ctrl_t``; updates forces, taint and broken worlds."""
@@ -259,7 +272,12 @@ class Engine:
         wp.launch(
             kernels.note_overflow,
             dim=self.num_worlds,
-            inputs=[data.overflow, self.pairs_peak, data.naconmax, int(_OVERFLOW.BROADPHASE)],
+            inputs=[
+                data.overflow,
+                self.pairs_peak,
+                data.naconmax,
+                int(_OVERFLOW.BROADPHASE),
+            ],
             outputs=[self.overflow_seen],
         )
 
@@ -293,7 +311,9 @@ class Engine:
 
     def _if_due(self, work: Callable[[], None]) -> None:
         self._due.zero_()
-        wp.launch(kernels.any_of, dim=self.num_worlds, inputs=[self.update], outputs=[self._due])
+        wp.launch(
+            kernels.any_of, dim=self.num_worlds, inputs=[self.update], outputs=[self._due]
+        )
         wp.capture_if(self._due, on_true=work)
 
     def _renew(self) -> None:
@@ -315,7 +335,9 @@ class Engine:
         self._move(self.moved)
         self._refresh()
         flags = [data.overflow, self.taint, self.broken]
-        wp.launch(kernels.clear_flags, dim=self.num_worlds, inputs=[self.fresh], outputs=flags)
+        wp.launch(
+            kernels.clear_flags, dim=self.num_worlds, inputs=[self.fresh], outputs=flags
+        )
 
     def refresh(self, worlds: torch.Tensor, *, teleport: bool = False) -> None:
         """Recompute derived quantities (poses, contacts, forces) of some worlds; others stay bitwise the same.
@@ -377,8 +399,16 @@ class Engine:
     def _derive(self, update: wp.array) -> None:
         data = self.data
         contact = self.data.contact
-        forces = [self.link_net, self.finger_force, self.touch, self.ee_contact, self.depth]
-        wp.launch(kernels.clear_forces, dim=self.num_worlds, inputs=[update], outputs=forces)
+        forces = [
+            self.link_net,
+            self.finger_force,
+            self.touch,
+            self.ee_contact,
+            self.depth,
+        ]
+        wp.launch(
+            kernels.clear_forces, dim=self.num_worlds, inputs=[update], outputs=forces
+        )
         wp.launch(
             kernels.add_contacts,
             dim=data.naconmax,

@@ -51,7 +51,9 @@ class HomeTables:
         self._rows = wp.zeros(data.nworld, dtype=wp.int32)
         self.rows = wp.to_torch(self._rows)
         self._tables = {
-            name: torch.zeros((capacity, *view.shape[1:]), dtype=view.dtype, device=view.device)
+            name: torch.zeros(
+                (capacity, *view.shape[1:]), dtype=view.dtype, device=view.device
+            )
             for name, view in views.items()
         }
         # The same memory flattened to 2-D, for the kernel that copies rows under a mask.
@@ -96,7 +98,9 @@ class HomeTables:
         """Put the worlds of mask ``fresh`` (W,) bool into homes ``rows`` (W,) int32; part of a captured graph."""
         wp.launch(keep_rows, dim=rows.shape, inputs=[fresh, rows], outputs=[self._rows])
         for table, world in self._flat:
-            wp.launch(copy_rows, dim=world.shape, inputs=[fresh, rows, table], outputs=[world])
+            wp.launch(
+                copy_rows, dim=world.shape, inputs=[fresh, rows, table], outputs=[world]
+            )
 
     def _require_same(self, home: str, model: mujoco.MjModel) -> None:
         for name in self._shared:
@@ -113,7 +117,9 @@ def _shared_fields(base: mujoco.MjModel) -> list[str]:
     """Return the names of the MjModel fields that the device model stores once for all worlds."""
     names = {field.name for field in dataclasses.fields(mjw.Model)} - set(HOME_FIELDS)
     return [
-        name for name in sorted(names) if isinstance(getattr(base, name, None), (np.ndarray, int))
+        name
+        for name in sorted(names)
+        if isinstance(getattr(base, name, None), (np.ndarray, int))
     ]
 
 

@@ -293,7 +293,10 @@ def keep_rows(fresh: wp.array[bool], rows: wp.array[int], kept: wp.array[int]):
 
 @wp.kernel
 def copy_rows(
-    fresh: wp.array[bool], rows: wp.array[int], table: wp.array2d[float], out: wp.array2d[float]
+    fresh: wp.array[bool],
+    rows: wp.array[int],
+    table: wp.array2d[float],
+    out: wp.array2d[float],
 ):
     """Copy row ``rows[world]`` of a table to ``out[world]`` for the worlds of mask ``fresh``."""
     world, i = wp.tid()
@@ -354,7 +357,11 @@ def clear_flags(
 
 @wp.kernel
 def note_overflow(
-    overflow: wp.array[int], peak: wp.array[int], naconmax: int, pairs_bit: int, seen: wp.array[int]
+    overflow: wp.array[int],
+    peak: wp.array[int],
+    naconmax: int,
+    pairs_bit: int,
+    seen: wp.array[int],
 ):
     """Add the engine's overflow bits of this control step to ``seen``, which is never cleared."""
     bits = overflow[wp.tid()]

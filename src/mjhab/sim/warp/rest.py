@@ -54,7 +54,9 @@ class RestFinder:
                 self._known.popitem(last=False)
         return self._known[key]
 
-    def _ask(self, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    def _ask(
+        self, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray
+    ) -> np.ndarray:
         data = self._data
         mujoco.mj_resetData(model, data)
         data.qpos[:] = qpos

@@ -73,12 +73,19 @@ class WarpSimulator:
         """Returns the compiled model of a home of the pack, on the host, by name."""
         base = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, base)
-        sizes = sizes or buffer_sizes(layout, self.model, self.addresses, num_worlds, self.device)
+        sizes = sizes or buffer_sizes(
+            layout, self.model, self.addresses, num_worlds, self.device
+        )
         sizes = changed_sizes(sizes, buffers or {})
         self._rest = RestFinder(base, self.addresses)
         with room_for(num_worlds, self.device):
             self.engine = Engine(
-                base, self.addresses, num_worlds, len(layout.pack.homes), sizes, self.device
+                base,
+                self.addresses,
+                num_worlds,
+                len(layout.pack.homes),
+                sizes,
+                self.device,
             )
             self._begin(base)
 
@@ -104,7 +111,9 @@ class WarpSimulator:
     def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: Any) -> None:
         """Reset worlds to the states ``qpos`` (n, nq) of homes with zero velocity; others stay bitwise the same."""
         qpos = to_numpy(qpos)
-        worlds = self._clear(ids, homes, qpos, np.zeros((len(qpos), self.engine.qvel_t.shape[1])))
+        worlds = self._clear(
+            ids, homes, qpos, np.zeros((len(qpos), self.engine.qvel_t.shape[1]))
+        )
         self.engine.qpos_t[worlds] = self._upload(qpos)
         self.engine.ctrl_t[worlds] = self._upload(
             holding_ctrl(self.model(homes[0]), self.layout.robot, qpos)
@@ -122,7 +131,9 @@ class WarpSimulator:
         rings = [self._rest.rings(home, self.model(home), q, v) for home, q, v in states]
         worlds = self._indices(ids)
         self.engine.clear(
-            worlds, self._indices(rows), torch.as_tensor(np.stack(rings), device=self._torch_device)
+            worlds,
+            self._indices(rows),
+            torch.as_tensor(np.stack(rings), device=self._torch_device),
         )
         return worlds
 
@@ -140,7 +151,9 @@ class WarpSimulator:
         taint = self.engine.taint_t[worlds].clone()
         default = np.stack([self.model(home).qpos0 for home in homes])
         self.reset(
-            ids, homes, np.where(np.isfinite(given).all(axis=1, keepdims=True), given, default)
+            ids,
+            homes,
+            np.where(np.isfinite(given).all(axis=1, keepdims=True), given, default),
         )
         self.engine.taint_t[worlds] = taint
 
@@ -174,10 +187,13 @@ class WarpSimulator:
             Home rows (n,) int32; actuator commands (n, nu) float32; sleep rings (n, ntree) int32, see
             `RestFinder.rings`.
         """
-        rows = np.array([self.engine.homes.row(home, self.model(home)) for home in homes], np.int32)
+        rows = np.array(
+            [self.engine.homes.row(home, self.model(home)) for home in homes], np.int32
+        )
         still = np.zeros(self.engine.qvel_t.shape[1])
         rings = [
-            self._rest.rings(h, self.model(h), q, still) for h, q in zip(homes, qpos, strict=True)
+            self._rest.rings(h, self.model(h), q, still)
+            for h, q in zip(homes, qpos, strict=True)
         ]
         ctrl = holding_ctrl(self.model(homes[0]), self.layout.robot, qpos)
         device = self._torch_device
@@ -216,7 +232,12 @@ class WarpSimulator:
         engine.fresh_t.copy_(mask)
         engine.moved_t.copy_(torch.zeros_like(mask) if moved is None else moved)
         given = (rows, qpos, ctrl, rings)
-        buffers = (engine.new_rows_t, engine.new_qpos_t, engine.new_ctrl_t, engine.new_rings_t)
+        buffers = (
+            engine.new_rows_t,
+            engine.new_qpos_t,
+            engine.new_ctrl_t,
+            engine.new_rings_t,
+        )
         for buffer, values in zip(buffers, given, strict=True):
             buffer.copy_(values)
         with room_for(self.num_worlds, self.device):
@@ -251,7 +272,10 @@ class WarpSimulator:
 
         Which trees sleep is not part of it, as in `CpuSimulator.get_world`.
         """
-        return {name: to_numpy(rows[world]).copy() for name, rows in self._world_rows().items()}
+        return {
+            name: to_numpy(rows[world]).copy()
+            for name, rows in self._world_rows().items()
+        }
 
     def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
         """Restore one world in a home from a state of `get_world`, and clear its taint.
@@ -308,7 +332,9 @@ class WarpSimulator:
         a = self.addresses
         engine = self.engine
         pose, velocity = (
-            rows[:, start : start + width * len(a.object_q)].unflatten(1, (len(a.object_q), width))
+            rows[:, start : start + width * len(a.object_q)].unflatten(
+                1, (len(a.object_q), width)
+            )
             for rows, start, width in (
                 (engine.qpos_t, int(a.object_q[0]), 7),
                 (engine.qvel_t, int(a.object_v[0]), 6),

@@ -85,14 +85,20 @@ class Demand:
 
         def shared(worst: int, mean: float) -> int:
             spread = 2.0 * math.sqrt(worst * mean / num_worlds)
-            return math.ceil(MARGIN * (worst + (num_worlds - 1) * min(worst, mean + spread)))
+            return math.ceil(
+                MARGIN * (worst + (num_worlds - 1) * min(worst, mean + spread))
+            )
 
         contacts = CROWD + max(
             LEAST.contacts * num_worlds, shared(self.contacts, self.mean_contacts)
         )
-        ccd = min(contacts, CROWD + max(LEAST.ccd * num_worlds, shared(self.ccd, self.mean_ccd)))
+        ccd = min(
+            contacts, CROWD + max(LEAST.ccd * num_worlds, shared(self.ccd, self.mean_ccd))
+        )
         rows = max(LEAST.rows, math.ceil(MARGIN * self.rows))
-        awake = max(LEAST.awake or 0, AWAKE_STEP * math.ceil(MARGIN * self.awake / AWAKE_STEP))
+        awake = max(
+            LEAST.awake or 0, AWAKE_STEP * math.ceil(MARGIN * self.awake / AWAKE_STEP)
+        )
         return BufferSizes(contacts, ccd, rows, min(nv, awake))
 
 
@@ -129,9 +135,12 @@ def buffer_sizes(
     """
     homes = layout.pack.homes
     chosen = [
-        homes[i] for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})
+        homes[i]
+        for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})
     ]
-    digest = hashlib.sha256(repr((_FORMAT, mjw.__version__)).encode() + Path(__file__).read_bytes())
+    digest = hashlib.sha256(
+        repr((_FORMAT, mjw.__version__)).encode() + Path(__file__).read_bytes()
+    )
     for home in chosen:
         digest.update(home_hash(layout, home).encode())
     # Servos decide how hard the robot pushes; the hash of a home has those of the robot, not of the control mode.
@@ -162,7 +171,9 @@ def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes
         if name not in names:
             raise unknown_name("buffer", name, names)
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise UsageError(f"buffer {name!r} must be a whole number of at least 1, got {value!r}")
+            raise UsageError(
+                f"buffer {name!r} must be a whole number of at least 1, got {value!r}"
+            )
     return dataclasses.replace(sizes, **changes)
 
 
@@ -176,7 +187,10 @@ def measure_demand(
     """Run stress rollouts in ``homes`` on C MuJoCo, and measure the demand of states of them on the device."""
     engine = Engine(model(homes[0].name), a, 1, len(homes), _GENEROUS, device)
     turns = [home for home in homes for _ in range(ROUNDS)]
-    runs = [stress(layout, home, model(home.name), a, index) for index, home in enumerate(turns)]
+    runs = [
+        stress(layout, home, model(home.name), a, index)
+        for index, home in enumerate(turns)
+    ]
     needs = np.array(
         [
             _measure(engine, engine.homes.row(home.name, model(home.name)), *state)
@@ -196,7 +210,9 @@ def measure_demand(
     )
 
 
-def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int) -> Stress:
+def stress(
+    layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int
+) -> Stress:
     """Simulate random commands at full speed near objects on the receptacles of a home; ``index`` seeds the draws."""
     rng = stream(0, "warp stress", index)
     data = mujoco.MjData(model)
@@ -226,17 +242,25 @@ def stress(layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, inde
 
 
 def _strew(
-    layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, rng: np.random.Generator
+    layout: Layout,
+    home: Home,
+    model: mujoco.MjModel,
+    a: Addresses,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Return a state (nq,) with every object 2 cm above a random point of one of HEAPS open receptacles."""
     qpos = model.qpos0.copy()
-    surfaces = [r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"]
+    surfaces = [
+        r for r in placed_receptacles(layout, home) if not r.link and r.kind == "open"
+    ]
     surfaces = [surfaces[i] for i in rng.permutation(len(surfaces))[:HEAPS]]
     for slot in range(layout.num_objects if surfaces else 0):
         on = surfaces[rng.integers(len(surfaces))]
         place = on.point(*rng.uniform(-1.0, 1.0, 2) * on.half)
         start = a.object_q[slot]
-        qpos[start : start + 3] = place + np.array([0.0, 0.0, layout.objects[slot].half[2] + 0.02])
+        qpos[start : start + 3] = place + np.array(
+            [0.0, 0.0, layout.objects[slot].half[2] + 0.02]
+        )
     return qpos
 
 
@@ -256,7 +280,9 @@ def _stand_free(
             if len(a.object_q)
             else np.zeros(2)
         )
-        place = np.array([*(thing - distance * np.array([np.cos(yaw), np.sin(yaw)])), yaw])
+        place = np.array(
+            [*(thing - distance * np.array([np.cos(yaw), np.sin(yaw)])), yaw]
+        )
         data.qpos[a.robot_q[BASE]] = place
         mujoco.mj_forward(model, data)
         touching = (

@@ -47,4 +47,6 @@ def task_with(subtask: str) -> str:
     for name in TASKS:
         if subtask in TASKS[name].subtasks:
             return name
-    raise UsageError(f"no task has the subtask {subtask!r}; register one whose plan contains it.")
+    raise UsageError(
+        f"no task has the subtask {subtask!r}; register one whose plan contains it."
+    )

@@ -61,7 +61,9 @@ class TargetRule:
         check_texts("start of a TargetRule", self.start)
         check_texts("goal of a TargetRule", self.goal)
         if not self.start or not self.goal:
-            raise UsageError("a TargetRule needs roles of receptacles for its start and its goal.")
+            raise UsageError(
+                "a TargetRule needs roles of receptacles for its start and its goal."
+            )
         if bool(self.opens) != bool(self.link):
             raise UsageError(
                 "a TargetRule that opens something needs the role of the link, and no other does."
@@ -142,7 +144,9 @@ class TaskSpec:
     @cached_property
     def subtasks(self) -> tuple[str, ...]:
         """Names of the kinds of subtasks in its plan, in the order of their numbers."""
-        used = {subtask.name for rule in self.targets for subtask in rule.subtasks(_SAMPLE)}
+        used = {
+            subtask.name for rule in self.targets for subtask in rule.subtasks(_SAMPLE)
+        }
         return tuple(name for name in subtask_names() if name in used)
 
     @cached_property

@@ -11,7 +11,10 @@ def pick_and_place(target: Target) -> list[Subtask]:
     kind = SubtaskKind
     return [
         Subtask(
-            kind.NAVIGATE, link=target.start_link, goal_pos=target.start_pos, toward=target.obj
+            kind.NAVIGATE,
+            link=target.start_link,
+            goal_pos=target.start_pos,
+            toward=target.obj,
         ),
         Subtask(kind.PICK, obj=target.obj, link=target.start_link),
         Subtask(
@@ -22,7 +25,9 @@ def pick_and_place(target: Target) -> list[Subtask]:
             must_hold=True,
             toward=f"{GOAL_OF}{target.obj}",
         ),
-        Subtask(kind.PLACE, obj=target.obj, link=target.goal_link, goal_pos=target.goal_pos),
+        Subtask(
+            kind.PLACE, obj=target.obj, link=target.goal_link, goal_pos=target.goal_pos
+        ),
     ]
 
 

@@ -21,7 +21,10 @@ def _edge_index(version: int) -> Table:
     """(K + 1, E): row of EDGES that is the event of a column, for every kind; for kind -1 nothing occurs."""
     columns = event_columns()
     none = EDGES.index("none")
-    rows = (tuple(EDGES.index(spec.edge(name)) for name in columns) for spec in SUBTASKS.values())
+    rows = (
+        tuple(EDGES.index(spec.edge(name)) for name in columns)
+        for spec in SUBTASKS.values()
+    )
     return Table((*rows, (none,) * len(columns)))
 
 
@@ -33,7 +36,10 @@ def blank(signals: Watched) -> History:
     """Signals that mshab/utils/label_dataset.py assumes before the first action: all False, force within its limit."""
     no = signals.success & ~signals.success
     return History(
-        **{f.name: ~no if f.name == "force_ok" else no for f in dataclasses.fields(History)}
+        **{
+            f.name: ~no if f.name == "force_ok" else no
+            for f in dataclasses.fields(History)
+        }
     )
 
 
@@ -64,7 +70,8 @@ def edge_events(kind: Array, before: Array, now: Array) -> Array:
     )
     # (W, E): for every world the edges that are events of its kind.
     return edges[
-        constant(_edge_index(SUBTASKS.version), kind)[kind], count(kind.shape[0], kind)[:, None]
+        constant(_edge_index(SUBTASKS.version), kind)[kind],
+        count(kind.shape[0], kind)[:, None],
     ]
 
 

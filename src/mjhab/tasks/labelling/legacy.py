@@ -58,7 +58,9 @@ def legacy_history(kind: int, history: History) -> list[str | None]:
     previous = blank(history.row(0))
     for t in range(1, steps):
         current = history.row(t)
-        for w, names in enumerate(event_names(kinds, step_events(kinds, previous, current))):
+        for w, names in enumerate(
+            event_names(kinds, step_events(kinds, previous, current))
+        ):
             extend(events[w], kind, names)
         previous = current
     success = history.success[1:].any(axis=0)

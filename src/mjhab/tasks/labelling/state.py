@@ -75,7 +75,10 @@ class History:
         xp = namespace(rows[0].success)
         names = [f.name for f in dataclasses.fields(History)]
         return History(
-            **{name: xp.stack([getattr(row, name) for row in rows], axis=0) for name in names}
+            **{
+                name: xp.stack([getattr(row, name) for row in rows], axis=0)
+                for name in names
+            }
         )
 
 
@@ -178,7 +181,9 @@ def start(signals: Watched) -> LabelState:
     now = watch(signals)
     no = now[: len(_FALLS)] & ~now[: len(_FALLS)]
     at_goal = now[_NOW["at_goal"]]
-    return LabelState(now, namespace(now).concat((now, no)), signals.must_hold, at_goal, at_goal)
+    return LabelState(
+        now, namespace(now).concat((now, no)), signals.must_hold, at_goal, at_goal
+    )
 
 
 def choose(mask: Array, new: LabelState, old: LabelState) -> LabelState:
@@ -234,7 +239,8 @@ def fold(history: History, valid: Array | None = None) -> LabelState:
 def get_row(state: LabelState, w: int) -> dict[str, Any]:
     """Copy of what a label state says about world ``w``, as numpy arrays."""
     return {
-        f.name: to_numpy(getattr(state, f.name)[..., w]).copy() for f in dataclasses.fields(state)
+        f.name: to_numpy(getattr(state, f.name)[..., w]).copy()
+        for f in dataclasses.fields(state)
     }
 
 
@@ -242,7 +248,11 @@ def _with_ee_contact(rows: Any) -> np.ndarray:
     """Rows ``WATCHED`` (and ``_FALLS``) of one world, (K,) or (K + 2,); ``touch`` stands in for a lacking row."""
     values = np.asarray(rows)
     lacking = len(values) in (len(WATCHED) - 1, len(WATCHED) - 1 + len(_FALLS))
-    return np.insert(values, _NOW["ee_contact"], values[_NOW["touch"]]) if lacking else values
+    return (
+        np.insert(values, _NOW["ee_contact"], values[_NOW["touch"]])
+        if lacking
+        else values
+    )
 
 
 def set_row(state: LabelState, w: int, row: Mapping[str, Any]) -> LabelState:

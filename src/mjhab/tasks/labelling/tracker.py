@@ -60,7 +60,10 @@ class SubtaskTracker:
             "labels": lb.get_row(self._labels, w),
             "events": [[step, name] for step, name in self._notes[w].events],
             "legacy": list(self._notes[w].legacy),
-            "flags": [bool(rows[w]) for rows in (self._begun, self._success, self._at_goal_first)],
+            "flags": [
+                bool(rows[w])
+                for rows in (self._begun, self._success, self._at_goal_first)
+            ],
         }
 
     def set_row(self, w: int, row: dict[str, Any]) -> None:
@@ -109,8 +112,12 @@ class SubtaskTracker:
         legacy_names = names
         if first.any():
             self._begun |= live
-            from_nothing = ev.event_names(kinds, ev.edge_events(kinds, np.zeros_like(now), now))
-            legacy_names = [from_nothing[w] if first[w] else names[w] for w in range(len(names))]
+            from_nothing = ev.event_names(
+                kinds, ev.edge_events(kinds, np.zeros_like(now), now)
+            )
+            legacy_names = [
+                from_nothing[w] if first[w] else names[w] for w in range(len(names))
+            ]
             self._at_goal_first = np.where(first, now[_AT_GOAL], self._at_goal_first)
         for w, note in enumerate(self._notes):
             if names[w] or legacy_names[w]:
@@ -124,7 +131,9 @@ class SubtaskTracker:
     def legacy_label(self, w: int, kind: int) -> str | None:
         """The published label of world ``w``'s subtask if it ended now; None if it has none."""
         note = self._notes[w]
-        return legacy_label(kind, note.legacy, bool(self._success[w]), bool(self._at_goal_first[w]))
+        return legacy_label(
+            kind, note.legacy, bool(self._success[w]), bool(self._at_goal_first[w])
+        )
 
     def events(self, w: int) -> list[tuple[int, str]]:
         """Return the (step, name) events of world ``w``'s subtask so far."""

@@ -75,7 +75,11 @@ def _check_scales(scales: Any) -> None:
     for kind, changes in scales.items():
         if not isinstance(changes, Mapping):
             having = [name for name in SUBTASKS if kind in term_names(name)]
-            hint = f" Did you mean {{{having[0]!r}: {{{kind!r}: {changes!r}}}}}?" if having else ""
+            hint = (
+                f" Did you mean {{{having[0]!r}: {{{kind!r}: {changes!r}}}}}?"
+                if having
+                else ""
+            )
             raise UsageError(f"{right}; got {kind!r}: {changes!r}.{hint}")
 
 
@@ -124,14 +128,19 @@ class DenseReward:
             for name in dict.fromkeys((*rewarded, *(kinds or ())))
         }
         for name, changes in options.scales.items():
-            tables[name] = reward_table(name).in_formula(options.formula).scaled(name, changes)
+            tables[name] = (
+                reward_table(name).in_formula(options.formula).scaled(name, changes)
+            )
         wanted = rewarded if kinds is None else kinds
-        self.tables: dict[int, RewardTable] = {number_of(name): tables[name] for name in wanted}
+        self.tables: dict[int, RewardTable] = {
+            number_of(name): tables[name] for name in wanted
+        }
         self.names: tuple[str, ...] = tuple(
             dict.fromkeys(t.name for tb in self.tables.values() for t in tb.terms)
         )
         self._scales = {
-            k: Table(tuple(t.scale for t in table.terms)) for k, table in self.tables.items()
+            k: Table(tuple(t.scale for t in table.terms))
+            for k, table in self.tables.items()
         }
         self._rows = {
             k: Table(tuple(self.names.index(t.name) for t in tb.terms))
@@ -167,7 +176,9 @@ class DenseReward:
             total = total + sums
         return Scored(terms, total, normaliser)
 
-    def _score_kind(self, kinds: Array, kind: int, view: RewardView) -> tuple[Array, Array]:
+    def _score_kind(
+        self, kinds: Array, kind: int, view: RewardView
+    ) -> tuple[Array, Array]:
         """Raw x scale (K, W) in the order of the kind's table, and their sums (W,); 0 in worlds of other kinds."""
         table = self.tables[kind]
         when, raw = table.raw(view, self.config)
@@ -177,7 +188,9 @@ class DenseReward:
         xp = namespace(scales)
         given = pile(gates) & mine
         # A term without a raw value is 1 where its condition holds.
-        values = pile([raw.get(t.name, gate) for t, gate in zip(table.terms, gates, strict=True)])
+        values = pile(
+            [raw.get(t.name, gate) for t, gate in zip(table.terms, gates, strict=True)]
+        )
         values = xp.where(given, values, 0.0)
         # One contiguous row per world: the last bit of a sum must not depend on the number of worlds.
         by_world = values.T.reshape(-1).reshape(values.T.shape)

@@ -75,7 +75,9 @@ class Term:
     """Description: the rewarded behaviour, and the formula of the raw value if it is not 1."""
 
 
-RawFunction = Callable[[RewardView, TaskConfig], tuple[dict[str, Array], dict[str, Array]]]
+RawFunction = Callable[
+    [RewardView, TaskConfig], tuple[dict[str, Array], dict[str, Array]]
+]
 """(view, config) to the conditions, name to (W,) bool, and the raw values, name to (W,) in [0, 1]; a term without a
 raw value is worth 1 while its condition holds."""
 
@@ -130,7 +132,9 @@ class RewardTable:
         """
         for name, scale in scales.items():
             if name not in {t.name for t in self.terms}:
-                raise unknown_name(f"reward term of {kind}", name, [t.name for t in self.terms])
+                raise unknown_name(
+                    f"reward term of {kind}", name, [t.name for t in self.terms]
+                )
             if (
                 isinstance(scale, bool)
                 or not isinstance(scale, int | float)
@@ -140,7 +144,8 @@ class RewardTable:
                     f"the scale of reward term {kind}.{name} must be a finite number, got {scale!r}"
                 )
         terms = tuple(
-            dataclasses.replace(t, scale=float(scales.get(t.name, t.scale))) for t in self.terms
+            dataclasses.replace(t, scale=float(scales.get(t.name, t.scale)))
+            for t in self.terms
         )
         return dataclasses.replace(self, terms=terms)
 
@@ -148,7 +153,9 @@ class RewardTable:
 # -- raw measures ------------------------------------------------------------------------------------------------------
 
 
-def near(sharpness: Mapping[str, float], distances: Mapping[str, Array]) -> dict[str, Array]:
+def near(
+    sharpness: Mapping[str, float], distances: Mapping[str, Array]
+) -> dict[str, Array]:
     """Compute ``1 - tanh(sharpness * distance)``, 1 at zero and falling to 0, for several terms in one call.
 
     Args:
@@ -192,7 +199,9 @@ def force_excess(robot_force: Array, per_newton: float) -> Array:
 def posture_error(world: WorldState, config: TaskConfig) -> Array:
     """(W,) distance of torso, head and arm from rest, over all joints [m, rad]."""
     posture = config.joints.posture
-    return length(world.robot_q[:, posture] - constant(config.rest_qpos[posture], world.robot_q))
+    return length(
+        world.robot_q[:, posture] - constant(config.rest_qpos[posture], world.robot_q)
+    )
 
 
 def joint_speed(world: WorldState, config: TaskConfig) -> Array:

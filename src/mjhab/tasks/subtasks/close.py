@@ -26,7 +26,10 @@ CLOSE_TERMS = (
     Term("reach", 7.0, "reaching", "hand to the handle: 1 - tanh(d)"),
     Term("grasp", 7.5, "gripping", "the handle is grasped, in place of reach"),
     Term(
-        "closed", 8.0, "closed", "closed with the hand at the handle, in place of reach and grasp"
+        "closed",
+        8.0,
+        "closed",
+        "closed with the hand at the handle, in place of reach and grasp",
     ),
     Term(
         "progress",
@@ -34,7 +37,12 @@ CLOSE_TERMS = (
         ALWAYS,
         "share of the way from fully open to the opening that counts as closed",
     ),
-    Term("gentle", 5.0, "gentle", "the joint moves at 2 rad/s (door), 1 m/s (drawer) or less"),
+    Term(
+        "gentle",
+        5.0,
+        "gentle",
+        "the joint moves at 2 rad/s (door), 1 m/s (drawer) or less",
+    ),
     Term(
         "posture",
         1.0,

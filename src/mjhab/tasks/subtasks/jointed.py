@@ -42,7 +42,8 @@ def label_rules(names: JointNames) -> tuple[LabelRule, ...]:
     there = names.there
     return (
         LabelRule(
-            "success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")
+            "success_then_excessive_collisions",
+            lambda s: s.ever("success") & s.ever("excess"),
         ),
         LabelRule("dubious_success", lambda s: s.ever("success") & ~s.holds(there)),
         LabelRule(names.done, lambda s: s.ever("success")),

@@ -40,8 +40,18 @@ NAVIGATE_TERMS = (
     Term("heading", 2.0, "misaligned", "goal ahead: 1 - tanh(|bearing| / 2)"),
     Term("aligned", 2.0, "aligned", "facing the goal, in place of heading"),
     Term("base_still", 2.0, "aligned", "base speed: 1 - tanh(v / 3)"),
-    Term("still", 1.0, "settled", "joint speeds: 1 - tanh(|qd|), with the hand at its rest point"),
-    Term("force", 5.0, ALWAYS, "contact force over 40 N: 1 - tanh(3 (max(0.005 F, 0.2) - 0.2))"),
+    Term(
+        "still",
+        1.0,
+        "settled",
+        "joint speeds: 1 - tanh(|qd|), with the hand at its rest point",
+    ),
+    Term(
+        "force",
+        5.0,
+        ALWAYS,
+        "contact force over 40 N: 1 - tanh(3 (max(0.005 F, 0.2) - 0.2))",
+    ),
     Term("posture", 2.0, ALWAYS, "torso, head and arm to rest: 1 - tanh(|q - rest| / 5)"),
     Term("rest", 2.0, ALWAYS, "hand to its rest point: 1 - tanh(3 d)"),
 )
@@ -58,7 +68,9 @@ _SHARPNESS = {
 }
 
 
-def _navigate(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
+def _navigate(
+    view: RewardView, config: TaskConfig
+) -> tuple[dict[str, Array], dict[str, Array]]:
     world = view.world
     signals = view.signals
     xp = namespace(world.base_pose)
@@ -69,7 +81,9 @@ def _navigate(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], d
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
     distances = {
         "approach": view.nav_distance,
-        "forward": above_zero(cos * world.robot_qd[:, BASE_X] + sin * world.robot_qd[:, BASE_Y]),
+        "forward": above_zero(
+            cos * world.robot_qd[:, BASE_X] + sin * world.robot_qd[:, BASE_Y]
+        ),
         "heading": xp.abs(bearing),
         "base_still": norm3(world.robot_qd[:, BASE]),
         "still": joint_speed(world, config),
@@ -112,7 +126,10 @@ def _has_lost(s: LabelState) -> Array:
 
 
 LABEL_RULES = (
-    LabelRule("success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")),
+    LabelRule(
+        "success_then_excessive_collisions",
+        lambda s: s.ever("success") & s.ever("excess"),
+    ),
     LabelRule("success_then_dropped", lambda s: s.ever("success") & _has_lost(s)),
     LabelRule("navigation_success", lambda s: s.ever("success")),
     LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
@@ -124,7 +141,11 @@ LABEL_RULES = (
 def _published_label(events: Sequence[str], success: bool, at_goal_first: bool) -> str:
     """The rule for Navigate of mshab/utils/label_dataset.py."""
     if EXCESS in events:
-        return "success_then_excessive_collisions" if success else "excessive_collision_failure"
+        return (
+            "success_then_excessive_collisions"
+            if success
+            else "excessive_collision_failure"
+        )
     if "dropped" in events:
         return "success_then_dropped" if success else "dropped_failure"
     return "navigation_success" if success else "navigation_failure"

@@ -30,10 +30,18 @@ OPEN_TERMS = (
     Term("grasp", 5.0, "gripping", "the handle is grasped, in place of reach"),
     Term("opened", 6.0, "opened", "the link is open, in place of reach and grasp"),
     Term(
-        "progress", 6.0, ALWAYS, "share of the way from closed to the opening that counts as open"
+        "progress",
+        6.0,
+        ALWAYS,
+        "share of the way from closed to the opening that counts as open",
     ),
     Term("started", 3.0, "started", "the joint has left its closed end by 0.01"),
-    Term("gentle", 3.0, "gentle", "the joint moves at 2 rad/s (door), 1 m/s (drawer) or less"),
+    Term(
+        "gentle",
+        3.0,
+        "gentle",
+        "the joint moves at 2 rad/s (door), 1 m/s (drawer) or less",
+    ),
     Term("posture", 2.0, "opened", "torso, head and arm to rest: 1 - tanh(|q - rest|)"),
     Term("torso_up", 1.0, "opened", "height of the torso as a share of its travel"),
     Term("rest", 2.0, "opened", "hand to its rest point: 1 - tanh(d)"),

@@ -34,14 +34,24 @@ PICK_TERMS = (
     Term("reach", 5.0, ALWAYS, "hand to the object: 1 - tanh(3 d)"),
     Term("slow_hand", 1.0, ALWAYS, "hand speed: 1 - tanh(v / 5)"),
     Term("posture", 1.0, ALWAYS, "torso, head and arm to rest: 1 - tanh(|q - rest| / 5)"),
-    Term("force", 3.0, ALWAYS, "contact force over 200 N: 1 - tanh(3 (max(0.001 F, 0.2) - 0.2))"),
+    Term(
+        "force",
+        3.0,
+        ALWAYS,
+        "contact force over 200 N: 1 - tanh(3 (max(0.001 F, 0.2) - 0.2))",
+    ),
     Term("force_limit", 2.0, "force_ok", "the force so far is within the limit"),
     Term("grasp", 2.0, "grasped", "the object is grasped"),
     Term("success", 3.0, "success", "the subtask is achieved"),
     Term(
-        "torso_still", 1.0, "reaching", "torso speed: 1 - tanh(5 v), 1 within 0.3 m of the object"
+        "torso_still",
+        1.0,
+        "reaching",
+        "torso speed: 1 - tanh(5 v), 1 within 0.3 m of the object",
     ),
-    Term("above", 1.0, "reaching", "hand over the object: 1 - tanh(5 d), d along the floor"),
+    Term(
+        "above", 1.0, "reaching", "hand over the object: 1 - tanh(5 d), d along the floor"
+    ),
     Term("hold", 2.0, "grasped", "the object is held, the way back to rest begins"),
     Term("rest", 5.0, "grasped", "hand to its rest point: 1 - tanh(3 d)"),
     Term("posture_holding", 1.0, "grasped", "as posture"),
@@ -63,12 +73,16 @@ _PICK_SHARPNESS = {
 }
 
 
-def _pick(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
+def _pick(
+    view: RewardView, config: TaskConfig
+) -> tuple[dict[str, Array], dict[str, Array]]:
     world = view.world
     signals = view.signals
     xp = namespace(world.tcp_pos)
     delta = world.tcp_pos - view.object_pos
-    distance, hand_speed, base_speed = lengths(delta, view.tcp_vel, world.robot_qd[:, BASE])
+    distance, hand_speed, base_speed = lengths(
+        delta, view.tcp_vel, world.robot_qd[:, BASE]
+    )
     x = delta[:, 0]
     y = delta[:, 1]
     distances = {
@@ -105,12 +119,17 @@ REWARD = RewardTable(
 )
 
 LABEL_RULES = (
-    LabelRule("success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")),
+    LabelRule(
+        "success_then_excessive_collisions",
+        lambda s: s.ever("success") & s.ever("excess"),
+    ),
     LabelRule("success_then_drop", lambda s: s.ever("success") & ~s.holds("is_grasped")),
     LabelRule("winding_success", lambda s: s.ever("success") & s.ever("released")),
     LabelRule("straightforward_success", lambda s: s.ever("success")),
     LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
-    LabelRule("mobility_failure", lambda s: ~s.ever("is_grasped") & ~s.ever("ee_contact")),
+    LabelRule(
+        "mobility_failure", lambda s: ~s.ever("is_grasped") & ~s.ever("ee_contact")
+    ),
     LabelRule("cant_grasp_failure", lambda s: ~s.ever("is_grasped")),
     LabelRule("drop_failure", lambda s: ~s.holds("is_grasped")),
     LabelRule("too_slow_failure"),
@@ -133,7 +152,11 @@ def _published_label(events: Sequence[str], success: bool, at_goal_first: bool) 
         return "mobility_failure"
     if len(events) == 1:
         return "cant_grasp_failure"
-    return "drop_failure" if "dropped" in events and events[-1] != "grasped" else "too_slow_failure"
+    return (
+        "drop_failure"
+        if "dropped" in events and events[-1] != "grasped"
+        else "too_slow_failure"
+    )
 
 
 PUBLISHED = PublishedLabels(
@@ -154,7 +177,11 @@ PUBLISHED = PublishedLabels(
 
 PICK = SubtaskSpec(
     name="pick",
-    words=("pick up {object} {source}", "take {object} {source}", "grab {object} {source}"),
+    words=(
+        "pick up {object} {source}",
+        "take {object} {source}",
+        "grab {object} {source}",
+    ),
     color="#3b82f6",
     about="object",
     limits=SubtaskConfig(200, 5000.0),

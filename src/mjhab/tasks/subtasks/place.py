@@ -39,7 +39,12 @@ PLACE_TERMS = (
         ALWAYS,
         "object not thrown: 1 - tanh((|v| + |w|) / 5), 1 while it is grasped",
     ),
-    Term("force", 3.0, ALWAYS, "contact force over 200 N: 1 - tanh(3 (max(0.001 F, 0.2) - 0.2))"),
+    Term(
+        "force",
+        3.0,
+        ALWAYS,
+        "contact force over 200 N: 1 - tanh(3 (max(0.001 F, 0.2) - 0.2))",
+    ),
     Term("force_limit", 2.0, "force_ok", "the force so far is within the limit"),
     Term("success", 6.0, "success", "the subtask is achieved"),
     Term("grasp", 2.0, "carrying", "the object is grasped and not at its goal"),
@@ -81,7 +86,9 @@ _PLACE_SHARPNESS = {
 }
 
 
-def _place(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict[str, Array]]:
+def _place(
+    view: RewardView, config: TaskConfig
+) -> tuple[dict[str, Array], dict[str, Array]]:
     world = view.world
     signals = view.signals
     xp = namespace(world.tcp_pos)
@@ -126,17 +133,25 @@ def _place(view: RewardView, config: TaskConfig) -> tuple[dict[str, Array], dict
 
 REWARD = RewardTable(
     PLACE_TERMS,
-    cases=(("force_ok", "away", "carrying"), ("force_ok", "placed", "resting", "success")),
+    cases=(
+        ("force_ok", "away", "carrying"),
+        ("force_ok", "placed", "resting", "success"),
+    ),
     published=44.0,
     raw=_place,
     reads=("object_vel",),
 )
 
 LABEL_RULES = (
-    LabelRule("success_then_excessive_collisions", lambda s: s.ever("success") & s.ever("excess")),
+    LabelRule(
+        "success_then_excessive_collisions",
+        lambda s: s.ever("success") & s.ever("excess"),
+    ),
     LabelRule("dubious_success", lambda s: s.ever("success") & ~s.holds("at_goal")),
     LabelRule("winding_success", lambda s: s.ever("success") & s.ever("left_goal")),
-    LabelRule("dropped_to_goal_success", lambda s: s.ever("success") & ~s.first_success_release),
+    LabelRule(
+        "dropped_to_goal_success", lambda s: s.ever("success") & ~s.first_success_release
+    ),
     LabelRule("placed_in_goal_success", lambda s: s.ever("success")),
     LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
     LabelRule("didnt_grasp_failure", lambda s: ~s.ever("is_grasped")),
@@ -177,7 +192,9 @@ def _place_failure(events: Sequence[str], at_goal_first: bool) -> str:
     inside = last(events, "released_at_goal")
     outside = last(events, "released_outside_goal")
     placed = (len(events) <= 2 and at_goal_first) or (inside > outside and inside > grasp)
-    dropped = (len(events) <= 2 and not at_goal_first) or (outside > inside and outside > grasp)
+    dropped = (len(events) <= 2 and not at_goal_first) or (
+        outside > inside and outside > grasp
+    )
     left = last(events, "left_goal") > last(events, "at_goal")
     if placed and left:
         return "place_in_goal_failure"

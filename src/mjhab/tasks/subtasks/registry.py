@@ -73,7 +73,9 @@ def name_of(kind: int) -> str:
     names = SUBTASKS.names()
     if not 0 <= kind < len(names):
         numbered = ", ".join(f"{number} {name}" for number, name in enumerate(names))
-        raise UsageError(f"there is no subtask with the number {int(kind)}; there are {numbered}.")
+        raise UsageError(
+            f"there is no subtask with the number {int(kind)}; there are {numbered}."
+        )
     return names[kind]
 
 
@@ -119,7 +121,9 @@ def properties(kind: Array, *names: str) -> Array:
 def _property_table(names: tuple[str, ...], version: int) -> Table:
     """(N, K + 1); kind -1 reads the last column."""
     specs = SUBTASKS.values()
-    return Table(tuple((*(bool(getattr(s, name)) for s in specs), False) for name in names))
+    return Table(
+        tuple((*(bool(getattr(s, name)) for s in specs), False) for name in names)
+    )
 
 
 def shown(kind: Array) -> Array:
@@ -132,7 +136,10 @@ def shown(kind: Array) -> Array:
 def _shown_table(version: int) -> Table:
     specs = SUBTASKS.values()
     return Table(
-        tuple((*(part in spec.shows for spec in specs), False) for part in ("object", "goal"))
+        tuple(
+            (*(part in spec.shows for spec in specs), False)
+            for part in ("object", "goal")
+        )
     )
 
 
@@ -168,4 +175,6 @@ def _event_columns(version: int) -> tuple[str, ...]:
 
 def all_labels() -> tuple[str, ...]:
     """Every label of any kind, without repeats."""
-    return tuple(dict.fromkeys(label for spec in SUBTASKS.values() for label in spec.labels))
+    return tuple(
+        dict.fromkeys(label for spec in SUBTASKS.values() for label in spec.labels)
+    )

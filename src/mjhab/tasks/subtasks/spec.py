@@ -208,7 +208,11 @@ class SubtaskSpec:
     def _check_words(self) -> None:
         for wording in self.words:
             try:
-                named = [name for _, name, _, _ in Formatter().parse(wording) if name is not None]
+                named = [
+                    name
+                    for _, name, _, _ in Formatter().parse(wording)
+                    if name is not None
+                ]
             except ValueError as error:
                 raise UsageError(
                     f"subtask {self.name!r}: the wording {wording!r} cannot be read: {error}."
@@ -233,7 +237,9 @@ class SubtaskSpec:
         ):
             for name in given:
                 if name not in valid:
-                    raise UsageError(f"subtask {self.name!r}: {unknown_name(kind, name, valid)}")
+                    raise UsageError(
+                        f"subtask {self.name!r}: {unknown_name(kind, name, valid)}"
+                    )
         if not _COLOR.fullmatch(self.color):
             raise UsageError(
                 f"subtask {self.name!r}: color must be like '#3b82f6', got {self.color!r}."
@@ -253,7 +259,9 @@ class SubtaskSpec:
                 "then every episode has exactly one label."
             )
         if len(set(self.labels)) != len(self.labels):
-            raise UsageError(f"subtask {self.name!r} has a label twice: {', '.join(self.labels)}.")
+            raise UsageError(
+                f"subtask {self.name!r} has a label twice: {', '.join(self.labels)}."
+            )
         for rule in self.label_rules[:-1]:
             self._try_rule(rule)
 
@@ -316,7 +324,11 @@ class SubtaskSpec:
 
     def applies(self, check: str) -> bool:
         """Whether a check applies to it; a check that does not apply is False."""
-        return check in COMMON_CHECKS or check in (*self.checks, *self.conditions, *self.measures)
+        return check in COMMON_CHECKS or check in (
+            *self.checks,
+            *self.conditions,
+            *self.measures,
+        )
 
     def needs(self, ignore_arm: bool) -> tuple[str, ...]:
         """The conditions of success; ``ignore_arm``: without ``arm_conditions``."""

@@ -59,14 +59,18 @@ def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> Hom
             models.lamp_color,
         )
         arrays = _arrays(found)
-        write_cached(path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays))
+        write_cached(
+            path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
+        )
     return found
 
 
 def _digest(layout: Layout, home: str) -> str:
     spec = next(h for h in layout.pack.homes if h.name == home)
     digest = hashlib.sha256(home_hash(layout, spec).encode())
-    digest.update(code_digest("viewer.drawn.glb", "viewer.drawn.models", "render", "robots"))
+    digest.update(
+        code_digest("viewer.drawn.glb", "viewer.drawn.models", "render", "robots")
+    )
     # The hash of the home covers only its physics, not meshes that are only visual.
     for name, mesh in sorted(layout.pack.meshes.items()):
         digest.update(name.encode() + mesh.vertices.tobytes())  # type: ignore[attr-defined]

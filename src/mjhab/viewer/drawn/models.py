@@ -72,7 +72,9 @@ class HomeModels:
     lamp_color: np.ndarray
 
 
-def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> HomeModels:
+def home_models(
+    scene: RenderScene, home: int, max_faces: int | None = None
+) -> HomeModels:
     """Compute the models of one home from a render scene.
 
     Args:
@@ -98,7 +100,11 @@ def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> 
     )
     lit = scene.light_color[home].any(axis=1)
     return HomeModels(
-        still, movable, tuple(looks.found), scene.light_pos[home, lit], scene.light_color[home, lit]
+        still,
+        movable,
+        tuple(looks.found),
+        scene.light_pos[home, lit],
+        scene.light_color[home, lit],
     )
 
 
@@ -162,7 +168,9 @@ def _picture(scene: RenderScene, number: int) -> np.ndarray:
     high = 1 << max(0, int(bits[1]) - level)
     start = int(scene.texels.start[number, level])
     words = scene.texels.pixels[start : start + wide * high].reshape(high, wide)
-    return np.stack([(words >> shift) & 255 for shift in (0, 8, 16)], axis=-1).astype(np.uint8)
+    return np.stack([(words >> shift) & 255 for shift in (0, 8, 16)], axis=-1).astype(
+        np.uint8
+    )
 
 
 def srgb_bytes(light: np.ndarray) -> np.ndarray:
@@ -177,17 +185,23 @@ def _parts(
     for instance in instances:
         for material, rows in _corners(scene, home, instance):
             corners[looks.index(material)].append(rows)
-    return tuple(_joined(look, np.concatenate(rows)) for look, rows in sorted(corners.items()))
+    return tuple(
+        _joined(look, np.concatenate(rows)) for look, rows in sorted(corners.items())
+    )
 
 
-def _corners(scene: RenderScene, home: int, instance: int) -> list[tuple[int, np.ndarray]]:
+def _corners(
+    scene: RenderScene, home: int, instance: int
+) -> list[tuple[int, np.ndarray]]:
     """Corners (3 F, 8) of the faces of an instance by material: position [m], unit normal, texture coordinates."""
     mesh = scene.instance_mesh[instance]
     start = int(scene.mesh_face_start[mesh])
     faces = np.arange(start, start + int(scene.mesh_face_count[mesh]))
     points = scene.vertices[scene.faces[faces]].astype(np.float64)
     scale = scene.home_scale[home, instance]
-    normals = np.einsum("fij,fkj->fki", scene.face_normal[faces], _with_one(points)) / scale
+    normals = (
+        np.einsum("fij,fkj->fki", scene.face_normal[faces], _with_one(points)) / scale
+    )
     normals = _unit(normals)
     given = scene.instance_material[home, instance]
     material = scene.face_material[faces] if given < 0 else np.full(len(faces), given)
@@ -243,7 +257,15 @@ def _joined(look: int, corners: np.ndarray) -> Part:
     """A part from corners (3 F, 8), merging equal corners into one vertex."""
     rows = np.ascontiguousarray(np.round(corners, 5), np.float32) + np.float32(0.0)
     _, first, index = np.unique(
-        rows.view(f"V{rows.shape[1] * 4}").reshape(-1), return_index=True, return_inverse=True
+        rows.view(f"V{rows.shape[1] * 4}").reshape(-1),
+        return_index=True,
+        return_inverse=True,
     )
     kept = rows[first]
-    return Part(look, kept[:, :3], kept[:, 3:6], kept[:, 6:], index.reshape(-1, 3).astype(np.int32))
+    return Part(
+        look,
+        kept[:, :3],
+        kept[:, 3:6],
+        kept[:, 6:],
+        index.reshape(-1, 3).astype(np.int32),
+    )

@@ -42,7 +42,9 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
     goals = next((value for value in held if isinstance(value, HandGoals)), None)
     trip = next((value for value in held if isinstance(value, Trip)), None)
     if trip is not None and len(trip.poses):
-        return PlanMarks(trip.poses[:, :2].copy(), trip.poses[-1].copy(), _hand_poses(None), None)
+        return PlanMarks(
+            trip.poses[:, :2].copy(), trip.poses[-1].copy(), _hand_poses(None), None
+        )
     routes = [value for value in held if isinstance(value, Route)]
     route = routes[0] if routes else stance.route if stance is not None else None
     if route is None and stance is None and goals is None:

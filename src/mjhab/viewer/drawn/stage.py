@@ -89,7 +89,9 @@ class Stage:
             self._add_lamps(home)
 
     def _add_lamps(self, home: HomeFiles) -> None:
-        for k, (pos, color) in enumerate(zip(home.lamp_pos, home.lamp_color, strict=True)):
+        for k, (pos, color) in enumerate(
+            zip(home.lamp_pos, home.lamp_color, strict=True)
+        ):
             strength = float(color.max())
             x, y, z = pos.tolist()
             r, g, b = srgb_bytes(color / strength).tolist()
@@ -131,7 +133,9 @@ class Stage:
         if len(plan.path) > 1:
             points = np.insert(plan.path, 2, PATH_HEIGHT_M, axis=1)
             lines = np.stack([points[:-1], points[1:]], axis=1)
-            yield scene.add_line_segments("/plan/path", lines, PATH_COLOR, thickness=PATH_WIDTH_M)
+            yield scene.add_line_segments(
+                "/plan/path", lines, PATH_COLOR, thickness=PATH_WIDTH_M
+            )
         if plan.stance is not None:
             x, y, yaw = plan.stance.tolist()
             turn = (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
@@ -153,7 +157,11 @@ class Stage:
         if len(plan.hands):
             quats = quat_from_mat(plan.hands[:, :3, :3])
             yield scene.add_batched_axes(
-                "/plan/hands", quats, plan.hands[:, :3, 3], axes_length=0.05, axes_radius=0.002
+                "/plan/hands",
+                quats,
+                plan.hands[:, :3, 3],
+                axes_length=0.05,
+                axes_radius=0.002,
             )
         if plan.chosen is not None and plan.chosen < len(plan.hands):
             hand = plan.hands[plan.chosen]
@@ -178,7 +186,12 @@ class _Placed:
     """Scene node of a model, drawn at every body that has it."""
 
     def __init__(
-        self, scene: viser.SceneApi, name: str, bodies: tuple[int, ...], data: bytes, pose: Pose
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        bodies: tuple[int, ...],
+        data: bytes,
+        pose: Pose,
     ) -> None:
         self._bodies = list(bodies)
         self._pos = pose.pos[self._bodies].astype(np.float32)
@@ -227,5 +240,14 @@ def _ball(radius: float) -> tuple[np.ndarray, np.ndarray]:
     corners = radius * np.array(
         [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], np.float32
     )
-    faces = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
+    faces = [
+        (0, 2, 4),
+        (2, 1, 4),
+        (1, 3, 4),
+        (3, 0, 4),
+        (2, 0, 5),
+        (1, 2, 5),
+        (3, 1, 5),
+        (0, 3, 5),
+    ]
     return corners, np.array(faces, np.uint32)

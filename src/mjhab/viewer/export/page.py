@@ -39,7 +39,12 @@ from mjhab.viewer.sources.track import Track
 
 MAX_BYTES = 5_000_000
 """Largest size of a page [bytes], so that it can be attached to a message."""
-DETAILS: tuple[tuple[int | None, int], ...] = ((None, 100), (1200, 60), (400, 40), (120, 0))
+DETAILS: tuple[tuple[int | None, int], ...] = (
+    (None, 100),
+    (1200, 60),
+    (400, 40),
+    (120, 0),
+)
 """Levels of detail that are tried until a page is small enough: most faces per mesh (None: all), images per camera."""
 PICTURE_SIDE_PX = 128
 JPEG_QUALITY = 70
@@ -91,7 +96,9 @@ def _page(track: Track, models: HomeModels, replay: Replay, pictures: int) -> by
     header["pose"] = _poses(track, models, replay, block)
     header["pictures"] = _pictures(track, replay, pictures, block)
     told = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-    packed = zlib.compress(len(told).to_bytes(4, "little") + _padded(told) + block.bytes(), 9)
+    packed = zlib.compress(
+        len(told).to_bytes(4, "little") + _padded(told) + block.bytes(), 9
+    )
     folder = importlib.resources.files("mjhab.viewer.export")
     parts = {
         "TITLE": escape(track.title),
@@ -145,7 +152,9 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
         "reward": [m.reward for m in moments],
         "active": [m.active for m in moments],
     }
-    told = {name: block.add(np.array(values, np.float32)) for name, values in series.items()}
+    told = {
+        name: block.add(np.array(values, np.float32)) for name, values in series.items()
+    }
     actors = actor_colors(track)
     places = {name: place for place, name in enumerate(actors)}
     return {
@@ -175,7 +184,9 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
         "series": told,
         "terms": terms,
         "term": block.add(
-            np.array([[m.terms.get(name, 0.0) for name in terms] for m in moments], np.float32)
+            np.array(
+                [[m.terms.get(name, 0.0) for name in terms] for m in moments], np.float32
+            )
         ),
         "checks": list(CHECKS),
         "check": block.add(np.stack([m.checks for m in moments])),
@@ -192,8 +203,14 @@ def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
 def _look(look: Look) -> dict[str, Any]:
     texture = None
     if look.texture is not None:
-        texture = "data:image/jpeg;base64," + base64.b64encode(_jpeg(look.texture)).decode()
-    return {"color": np.round(look.color, 4).tolist(), "gloss": look.gloss, "texture": texture}
+        texture = (
+            "data:image/jpeg;base64," + base64.b64encode(_jpeg(look.texture)).decode()
+        )
+    return {
+        "color": np.round(look.color, 4).tolist(),
+        "gloss": look.gloss,
+        "texture": texture,
+    }
 
 
 def _jpeg(picture: np.ndarray) -> bytes:
@@ -218,7 +235,9 @@ def _model(model: Model, block: _Block) -> dict[str, Any]:
     return {"bodies": list(model.bodies), "parts": parts}
 
 
-def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> dict[str, Any]:
+def _poses(
+    track: Track, models: HomeModels, replay: Replay, block: _Block
+) -> dict[str, Any]:
     """Quantized positions and orientations of the movable bodies, as differences of states, which compress well."""
     poser = Poser(replay.sim)
     bodies = [body for model in models.movable for body in model.bodies]
@@ -233,8 +252,12 @@ def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> d
     change = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
     # Transposed, so that the differences of one coordinate are adjacent.
     place = block.add(change.reshape(len(change), -1).T)
-    eye, target = FollowCamera(replay.sim.model).look(track.home, base_of(poses[0], replay.sim))
-    base = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.base_link])
+    eye, target = FollowCamera(replay.sim.model).look(
+        track.home, base_of(poses[0], replay.sim)
+    )
+    base = bodies.index(
+        replay.sim.addresses.robot_body[replay.sim.layout.robot.base_link]
+    )
     hand = bodies.index(replay.sim.addresses.robot_body[replay.sim.layout.robot.tcp])
     contacts = [pose.contacts for pose in poses]
     counts = np.array([len(points) for points in contacts], np.uint8)
@@ -253,12 +276,18 @@ def _poses(track: Track, models: HomeModels, replay: Replay, block: _Block) -> d
     }
 
 
-def _pictures(track: Track, replay: Replay, count: int, block: _Block) -> dict[str, Any] | None:
+def _pictures(
+    track: Track, replay: Replay, count: int, block: _Block
+) -> dict[str, Any] | None:
     """JPEG images of the robot's cameras in ``count`` evenly spaced states; None for 0."""
     if not count:
         return None
-    states = np.unique(np.linspace(0, track.last, min(count, len(track.moments))).astype(int))
-    files: dict[str, list[bytes]] = {name: [] for name in replay.sim.layout.robot.camera_names}
+    states = np.unique(
+        np.linspace(0, track.last, min(count, len(track.moments))).astype(int)
+    )
+    files: dict[str, list[bytes]] = {
+        name: [] for name in replay.sim.layout.robot.camera_names
+    }
     for views in _views(track, replay, states.tolist()):
         for name, picture in views.items():
             files[name].append(_jpeg(picture))
@@ -274,7 +303,9 @@ def _pictures(track: Track, replay: Replay, count: int, block: _Block) -> dict[s
     }
 
 
-def _views(track: Track, replay: Replay, states: list[int]) -> Iterator[dict[str, np.ndarray]]:
+def _views(
+    track: Track, replay: Replay, states: list[int]
+) -> Iterator[dict[str, np.ndarray]]:
     poser = Poser(replay.sim)
     cameras = Cameras(lambda _: None, PICTURE_SIDE_PX)
     try:

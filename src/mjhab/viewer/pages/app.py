@@ -55,7 +55,12 @@ class Viewer:
     """
 
     def __init__(
-        self, source: Source, host: str = "localhost", port: int = 8080, *, cameras: bool = True
+        self,
+        source: Source,
+        host: str = "localhost",
+        port: int = 8080,
+        *,
+        cameras: bool = True,
     ) -> None:
         self.source = source
         self.frames = 0

@@ -130,10 +130,16 @@ class Gateway:
             f"cannot listen on {self._host}, ports {wanted} to {last}: {problem}. Give another --port or --host."
         )
 
-    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def _answer(
+        self, connection: ServerConnection, request: Request
+    ) -> Response | None:
         """Answer an HTTP request with viser's answer, `hand.js` added to HTML; None continues a WebSocket handshake."""
         if request.headers.get("Upgrade", "").lower() == "websocket":
-            return None if _from_our_page(request) else connection.respond(403, "another origin\n")
+            return (
+                None
+                if _from_our_page(request)
+                else connection.respond(403, "another origin\n")
+            )
         path = request.path
         status, kind, body = await asyncio.to_thread(self._read, path)
         if kind.startswith("text/html"):
@@ -143,7 +149,9 @@ class Gateway:
 
     def _read(self, path: str) -> tuple[int, str, bytes]:
         try:
-            with urllib.request.urlopen(f"http://127.0.0.1:{self._inner}{path}") as answer:
+            with urllib.request.urlopen(
+                f"http://127.0.0.1:{self._inner}{path}"
+            ) as answer:
                 return answer.status, answer.headers["Content-Type"], answer.read()
         except urllib.error.HTTPError as error:
             return error.code, "text/plain", error.read()
@@ -200,7 +208,9 @@ async def _send(connection: ServerConnection, message: str) -> None:
 def _from_our_page(request: Request) -> bool:
     """Whether a WebSocket request has our origin (or none); pages of other sites must not control the robot."""
     origin = request.headers.get("Origin")
-    return origin is None or urllib.parse.urlsplit(origin).netloc == request.headers.get("Host")
+    return origin is None or urllib.parse.urlsplit(origin).netloc == request.headers.get(
+        "Host"
+    )
 
 
 def _first_subprotocol(
@@ -211,5 +221,7 @@ def _first_subprotocol(
 
 def with_script(page: bytes) -> bytes:
     """Append the script `hand.js` to an HTML page of viser."""
-    code = importlib.resources.files("mjhab.viewer.pages").joinpath("hand.js").read_bytes()
+    code = (
+        importlib.resources.files("mjhab.viewer.pages").joinpath("hand.js").read_bytes()
+    )
     return page + b"\n<script>" + code + b"</script>\n"

@@ -77,18 +77,26 @@ class Panels:
         self._build_side()
         self._build_timeline()
 
-    def _build_main(self, choices: Sequence[str], policies: Sequence[str], others: bool) -> None:
+    def _build_main(
+        self, choices: Sequence[str], policies: Sequence[str], others: bool
+    ) -> None:
         gui = self._gui
         self._problem = gui.add_html("", visible=False)
-        self._title = gui.add_html('<i style="padding:0 8px">The home is being made ready.</i>')
-        self._choice = gui.add_dropdown("World" if self._live else "Episode", tuple(choices))
+        self._title = gui.add_html(
+            '<i style="padding:0 8px">The home is being made ready.</i>'
+        )
+        self._choice = gui.add_dropdown(
+            "World" if self._live else "Episode", tuple(choices)
+        )
         _when_changed(self._choice, self._on["choose"])
         if policies:
             self._policy = gui.add_dropdown("Policy", tuple(policies))
             _when_changed(self._policy, self._on["policy"])
         if policies and others:
             other = gui.add_text(
-                "Another", "", hint="as for --policy: a checkpoint, FILE.py:CLASS, ws://host:port"
+                "Another",
+                "",
+                hint="as for --policy: a checkpoint, FILE.py:CLASS, ws://host:port",
             )
             gui.add_button("Let it act", icon=viser.Icon.ROBOT).on_click(
                 lambda _: self._take_policy(other.value.strip())
@@ -104,8 +112,12 @@ class Panels:
             )
         speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1×")
         _when_changed(speed, lambda name: self._on["speed"](SPEEDS[name]))
-        self._follow = gui.add_checkbox("Follow", False, hint="the camera follows the robot")
-        gui.add_button("Again", icon=viser.Icon.REFRESH).on_click(lambda _: self._on["restart"]())
+        self._follow = gui.add_checkbox(
+            "Follow", False, hint="the camera follows the robot"
+        )
+        gui.add_button("Again", icon=viser.Icon.REFRESH).on_click(
+            lambda _: self._on["restart"]()
+        )
         gui.add_button("Next episode", icon=viser.Icon.ARROW_RIGHT).on_click(
             lambda _: self._on["next"]()
         )
@@ -128,7 +140,9 @@ class Panels:
     def _build_hand(self) -> None:
         with self._gui.add_folder("By hand"):
             self._hand = self._gui.add_button("Take over", icon=viser.Icon.HAND_STOP)
-            self._hand.on_click(lambda _: self._on["hand"](self._hand.label == "Take over"))
+            self._hand.on_click(
+                lambda _: self._on["hand"](self._hand.label == "Take over")
+            )
             self._finish = self._gui.add_button("End and keep the episode", visible=False)
             self._finish.on_click(lambda _: self._on["finish"]())
             self._recording = self._gui.add_html("")
@@ -145,7 +159,9 @@ class Panels:
             self._checks = gui.add_html("")
         with panel.add_tab("Curves", viser.Icon.CHART_LINE):
             self._force_plot = self._add_plot("force [N]", ("robot force",))
-            self._sum_plot = self._add_plot("cumulative force [N x steps]", ("sum", "limit"))
+            self._sum_plot = self._add_plot(
+                "cumulative force [N x steps]", ("sum", "limit")
+            )
             self._reward_plot = self._add_plot("reward", ("reward",))
         panel.dock_left()
         panel.set_width(SIDE_WIDTH_PX)
@@ -159,14 +175,18 @@ class Panels:
         ]
         empty = tuple(np.zeros(2) for _ in series)
         scales = {"x": uplot.Scale(time=False)}
-        return self._gui.add_uplot(empty, tuple(series), title=title, scales=scales, height=170)
+        return self._gui.add_uplot(
+            empty, tuple(series), title=title, scales=scales, height=170
+        )
 
     def _build_timeline(self) -> None:
         panel = self._gui.add_panel()
         with panel.add_tab("Time line", viser.Icon.TIMELINE):
             self._line = self._gui.add_html("")
             self._actors = self._gui.add_html("")
-            self._slider = self._gui.add_slider("step", min=0, max=1, step=1, initial_value=0)
+            self._slider = self._gui.add_slider(
+                "step", min=0, max=1, step=1, initial_value=0
+            )
             self._slider.on_update(self._scrub)
             self._events = self._gui.add_html("")
         panel.float(x=12, y=-12, width=TIMELINE_WIDTH_PX)
@@ -189,7 +209,10 @@ class Panels:
             with self._cameras:
                 self._images = {
                     name: self._gui.add_image(
-                        picture, label=name.replace("_", " "), format="jpeg", jpeg_quality=80
+                        picture,
+                        label=name.replace("_", " "),
+                        format="jpeg",
+                        jpeg_quality=80,
                     )
                     for name, picture in pictures.items()
                 }
@@ -199,7 +222,9 @@ class Panels:
 
     def show_problem(self, text: str) -> None:
         """Show a message about a failure; hide it if ``text`` is ""."""
-        style = f"background:{TONE_COLORS['bad']};color:white;padding:8px;border-radius:6px"
+        style = (
+            f"background:{TONE_COLORS['bad']};color:white;padding:8px;border-radius:6px"
+        )
         _fill(self._problem, f'<div style="{style}">{escape(text)}</div>' if text else "")
         if self._problem.visible != bool(text):
             self._problem.visible = bool(text)
@@ -209,7 +234,9 @@ class Panels:
         name = "Pause" if playing else "Play"
         if self._play.label != name:
             self._play.label = name
-            self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+            self._play.icon = (
+                viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
+            )
 
     def show_choice(self, choice: str) -> None:
         """Select what is watched in its menu; "" changes nothing."""
@@ -225,7 +252,9 @@ class Panels:
             self._hand.label = name
         if self._finish.visible != bool(recording):
             self._finish.visible = bool(recording)
-        _fill(self._recording, f'<small style="padding:0 8px">{escape(recording)}</small>')
+        _fill(
+            self._recording, f'<small style="padding:0 8px">{escape(recording)}</small>'
+        )
 
     def show(self, track: Track, step: int) -> None:
         """Fill all widgets that depend on the episode and the state at index ``step``."""
@@ -297,6 +326,7 @@ def _events_html(track: Track, step: int) -> str:
     """HTML of the last six events up to a state, the newest first."""
     newest = track.events_until(step)[-6:][::-1]
     told = " · ".join(
-        f"{escape(name.replace('_', ' '))} {at * STEP_SECONDS:.2f} s" for at, name in newest
+        f"{escape(name.replace('_', ' '))} {at * STEP_SECONDS:.2f} s"
+        for at, name in newest
     )
     return f'<div style="font-size:12px;padding:0 8px;min-height:1.5em">{told}</div>'

@@ -45,7 +45,9 @@ def timeline_svg(track: Track, now: float) -> str:
             f'<path d="M{x:.1f} {EVENT_HEIGHT} l-4 -10 h8 z" fill="{color}"><title>{escape(told)}</title></path>'
         )
     x = now * scale
-    parts.append(f'<path d="M{x:.1f} 0 V{HEIGHT}" stroke="{NOW_COLOR}" stroke-width="2"/></svg>')
+    parts.append(
+        f'<path d="M{x:.1f} 0 V{HEIGHT}" stroke="{NOW_COLOR}" stroke-width="2"/></svg>'
+    )
     return "".join(parts)
 
 
@@ -143,7 +145,11 @@ def plan_html(track: Track, step: int) -> str:
             f'<li style="font-weight:{weight};{fade}border-left:4px solid {color};padding-left:6px;margin:2px 0">'
             f"{sign} {escape(track.describe(index))}{note}</li>"
         )
-    over = f'<p style="margin:4px 0"><b>Ended: {escape(track.over)}</b></p>' if track.over else ""
+    over = (
+        f'<p style="margin:4px 0"><b>Ended: {escape(track.over)}</b></p>'
+        if track.over
+        else ""
+    )
     style = "list-style:none;margin:0;padding:0;font-size:13px"
     return f'<ul style="{style}">{"".join(rows)}</ul>{over}'
 

@@ -98,7 +98,9 @@ class RecordedPlans:
             self.problem = ""
             return None
         error = made.exception()
-        self.problem = f"the expert cannot plan here: {error}" if error is not None else ""
+        self.problem = (
+            f"the expert cannot plan here: {error}" if error is not None else ""
+        )
         return None if error is not None else made.result()
 
     def close(self) -> None:
@@ -106,7 +108,9 @@ class RecordedPlans:
         self._pool.shutdown(cancel_futures=True)
         self._envs.close()
 
-    def _plan(self, episode: RecordedEpisode, track: Track, step: int) -> PlanMarks | None:
+    def _plan(
+        self, episode: RecordedEpisode, track: Track, step: int
+    ) -> PlanMarks | None:
         if track.moments[step].active >= len(track.plan):
             return None
         with self._reading:

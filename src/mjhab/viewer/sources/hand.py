@@ -71,7 +71,19 @@ BUTTONS: dict[int, tuple[str, float]] = {
     2: ("torso", -1.0),
 }
 GRIPPER_BUTTON = 0
-MOTIONS = ("forward", "turn", "x", "y", "z", "roll", "pitch", "yaw", "torso", "pan", "tilt")
+MOTIONS = (
+    "forward",
+    "turn",
+    "x",
+    "y",
+    "z",
+    "roll",
+    "pitch",
+    "yaw",
+    "torso",
+    "pan",
+    "tilt",
+)
 _HAND_MOTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
 _BODY_MOTIONS = {"head": ("pan", "tilt"), "torso": ("torso",)}
 """Motions that set the joints of a group, in the order of the group's joints."""
@@ -124,11 +136,15 @@ def read_input(message: str) -> HandInput:
         value = float(axes[axis]) if axis < len(axes) else 0.0
         sums[motion] += direction * value * (abs(value) > DEAD_ZONE)
     for button, (motion, direction) in BUTTONS.items():
-        sums[motion] += direction * (float(buttons[button]) if button < len(buttons) else 0.0)
+        sums[motion] += direction * (
+            float(buttons[button]) if button < len(buttons) else 0.0
+        )
     pressed = len(buttons) > GRIPPER_BUTTON and float(buttons[GRIPPER_BUTTON]) > 0.5
     if not np.isfinite(list(sums.values())).all():
         raise ValueError("axes and buttons of the hand are finite numbers")
-    motions = {name: float(np.clip(value, -1.0, 1.0)) for name, value in sums.items() if value}
+    motions = {
+        name: float(np.clip(value, -1.0, 1.0)) for name, value in sums.items() if value
+    }
     return HandInput(motions, GRIPPER_KEY in keys or pressed)
 
 
@@ -187,7 +203,9 @@ class HandControl:
 
     def action(self, env: SequentialTaskEnv, world: int) -> np.ndarray:
         """Compute the action (A,) float32, each entry in -1..1, for the present state of a world."""
-        held = self._input if self._clock() - self._heard < SILENCE_SECONDS else HandInput()
+        held = (
+            self._input if self._clock() - self._heard < SILENCE_SECONDS else HandInput()
+        )
         wish = {name: SHARES[name] * held.motions.get(name, 0.0) for name in MOTIONS}
         q = env.state.robot_q[[world]]
         target = self._arm_target(wish, q)

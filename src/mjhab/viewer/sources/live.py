@@ -106,7 +106,9 @@ class LiveSession:
         self._plan_wanted = False
         self._plan: LivePlan | None = None
         self._cut_done = threading.Event()
-        self._jobs: queue.SimpleQueue[Callable[[LiveSession], object]] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[Callable[[LiveSession], object]] = (
+            queue.SimpleQueue()
+        )
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="worlds", daemon=True)
 
@@ -173,9 +175,7 @@ class LiveSession:
         if self._shard is None:
             return ""
         who = HUMAN if self._human_acted(self.watched) else "policy"
-        return (
-            f"{self._kept} episodes are in {self._shard.name}; this one goes there, too, as {who}'s"
-        )
+        return f"{self._kept} episodes are in {self._shard.name}; this one goes there, too, as {who}'s"
 
     def choose(self, choice: str) -> None:
         """Watch the world with a name of ``choices``; teleoperation of the present one ends."""
@@ -230,7 +230,8 @@ class LiveSession:
         """Request a new rollout, with another policy or another index of the first episode; None keeps it."""
         now = self._asked or self._wish
         self._asked = Wish(
-            now.policy if policy is None else policy, now.first if first is None else first
+            now.policy if policy is None else policy,
+            now.first if first is None else first,
         )
         self.pace.play(True)
 
@@ -277,7 +278,9 @@ class LiveSession:
             return
         assert self.switch is not None
         acting = self.switch.policy(self.switch.chosen)
-        expert = acting if isinstance(acting, ExpertPolicy) and not self.hand_drives else None
+        expert = (
+            acting if isinstance(acting, ExpertPolicy) and not self.hand_drives else None
+        )
         self._plan.note(self.watched, expert)
 
     def _run(self) -> None:
@@ -353,7 +356,10 @@ class LiveSession:
         assert self.env is not None
         facts = describe_policy(self._needs(self._wish.policy)[0])
         about = {"name": facts.name, **facts.identity}
-        return [TakeRecorder(self._writer, self.env, about, self._writer.has), _Counter(self)]
+        return [
+            TakeRecorder(self._writer, self.env, about, self._writer.has),
+            _Counter(self),
+        ]
 
     def _open_shard(self) -> None:
         """Open the file that episodes are recorded to, if there is one."""
@@ -367,7 +373,9 @@ class LiveSession:
 
     def _human_acted(self, world: int) -> bool:
         track = self.tracks[world]
-        return track is not None and any(moment.actor == HUMAN for moment in track.moments)
+        return track is not None and any(
+            moment.actor == HUMAN for moment in track.moments
+        )
 
     def _index(self) -> int:
         """Index of the watched episode."""
@@ -406,7 +414,9 @@ class _Follower(Sink[SequentialTaskEnv]):
     def __init__(self, session: LiveSession) -> None:
         self._session = session
 
-    def on_reset(self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         begin_tracks(self._session.tracks, env, info, mask)
         self._wait()
 
@@ -418,7 +428,9 @@ class _Follower(Sink[SequentialTaskEnv]):
         if not step.done[session.watched]:
             self._wait()
 
-    def on_episode_end(self, env: SequentialTaskEnv, world: int, record: EpisodeRecord) -> None:
+    def on_episode_end(
+        self, env: SequentialTaskEnv, world: int, record: EpisodeRecord
+    ) -> None:
         session = self._session
         track = session.tracks[world]
         if track is not None:

@@ -29,7 +29,9 @@ def begin_tracks(
         tracks[w] = track
 
 
-def extend_tracks(tracks: list[Track | None], env: SequentialTaskEnv, step: StepView) -> None:
+def extend_tracks(
+    tracks: list[Track | None], env: SequentialTaskEnv, step: StepView
+) -> None:
     """Append state, events and endings of a control step to the tracks of the worlds that made it."""
     checks, _ = signal_rows(env.judged)
     for w in np.flatnonzero(step.active).tolist():

@@ -81,4 +81,6 @@ class Pace:
                     # A run that is late does not shorten the next intervals to catch up.
                     self._due += max(STEP_SECONDS / self._speed, -left)
                     return
-                self._changed.wait(min(left, WAKE_SECONDS) if self._playing else WAKE_SECONDS)
+                self._changed.wait(
+                    min(left, WAKE_SECONDS) if self._playing else WAKE_SECONDS
+                )

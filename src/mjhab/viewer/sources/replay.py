@@ -90,7 +90,9 @@ class Replay:
         if position < count:
             return self.choices[position]
         some = f"are {count} episodes" if count > 1 else "is 1 episode"
-        more = " (more are not listed: choose among them with --where)" * (count == MAX_LISTED)
+        more = " (more are not listed: choose among them with --where)" * (
+            count == MAX_LISTED
+        )
         raise UsageError(
             f"--episode {position}: there {some}{more}, counted from 0; the last is --episode {count - 1}."
         )

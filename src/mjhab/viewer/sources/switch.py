@@ -86,7 +86,11 @@ class Switch:
     def reset(self, mask: np.ndarray) -> None:
         """Note that new episodes began in the worlds of ``mask`` (W,) bool."""
         self._due |= mask
-        if self.hand is not None and self.hand_world is not None and mask[self.hand_world]:
+        if (
+            self.hand is not None
+            and self.hand_world is not None
+            and mask[self.hand_world]
+        ):
             self.hand.begin(self._env, self.hand_world)
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:

@@ -66,14 +66,18 @@ class TakeRecorder(Recorder):
     def __init__(
         self, writer: Appends, env: RecordedEnv, policy: Mapping[str, Any], known: Known
     ) -> None:
-        super().__init__(writer, env, policy, keep=lambda record, run: not self._is_known(record))
+        super().__init__(
+            writer, env, policy, keep=lambda record, run: not self._is_known(record)
+        )
         self._env = env
         self._policy = dict(policy)
         self._known = known
         self._alone = self.run
         self._acted: dict[int, set[str]] = {}
 
-    def on_reset(self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         """See `Recorder`."""
         super().on_reset(env, info, mask)
         for w in np.flatnonzero(mask).tolist():

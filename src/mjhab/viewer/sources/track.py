@@ -169,7 +169,9 @@ def recorded_track(episode: RecordedEpisode, config: TaskConfig) -> Track:
         moments,
         list(record.events),
         ended,
-        "success" if record.success_once else str(episode.attributes["ending"]).replace("_", " "),
+        "success"
+        if record.success_once
+        else str(episode.attributes["ending"]).replace("_", " "),
     )
 
 

@@ -11,7 +11,9 @@ import tyro
 from mjhab.bench.specs import WindowsSpec
 
 Sub = tyro.conf.subcommand
-Places = Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|FOLDER ...")]
+Places = Annotated[
+    tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|FOLDER ...")
+]
 Where = Annotated[str | None, tyro.conf.arg(metavar="FILTER")]
 Until = Annotated[str, tyro.conf.arg(metavar="end|success|success+N")]
 Preset = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
@@ -155,7 +157,9 @@ class DataImportOptions:
 
     format: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ms_hab")]
     """Format of the files."""
-    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE.h5 ...")]
+    files: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE.h5 ...")
+    ]
     """The files to read."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """The folder of shards; <task>/<subtask>/<name>.h5 in it are made or extended."""

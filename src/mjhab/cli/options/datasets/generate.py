@@ -115,13 +115,17 @@ class ReplayOptions:
     """Shards (*.h5) or folders of shards."""
     verify: bool = False
     """Simulate the actions on the CPU and compare positions and velocities of every step; fails unless all agree."""
-    render: Annotated[str | None, tyro.conf.arg(metavar="depth|rgb|rgbd|seg|pointcloud")] = None
+    render: Annotated[
+        str | None, tyro.conf.arg(metavar="depth|rgb|rgbd|seg|pointcloud")
+    ] = None
     """Render these images of every state into a new shard, without simulation; several joined by +."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.h5")] = None
     """With --render: the shard to make or to continue."""
     cameras: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME ...")] = None
     """With --render: cameras of the robot (all if absent), and follow, a camera behind the robot (colour only)."""
-    camera_size: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N|HEIGHT WIDTH")] = (128,)
+    camera_size: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N|HEIGHT WIDTH")] = (
+        128,
+    )
     """With --render: side of the images, or height and width [px]."""
     rgb: Annotated[str, tyro.conf.arg(metavar="png|jpeg")] = "png"
     """With --render: format of colour images; png is lossless."""

@@ -12,7 +12,9 @@ import tyro
 class ServedOptions:
     """Options for requests to a remote policy (--policy ws://host:port); docs/serving.md lists the defaults."""
 
-    dialect: Annotated[str | None, tyro.conf.arg(metavar="openpi|roboarena|behavior")] = None
+    dialect: Annotated[str | None, tyro.conf.arg(metavar="openpi|roboarena|behavior")] = (
+        None
+    )
     """With --policy ws://host:port: message format of the server; openpi if absent."""
     execute: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """With --policy ws://host:port: actions of a chunk that are executed before the next request; 8 if absent."""

@@ -90,7 +90,9 @@ class TrainOptions(RunOptions):
     student learns the intended ones."""
     updates: MaybeNumber = None
     """Updates of the network (in dagger: of the first round); those of the preset if absent."""
-    also: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK/SUBTASK[/TARGET] ...")] = ()
+    also: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="TASK/SUBTASK[/TARGET] ...")
+    ] = ()
     """Further subtasks that the same student learns, for instance tidy_house/pick set_table/open/fridge/top_door.
     Numbers of episodes are for each of them."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()

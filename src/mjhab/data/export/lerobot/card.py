@@ -59,6 +59,14 @@ def image_notes(features: Features, files: Sequence[str]) -> str:
     """What a user of the images has to know, after sentences about ``files``; "" without images."""
     if not any(key.startswith(tuple(IMAGES.values())) for key in features):
         return ""
-    topics = ("camera", "camera_pose", "mount", "intrinsic", "depth", "segmentation", "quaternion")
+    topics = (
+        "camera",
+        "camera_pose",
+        "mount",
+        "intrinsic",
+        "depth",
+        "segmentation",
+        "quaternion",
+    )
     lines = [f"- {topic}: {CONVENTIONS[topic]}" for topic in topics]
     return "\n".join([" ".join([*files, "Conventions:"]), "", *lines])

@@ -38,7 +38,13 @@ from mjhab.data.export.lerobot.features import (
 )
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
 from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
-from mjhab.data.export.lerobot.stats import Stats, image_stats, map_stats, sampled, vector_stats
+from mjhab.data.export.lerobot.stats import (
+    Stats,
+    image_stats,
+    map_stats,
+    sampled,
+    vector_stats,
+)
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.select.describing import (
     instructions_of,
@@ -110,7 +116,9 @@ def export_lerobot(
     target = Target(request.out, "meta/info.json", request.overwrite, request.resume)
     with whole_folder(target, job) as filling:
         pieces = Pieces(filling.work, FPS, films)
-        export = _Export(filling.root, VERSIONS[version](filling.root, FPS), pieces, choice)
+        export = _Export(
+            filling.root, VERSIONS[version](filling.root, FPS), pieces, choice
+        )
         for path, name in found.matched:
             export.add(path, name)
             if after is not None:
@@ -182,7 +190,10 @@ class _Export:
         """Indices of the names in an episode; new names get the next free index."""
         return _Numbers(
             self._tasks.setdefault(made.row["tasks"][0], len(self._tasks)),
-            [self._subtasks.setdefault(text, len(self._subtasks)) for text in made.subtasks],
+            [
+                self._subtasks.setdefault(text, len(self._subtasks))
+                for text in made.subtasks
+            ],
             [self._actors.setdefault(name, len(self._actors)) for name in made.actors],
         )
 
@@ -190,16 +201,31 @@ class _Export:
         record = episode.record
         words = instructions_of(episode)
         length = self._until.steps(episode.array("reward/success"))
-        row: dict[str, Any] = {"episode_index": number, "tasks": [words.task], "length": length}
+        row: dict[str, Any] = {
+            "episode_index": number,
+            "tasks": [words.task],
+            "length": length,
+        }
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
         row["lacks"] = ",".join(episode.lacks)
         row["navigation"] = "teleport" if navigates_by_teleport(episode) else "drive"
-        made = Made(row, {}, 0, {}, list(words.subtasks), list(episode.actors), episode.run.licence)
+        made = Made(
+            row,
+            {},
+            0,
+            {},
+            list(words.subtasks),
+            list(episode.actors),
+            episode.run.licence,
+        )
         columns = self._columns(episode, number, self._count(made))
         table = to_table(columns)
         self._pieces.add_table(number, table)
         made.stats.update(
-            {key: _column_stats(values, self._features[key]) for key, values in columns.items()}
+            {
+                key: _column_stats(values, self._features[key])
+                for key, values in columns.items()
+            }
         )
         for key in film_features(self._features):
             samples: list[np.ndarray] = []
@@ -218,7 +244,9 @@ class _Export:
         state = split_state(episode)
         done = np.zeros(count, bool)
         done[-1] = True
-        active = np.minimum(episode.array("subtasks/active")[:count], len(numbers.subtasks) - 1)
+        active = np.minimum(
+            episode.array("subtasks/active")[:count], len(numbers.subtasks) - 1
+        )
         columns = {
             STATE: np.concatenate(list(state.own.values()), axis=1)[:count],
             ACTION: episode.array("actions")[:count],
@@ -228,7 +256,9 @@ class _Export:
             "next.done": done,
             TELEPORTED: teleported_steps(episode)[:count],
             "subtask_index": np.array(numbers.subtasks, np.int64)[active],
-            "actor_index": np.array(numbers.actors, np.int64)[episode.array("actor")[:count]],
+            "actor_index": np.array(numbers.actors, np.int64)[
+                episode.array("actor")[:count]
+            ],
             "timestamp": (np.arange(count) / FPS).astype(np.float32),
             "frame_index": np.arange(count),
             "episode_index": np.full(count, number),
@@ -236,7 +266,9 @@ class _Export:
             "task_index": np.full(count, numbers.task),
         }
         if state.task:
-            columns[ENVIRONMENT_STATE] = np.concatenate(list(state.task.values()), axis=1)[:count]
+            columns[ENVIRONMENT_STATE] = np.concatenate(
+                list(state.task.values()), axis=1
+            )[:count]
         for camera, output in episode.images:
             if output not in MAPS:
                 continue
@@ -253,7 +285,9 @@ class _Export:
     def finish(self) -> Exported:
         """Write the metadata of the data set."""
         self._files.arrange(self._pieces, self._made)
-        self._files.describe([made.row for made in self._made], [made.stats for made in self._made])
+        self._files.describe(
+            [made.row for made in self._made], [made.stats for made in self._made]
+        )
         self._files.write_names("task", list(self._tasks))
         self._files.write_names("subtask", list(self._subtasks))
         self._files.write_names("actor", list(self._actors))
@@ -323,4 +357,6 @@ def _array(values: np.ndarray) -> pa.Array:
     rows = pa.ListArray.from_arrays(
         pa.array(np.arange(count * height + 1, dtype=np.int32) * width), flat
     )
-    return pa.ListArray.from_arrays(pa.array(np.arange(count + 1, dtype=np.int32) * height), rows)
+    return pa.ListArray.from_arrays(
+        pa.array(np.arange(count + 1, dtype=np.int32) * height), rows
+    )

@@ -57,7 +57,9 @@ def describe(episode: RecordedEpisode, choice: Choice) -> Features:
     state = split_state(episode)
     actions = [str(name) for name in episode.run.layout.get("actions", [])]
     action_size = episode.array("actions").shape[1]
-    action = _feature("float32", (action_size,), actions if len(actions) == action_size else None)
+    action = _feature(
+        "float32", (action_size,), actions if len(actions) == action_size else None
+    )
     features: Features = {
         STATE: _state_feature(state.own, episode),
         ACTION: action,
@@ -91,7 +93,9 @@ def describe(episode: RecordedEpisode, choice: Choice) -> Features:
     paths = set(episode.paths)
     for camera in dict.fromkeys(camera for camera, _ in chosen):
         if CAMERA_POSE_PATH.format(camera) in paths:
-            features[f"{CAMERA_POSE}.{camera}"] = _feature("float32", (4, 4), ["row", "column"])
+            features[f"{CAMERA_POSE}.{camera}"] = _feature(
+                "float32", (4, 4), ["row", "column"]
+            )
     return features
 
 
@@ -101,10 +105,14 @@ def _feature(
     return {"dtype": dtype, "shape": list(shape), "names": names}
 
 
-def _state_feature(parts: Mapping[str, np.ndarray], episode: RecordedEpisode) -> dict[str, Any]:
+def _state_feature(
+    parts: Mapping[str, np.ndarray], episode: RecordedEpisode
+) -> dict[str, Any]:
     """The feature of concatenated state observations (N+1, n), with a name per column."""
     widths = {key: values.shape[1] for key, values in parts.items()}
-    return _feature("float32", (sum(widths.values()),), state_names(widths, episode.run.layout))
+    return _feature(
+        "float32", (sum(widths.values()),), state_names(widths, episode.run.layout)
+    )
 
 
 def _film_feature(height: int, width: int) -> dict[str, Any]:
@@ -121,7 +129,10 @@ def _film_feature(height: int, width: int) -> dict[str, Any]:
         "video.channels": 3,
         "has_audio": False,
     }
-    return {**_feature("video", (height, width, 3), ["height", "width", "channels"]), "info": info}
+    return {
+        **_feature("video", (height, width, 3), ["height", "width", "channels"]),
+        "info": info,
+    }
 
 
 def film_features(features: Features) -> list[str]:

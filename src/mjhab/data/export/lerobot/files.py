@@ -69,19 +69,27 @@ class Files30:
     def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
         """See `Files`."""
         first = 0
-        for file, numbers in enumerate(_packed([each.size for each in made], DATA_MB * _MB)):
+        for file, numbers in enumerate(
+            _packed([each.size for each in made], DATA_MB * _MB)
+        ):
             place = _place(file)
-            pieces.join_tables(numbers, below(self.root, self.paths["data_path"].format(**place)))
+            pieces.join_tables(
+                numbers, below(self.root, self.paths["data_path"].format(**place))
+            )
             for number in numbers:
                 last = first + made[number].steps
-                made[number].row.update({f"data/{name}": value for name, value in place.items()})
+                made[number].row.update(
+                    {f"data/{name}": value for name, value in place.items()}
+                )
                 made[number].row.update(dataset_from_index=first, dataset_to_index=last)
                 first = last
         for key in made[0].films:
             self._arrange_films(pieces, made, key)
 
     def _arrange_films(self, pieces: Pieces, made: Sequence[Made], key: str) -> None:
-        for file, numbers in enumerate(_packed([each.films[key] for each in made], VIDEO_MB * _MB)):
+        for file, numbers in enumerate(
+            _packed([each.films[key] for each in made], VIDEO_MB * _MB)
+        ):
             place = _place(file)
             first = 0
             pieces.join_films(
@@ -91,7 +99,10 @@ class Files30:
             )
             for number in numbers:
                 last = first + made[number].steps
-                times = {"from_timestamp": first / self._fps, "to_timestamp": last / self._fps}
+                times = {
+                    "from_timestamp": first / self._fps,
+                    "to_timestamp": last / self._fps,
+                }
                 made[number].row.update(
                     {f"videos/{key}/{name}": v for name, v in {**place, **times}.items()}
                 )
@@ -102,7 +113,12 @@ class Files30:
     ) -> None:
         """See `Files`."""
         rows = [
-            {**row, **_flat(each), "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+            {
+                **row,
+                **_flat(each),
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
             for row, each in zip(episodes, stats, strict=True)
         ]
         path = _folder(self.root / "meta/episodes/chunk-000/file-000.parquet")
@@ -112,7 +128,10 @@ class Files30:
     def write_names(self, what: str, names: Sequence[str]) -> None:
         """See `Files`."""
         table = pa.table(
-            {f"{what}_index": pa.array(range(len(names)), pa.int64()), _INDEX: list(names)}
+            {
+                f"{what}_index": pa.array(range(len(names)), pa.int64()),
+                _INDEX: list(names),
+            }
         )
         meta = json.dumps(_pandas(f"{what}_index"))
         pq.write_table(
@@ -142,9 +161,13 @@ class Files21:
         self.paths["total_videos"] = sum(len(each.films) for each in made)
         for number, each in enumerate(made):
             place = {"episode_chunk": number // CHUNK, "episode_index": number}
-            pieces.join_tables([number], below(self.root, self.paths["data_path"].format(**place)))
+            pieces.join_tables(
+                [number], below(self.root, self.paths["data_path"].format(**place))
+            )
             for key in each.films:
-                path = below(self.root, self.paths["video_path"].format(video_key=key, **place))
+                path = below(
+                    self.root, self.paths["video_path"].format(video_key=key, **place)
+                )
                 pieces.join_films([number], key, path)
 
     def describe(
@@ -154,7 +177,10 @@ class Files21:
         write_lines(self.root / "meta/episodes.jsonl", episodes)
         # v2.1 has no quantiles.
         plain = [
-            {k: {n: v for n, v in s.items() if n not in QUANTILES} for k, s in each.items()}
+            {
+                k: {n: v for n, v in s.items() if n not in QUANTILES}
+                for k, s in each.items()
+            }
             for each in stats
         ]
         rows = [
@@ -190,13 +216,16 @@ def _packed(sizes: Sequence[int], most: int) -> list[list[int]]:
 
 def write_json(path: Path, value: Any) -> None:
     """Write indented JSON."""
-    _folder(path).write_text(json.dumps(value, indent=4, ensure_ascii=False), encoding="utf-8")
+    _folder(path).write_text(
+        json.dumps(value, indent=4, ensure_ascii=False), encoding="utf-8"
+    )
 
 
 def write_lines(path: Path, rows: Iterable[Any]) -> None:
     """Write one line of JSON per row."""
     _folder(path).write_text(
-        "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8"
+        "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows),
+        encoding="utf-8",
     )
 
 
@@ -247,7 +276,8 @@ def _folder(path: Path) -> Path:
 def stats_lists(stats: Mapping[str, Stats]) -> dict[str, dict[str, Any]]:
     """Statistics as JSON data."""
     return {
-        key: {name: value.tolist() for name, value in each.items()} for key, each in stats.items()
+        key: {name: value.tolist() for name, value in each.items()}
+        for key, each in stats.items()
     }
 
 

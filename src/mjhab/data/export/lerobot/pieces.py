@@ -107,11 +107,13 @@ class Pieces:
         """Mark an episode as finished by writing its metadata."""
         plain = asdict(made)
         plain["stats"] = {
-            key: {name: v.tolist() for name, v in each.items()} for key, each in made.stats.items()
+            key: {name: v.tolist() for name, v in each.items()}
+            for key, each in made.stats.items()
         }
         text = json.dumps(plain, ensure_ascii=False)
         write_atomic(
-            self._path(number, "json"), lambda path: path.write_text(text, encoding="utf-8")
+            self._path(number, "json"),
+            lambda path: path.write_text(text, encoding="utf-8"),
         )
 
     def join_tables(self, numbers: Sequence[int], out: Path) -> None:

@@ -8,7 +8,13 @@ import numpy as np
 
 Stats = dict[str, np.ndarray]
 """min, max, mean, std, count and quantiles of one feature; count is (1,)."""
-QUANTILES: dict[str, float] = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+QUANTILES: dict[str, float] = {
+    "q01": 0.01,
+    "q10": 0.10,
+    "q50": 0.50,
+    "q90": 0.90,
+    "q99": 0.99,
+}
 """Quantiles of LeRobot v3.0 (lerobot/datasets/compute_stats.py)."""
 _FRAMES = 100
 """Approximate number of images per episode that the statistics use."""
@@ -28,13 +34,16 @@ def image_stats(images: np.ndarray) -> Stats:
     """Statistics of images (n, H, W, 3) uint8 per channel, in 0..1: arrays (3, 1, 1)."""
     stats = _stats(images.reshape(-1, 3) / 255.0, len(images))
     return {
-        name: value if name == "count" else value.reshape(3, 1, 1) for name, value in stats.items()
+        name: value if name == "count" else value.reshape(3, 1, 1)
+        for name, value in stats.items()
     }
 
 
 def sampled(count: int) -> frozenset[int]:
     """Indices of the images, out of ``count``, that the statistics use."""
-    return frozenset(np.linspace(0, count - 1, min(count, _FRAMES)).round().astype(int).tolist())
+    return frozenset(
+        np.linspace(0, count - 1, min(count, _FRAMES)).round().astype(int).tolist()
+    )
 
 
 def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
@@ -45,8 +54,12 @@ def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
         count = np.sum([stats["count"] for stats in each], axis=0)
         weights = [stats["count"].item() / count.item() for stats in each]
 
-        def mean(name: str, each: list[Stats] = each, weights: list[float] = weights) -> np.ndarray:
-            return np.sum([w * stats[name] for w, stats in zip(weights, each, strict=True)], axis=0)
+        def mean(
+            name: str, each: list[Stats] = each, weights: list[float] = weights
+        ) -> np.ndarray:
+            return np.sum(
+                [w * stats[name] for w, stats in zip(weights, each, strict=True)], axis=0
+            )
 
         centre = mean("mean")
         spread = [

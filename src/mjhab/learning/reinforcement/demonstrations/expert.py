@@ -64,7 +64,9 @@ class _Play:
         session: of the run. worlds: number of parallel worlds. styles: of the expert.
     """
 
-    def __init__(self, session: ReinforcementSession, worlds: int, styles: Styles) -> None:
+    def __init__(
+        self, session: ReinforcementSession, worlds: int, styles: Styles
+    ) -> None:
         self.worlds = worlds
         self._session = session
         self._env = demonstration_env(

@@ -24,7 +24,9 @@ def kept_demonstrations(folder: Path, fill: Callable[[], ReplayBuffer]) -> Repla
     done = folder / COMPLETE
     if done.is_file():
         kept = json.loads(done.read_text(encoding="ascii"))
-        buffer = ReplayBuffer(ReplayShape.from_plain(kept["shape"]), torch.device("cpu"), folder)
+        buffer = ReplayBuffer(
+            ReplayShape.from_plain(kept["shape"]), torch.device("cpu"), folder
+        )
         buffer.position.copy_(torch.tensor(kept["position"]))
         return buffer
     buffer = fill()

@@ -18,7 +18,12 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.evaluation.recorded import recorded_env
-from mjhab.learning.demos import SUCCESSES, lacks_states, nothing_to_learn, recorded_profile
+from mjhab.learning.demos import (
+    SUCCESSES,
+    lacks_states,
+    nothing_to_learn,
+    recorded_profile,
+)
 from mjhab.learning.layout import image_options
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession
@@ -111,7 +116,9 @@ def check_episode(session: ReinforcementSession, episode: RecordedEpisode) -> No
     for name in REWARD_OPTIONS:
         recorded = episode.run.options.get(name, "")
         if recorded != getattr(config, name):
-            wrong.append(f"{name} {recorded or 'sparse'} instead of {getattr(config, name)}")
+            wrong.append(
+                f"{name} {recorded or 'sparse'} instead of {getattr(config, name)}"
+            )
     if wrong:
         raise UsageError(
             f"episode {episode.name} of {episode.shard.path} was recorded with {', '.join(wrong)}. With "
@@ -123,7 +130,9 @@ def check_episode(session: ReinforcementSession, episode: RecordedEpisode) -> No
 class _Player:
     """Simulates episodes of one recording again, with the rules and rewards of the run."""
 
-    def __init__(self, session: ReinforcementSession, like: RecordedEpisode, worlds: int) -> None:
+    def __init__(
+        self, session: ReinforcementSession, like: RecordedEpisode, worlds: int
+    ) -> None:
         config = session.env.config
         rules = {
             name: value
@@ -148,9 +157,13 @@ class _Player:
         env = self._env
         count = len(batch)
         mine = torch.arange(env.num_envs) < count
-        seeds = [episode.record.seed for episode in batch] + [None] * (env.num_envs - count)
+        seeds = [episode.record.seed for episode in batch] + [None] * (
+            env.num_envs - count
+        )
         indices = np.array([episode.record.index for episode in batch])
-        _, info = env.reset(seed=seeds, options={"episode": indices, "reset_mask": mine.numpy()})
+        _, info = env.reset(
+            seed=seeds, options={"episode": indices, "reset_mask": mine.numpy()}
+        )
         for world, episode in enumerate(batch):
             # This version may generate another start state, so the recorded one is set.
             env.set_state(world, episode.initial())
@@ -178,6 +191,8 @@ class _Player:
                     active.to(self._device),
                 )
             seen = following
-            over = torch.tensor([w for w, rows in enumerate(recorded) if t == len(rows) - 1])
+            over = torch.tensor(
+                [w for w, rows in enumerate(recorded) if t == len(rows) - 1]
+            )
             if len(over):
                 buffer.close(over.to(self._device), seen.rows(over).to(self._device))

@@ -38,7 +38,7 @@ class Views(NamedTuple):
     seg: np.ndarray
 
 
-class Room(NamedTuple):
+class ThreadBuffers(NamedTuple):
     """Buffers of one thread: inverse (h, w) f32 and ids (h, w) i32 (the z-buffer, see `arrays`); raw, share, depths
     (a, b) f32 of the ambient occlusion."""
 
@@ -52,15 +52,15 @@ class Room(NamedTuple):
 
 
 @kernel
-def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
+def draw_worlds(scenery, views, first, last, near, cull, cell, stride, buffers):
     """Render all cameras of the worlds ``first`` to ``last - 1`` in the quality "fast".
 
     ``near``: near plane [m]; ``cull``: drop back faces; ``cell``: side of a cell of ambient occlusion [px]; ``stride``:
     distance between the pixels of a run at which light is computed [px].
     """
-    inverse = room.inverse
-    ids = room.ids
-    poses = room.draw
+    inverse = buffers.inverse
+    ids = buffers.ids
+    poses = buffers.draw
     placing = scenery.placing
     height, width = inverse.shape
     for world in range(first, last):
@@ -96,9 +96,9 @@ def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
                 read_segments(inverse, ids, scenery.seg, views.seg[world, camera])
             if views.rgb.shape[1] > 0:
                 ambient_occlusion(
-                    inverse, cell, lens.focal, room.raw, room.share, room.depths
+                    inverse, cell, lens.focal, buffers.raw, buffers.share, buffers.depths
                 )
-                openness = Openness(room.share, room.depths, 1.0 / cell)
+                openness = Openness(buffers.share, buffers.depths, 1.0 / cell)
                 shade(
                     scenery.surface,
                     poses,
@@ -109,7 +109,7 @@ def draw_worlds(scenery, views, first, last, near, cull, cell, stride, room):
                     ids,
                     openness,
                     scenery.tone,
-                    room.shade,
+                    buffers.shade,
                     stride,
                     views.rgb[world, camera],
                 )

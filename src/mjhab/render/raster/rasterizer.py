@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
-from mjhab.render.raster.batch import Room, Views, draw_worlds
+from mjhab.render.raster.batch import ThreadBuffers, Views, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.lighting import SHADOW_SLOPE
 from mjhab.render.raster.occlusion import ambient_occlusion
@@ -227,7 +227,7 @@ class Rasterizer:
         self, views: Views, first: int, last: int, height: int, width: int
     ) -> None:
         """Render all cameras of the worlds ``first`` to ``last - 1``."""
-        room = self._room(height, width, FAST_CELL)
+        buffers = self._buffers(height, width, FAST_CELL)
         draw_worlds(
             self._scenery,
             views,
@@ -237,7 +237,7 @@ class Rasterizer:
             self.cull_backfaces,
             FAST_CELL,
             FAST_STRIDE,
-            room,
+            buffers,
         )
 
     def _check(self, home: np.ndarray, bodies: int, width: int, height: int) -> None:
@@ -272,46 +272,53 @@ class Rasterizer:
         shot = _Shot(int(views.home[w]), bodies, lens)
         fine = views.rgb.shape[1] > 0 and samples > 1
         if fine:
-            room = self._room(height * samples, width * samples, 2 * samples)
+            buffers = self._buffers(height * samples, width * samples, 2 * samples)
             large = shot._replace(lens=lens._replace(focal=lens.focal * samples))
-            self._trace(large, room)
-            self._shade(large, room, views.rgb[w, c], picture)
-        room = self._room(height, width, 2)
+            self._trace(large, buffers)
+            self._shade(large, buffers, views.rgb[w, c], picture)
+        buffers = self._buffers(height, width, 2)
         if views.depth.shape[1] or views.seg.shape[1] or not fine:
-            self._trace(shot, room)
+            self._trace(shot, buffers)
         if views.depth.shape[1]:
-            read_depth(room.inverse, views.depth[w, c])
+            read_depth(buffers.inverse, views.depth[w, c])
         if views.seg.shape[1]:
-            read_segments(room.inverse, room.ids, self._scenery.seg, views.seg[w, c])
+            read_segments(
+                buffers.inverse, buffers.ids, self._scenery.seg, views.seg[w, c]
+            )
         if views.rgb.shape[1] and not fine:
-            self._shade(shot, room, views.rgb[w, c], picture)
+            self._shade(shot, buffers, views.rgb[w, c], picture)
 
-    def _room(self, height: int, width: int, cell: int) -> Room:
+    def _buffers(self, height: int, width: int, cell: int) -> ThreadBuffers:
         """This thread's buffers for an image size [px] and a side of ambient-occlusion cells [px]."""
-        rooms = self._local.__dict__.setdefault("rooms", OrderedDict())
+        kept = self._local.__dict__.setdefault("buffers", OrderedDict())
         key = (height, width, cell)
-        if key not in rooms:
+        if key not in kept:
             count = len(self.scene.instance_mesh)
             cells = (-(-height // cell), -(-width // cell))
-            rooms[key] = Room(
+            kept[key] = ThreadBuffers(
                 make_scratch(self._scenery.geometry, count),
                 make_shade_scratch(count, width),
                 np.empty((height, width), np.float32),
                 np.empty((height, width), np.int32),
                 *(np.empty(cells, np.float32) for _ in range(3)),
             )
-            if len(rooms) > SIZES_KEPT:
-                rooms.popitem(last=False)
-        return rooms[key]
+            if len(kept) > SIZES_KEPT:
+                kept.popitem(last=False)
+        return kept[key]
 
-    def _trace(self, shot: _Shot, room: Room) -> None:
+    def _trace(self, shot: _Shot, buffers: ThreadBuffers) -> None:
         """Rasterise all instances into the thread's z-buffer."""
-        room.inverse[:] = 0.0
-        place_balls(self._scenery.placing, shot.home, shot.bodies, room.draw)
-        self._draw_instances(shot, ALL, room.inverse, room.ids, room)
+        buffers.inverse[:] = 0.0
+        place_balls(self._scenery.placing, shot.home, shot.bodies, buffers.draw)
+        self._draw_instances(shot, ALL, buffers.inverse, buffers.ids, buffers)
 
     def _draw_instances(
-        self, shot: _Shot, which: int, inverse: np.ndarray, ids: np.ndarray, room: Room
+        self,
+        shot: _Shot,
+        which: int,
+        inverse: np.ndarray,
+        ids: np.ndarray,
+        buffers: ThreadBuffers,
     ) -> None:
         s = self._scenery
         cull = self.cull_backfaces and which == ALL
@@ -325,40 +332,42 @@ class Rasterizer:
             cull,
             inverse,
             ids,
-            room.draw,
+            buffers.draw,
         )
 
-    def _shade(self, shot: _Shot, room: Room, rgb: np.ndarray, picture: _Picture) -> None:
+    def _shade(
+        self, shot: _Shot, buffers: ThreadBuffers, rgb: np.ndarray, picture: _Picture
+    ) -> None:
         s = self._scenery
         lens = shot.lens
         cell = 2 * picture.samples
         lamps = s.lamps
         stride = FAST_STRIDE * picture.samples
-        openness = Openness(room.share, room.depths, 1.0 / cell)
+        openness = Openness(buffers.share, buffers.depths, 1.0 / cell)
         ambient_occlusion(
-            room.inverse, cell, lens.focal, room.raw, room.share, room.depths
+            buffers.inverse, cell, lens.focal, buffers.raw, buffers.share, buffers.depths
         )
         if picture.shadows:
-            drawn = room.draw.drawn.copy()
-            lamps = lamps._replace(shadow=self._lamp_maps(shot, room))
+            drawn = buffers.draw.drawn.copy()
+            lamps = lamps._replace(shadow=self._lamp_maps(shot, buffers))
             stride = 1
-            room.draw.drawn[:] = drawn
+            buffers.draw.drawn[:] = drawn
         shade(
             s.surface,
-            room.draw,
+            buffers.draw,
             lamps,
             shot.home,
             lens,
-            room.inverse,
-            room.ids,
+            buffers.inverse,
+            buffers.ids,
             openness,
             s.tone,
-            room.shade,
+            buffers.shade,
             stride,
             rgb,
         )
 
-    def _lamp_maps(self, shot: _Shot, room: Room) -> np.ndarray:
+    def _lamp_maps(self, shot: _Shot, buffers: ThreadBuffers) -> np.ndarray:
         """Shadow maps (L, S, S) f32 of a home's lamps: static furniture from the cache, bodies drawn on top."""
         scene = self.scene
         home = shot.home
@@ -375,13 +384,13 @@ class Rasterizer:
                 still = self._shadows.get((home, k))
             if still is None:
                 still = np.zeros((SHADOW_SIZE, SHADOW_SIZE), np.float32)
-                self._draw_instances(below, STILL, still, ids, room)
+                self._draw_instances(below, STILL, still, ids, buffers)
                 with self._lock:
                     self._shadows[(home, k)] = still
                     while len(self._shadows) > SHADOW_MAPS_KEPT:
                         self._shadows.popitem(last=False)
             maps[k] = still
-            self._draw_instances(below, MOVING, maps[k], ids, room)
+            self._draw_instances(below, MOVING, maps[k], ids, buffers)
         return maps
 
 

@@ -101,7 +101,7 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
 
 @color_inline
 def _place_node(
-    surface, poses, lens, openness, room, i, face, gloss, inverse, row, col, n
+    surface, poses, lens, openness, scratch, i, face, gloss, inverse, row, col, n
 ):
     """Write node ``n`` of the light: the point, the normal and so on of the pixel (row, col) on ``face``."""
     height, width = inverse.shape
@@ -114,8 +114,8 @@ def _place_node(
     rx = m[0, 0] * u + m[0, 1] * v - m[0, 2]
     ry = m[1, 0] * u + m[1, 1] * v - m[1, 2]
     rz = m[2, 0] * u + m[2, 1] * v - m[2, 2]
-    px, py, pz = place_point(room.frames, i, u, v, depth)
-    px, py, pz = normal_at(surface, room.frames, i, face, px, py, pz)
+    px, py, pz = place_point(scratch.frames, i, u, v, depth)
+    px, py, pz = normal_at(surface, scratch.frames, i, face, px, py, pz)
     nx = rot[i, 0, 0] * px + rot[i, 0, 1] * py + rot[i, 0, 2] * pz
     ny = rot[i, 1, 0] * px + rot[i, 1, 1] * py + rot[i, 1, 2] * pz
     nz = rot[i, 2, 0] * px + rot[i, 2, 1] * py + rot[i, 2, 2] * pz
@@ -134,7 +134,7 @@ def _place_node(
         rows = (row + 0.5) * openness.cells
         cols = (col + 0.5) * openness.cells
         open_share = blended_share(openness.share, openness.depths, rows, cols, depth)
-    nodes = room.nodes
+    nodes = scratch.nodes
     n = np.uint64(n)
     nodes[n + X] = lens.pos[0] + rx * depth
     nodes[n + Y] = lens.pos[1] + ry * depth
@@ -169,14 +169,14 @@ def _fill_plain(line, left, count, r, g, b, p, d):
 
 @color_inline
 def _place_runs(
-    surface, poses, home, lens, openness, room, row, begin, end, inverse, ids, stride
+    surface, poses, home, lens, openness, scratch, row, begin, end, inverse, ids, stride
 ):
     """Find the runs of the pixels ``begin`` to ``end - 1`` of a row, and place the nodes of their light.
 
     Pixels of the background get their colour at once.
 
     Returns:
-        The number of runs, written to ``room.runs``, and the number of nodes.
+        The number of runs, written to ``scratch.runs``, and the number of nodes.
     """
     rows, columns = inverse.shape
     inv = 1.0 / lens.focal
@@ -200,21 +200,21 @@ def _place_runs(
                     lens,
                     (k + 0.5 - 0.5 * columns) * inv,
                     (0.5 * rows - row - 0.5) * inv,
-                    room.line,
+                    scratch.line,
                     k,
                 )
             continue
         i = tag >> FACE_BITS
         face = surface.mesh_start[poses.drawn[i]] + (tag & ((1 << FACE_BITS) - 1))
-        fill_frame(poses, room, lens, i)
+        fill_frame(poses, scratch, lens, i)
         m = surface.instance_material[home, i]
         if m < 0:
             m = surface.face_material[face]
-        room.runs[runs, 0] = start
-        room.runs[runs, 1] = x
-        room.runs[runs, 2] = face
-        room.runs[runs, 3] = m
-        room.runs[runs, 4] = nodes
+        scratch.runs[runs, 0] = start
+        scratch.runs[runs, 1] = x
+        scratch.runs[runs, 2] = face
+        scratch.runs[runs, 3] = m
+        scratch.runs[runs, 4] = nodes
         runs += 1
         gloss = surface.gloss[m]
         short = x - start <= SHORT_RUN
@@ -226,7 +226,7 @@ def _place_runs(
                 poses,
                 lens,
                 openness,
-                room,
+                scratch,
                 i,
                 face,
                 gloss,
@@ -256,20 +256,20 @@ def _light_at(nodes, n):
 
 
 @color_inline
-def _shade_run(surface, lens, room, run, row, inverse, ids, stride):
-    """Write the colours of a run into ``room.line``, from the light of its nodes."""
+def _shade_run(surface, lens, scratch, run, row, inverse, ids, stride):
+    """Write the colours of a run into ``scratch.line``, from the light of its nodes."""
     height, width = inverse.shape
     inv = 1.0 / lens.focal
     cx = 0.5 * width - 0.5
     v = (0.5 * height - row - 0.5) * inv
-    f = room.frames
-    line = room.line
-    start = room.runs[run, 0]
-    stop = room.runs[run, 1]
-    face = room.runs[run, 2]
-    m = room.runs[run, 3]
-    n = np.uint64(room.runs[run, 4])
-    nodes = room.nodes
+    f = scratch.frames
+    line = scratch.line
+    start = scratch.runs[run, 0]
+    stop = scratch.runs[run, 1]
+    face = scratch.runs[run, 2]
+    m = scratch.runs[run, 3]
+    n = np.uint64(scratch.runs[run, 4])
+    nodes = scratch.nodes
     i = ids[row, start] >> FACE_BITS
     plain = surface.texture[m] < 0
     r = surface.color[m, 0]
@@ -358,7 +358,7 @@ def _store(line, total, s, part, tone, rgb, row):
 
 @color_kernel
 def shade(
-    surface, poses, lamps, home, lens, inverse, ids, openness, tone, room, stride, rgb
+    surface, poses, lamps, home, lens, inverse, ids, openness, tone, scratch, stride, rgb
 ):
     """Shade an image into ``rgb`` (h, w, 3) uint8 sRGB from the z-buffer, averaging s x s samples in linear light.
 
@@ -369,13 +369,13 @@ def shade(
         lens: the camera; its focal length is in samples.
         inverse, ids: (s h, s w) f32 and i32, the z-buffer.
         openness: ambient occlusion of the z-buffer.
-        room: working memory.
+        scratch: working memory.
         stride: samples between nodes of light.
         rgb: output.
     """
     rows, columns = inverse.shape
     s = rows // rgb.shape[0]
-    room.stamp[-1] += 1
+    scratch.stamp[-1] += 1
     for row in range(rows):
         for begin in range(0, columns, MOST_NODES):
             # A stretch of a row has at most one node per pixel.
@@ -386,7 +386,7 @@ def shade(
                 home,
                 lens,
                 openness,
-                room,
+                scratch,
                 row,
                 begin,
                 end,
@@ -394,7 +394,7 @@ def shade(
                 ids,
                 stride,
             )
-            light_nodes(lamps, home, room.nodes, nodes)
+            light_nodes(lamps, home, scratch.nodes, nodes)
             for run in range(runs):
-                _shade_run(surface, lens, room, run, row, inverse, ids, stride)
-        _store(room.line, room.total, s, row % s, tone, rgb, row // s)
+                _shade_run(surface, lens, scratch, run, row, inverse, ids, stride)
+        _store(scratch.line, scratch.total, s, row % s, tone, rgb, row // s)

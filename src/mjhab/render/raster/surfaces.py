@@ -38,16 +38,16 @@ class Surface(NamedTuple):
 
 
 @color_inline
-def fill_frame(poses, room, lens, i):
+def fill_frame(poses, scratch, lens, i):
     """Fill ``frames[i]`` once per image.
 
     Entries 0:3 are the camera's position [m] and 3:12 its rotation matrix by rows, both in the frame of instance ``i``;
     12:15 are 1 / scale.
     """
-    if room.stamp[i] == room.stamp[-1]:
+    if scratch.stamp[i] == scratch.stamp[-1]:
         return
-    room.stamp[i] = room.stamp[-1]
-    f = room.frames
+    scratch.stamp[i] = scratch.stamp[-1]
+    f = scratch.frames
     rot = poses.rot
     m = lens.mat
     d0 = lens.pos[0] - poses.pos[i, 0]

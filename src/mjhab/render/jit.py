@@ -7,6 +7,7 @@ from functools import partial
 from mjhab.core.kernels.jit import compiler
 
 KERNEL_MODULES = (
+    "core.kernels.counter",
     "render.jit",
     "render.raster.arrays",
     "render.raster.boxes",

@@ -1,4 +1,4 @@
-"""Kernel that renders every camera of a range of worlds in one call, without holding the GIL."""
+"""Kernel that renders every camera of many worlds in one call per thread, without holding the GIL."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjhab.core.kernels.counter import take_next
 from mjhab.render.jit import kernel
 from mjhab.render.raster.arrays import Bodies, Lens, Scratch
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
@@ -52,18 +53,24 @@ class ThreadBuffers(NamedTuple):
 
 
 @kernel
-def draw_worlds(scenery, views, first, last, near, cull, cell, stride, buffers):
-    """Render all cameras of the worlds ``first`` to ``last - 1`` in the quality "fast".
+def draw_worlds(scenery, views, turn, near, cull, cell, stride, buffers):
+    """Render all cameras of the worlds that no other thread takes, in the quality "fast".
 
-    ``near``: near plane [m]; ``cull``: drop back faces; ``cell``: side of a cell of ambient occlusion [px]; ``stride``:
-    distance between the pixels of a run at which light is computed [px].
+    ``turn`` (1,) i64: the first world that nobody has taken yet; the threads that render one picture share it, so that
+    none waits for another's slower worlds. ``near``: near plane [m]; ``cull``: drop back faces; ``cell``: side of a
+    cell of ambient occlusion [px]; ``stride``: distance between the pixels of a run at which light is computed [px].
     """
     inverse = buffers.inverse
     ids = buffers.ids
     poses = buffers.draw
     placing = scenery.placing
     height, width = inverse.shape
-    for world in range(first, last):
+    worlds = len(views.home)
+    while True:
+        # Numba passes the typing context itself.
+        world = take_next(turn)  # pyright: ignore[reportCallIssue]
+        if world >= worlds:
+            return
         home = views.home[world]
         bodies = Bodies(views.body_pos[world], views.body_mat[world])
         place_balls(placing, home, bodies, poses)

@@ -45,8 +45,6 @@ MOVING = 2
 """``which`` of `kernels.draw`: instances attached to bodies."""
 SIZES_KEPT = 6
 """Number of image sizes for which a thread keeps buffers."""
-CHUNKS_PER_THREAD = 4
-"""Number of portions of worlds per thread; several, so that threads finish at about the same time."""
 
 
 def look_at(
@@ -203,15 +201,8 @@ class Rasterizer:
             picture = _Picture(height, width, quality == "nice", samples)
             self._each(lambda job: self._draw(views, *job, picture), jobs)
         else:
-            self._each(
-                lambda job: self._draw_fast(views, *job, height, width),
-                self._portions(len(home)),
-            )
+            self._draw_fast(views, height, width)
         return {name: getattr(views, name) for name in outputs}
-
-    def _portions(self, worlds: int) -> list[tuple[int, int]]:
-        size = max(1, worlds // (CHUNKS_PER_THREAD * self.num_threads))
-        return [(first, min(first + size, worlds)) for first in range(0, worlds, size)]
 
     def _each(
         self, work: Callable[[tuple[int, int]], None], jobs: list[tuple[int, int]]
@@ -223,16 +214,28 @@ class Rasterizer:
         ):
             pass
 
-    def _draw_fast(
-        self, views: Views, first: int, last: int, height: int, width: int
+    def _draw_fast(self, views: Views, height: int, width: int) -> None:
+        """Render all cameras of all worlds: the calling thread and those of the pool take one world after the other."""
+        turn = np.zeros(1, np.int64)
+        futures = []
+        if self._pool is not None:
+            futures = [
+                self._pool.submit(self._draw_worlds, views, turn, height, width)
+                for _ in range(min(self.num_threads, len(views.home)) - 1)
+            ]
+        self._draw_worlds(views, turn, height, width)
+        for future in futures:
+            future.result()
+
+    def _draw_worlds(
+        self, views: Views, turn: np.ndarray, height: int, width: int
     ) -> None:
-        """Render all cameras of the worlds ``first`` to ``last - 1``."""
+        """Render the worlds that this thread takes, see `draw_worlds`."""
         buffers = self._buffers(height, width, FAST_CELL)
         draw_worlds(
             self._scenery,
             views,
-            first,
-            last,
+            turn,
             NEAR,
             self.cull_backfaces,
             FAST_CELL,

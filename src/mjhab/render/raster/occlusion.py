@@ -29,6 +29,22 @@ def _disk() -> np.ndarray:
 
 
 DISK = _disk()
+_DISK_X, _DISK_Y = (np.ascontiguousarray(DISK[..., k], np.float32) for k in range(2))
+"""(TURNS, TAPS) f32 each: the offsets along columns and rows."""
+_ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
+_RADIUS = np.float32(RADIUS)
+_BIAS = np.float32(0.004)
+"""Rise above the plane of the surface, relative to the depth, that does not count: rounding errors of the depths."""
+_SOFTEN = np.float32(1e-4)
+_LEAST = np.float32(1e-20)
+_STRENGTH = np.float32(STRENGTH)
+_MOST_SHADE = np.float32(0.15)
+_OF_HEIGHT = np.float32(0.2)
+"""Largest distance of a sample on screen, as a share of the image's height."""
+_ALIKE = np.float32(0.05)
+"""Relative difference of depth up to which the blur takes cells for one surface."""
 
 
 @color_inline
@@ -51,47 +67,52 @@ def _slope(inverse, y, x, dy, dx):
 
 @color_inline
 def _blocked(inverse, y, x, focal, turn):
-    """Occlusion 0..1 of one pixel, without the factor `STRENGTH`; ``turn`` is its sample pattern."""
+    """Occlusion 0..1 of one pixel, without the factor `STRENGTH`; ``turn`` is its sample pattern.
+
+    The loop over samples has no branches and no stores and is float32, so that the compiler computes several at a time.
+    """
     height, width = inverse.shape
-    cx = 0.5 * width
-    cy = 0.5 * height
+    cx = _HALF * np.float32(width)
+    cy = _HALF * np.float32(height)
+    focal_inv = _ONE / focal
     w = inverse[y, x]
     gx = _slope(inverse, y, x, 0, 1)
     gy = _slope(inverse, y, x, 1, 0)
-    u = x + 0.5 - cx
-    v = y + 0.5 - cy
+    from_x = np.float32(x) + _HALF
+    from_y = np.float32(y) + _HALF
+    u = from_x - cx
+    v = from_y - cy
     nx = -gx * focal
     ny = -gy * focal
     nz = -(w - gx * u - gy * v)
-    inv = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-20)
+    inv = _ONE / np.sqrt(nx * nx + ny * ny + nz * nz + _LEAST)
     nx = nx * inv
     ny = ny * inv
     nz = nz * inv
-    z = 1.0 / w
-    px = u / focal * z
-    py = v / focal * z
-    reach = min(RADIUS * focal * w, 0.2 * height)
-    total = 0.0
-    for k in range(TAPS):
-        col = int(x + 0.5 + reach * DISK[turn, k, 0])
-        row = int(y + 0.5 + reach * DISK[turn, k, 1])
-        if (
-            col < 0
-            or row < 0
-            or col >= width
-            or row >= height
-            or inverse[row, col] <= 0.0
-        ):
-            continue
-        qz = 1.0 / inverse[row, col]
-        dx = (col + 0.5 - cx) / focal * qz - px
-        dy = (row + 0.5 - cy) / focal * qz - py
+    z = _ONE / w
+    px = u * focal_inv * z
+    py = v * focal_inv * z
+    reach = min(_RADIUS * focal * w, _OF_HEIGHT * np.float32(height))
+    last_col = np.int32(width - 1)
+    last_row = np.int32(height - 1)
+    total = _ZERO
+    for k in range(np.uint64(TAPS)):
+        col = np.int32(from_x + reach * _DISK_X[turn, k])
+        row = np.int32(from_y + reach * _DISK_Y[turn, k])
+        inner_col = min(max(col, np.int32(0)), last_col)
+        inner_row = min(max(row, np.int32(0)), last_row)
+        found = inverse[np.uint64(inner_row), np.uint64(inner_col)]
+        counts = (col == inner_col) & (row == inner_row) & (found > _ZERO)
+        qz = _ONE / (found if counts else _ONE)
+        dx = (np.float32(col) + _HALF - cx) * focal_inv * qz - px
+        dy = (np.float32(row) + _HALF - cy) * focal_inv * qz - py
         dz = qz - z
         square = dx * dx + dy * dy + dz * dz
-        if square < RADIUS * RADIUS:
-            rise = max(dx * nx + dy * ny + dz * nz - 0.004 * z, 0.0)
-            total += rise / np.sqrt(square + 1e-4) * (1.0 - square / (RADIUS * RADIUS))
-    return total / TAPS
+        rise = max(dx * nx + dy * ny + dz * nz - _BIAS * z, _ZERO)
+        fade = max(_ONE - square / (_RADIUS * _RADIUS), _ZERO)
+        blocked = rise / np.sqrt(square + _SOFTEN) * fade
+        total += blocked if counts else _ZERO
+    return total / np.float32(TAPS)
 
 
 @color_kernel
@@ -102,6 +123,7 @@ def ambient_occlusion(inverse, step, focal, raw, share, depths):
     f32 gets the inverse depth of each cell's middle pixel; ``raw`` (a, b) f32 is scratch.
     """
     height, width = share.shape
+    focal = np.float32(focal)
     for i in range(height):
         for j in range(width):
             y = min(i * step + step // 2, inverse.shape[0] - 1)
@@ -112,11 +134,11 @@ def ambient_occlusion(inverse, step, focal, raw, share, depths):
                 raw[i, j] = _blocked(inverse, y, x, focal, (i & 3) * 4 + (j & 3))
     for i in range(height):
         for j in range(width):
-            total = 0.0
-            weight = 1e-9
+            total = _ZERO
+            weight = np.float32(1e-9)
             for y in range(max(i - 2, 0), min(i + 2, height)):
                 for x in range(max(j - 2, 0), min(j + 2, width)):
-                    if abs(depths[y, x] - depths[i, j]) < 0.05 * depths[i, j]:
+                    if abs(depths[y, x] - depths[i, j]) < _ALIKE * depths[i, j]:
                         total += raw[y, x]
-                        weight += 1.0
-            share[i, j] = max(1.0 - STRENGTH * total / weight, 0.15)
+                        weight += _ONE
+            share[i, j] = max(_ONE - _STRENGTH * total / weight, _MOST_SHADE)

@@ -220,21 +220,24 @@ def blended_share(share, depths, row, col, depth):
     The four nearest cells are weighted by distance and by how well ``depths`` (a, b), inverse depth [1/m], matches
     ``depth`` [m].
     """
+    zero = np.float32(0.0)
+    one = np.float32(1.0)
     height, width = share.shape
-    fy = max(row - 0.5, 0.0)
-    fx = max(col - 0.5, 0.0)
+    fy = max(np.float32(row) - np.float32(0.5), zero)
+    fx = max(np.float32(col) - np.float32(0.5), zero)
     i = min(int(fy), height - 1)
     j = min(int(fx), width - 1)
-    fy = fy - i
-    fx = fx - j
-    total = 0.0
-    weight = 1e-9
+    fy = fy - np.float32(i)
+    fx = fx - np.float32(j)
+    total = zero
+    weight = np.float32(1e-9)
     for r in range(2):
         for c in range(2):
-            y = min(i + r, height - 1)
-            x = min(j + c, width - 1)
-            w = (fy if r else 1.0 - fy) * (fx if c else 1.0 - fx) + 1e-3
-            w *= 1e-4 + max(0.0, 1.0 - 20.0 * abs(depths[y, x] * depth - 1.0))
+            y = np.uint64(min(i + r, height - 1))
+            x = np.uint64(min(j + c, width - 1))
+            w = (fy if r else one - fy) * (fx if c else one - fx) + np.float32(1e-3)
+            off = abs(depths[y, x] * depth - one)
+            w *= np.float32(1e-4) + max(zero, one - np.float32(20.0) * off)
             total += w * share[y, x]
             weight += w
     return total / weight

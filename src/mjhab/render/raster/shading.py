@@ -100,54 +100,66 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
 
 
 @color_inline
-def _place_node(
-    surface, poses, lens, openness, scratch, i, face, gloss, inverse, row, col, n
-):
-    """Write node ``n`` of the light: the point, the normal and so on of the pixel (row, col) on ``face``."""
-    height, width = inverse.shape
-    focal_inv = 1.0 / lens.focal
-    u = (col + 0.5 - 0.5 * width) * focal_inv
-    v = (0.5 * height - row - 0.5) * focal_inv
-    depth = 1.0 / inverse[row, col]
-    m = lens.mat
-    rot = poses.rot
-    rx = m[0, 0] * u + m[0, 1] * v - m[0, 2]
-    ry = m[1, 0] * u + m[1, 1] * v - m[1, 2]
-    rz = m[2, 0] * u + m[2, 1] * v - m[2, 2]
+def _world_normal(surface, poses, scratch, i, face, u, v, depth):
+    """Unit normal in the world of ``face`` of instance ``i``, at a depth [m] along the ray with the slopes (u, v)."""
     px, py, pz = place_point(scratch.frames, i, u, v, depth)
     px, py, pz = normal_at(surface, scratch.frames, i, face, px, py, pz)
-    nx = rot[i, 0, 0] * px + rot[i, 0, 1] * py + rot[i, 0, 2] * pz
-    ny = rot[i, 1, 0] * px + rot[i, 1, 1] * py + rot[i, 1, 2] * pz
-    nz = rot[i, 2, 0] * px + rot[i, 2, 1] * py + rot[i, 2, 2] * pz
-    inv = -1.0 / np.sqrt(rx * rx + ry * ry + rz * rz)
-    vx = rx * inv
-    vy = ry * inv
-    vz = rz * inv
-    facing = nx * vx + ny * vy + nz * vz
-    if facing < 0.0 and not surface.smooth[face]:
-        nx = -nx
-        ny = -ny
-        nz = -nz
-        facing = -facing
-    open_share = 1.0
-    if openness.share.shape[0] > 0:
-        rows = (row + 0.5) * openness.cells
-        cols = (col + 0.5) * openness.cells
-        open_share = blended_share(openness.share, openness.depths, rows, cols, depth)
-    nodes = scratch.nodes
-    n = np.uint64(n)
-    nodes[n + X] = lens.pos[0] + rx * depth
-    nodes[n + Y] = lens.pos[1] + ry * depth
-    nodes[n + Z] = lens.pos[2] + rz * depth
-    nodes[n + NX] = nx
-    nodes[n + NY] = ny
-    nodes[n + NZ] = nz
-    nodes[n + VX] = vx
-    nodes[n + VY] = vy
-    nodes[n + VZ] = vz
-    nodes[n + GLOSS] = gloss
-    nodes[n + OPEN] = open_share
-    nodes[n + FACING] = facing
+    rot = poses.rot
+    return (
+        rot[i, 0, 0] * px + rot[i, 0, 1] * py + rot[i, 0, 2] * pz,
+        rot[i, 1, 0] * px + rot[i, 1, 1] * py + rot[i, 1, 2] * pz,
+        rot[i, 2, 0] * px + rot[i, 2, 1] * py + rot[i, 2, 2] * pz,
+    )
+
+
+@color_inline
+def _towards_camera(lens, u, v, nx, ny, nz):
+    """The normal, turned if it points away from the camera along the ray with the slopes (u, v)."""
+    m = lens.mat
+    away = (
+        nx * (m[0, 0] * u + m[0, 1] * v - m[0, 2])
+        + ny * (m[1, 0] * u + m[1, 1] * v - m[1, 2])
+        + nz * (m[2, 0] * u + m[2, 1] * v - m[2, 2])
+    )
+    sign = -1.0 if away > 0.0 else 1.0
+    return sign * nx, sign * ny, sign * nz
+
+
+@color_inline
+def _aim_nodes(lens, v, nodes, count):
+    """Compute the points of the first ``count`` nodes of a row, the directions to the camera, and ``FACING``.
+
+    Row X holds the slope u of each node's ray before, and Z its depth [m]; ``v`` is the slope upwards.
+    """
+    one = np.float32(1.0)
+    v = np.float32(v)
+    m = lens.mat
+    right_x = np.float32(m[0, 0])
+    right_y = np.float32(m[1, 0])
+    right_z = np.float32(m[2, 0])
+    ahead_x = np.float32(m[0, 1]) * v - np.float32(m[0, 2])
+    ahead_y = np.float32(m[1, 1]) * v - np.float32(m[1, 2])
+    ahead_z = np.float32(m[2, 1]) * v - np.float32(m[2, 2])
+    cam_x = np.float32(lens.pos[0])
+    cam_y = np.float32(lens.pos[1])
+    cam_z = np.float32(lens.pos[2])
+    for n in range(np.uint64(count)):
+        u = nodes[n + X]
+        depth = nodes[n + Z]
+        rx = right_x * u + ahead_x
+        ry = right_y * u + ahead_y
+        rz = right_z * u + ahead_z
+        inv = -one / np.sqrt(rx * rx + ry * ry + rz * rz)
+        vx = rx * inv
+        vy = ry * inv
+        vz = rz * inv
+        nodes[n + X] = cam_x + rx * depth
+        nodes[n + Y] = cam_y + ry * depth
+        nodes[n + Z] = cam_z + rz * depth
+        nodes[n + VX] = vx
+        nodes[n + VY] = vy
+        nodes[n + VZ] = vz
+        nodes[n + FACING] = nodes[n + NX] * vx + nodes[n + NY] * vy + nodes[n + NZ] * vz
 
 
 @color_inline
@@ -180,6 +192,8 @@ def _place_runs(
     """
     rows, columns = inverse.shape
     inv = 1.0 / lens.focal
+    v = (0.5 * rows - row - 0.5) * inv
+    rows_of = scratch.nodes
     runs = 0
     nodes = 0
     x = begin
@@ -199,7 +213,7 @@ def _place_runs(
                 sky(
                     lens,
                     (k + 0.5 - 0.5 * columns) * inv,
-                    (0.5 * rows - row - 0.5) * inv,
+                    v,
                     scratch.line,
                     k,
                 )
@@ -217,28 +231,44 @@ def _place_runs(
         scratch.runs[runs, 4] = nodes
         runs += 1
         gloss = surface.gloss[m]
+        smooth = surface.smooth[face]
         short = x - start <= SHORT_RUN
         at = (start + x) // 2 if short else start
         last = at if short else x - 1
+        u = (at + 0.5 - 0.5 * columns) * inv
+        nx, ny, nz = _world_normal(
+            surface, poses, scratch, i, face, u, v, 1.0 / inverse[row, at]
+        )
+        if not smooth:
+            nx, ny, nz = _towards_camera(lens, u, v, nx, ny, nz)
         while True:
-            _place_node(
-                surface,
-                poses,
-                lens,
-                openness,
-                scratch,
-                i,
-                face,
-                gloss,
-                inverse,
-                row,
-                at,
-                nodes,
-            )
+            depth = np.float32(1.0) / inverse[row, at]
+            u = (at + 0.5 - 0.5 * columns) * inv
+            if smooth and at > start:
+                nx, ny, nz = _world_normal(surface, poses, scratch, i, face, u, v, depth)
+            open_share = np.float32(1.0)
+            if openness.share.shape[0] > 0:
+                cells = openness.cells
+                open_share = blended_share(
+                    openness.share,
+                    openness.depths,
+                    (row + 0.5) * cells,
+                    (at + 0.5) * cells,
+                    depth,
+                )
+            n = np.uint64(nodes)
+            rows_of[n + X] = u
+            rows_of[n + Z] = depth
+            rows_of[n + NX] = nx
+            rows_of[n + NY] = ny
+            rows_of[n + NZ] = nz
+            rows_of[n + GLOSS] = gloss
+            rows_of[n + OPEN] = open_share
             nodes += 1
             if at == last:
                 break
             at = min(at + stride, last)
+    _aim_nodes(lens, v, rows_of, nodes)
     return runs, nodes
 
 

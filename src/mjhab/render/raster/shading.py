@@ -126,6 +126,29 @@ def _towards_camera(lens, u, v, nx, ny, nz):
 
 
 @color_inline
+def _open_share(openness, row, col, depth):
+    """Ambient openness 0..1 at a pixel of this depth [m]; 1 without ambient occlusion."""
+    if openness.share.shape[0] == 0:
+        return np.float32(1.0)
+    rows = (row + 0.5) * openness.cells
+    cols = (col + 0.5) * openness.cells
+    return blended_share(openness.share, openness.depths, rows, cols, depth)
+
+
+@color_inline
+def _write_node(nodes, n, u, depth, nx, ny, nz, gloss, open_share):
+    """Write what is known of node ``n`` before `_aim_nodes`; ``u``: slope of its ray, ``depth`` [m]."""
+    n = np.uint64(n)
+    nodes[n + X] = u
+    nodes[n + Z] = depth
+    nodes[n + NX] = nx
+    nodes[n + NY] = ny
+    nodes[n + NZ] = nz
+    nodes[n + GLOSS] = gloss
+    nodes[n + OPEN] = open_share
+
+
+@color_inline
 def _aim_nodes(lens, v, nodes, count):
     """Compute the points of the first ``count`` nodes of a row, the directions to the camera, and ``FACING``.
 
@@ -193,7 +216,7 @@ def _place_runs(
     rows, columns = inverse.shape
     inv = 1.0 / lens.focal
     v = (0.5 * rows - row - 0.5) * inv
-    rows_of = scratch.nodes
+    light = scratch.nodes
     runs = 0
     nodes = 0
     x = begin
@@ -246,29 +269,13 @@ def _place_runs(
             u = (at + 0.5 - 0.5 * columns) * inv
             if smooth and at > start:
                 nx, ny, nz = _world_normal(surface, poses, scratch, i, face, u, v, depth)
-            open_share = np.float32(1.0)
-            if openness.share.shape[0] > 0:
-                cells = openness.cells
-                open_share = blended_share(
-                    openness.share,
-                    openness.depths,
-                    (row + 0.5) * cells,
-                    (at + 0.5) * cells,
-                    depth,
-                )
-            n = np.uint64(nodes)
-            rows_of[n + X] = u
-            rows_of[n + Z] = depth
-            rows_of[n + NX] = nx
-            rows_of[n + NY] = ny
-            rows_of[n + NZ] = nz
-            rows_of[n + GLOSS] = gloss
-            rows_of[n + OPEN] = open_share
+            open_share = _open_share(openness, row, at, depth)
+            _write_node(light, nodes, u, depth, nx, ny, nz, gloss, open_share)
             nodes += 1
             if at == last:
                 break
             at = min(at + stride, last)
-    _aim_nodes(lens, v, rows_of, nodes)
+    _aim_nodes(lens, v, light, nodes)
     return runs, nodes
 
 

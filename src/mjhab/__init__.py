@@ -135,7 +135,11 @@ def register_all() -> None:
 def _is_command() -> bool:
     """Whether the process is the ``mjhab`` command, which registers when it runs something: ``--help`` is quick."""
     # Not sys.argv: worker processes of the command are given it, too.
-    return "mjhab.cli.main" in sys.orig_argv or Path(*sys.orig_argv[1:2]).stem == "mjhab"
+    words = sys.orig_argv
+    if sys.argv[:1] == ["-m"]:
+        # Python's own mark while it looks for the module behind -m.
+        return words[words.index("-m") + 1] in ("mjhab", "mjhab.cli.main")
+    return Path(*words[1:2]).stem == "mjhab"
 
 
 if not _is_command():

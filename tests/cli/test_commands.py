@@ -71,10 +71,11 @@ def test_help_loads_no_heavy_library() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_help_waits_neither_for_numpy_nor_for_gymnasium() -> None:
+@pytest.mark.parametrize("module", ["mjhab", "mjhab.cli.main"])
+def test_help_waits_neither_for_numpy_nor_for_gymnasium(module: str) -> None:
     """The command registers its environments, which takes both, only when it runs something."""
     done = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", "mjhab.cli.main", "eval", "--help"],
+        [sys.executable, "-X", "importtime", "-m", module, "eval", "--help"],
         capture_output=True,
         text=True,
         timeout=60,
@@ -83,6 +84,15 @@ def test_help_waits_neither_for_numpy_nor_for_gymnasium() -> None:
     loaded = {line.split("|")[-1].strip() for line in done.stderr.splitlines()}
     assert "tyro" in loaded
     assert not loaded & {"numpy", "gymnasium", "mjhab.envs"}
+
+
+def test_a_program_that_is_given_words_of_ours_has_the_ids(tmp_path: Path) -> None:
+    program = tmp_path / "train.py"
+    program.write_text(
+        "import gymnasium, mjhab\nassert 'mjhab/TidyHouse-v1' in gymnasium.registry\n"
+    )
+    words = ["-m", "mjhab", "mjhab.cli.main"]
+    subprocess.run([sys.executable, str(program), *words], check=True, timeout=60)
 
 
 def test_homes_list(capsys: pytest.CaptureFixture[str]) -> None:

@@ -234,6 +234,11 @@ def test_parts_of_modes_add_up():
     assert mode_outputs("state+pointcloud+depth") == ("depth", "pointcloud")
 
 
+def test_parts_that_are_joined_by_commas_are_told_so() -> None:
+    with pytest.raises(UsageError, match=r"joined by '\+', not by a comma: 'depth\+rgb'"):
+        mode_outputs("depth,rgb")
+
+
 def test_camera_poses_are_those_of_the_cameras_of_the_model(env):
     obs = look(env, Observer(env.sim, env.sensing, "depth", size=8, threads=1))
     for world in range(WORLDS):

@@ -39,3 +39,12 @@ def test_the_environment_within_is_taken() -> None:
     worlds = env.unwrapped.worlds  # type: ignore[attr-defined]
     obs, info = worlds.reset(seed=0)
     assert mjhab.make_expert(worlds).act(obs, info).shape == worlds.action_space.shape
+
+
+@pytest.mark.parametrize("styles", ["speed=0.5", ["speed=0.5"], {"speed": 0.5}])
+def test_styles_of_another_type_are_refused(styles: object) -> None:
+    env = mjhab.make(task="set_table", subtask="close", home="builtin_m0_00")
+    with pytest.raises(
+        UsageError, match=r"styles as mjhab\.tasks\.style\.Styles, for in"
+    ):
+        mjhab.make_expert(env, styles)  # type: ignore[arg-type]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 import importlib
 import sys
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from mjhab.cli.streams import (
     show_own_warnings_plainly,
 )
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.files.outputs import DISK_ERRORS
 from mjhab.core.files.reading import reason
 from mjhab.core.memory_cache import set_memory_limit
 from mjhab.core.version import __version__
@@ -29,7 +29,6 @@ DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole
 
 A robot tidies furnished homes with real physics. Start with `mjhab demo`; `mjhab doctor` shows what is installed."""
 
-DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 OK = 0
 FAILED = 1
 USAGE = 2

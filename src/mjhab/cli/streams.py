@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import sys
 import warnings
+from collections.abc import Iterator
 from typing import Any, TextIO, cast
 
+from mjhab.core.errors import MjhabError
+from mjhab.core.files.outputs import DISK_ERRORS
 from mjhab.core.files.reading import reason
 from mjhab.core.registration.plugins import PluginWarning
 
@@ -116,3 +120,21 @@ def described(error: OSError) -> str:
     if error.filename is None:
         return f"cannot write the output ({reason(error)})."
     return f"{error.filename} cannot be used ({reason(error)})."
+
+
+@contextlib.contextmanager
+def with_way_on(advice: str) -> Iterator[None]:
+    """Tell how to continue where a full or broken disk ends a command.
+
+    Args:
+        advice: sentence behind the description of the error.
+
+    Raises:
+        MjhabError: the disk is full or broken.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in DISK_ERRORS or error.filename is None:
+            raise
+        raise MjhabError(f"{described(error)} {advice}") from error

@@ -14,6 +14,7 @@ from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.outputs import naming_file
 from mjhab.core.files.reading import parse_json
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabEpisode, to_json, write_rows
@@ -144,7 +145,7 @@ def make_file(
     rejected = sum(row.rejected for row in rows)
     tell(done, rejected)
     missing = range(recipe.first + done, recipe.first + recipe.count)
-    with partial.open("a", encoding="utf-8") as log:
+    with naming_file(partial), partial.open("a", encoding="utf-8") as log:
         for row in _rows(factory, missing, workers):
             log.write(json.dumps(asdict(row)) + "\n")
             log.flush()

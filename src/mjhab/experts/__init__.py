@@ -21,16 +21,22 @@ def make_expert(env: Worlds, styles: Styles | None = None) -> ExpertPolicy:
 
     Raises:
         UsageError: it is no such environment, or experts cannot act in its control mode, base mode or with its
-            stationary parts.
+            stationary parts; or ``styles`` is of another type.
     """
     from mjhab.envs.sequential import SequentialTaskEnv
     from mjhab.experts.policy import ExpertPolicy
     from mjhab.robots.controllers import DEFAULT_MODE
+    from mjhab.tasks.style import Styles
 
     if not isinstance(env, SequentialTaskEnv):
         raise UsageError(
             "make_expert takes the vector environment of mjhab.make or mjhab.make_train on backend 'cpu' (of a "
             f"wrapper, env.unwrapped; of one world, env.unwrapped.worlds), not {shown(env)}."
+        )
+    if styles is not None and not isinstance(styles, Styles):
+        raise UsageError(
+            "make_expert takes styles as mjhab.tasks.style.Styles, for instance "
+            f'Styles.parse(["speed=0.5..1.0"]), not {shown(styles)}.'
         )
     config = env.config
     # The head may be stationary: no subtask needs it to move.

@@ -19,7 +19,7 @@ from typing import Any
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
-from mjhab.core.files.outputs import check_output
+from mjhab.core.files.outputs import check_output, naming_file
 from mjhab.core.files.reading import parse_json, read_json_object, reason
 from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import RolloutEnv
@@ -129,8 +129,10 @@ class RunFolder:
     def add(self, record: EpisodeRecord) -> None:
         """Append a record to episodes.jsonl, with the hash of the config, and flush it to the system."""
         record = dataclasses.replace(record, config_hash=self._hash)
-        with open(self.path / EPISODES, "a", encoding="utf-8") as file:
-            file.write(json.dumps(record.to_dict(), separators=(",", ":")) + "\n")
+        path = self.path / EPISODES
+        line = json.dumps(record.to_dict(), separators=(",", ":")) + "\n"
+        with naming_file(path), path.open("a", encoding="utf-8") as file:
+            file.write(line)
         self._records[record.index] = record
 
     def earlier_seconds(self) -> float:

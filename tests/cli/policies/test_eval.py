@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -31,6 +32,9 @@ KEYS = [
     "errors",
     "seconds",
 ]
+
+REPORT_TOO_LARGE = 3 * 2**20
+"""Limit of files [bytes]: more than all records, less than a report, which holds the library of its charts."""
 
 
 class Stage:
@@ -234,6 +238,24 @@ def test_sigterm_writes_the_report_as_ctrl_c_does(
     assert signal.getsignal(signal.SIGTERM) is before
     assert run("--json", "--resume") == 0
     assert last_line(capsys.readouterr().out)["episodes"] == 12
+
+
+def test_a_full_disk_is_told_with_the_file_and_the_way_on(
+    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A limit on the size of files acts as a full disk: the report is larger."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (REPORT_TOO_LARGE, before[1]))
+    try:
+        assert run("--json") == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert f"{tmp_path / 'run' / 'report.html'} cannot be used" in told
+    assert "--resume continues" in told
+    assert run("--json", "--resume") == 0
+    assert last_line(capsys.readouterr().out)["episodes"] == 12
+    assert (tmp_path / "run" / "report.html").is_file()
 
 
 def test_two_runs_into_one_folder_never_mix(

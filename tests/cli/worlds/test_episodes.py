@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import json
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import main
+from mjhab.episodes import files
 from mjhab.episodes.files import manifest_path
 from mjhab.episodes.hab.format import read_hab, write_hab
 from tests.real_data import real_data
@@ -50,6 +52,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert main(["episodes", "make", *args, "--out", str(out)]) == 0
     return out
+
+
+def test_a_full_disk_is_told_with_the_file_and_the_way_on(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*args: Any) -> Any:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    out = tmp_path / "a.json"
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "_rows", full)
+        told = refused(capsys, 1, "make", "--count", "1", "--out", str(out))
+    assert f"{out}.partial cannot be used (No space left on device)" in told
+    assert told.endswith("then the same command continues.")
+    said = machine(capsys, "episodes", "make", "--count", "1", "--out", str(out))
+    assert said["episodes"] == 1
 
 
 def test_make_says_what_it_did(

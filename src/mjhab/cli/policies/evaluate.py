@@ -19,6 +19,7 @@ from rich.progress import (
 from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.evaluate import DemoOptions, EvalOptions
 from mjhab.cli.output import print_json, print_table
+from mjhab.cli.streams import with_way_on
 from mjhab.config.profile_choice import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
 from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
@@ -28,12 +29,14 @@ from mjhab.rollout.sinks import Sink, StepView
 from mjhab.rollout.store import REPORT
 from mjhab.serving.address import with_options
 
+DISK_ADVICE = "Finished episodes are kept: free some space, then the same command with --resume continues."
+
 
 def run_eval(options: EvalOptions) -> int:
     """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (finished episodes are kept and reported)."""
     spec = eval_spec(options)
     interrupted = False
-    with sigterm_interrupts():
+    with sigterm_interrupts(), with_way_on(DISK_ADVICE):
         try:
             run = run_evaluation(spec, [ProgressSink(spec)])
         except EvaluationInterrupted as stop:

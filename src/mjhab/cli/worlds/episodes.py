@@ -18,6 +18,7 @@ from rich.progress import (
 
 from mjhab.cli.options.episodes import EpisodesCheckOptions, EpisodesMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.streams import with_way_on
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 SPLITS = ("train", "val", "test")
 SUFFIXES = (".json", ".json.gz")
+DISK_ADVICE = "Free some space, then the same command continues."
 
 
 def run_episodes(options: EpisodesMakeOptions | EpisodesCheckOptions) -> int:
@@ -58,7 +60,7 @@ def make(options: EpisodesMakeOptions) -> int:
         options.task, options.split, options.seed, options.assets, options.first, count
     )
     started = time.perf_counter()
-    with _bar() as bar:
+    with _bar() as bar, with_way_on(DISK_ADVICE):
         line = bar.add_task(
             f"{options.task} {options.split}", total=count, note="", visible=False
         )

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.files.outputs import naming_file
 from mjhab.core.progress import say
 
 CACHE_VARIABLE = "MJHAB_CACHE"
@@ -165,7 +166,8 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
         f".{path.stem}-{os.getpid()}-{secrets.token_hex(4)}{path.suffix}"
     )
     try:
-        write(temporary)
+        with naming_file(path):
+            write(temporary)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

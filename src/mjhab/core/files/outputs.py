@@ -6,12 +6,30 @@ import contextlib
 import errno
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import reason
 
 _MAX_SHOWN_CHARACTERS = 80
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What the system says of a full or broken disk."""
+
+
+@contextlib.contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Add the name of the file that is written to errors that lack it: a full disk names none.
+
+    Args:
+        path: the file, as the user knows it.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def check_output(path: Path, option: str = "--out") -> None:

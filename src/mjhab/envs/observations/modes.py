@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjhab.config.ranges import range_of
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.robots.robot import Robot
 
 STATE_KEY = "state"
@@ -45,6 +45,10 @@ def mode_outputs(mode: str) -> tuple[str, ...]:
     Raises:
         UsageError: a part that is no mode.
     """
+    if "," in mode:
+        raise UsageError(
+            f"parts of an observation mode are joined by '+', not by a comma: {shown(mode.replace(',', '+'))}."
+        )
     wanted = set[str]()
     for part in mode.split("+"):
         if part not in OBS_MODES:

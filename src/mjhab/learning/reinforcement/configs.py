@@ -30,6 +30,10 @@ PPO = "ppo"
 SAC = "sac"
 RLPD = "rlpd"
 ALGORITHMS = (PPO, SAC, RLPD)
+ONCE = "once"
+AT_END = "at_end"
+KEEP_BEST_BY = (ONCE, AT_END)
+"""Which success of an episode chooses the best actor: at any control step, or at the last one."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +170,8 @@ class ReinforcementConfig:
     while it moves so, and the policy does not come to rest. Evaluations during the run keep that of the profile.
     checkpoint_samples: samples between checkpoints. At a checkpoint all worlds start new episodes, so that a resumed
     run gives the same result as an uninterrupted one. eval_samples: samples between evaluations.
+    keep_best_by: success that chooses the run's student among the evaluations on the way, one of KEEP_BEST_BY. "once"
+    counts every episode that succeeds, "at_end" those that are in success at their last control step.
     """
 
     algorithm: str
@@ -187,6 +193,7 @@ class ReinforcementConfig:
     stillness: str = ""
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
+    keep_best_by: str = ONCE
 
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
@@ -197,6 +204,8 @@ class ReinforcementConfig:
             )
         if self.stillness and self.stillness not in STILLNESS:
             raise unknown_name("stillness", self.stillness, STILLNESS)
+        if self.keep_best_by not in KEEP_BEST_BY:
+            raise unknown_name("keep_best_by", self.keep_best_by, KEEP_BEST_BY)
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
         if self.ppo is not None:

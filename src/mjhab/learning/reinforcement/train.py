@@ -90,8 +90,9 @@ def train_reinforcement(
 def summarize(session: ReinforcementSession) -> dict[str, Any]:
     """Results of a run as JSON data.
 
-    ``split``, ``success_once``, ``interval`` and ``episodes`` come from one evaluation, that of the actor after
-    ``evaluated_samples``. ``checkpoint`` is None while there is none; it holds the actor after ``student_samples``.
+    ``split``, ``success_once``, ``interval``, ``success_at_end`` and ``episodes`` come from one evaluation, that of the
+    actor after ``evaluated_samples``. ``checkpoint`` is None while there is none; it holds the actor after
+    ``student_samples``.
     """
     standing = session.standing
     return {

@@ -167,7 +167,7 @@ class _Run(ABC):
             privileged=seen.privileged.shape[1],
             actions=len(self.session.layout.actions),
         )
-        self.session.log.show({name: shape.words})
+        self.session.log.say(f"memory of the buffer {name}: {shape.words}")
         device = self.session.worlds.device
         folder = self.session.folder.path / name if device.type == "cpu" else None
         return ReplayBuffer(shape, device, folder, reserve)

@@ -43,7 +43,8 @@ class PpoConfig:
     rollout_steps: control steps per world in one rollout. minibatches, epochs: per update.
     gamma: discount per control step. gae_lambda, clip, value_coefficient, entropy_coefficient: as in the PPO paper.
     finite_horizon: use the advantage estimate of MS-HAB (`returns.finite_horizon_advantages`) instead of GAE.
-    target_kl: an update stops early once an epoch exceeds this KL divergence; 0 disables the limit.
+    target_kl: an update stops early once an epoch exceeds this KL divergence; 0 disables the limit. stop_in_epoch: it
+    stops before the first minibatch that exceeds it, as in MS-HAB, instead of after an epoch whose mean does.
     clip_norm: largest gradient norm, applied to actor and critic separately, or with clip_jointly to both together.
     learning_rate_end: factor on the learning rate at the end of training; it decreases linearly from 1.
     initial_std: standard deviation of the actions before training, as a fraction of the action range [-1, 1].
@@ -67,6 +68,7 @@ class PpoConfig:
     value_coefficient: float = 0.5
     entropy_coefficient: float = 0.0
     target_kl: float = 0.05
+    stop_in_epoch: bool = False
     clip_norm: float = 0.5
     clip_jointly: bool = False
     learning_rate: float = 3e-4
@@ -336,6 +338,7 @@ PAPER_PPO = ReinforcementConfig(
         gae_lambda=0.9,
         finite_horizon=True,
         target_kl=0.2,
+        stop_in_epoch=True,
         clip_jointly=True,
         initial_std=0.6065,  # exp(-0.5)
     ),

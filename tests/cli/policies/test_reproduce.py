@@ -48,6 +48,7 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--split", "vla"), "unknown split"),
         (("--episodes", "0"), "--episodes must be at least 1"),
         (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
+        (("--variants", "px_64"), "unknown variant of table1 'px_64'"),
         (("--column", "rl_al"), "Did you mean 'rl_all'"),
         (("--column", "rl_all", "--preset", "small"), "preset"),
         (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
@@ -214,8 +215,6 @@ def test_choices_share_data_where_they_need_the_same(
     student = config(inputs=InputConfig(image_size=16), demos=1, updates=9, hold_steps=5)
     monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
     kept = ("chunk_1", "whole_episodes", "px_64")
-    chosen = [variant for variant in VARIANTS["choices"] if variant.name in kept]
-    monkeypatch.setitem(VARIANTS, "choices", tuple(chosen))
     words = [
         "reproduce",
         "choices",
@@ -226,10 +225,19 @@ def test_choices_share_data_where_they_need_the_same(
         "1",
     ]
     words += ["--threads", "1", "--split", "train", "--episodes", "1", "--updates", "2"]
-    assert main(words) == 0
+    assert main([*words, "--variants", "px_64", "chunk_1"]) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [row["rules"] for row in rows] == ["chunk_1", "px_64"]
+    folder = tmp_path / "set_table.close.drawer"
+    first = folder / "train" / "px_64" / "student.safetensors"
+    trained_at = first.stat().st_mtime_ns
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "images of 64 x 64 px" in page and "not cut after success" not in page
+    # Others are added, and those that are there stay.
+    assert main([*words, "--resume", "--variants", "whole_episodes"]) == 0
     rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
     assert [row["rules"] for row in rows] == list(kept)
-    folder = tmp_path / "set_table.close.drawer"
+    assert first.stat().st_mtime_ns == trained_at
     assert sorted(path.name for path in (folder / "data").iterdir() if path.is_dir()) == [
         "demonstrations",
         "demonstrations_64px",
@@ -244,6 +252,19 @@ def test_choices_share_data_where_they_need_the_same(
     assert students["whole_episodes"]["hold_steps"] == -1
     assert students["px_64"]["inputs"]["image_size"] == 64
     assert all(found["updates"] == 2 for found in students.values())
+
+
+@pytest.mark.parametrize("what", VARIANTS)
+def test_an_unknown_variant_is_refused_with_the_list(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    known = [variant.name for variant in VARIANTS[what]]
+    assert main(["reproduce", what, "--out", str(out), "--variants", known[0], "x"]) == 2
+    said = capsys.readouterr().err
+    assert f"unknown variant of {what} 'x'" in said
+    assert f"Valid names: {', '.join(sorted(known))}." in said
+    assert not out.exists()
 
 
 def test_every_choice_changes_the_preset() -> None:

@@ -165,6 +165,20 @@ def test_a_refused_run_leaves_no_folder(
     assert not list(out.iterdir())
 
 
+def test_the_memory_of_a_buffer_is_told_before_it_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["train", "sac", "--preset", "state", "--worlds", "2", *CLOSE]
+    words += ["--capacity", "1000000000", "--out", str(tmp_path / "run")]
+    assert main(words) == 2
+    lines = capsys.readouterr().err.splitlines()
+    told = "mjhab: memory of the buffer replay: 1,000,000,000 control steps, "
+    first = next(index for index, line in enumerate(lines) if line.startswith(told))
+    # The error has a line of its own, below the table.
+    last = "mjhab: the replay buffer (1,000,000,000 control steps, "
+    assert lines[-1].startswith(last) and first < len(lines) - 1
+
+
 def test_an_interrupted_run_says_what_is_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -121,6 +121,22 @@ def test_the_critic_has_a_learning_rate_of_its_own() -> None:
     )
 
 
+@pytest.mark.parametrize(("inside", "steps"), [(True, 1), (False, 4)])
+def test_too_much_divergence_ends_an_update_within_or_after_an_epoch(
+    inside: bool, steps: int
+) -> None:
+    """The first minibatch of the first epoch has no divergence yet, so it is always taken."""
+    place, width = worlds()
+    config = changed(PPO_TOY, {"target_kl": 1e-12, "stop_in_epoch": inside})
+    assert config.ppo is not None and config.ppo.minibatches == 4
+    agent = Ppo(config, LAYOUT, width, seed=0)
+    learner = PpoLearner(agent, place, config, seed=0)
+    rollout, _ = learner.collect()
+    learner.update(rollout, 0.0)
+    taken = learner.optimizer.state[next(agent.value.parameters())]["step"]
+    assert int(taken) == steps
+
+
 def test_a_gradient_that_is_not_finite_ends_the_run() -> None:
     place, width = worlds()
     agent = Ppo(PPO_TOY, LAYOUT, width, seed=0)
@@ -430,7 +446,7 @@ def test_unknown_presets_are_told() -> None:
 def test_the_published_presets_have_the_published_numbers() -> None:
     ppo = reinforcement_preset("ppo", "paper").ppo
     sac = reinforcement_preset("sac", "paper").sac
-    assert ppo is not None and sac is not None
+    assert ppo is not None and sac is not None and ppo.stop_in_epoch
     assert (ppo.rollout_steps, ppo.minibatches, ppo.clip, ppo.target_kl) == (
         100,
         16,

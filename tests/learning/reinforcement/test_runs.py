@@ -8,15 +8,18 @@ import os
 import signal
 import socket
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 from torch.multiprocessing.spawn import ProcessExitedException, spawn
 
 from mjhab.core.errors import UsageError
+from mjhab.learning.changes import with_fields
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import InputConfig, NetworkConfig
 from mjhab.learning.reinforcement import session as sessions
+from mjhab.learning.reinforcement import train as training
 from mjhab.learning.reinforcement.configs import (
     PPO,
     RLPD,
@@ -29,6 +32,7 @@ from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Scene
+from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook
 from mjhab.learning.runs.training import BrokenLossError
 
@@ -236,6 +240,43 @@ def test_the_student_is_the_best_evaluated_actor(
     student = load_checkpoint(tmp_path / "run" / "student.safetensors")
     assert result.summary["student_samples"] == student.about["samples"] == 16
     assert result.summary["samples"] == 48 and next(rates, None) is None
+
+
+@pytest.mark.parametrize(("by", "kept"), [("once", 16), ("at_end", 32)])
+def test_the_success_that_chooses_the_student_can_be_told(
+    by: str, kept: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The actor after 16 samples succeeds most often, that after 32 stays in success most often."""
+    rates = iter([(2, 0), (9, 1), (6, 5), (6, 4)])
+
+    def pretended(self: Evaluations, *_: object) -> SimpleNamespace:
+        once, at_end = next(rates)
+        records = [
+            SimpleNamespace(success_once=index < once, success_at_end=index < at_end)
+            for index in range(10)
+        ]
+        return SimpleNamespace(records=records)
+
+    monkeypatch.setattr(Evaluations, "run", pretended)
+    config = with_fields(
+        dataclasses.replace(TINY, samples=48, eval_samples=16), (f"keep_best_by={by}",)
+    )
+    # The page shows real records.
+    monkeypatch.setattr(training, "render_training_report", lambda *_: "")
+    result = train_reinforcement(
+        dataclasses.replace(request(config), round_episodes=10), tmp_path / "run"
+    )
+    student = load_checkpoint(tmp_path / "run" / "student.safetensors")
+    assert result.summary["student_samples"] == student.about["samples"] == kept
+    lines = (tmp_path / "run" / "metrics.jsonl").read_text("utf-8").splitlines()
+    rows = [json.loads(line) for line in lines]
+    found = [row["success_at_end"] for row in rows if "success_at_end" in row]
+    assert found == [0.0, 0.1, 0.5, 0.4]
+
+
+def test_an_unknown_success_that_chooses_is_refused() -> None:
+    with pytest.raises(UsageError, match="Did you mean 'at_end'"):
+        with_fields(TINY, ("keep_best_by=at_ent",))
 
 
 def test_horizon_and_stillness_of_training_may_differ_from_the_profile(

@@ -42,6 +42,7 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
         what=options.what,
         out=options.out,
         rows=options.rows,
+        variants=options.variants,
         preset=options.preset,
         column=options.column,
         policies=options.policies,

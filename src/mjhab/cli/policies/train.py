@@ -275,7 +275,8 @@ def _tell(options: RunOptions, result: TrainingResult) -> None:
         minutes = summary["seconds"] / SECONDS_PER_MINUTE
         print(
             f"success once {100 * success:.1f} % of {summary['episodes']} episodes in homes of split "
-            f"{summary['split']} ({interval}), {minutes:.1f} minutes"
+            f"{summary['split']} ({interval}), at end {100 * summary['success_at_end']:.1f} %, "
+            f"{minutes:.1f} minutes"
         )
     if not summary["trained"]:
         print(

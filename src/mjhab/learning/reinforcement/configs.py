@@ -30,6 +30,10 @@ PPO = "ppo"
 SAC = "sac"
 RLPD = "rlpd"
 ALGORITHMS = (PPO, SAC, RLPD)
+ONCE = "once"
+AT_END = "at_end"
+KEEP_BEST_BY = (ONCE, AT_END)
+"""Which success of an episode chooses the best actor: at any control step, or at the last one."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,8 @@ class PpoConfig:
     rollout_steps: control steps per world in one rollout. minibatches, epochs: per update.
     gamma: discount per control step. gae_lambda, clip, value_coefficient, entropy_coefficient: as in the PPO paper.
     finite_horizon: use the advantage estimate of MS-HAB (`returns.finite_horizon_advantages`) instead of GAE.
-    target_kl: an update stops early once an epoch exceeds this KL divergence; 0 disables the limit.
+    target_kl: an update stops early once an epoch exceeds this KL divergence; 0 disables the limit. stop_in_epoch: it
+    stops before the first minibatch that exceeds it, as in MS-HAB, instead of after an epoch whose mean does.
     clip_norm: largest gradient norm, applied to actor and critic separately, or with clip_jointly to both together.
     learning_rate_end: factor on the learning rate at the end of training; it decreases linearly from 1.
     initial_std: standard deviation of the actions before training, as a fraction of the action range [-1, 1].
@@ -63,6 +68,7 @@ class PpoConfig:
     value_coefficient: float = 0.5
     entropy_coefficient: float = 0.0
     target_kl: float = 0.05
+    stop_in_epoch: bool = False
     clip_norm: float = 0.5
     clip_jointly: bool = False
     learning_rate: float = 3e-4
@@ -166,6 +172,8 @@ class ReinforcementConfig:
     while it moves so, and the policy does not come to rest. Evaluations during the run keep that of the profile.
     checkpoint_samples: samples between checkpoints. At a checkpoint all worlds start new episodes, so that a resumed
     run gives the same result as an uninterrupted one. eval_samples: samples between evaluations.
+    keep_best_by: success that chooses the run's student among the evaluations on the way, one of KEEP_BEST_BY. "once"
+    counts every episode that succeeds, "at_end" those that are in success at their last control step.
     """
 
     algorithm: str
@@ -187,6 +195,7 @@ class ReinforcementConfig:
     stillness: str = ""
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
+    keep_best_by: str = ONCE
 
     def __post_init__(self) -> None:
         if self.algorithm not in ALGORITHMS:
@@ -197,6 +206,8 @@ class ReinforcementConfig:
             )
         if self.stillness and self.stillness not in STILLNESS:
             raise unknown_name("stillness", self.stillness, STILLNESS)
+        if self.keep_best_by not in KEEP_BEST_BY:
+            raise unknown_name("keep_best_by", self.keep_best_by, KEEP_BEST_BY)
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
         if self.ppo is not None:
@@ -327,6 +338,7 @@ PAPER_PPO = ReinforcementConfig(
         gae_lambda=0.9,
         finite_horizon=True,
         target_kl=0.2,
+        stop_in_epoch=True,
         clip_jointly=True,
         initial_std=0.6065,  # exp(-0.5)
     ),

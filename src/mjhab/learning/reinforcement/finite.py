@@ -24,8 +24,8 @@ def check_finite(value: float, what: str, update: int) -> None:
     """
     if not math.isfinite(value):
         raise BrokenLossError(
-            f"{what} became {value} in update {update}. The student is that of the last checkpoint; a smaller "
-            "learning rate may help."
+            f"{what} became {value} in update {update}. The student is that of the last checkpoint, "
+            "if there is one; a smaller learning rate may help."
         )
 
 

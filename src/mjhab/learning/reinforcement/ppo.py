@@ -340,13 +340,20 @@ class PpoLearner:
         count = len(rollout.actions)
         size = count // config.minibatches
         told: list[tuple[float, float, float]] = []
+        stopped = False
         for _ in range(config.epochs):
             acting, valuing = self.optimizer.param_groups
             acting["lr"] = self.learning_rate * share
             valuing["lr"] = (config.critic_learning_rate or self.learning_rate) * share
             order = torch.randperm(count, generator=random).to(rollout.actions.device)
             for start in range(0, count, size):
-                told.append(self._minibatch(rollout, order[start : start + size], random))
+                row = self._minibatch(rollout, order[start : start + size], random)
+                if row is None:
+                    stopped = True
+                    break
+                told.append(row)
+            if stopped:
+                break
             # The test comes after a whole epoch, so that all processes stop after the same minibatch.
             divergence = torch.tensor(sum(row[2] for row in told[-config.minibatches :]))
             divergence /= config.minibatches
@@ -382,7 +389,11 @@ class PpoLearner:
 
     def _minibatch(
         self, rollout: Rollout, rows: Tensor, random: torch.Generator
-    ) -> tuple[float, float, float]:
+    ) -> tuple[float, float, float] | None:
+        """Take one optimizer step; returns losses of policy and value and the KL divergence before it.
+
+        None: the divergence exceeds ``target_kl``, and nothing was changed.
+        """
         config = self.config
         agent = self.agent
         seen = rollout.seen.rows(rows)
@@ -390,6 +401,11 @@ class PpoLearner:
         density = drawn.log_probability(rollout.actions[rows])
         logarithm = density - rollout.log_probabilities[rows]
         ratio = logarithm.exp()
+        divergence = ((ratio - 1.0) - logarithm).mean().detach()
+        if config.stop_in_epoch and config.target_kl:
+            distributed.average([divergence])
+            if float(divergence) > config.target_kl:
+                return None
         gains = rollout.advantages[rows]
         mean, spread = distributed.mean_and_spread(gains)
         gains = (gains - mean) / (spread + 1e-8)
@@ -420,8 +436,6 @@ class PpoLearner:
             norm = nn.utils.clip_grad_norm_(part, config.clip_norm)
             check_finite(float(norm), "the norm of the gradient", update)
         self.optimizer.step()
-        with torch.no_grad():
-            divergence = ((ratio - 1.0) - logarithm).mean()
         return float(policy_loss.detach()), float(value_loss.detach()), float(divergence)
 
     def normalize(self, seen: Seen) -> None:

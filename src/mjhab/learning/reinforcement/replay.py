@@ -60,9 +60,9 @@ class ReplayShape:
     def words(self) -> str:
         """Description of the size for messages."""
         count = self.worlds * self.steps
-        return (
-            f"replay buffer: {count:,} control steps, {self.total_bytes / 2**30:.2f} GiB"
-        )
+        size = self.total_bytes
+        memory = f"{size / 2**30:.2f} GiB" if size >= 2**30 else f"{size / 2**20:.1f} MiB"
+        return f"{count:,} control steps, {memory}"
 
     def check(self, device: torch.device, folder: Path | None = None) -> None:
         """Refuse a buffer that does not fit into memory, or whose new files do not fit on the disk of ``folder``.
@@ -87,8 +87,9 @@ class ReplayShape:
         if self.total_bytes > most:
             fitting = most // self.row_bytes
             raise UsageError(
-                f"the {self.words} does not fit: {free / 2**30:.2f} GiB are {where}. A capacity of {fitting:,} control "
-                f"steps fits (--capacity {fitting}, or fewer demonstrations if these are too many), or smaller images."
+                f"the replay buffer ({self.words}) does not fit: {free / 2**30:.2f} GiB are {where}. A capacity of "
+                f"{fitting:,} control steps fits (--capacity {fitting}, or fewer demonstrations if these are too many)"
+                ", or smaller images."
             )
 
 

@@ -30,7 +30,7 @@ from mjhab.learning.checkpoint import (
 from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS
 from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
 from mjhab.learning.reinforcement import distributed
-from mjhab.learning.reinforcement.configs import ReinforcementConfig
+from mjhab.learning.reinforcement.configs import ONCE, ReinforcementConfig
 from mjhab.learning.reinforcement.environments import training_env
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
@@ -104,7 +104,8 @@ class Standing:
     """Progress of a run.
 
     checkpoints: number of checkpoints written. seconds: wall time. evaluated: number of samples at each evaluation.
-    best_success, best_samples: success-once rate of the best evaluation during training, and its number of samples.
+    best_success, best_samples: success rate of the best evaluation during training, and its number of samples;
+    ``keep_best_by`` of the config says which success counts.
     student_samples: number of samples of the actor in the student checkpoint. trained: whether the actor was ever
     updated, or began from a checkpoint.
     """
@@ -360,7 +361,10 @@ class ReinforcementSession:
             self._judge(episodes, last=True)
 
     def _judge(self, episodes: int, last: bool) -> float:
-        """Success-once rate of the student checkpoint in the episodes 0 to ``episodes`` - 1, as by `mjhab eval`."""
+        """Success rate of the student checkpoint in the episodes 0 to ``episodes`` - 1, as by `mjhab eval`.
+
+        It is success once or at the end, as ``keep_best_by`` of the config says.
+        """
         first = not self.standing.evaluated
         films = self.request.films if first or last else 0
         began = time.perf_counter()
@@ -382,13 +386,18 @@ class ReinforcementSession:
         spent = time.perf_counter() - began
         self._clock.measured(spent / episodes)
         self.evaluation_seconds += spent
-        success = sum(record.success_once for record in run.records) / episodes
+        once = sum(record.success_once for record in run.records) / episodes
+        at_end = sum(record.success_at_end for record in run.records) / episodes
         self.log.report(
             self.standing.updates,
             self.standing.samples,
-            {"success_once": success, "evaluated_episodes": episodes},
+            {
+                "success_once": once,
+                "success_at_end": at_end,
+                "evaluated_episodes": episodes,
+            },
         )
-        return success
+        return once if self.config.keep_best_by == ONCE else at_end
 
 
 def _start_of(request: ReinforcementRequest) -> Student | None:

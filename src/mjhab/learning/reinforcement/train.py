@@ -90,8 +90,9 @@ def train_reinforcement(
 def summarize(session: ReinforcementSession) -> dict[str, Any]:
     """Results of a run as JSON data.
 
-    ``split``, ``success_once``, ``interval`` and ``episodes`` come from one evaluation, that of the actor after
-    ``evaluated_samples``. ``checkpoint`` is None while there is none; it holds the actor after ``student_samples``.
+    ``split``, ``success_once``, ``interval``, ``success_at_end`` and ``episodes`` come from one evaluation, that of the
+    actor after ``evaluated_samples``. ``checkpoint`` is None while there is none; it holds the actor after
+    ``student_samples``.
     """
     standing = session.standing
     return {
@@ -166,7 +167,7 @@ class _Run(ABC):
             privileged=seen.privileged.shape[1],
             actions=len(self.session.layout.actions),
         )
-        self.session.log.show({name: shape.words})
+        self.session.log.say(f"memory of the buffer {name}: {shape.words}")
         device = self.session.worlds.device
         folder = self.session.folder.path / name if device.type == "cpu" else None
         return ReplayBuffer(shape, device, folder, reserve)

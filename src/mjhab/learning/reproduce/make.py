@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.by_subtask import Entry, entries_text
@@ -26,10 +27,11 @@ from mjhab.learning.reproduce.rows import (
 from mjhab.learning.reproduce.spec import (
     TableSpec,
     chosen_rows,
+    chosen_variants,
     policy_rows,
     table_config,
 )
-from mjhab.learning.reproduce.variants import STUDIES, VARIANTS, Variant
+from mjhab.learning.reproduce.variants import STUDIES, Variant
 from mjhab.learning.require import require_learn
 from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.rollout.sinks import Sink
@@ -55,6 +57,8 @@ def reproduce(
     tell: Callable[[TableRow], object] = bool,
 ) -> tuple[list[dict[str, Any]], bool]:
     """Train and evaluate the policies of every row, and write the results after each row. Finished parts are reused.
+
+    With ``spec.variants`` only these are made; the results show those that the folder has from earlier starts, too.
 
     Args:
         spec: the request.
@@ -86,15 +90,19 @@ def reproduce(
 
 
 def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
-    """Train and evaluate the policies of a row, unless that is done already.
+    """Train and evaluate the policies of the requested variants of a row, unless that is done already.
 
-    A row with a policy that was never updated, because the budget ended before, is not evaluated.
+    Every variant is kept as soon as it is done. One with a policy that was never updated, because the budget ended
+    before, is not evaluated.
 
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed; finished parts are kept.
     """
     folder = spec.out / row.folder
-    if (folder / ROW).is_file():
+    path = folder / ROW
+    found = read_json_object(path) if path.is_file() else {}
+    missing = [variant for variant in chosen_variants(spec) if variant.name not in found]
+    if not missing:
         return
     trained: list[Trained] = []
     if spec.what not in STUDIES:
@@ -103,20 +111,18 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
             for part in policy_rows(row)
             for target in policy_targets(part, spec.column)
         ]
-    found = {}
-    for variant in VARIANTS[spec.what]:
+    for variant in missing:
         if variant.imitation is not None:
             trained = [(row, row.target, study_run(spec, row, variant))]
         runs = [run for _, _, run in trained]
         if untrained(runs):
-            found[variant.name] = measured(runs, [])
-            continue
-        if row.subtask:
+            judged = []
+        elif row.subtask:
             judged = _judge_policies(spec, row, trained, variant, sinks)
         else:
             judged = [_judge_task(spec, row, trained, variant, sinks)]
         found[variant.name] = measured(runs, judged)
-    write_text(folder / ROW, json.dumps(found, indent=1) + "\n")
+        write_text(path, json.dumps(found, indent=1) + "\n")
 
 
 Trained = tuple[TableRow, str, Path]

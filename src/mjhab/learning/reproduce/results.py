@@ -101,7 +101,7 @@ def untrained(runs: Sequence[Path]) -> int:
 
 
 def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
-    """Write results.json and report.html with the finished rows, and return these rows."""
+    """Write results.json and report.html with the finished variants of the rows, and return these."""
     config = read_json_object(out / "config.json")
     found = []
     for row in rows:
@@ -111,6 +111,7 @@ def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
             found += [
                 result_of(row, variant.name, by_variant[variant.name], config)
                 for variant in VARIANTS[config["what"]]
+                if variant.name in by_variant
             ]
     content = {"what": config["what"], "column": config["column"], "rows": found}
     write_text(out / RESULTS, json.dumps(content, indent=1) + "\n")
@@ -195,7 +196,12 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
     table = (
         f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
     )
-    rules = "; ".join(f"{rule.name}: {rule.about}" for rule in VARIANTS[config["what"]])
+    shown = {result["rules"] for result in results}
+    rules = "; ".join(
+        f"{rule.name}: {rule.about}"
+        for rule in VARIANTS[config["what"]]
+        if rule.name in shown
+    )
     hint = (
         f"Success-once rates of our policies in column {config['column']} (preset {config['preset']}) in homes of "
         f"split {config['split']}. {_WHAT[config['what'] in STUDIES]}: {rules}. Policies are trained under the rules "

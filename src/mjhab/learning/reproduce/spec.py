@@ -29,6 +29,7 @@ from mjhab.learning.reproduce.variants import (
     LONG_HORIZON,
     STUDIES,
     VARIANTS,
+    Variant,
 )
 
 DEFAULT_PRESETS = {STUDENTS: "small"}
@@ -55,7 +56,8 @@ class TableSpec(ProfileChoice):
     backend, device: of the environments of reinforcement learning, see `EnvConfig`; in STUDIES device is that of the
     network, see `training_device`. demos: number of episodes that the expert tries for each data set of a study, 0 for
     that of the preset. updates: of each network of a study, 0 for those of the preset. workers: processes of
-    the expert in a study; they change the speed, not the results.
+    the expert in a study; they change the speed, not the results. variants: names of variants of the result, () for
+    all; those of an earlier start of the same folder stay.
     """
 
     what: str
@@ -78,6 +80,7 @@ class TableSpec(ProfileChoice):
     demos: int = 0
     updates: int = 0
     workers: int = 1
+    variants: tuple[str, ...] = ()
 
     @property
     def preset_name(self) -> str:
@@ -98,6 +101,20 @@ def known_rows(what: str) -> dict[str, TableRow]:
     return place_rows() if what in (GOAL_ZONES, FILTERS) else table_rows()
 
 
+def chosen_variants(spec: TableSpec) -> list[Variant]:
+    """The requested variants of the result, in its order.
+
+    Raises:
+        UsageError: the result has no variant of that name.
+    """
+    known = {variant.name: variant for variant in VARIANTS[spec.what]}
+    for name in spec.variants:
+        if name not in known:
+            raise unknown_name(f"variant of {spec.what}", name, known)
+    wanted = spec.variants or tuple(known)
+    return [variant for name, variant in known.items() if name in wanted]
+
+
 def policy_rows(row: TableRow) -> list[TableRow]:
     """The rows of Table 1 whose policies a row evaluates: the row itself, or all rows of a whole task."""
     return [row] if row.subtask else rows_of_task(row.task)
@@ -110,6 +127,7 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
         UsageError: a name is unknown, or ``policies`` is not the folder of a reproduction.
     """
     known = known_rows(spec.what)
+    chosen_variants(spec)
     for name in spec.rows:
         if name not in known:
             raise unknown_name("row", name, known)

@@ -84,7 +84,13 @@ class Judgement:
         """The part of a run's summary that this evaluation gives; everything but "episodes" is None without one."""
         records = self.records
         if not records:
-            names = ("split", "success_once", "interval", "evaluated_samples")
+            names = (
+                "split",
+                "success_once",
+                "interval",
+                "success_at_end",
+                "evaluated_samples",
+            )
             return {**dict.fromkeys(names), "episodes": 0}
         return {
             "split": self.split,
@@ -92,6 +98,7 @@ class Judgement:
             "interval": list(
                 wilson(sum(record.success_once for record in records), len(records))
             ),
+            "success_at_end": mean(record.success_at_end for record in records),
             "episodes": len(records),
             "evaluated_samples": self.samples,
         }

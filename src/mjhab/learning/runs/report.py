@@ -159,7 +159,8 @@ def _success_card(summary: Mapping[str, Any]) -> tuple[str, str, str]:
         return "success once", "-", "not evaluated"
     low, high = summary["interval"]
     episodes = f"{summary['episodes']} episodes in homes of split {summary['split']}"
-    more = f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), {episodes}"
+    at_end = parts.percent(summary["success_at_end"])
+    more = f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), at end {at_end}, {episodes}"
     return "success once", parts.percent(summary["success_once"]), more
 
 

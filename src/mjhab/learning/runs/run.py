@@ -223,6 +223,10 @@ class Logbook:
             self._drawn = now
             self._live.update(self._table(), refresh=True)
 
+    def say(self, text: str) -> None:
+        """Print a line above the table, at once, also where the table is only printed at the end (a file)."""
+        self._live.console.print(f"mjhab: {text}", soft_wrap=True, highlight=False)
+
     def _table(self) -> Table:
         table = Table(title=self._title, title_justify="left", show_header=False)
         minutes, seconds = divmod(int(self.seconds), 60)
@@ -242,6 +246,9 @@ class Logbook:
     ) -> None:
         self._live.update(self._table(), refresh=True)
         self._live.__exit__(kind, error, trace)
+        if not self._live.console.is_terminal:
+            # In a file the table has no end of line, and an error message would follow its frame.
+            self._live.console.line()
         self._board.close()
         self._file.close()
 

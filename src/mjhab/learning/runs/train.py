@@ -71,8 +71,9 @@ def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
 def summarize(session: Session) -> dict[str, Any]:
     """Results of a run as JSON data.
 
-    ``split``, ``success_once``, ``interval``, ``episodes`` and ``rows`` come from one evaluation, the latest complete
-    one. ``checkpoint`` is None while there is none; ``trained`` tells whether the network was ever updated.
+    ``split``, ``success_once``, ``interval``, ``success_at_end``, ``episodes`` and ``rows`` come from one evaluation,
+    the latest complete one. ``checkpoint`` is None while there is none; ``trained`` tells whether the network was ever
+    updated.
     """
     dagger = session.request.config.dagger
     judged = session.judged

@@ -40,6 +40,9 @@ class ReproduceOptions(ProfileOptions):
     """Folder of the runs, of results.json and of report.html."""
     rows: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ROW ...")] = ()
     """Which rows: TASK/pick, TASK/place, set_table/open/drawer, set_table/close/fridge, ...; all ten if absent."""
+    variants: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Make only these variants: of choices preset, chunk_1, px_64, ...; of demo_count demos_10, ...; of force_limits
+    evaluation, no_force_limit, ...; all if absent. The same command with `--resume` and other names adds those."""
     column: Annotated[str, tyro.conf.arg(metavar="students|rl_per|rl_all")] = "students"
     """students: imitation by take-over DAgger, one policy per row. rl_per: reinforcement learning, one policy per
     object. rl_all: reinforcement learning, one policy per row. PPO trains Open and Close, SAC the others, as in the

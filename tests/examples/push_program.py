@@ -15,7 +15,7 @@ import numpy as np
 
 import mjhab
 from mjhab.cli.main import main
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 ENV_ID = "mjhab/PushSubtaskTrain-v1"

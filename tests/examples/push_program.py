@@ -15,7 +15,7 @@ import numpy as np
 
 import mjhab
 from mjhab.cli.main import main
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 ENV_ID = "mjhab/PushSubtaskTrain-v1"
@@ -92,6 +92,17 @@ def uses(out: Path) -> None:
     assert "push" in page.read_text(encoding="utf-8")
 
 
+def learns(out: Path) -> None:
+    """A student learns from the recorded episodes."""
+    run = out.with_name("student")
+    args = ("train", "bc", "--task", "push_objects", "--subtask", "push")
+    data = ("--data", str(out), "--where", "subtask == 'push'", "--preset", "state")
+    few = ("--updates", "2", "--round-episodes", "0", "--eval-episodes", "0")
+    told = captured(*args, *data, *few, "--out", str(run), "--json").splitlines()[-1]
+    assert json.loads(told)["demonstrations"] == EPISODES
+    assert (run / "student.safetensors").is_file()
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     listed = json.loads(captured("envs", "list", "--json").splitlines()[-1])["envs"]
@@ -101,4 +112,5 @@ if __name__ == "__main__":
     trains()
     records(folder / "push")
     uses(folder / "push")
+    learns(folder / "push")
     print("all of Push works")

@@ -11,11 +11,14 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import main
+from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import load_plugin
+from mjhab.episodes import generator
 from mjhab.scenes.pack_source import PACK_SOURCES
 
 FOLDER = Path(__file__).parents[2] / "examples" / "home"
 COTTAGE = str(FOLDER / "cottage.json")
+HUT = str(FOLDER / "hut.py")
 
 
 @pytest.fixture
@@ -49,13 +52,30 @@ def test_a_home_file_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert json.loads(capsys.readouterr().out)["home"] == "cottage"
 
 
-def test_every_task_starts_in_the_cottage() -> None:
+@pytest.mark.parametrize("home", [COTTAGE, HUT])
+def test_every_task_starts_in_it(home: str) -> None:
     for task in ("tidy_house", "prepare_groceries", "set_table"):
-        env = mjhab.make(task=task, home=COTTAGE, autoreset="disabled")
+        env = mjhab.make(task=task, home=home, autoreset="disabled")
         env.reset(seed=0)
         _, _, _, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
         assert not info["taint"].any()
         env.close()
+
+
+def test_a_home_without_room_for_the_objects_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generator, "MOST_DRAWS", 3)
+    body = json.loads(Path(COTTAGE).read_text(encoding="utf-8"))
+    kept = ("kitchen_counter", "chair_01")
+    body["furniture"] = [row for row in body["furniture"] if row["kind"] in kept]
+    body["receptacles"] = []
+    bare = tmp_path / "bare.json"
+    bare.write_text(json.dumps(body), encoding="utf-8")
+    env = mjhab.make(task="tidy_house", home=str(bare))
+    with pytest.raises(UsageError, match="home 'cottage' has no room for tidy_house"):
+        env.reset(seed=0)
+    env.close()
 
 
 @pytest.mark.parametrize("subtask", ["pick", "place"])

@@ -31,7 +31,7 @@ from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import episode_digest
 from mjhab.data.store.hdf5 import put_attributes, read_arrays
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.evaluation import evaluate
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv

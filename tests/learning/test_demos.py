@@ -16,7 +16,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.learning.batches import BatchSampler, shift_images, take_chunks
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import (

@@ -14,7 +14,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import import_ms_hab
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import entries_of, layout_of_data, load_demonstrations

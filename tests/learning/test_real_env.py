@@ -13,7 +13,7 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import load_plugin
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.evaluation.evaluate import evaluate
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import (

@@ -13,7 +13,7 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
 from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import load_checkpoint, save_student

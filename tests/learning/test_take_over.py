@@ -13,7 +13,7 @@ from mjhab.core.action_notes import ActionNotes
 from mjhab.data.record.crew import InlineCrew, Stage, WorkerSpec
 from mjhab.data.record.generation import Job, generate
 from mjhab.data.record.recorder import Recorder
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.data.store.shard import ShardWriter
 from mjhab.learning.configs import DaggerConfig, InputConfig
 from mjhab.learning.demos import layout_of_data, load_demonstrations

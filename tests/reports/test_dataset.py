@@ -15,7 +15,7 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
 from mjhab.reports.dataset_forces import force_plots

@@ -11,7 +11,7 @@ import pytest
 import mjhab
 from mjhab.data.record.replay import verify
 from mjhab.data.store.checking import check
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.envs.observations.state import state_dim
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.robots.registry import robot_named

@@ -99,7 +99,7 @@ class Factory:
         """Make one episode.
 
         Raises:
-            MjhabError: no stable arrangement was found.
+            UsageError: a home has no room for the objects.
         """
         episode, rejected = self.maker.make(self.recipe.seed, index)
         hab = to_hab(self.maker.layout, self._homes[episode.home], episode)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached
 from mjhab.core.names import below
 from mjhab.core.registration.plugins import source_digest
@@ -48,7 +48,8 @@ MAX_DRIFT = 0.02
 """A draw is rejected if an object moves farther than this [m] while it settles."""
 MAX_SPEED = 0.05
 """A draw is rejected if an object is faster than this [m/s or rad/s] after settling."""
-_ATTEMPTS = 200
+MOST_DRAWS = 200
+"""An episode is given up after so many draws."""
 _VERSION = 3
 
 
@@ -129,7 +130,7 @@ class EpisodeMaker:
         """Return the episode of (seed, index), from the cache if it was made before.
 
         Raises:
-            MjhabError: no draw of ``_ATTEMPTS`` came to rest.
+            UsageError: no draw of ``MOST_DRAWS`` found room for all objects and came to rest.
         """
         path = self._path(seed, index)
         found = read_cached(
@@ -145,14 +146,17 @@ class EpisodeMaker:
         """Generate the episode of (seed, index) without the cache; also return the number of rejected draws.
 
         Raises:
-            MjhabError: no draw of ``_ATTEMPTS`` came to rest.
+            UsageError: no draw of ``MOST_DRAWS`` found room for all objects and came to rest.
         """
-        for attempt in range(_ATTEMPTS):
+        for attempt in range(MOST_DRAWS):
             episode = self._draw(seed, index, attempt)
             if episode is not None:
                 return episode, attempt
-        raise MjhabError(
-            f"no stable start for {self.task} episode {index} of seed {seed} in {_ATTEMPTS} draws"
+        home = self._home(seed, index).name
+        raise UsageError(
+            f"home {home!r} has no room for {self.task} episode {index} of seed {seed}: in {MOST_DRAWS} draws the "
+            f"{self.layout.num_objects} objects found no places, or did not come to rest there. Choose other homes, "
+            "or give this one more furniture, or pieces of it the roles that the task needs."
         )
 
     def _draw(self, seed: int, index: int, attempt: int) -> Episode | None:

@@ -82,7 +82,7 @@ class SpawnFactory:
         """Make start ``index``.
 
         Raises:
-            MjhabError: no stable arrangement was found.
+            UsageError: a home has no room for the objects.
         """
         episode = self.episode(index)
         start = self.starts.start(episode)

@@ -26,8 +26,8 @@ from mjhab.data.record.generation import Job, Standing
 from mjhab.data.select.query import Filter, read_filter
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.places import episodes as recorded_episodes
 from mjhab.data.store.reading import RecordedEpisode
-from mjhab.data.store.reading import episodes as recorded_episodes
 from mjhab.envs.observations.modes import camera_names, image_size, mode_outputs
 from mjhab.episodes.starts import valid_targets
 from mjhab.evaluation.evaluate import (
@@ -244,7 +244,7 @@ class GeneratedData:
         }
 
     def episodes(self) -> Iterator[RecordedEpisode]:
-        """Read the episodes of the data set, see `mjhab.data.store.reading.episodes`."""
+        """Read the episodes of the data set, see `mjhab.data.store.places.episodes`."""
         return recorded_episodes(self.path)
 
 

@@ -27,6 +27,7 @@ from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import Entry, Layout, compare_layouts, profile_of
 from mjhab.learning.runs.take_over import expert_steps
 from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 SUCCESSES = "success"
 """Default filter on the episodes to learn from."""
@@ -185,6 +186,7 @@ def layout_of_data(
             targets,
             control,
             recorded_profile(episode),
+            kinds=SUBTASKS.names(),
             robot=str(episode.run.config["env"].get("robot", "")),
         )
         _images(episode, layout, 1)

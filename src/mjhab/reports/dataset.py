@@ -14,7 +14,8 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import Place, nothing_passes, select
 from mjhab.data.store.episode_data import RunInfo
-from mjhab.data.store.reading import open_shard, shard_paths
+from mjhab.data.store.places import shard_paths
+from mjhab.data.store.reading import open_shard
 from mjhab.reports import parts
 from mjhab.reports.dataset_forces import SAFE_FORCE_N, force_plots
 from mjhab.reports.dataset_labels import grouped, label_order, label_table

@@ -21,7 +21,7 @@ from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.data.store.episode_data import last_label
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.paper import paper_success
 from mjhab.rollout.store import read_records, write_text

@@ -25,7 +25,8 @@ from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.own_state import split_state
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import RecordedEpisode, episodes
+from mjhab.data.store.places import episodes
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.render.film import FilmWriter, join_films
 from tests.data.export.exporting import to_lerobot
 from tests.data.fake_world import SIZE, FakeEnv

@@ -13,7 +13,8 @@ import pytest
 
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import RecordedEpisode, episodes
+from mjhab.data.store.places import episodes
+from mjhab.data.store.reading import RecordedEpisode
 from mjhab.tasks.subtasks.pick import PICK
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import SIZE, FakeEnv

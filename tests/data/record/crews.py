@@ -20,7 +20,7 @@ from mjhab.data.record.crew import (
     failure,
 )
 from mjhab.data.record.generation import Job
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.rollout.policy import RandomPolicy
 from tests.data.fake_world import FakeEnv
 

@@ -16,7 +16,8 @@ from mjhab.data.record.recorder import Recorder
 from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData, from_bytes, to_bytes
 from mjhab.data.store.images import ImageFormat, decode, encode
-from mjhab.data.store.reading import episodes, open_shard
+from mjhab.data.store.places import episodes
+from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import CHECKS
 from mjhab.data.store.shard import ShardWriter
 from mjhab.layout.compile import compile_home

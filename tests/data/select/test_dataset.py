@@ -17,7 +17,7 @@ from mjhab.data.select.statistics import Statistics
 from mjhab.data.select.until import Until
 from mjhab.data.store import journal
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.data.store.schema import DamagedError
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record

@@ -15,7 +15,8 @@ from mjhab.data.select import relabel as module
 from mjhab.data.select.relabel import relabel
 from mjhab.data.store.checking import check
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
-from mjhab.data.store.reading import episodes, open_shard
+from mjhab.data.store.places import episodes
+from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import CHECKS, DamagedError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.tasks.plan import SubtaskKind

@@ -18,7 +18,7 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import first_of_targets, merge, select, split, stats
 from mjhab.data.store.checking import check
 from mjhab.data.store.hdf5 import dataset, group
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 from mjhab.data.store.shard import ShardWriter
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record

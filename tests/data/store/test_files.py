@@ -17,7 +17,8 @@ from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import episode_digest, from_bytes, run_id, to_bytes
 from mjhab.data.store.hdf5 import dataset, group, read_arrays
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import RecordedEpisode, episodes, open_shard, shard_paths
+from mjhab.data.store.places import episodes, shard_paths
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import (
     ATTRIBUTES,
     CHECKS,

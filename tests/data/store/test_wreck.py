@@ -14,7 +14,8 @@ from mjhab.data.store.checking import check, repair
 from mjhab.data.store.damage import problems_in
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import group
-from mjhab.data.store.reading import episodes, open_shard
+from mjhab.data.store.places import episodes
+from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.data.store.wreck import HEADER, Wreck

@@ -30,7 +30,7 @@ from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.data.record.generation import Standing
 from mjhab.data.record.provenance import source_commit, versions
-from mjhab.data.store.reading import episodes as recorded_episodes
+from mjhab.data.store.places import episodes as recorded_episodes
 from mjhab.data.store.shard import StorageError
 from mjhab.evaluation.generate import GenerateSpec, run_generation
 from mjhab.rollout.store import write_text

@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.bench.specs import WindowsSpec
 from mjhab.core.errors import UsageError
 from mjhab.data.select.sets import nothing_passes
-from mjhab.data.store.reading import episodes
+from mjhab.data.store.places import episodes
 
 
 def measure_windows(spec: WindowsSpec) -> dict[str, Any]:

@@ -30,7 +30,8 @@ from mjhab.data.select.query import PRESETS, read_filter
 from mjhab.data.select.relabel import relabel
 from mjhab.data.select.sets import GROUPINGS, merge, select, split, stats
 from mjhab.data.store.checking import Repair, check, repair
-from mjhab.data.store.reading import open_shard, shard_paths
+from mjhab.data.store.places import shard_paths
+from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import VERSION
 from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord

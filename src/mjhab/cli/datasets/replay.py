@@ -15,7 +15,8 @@ from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.reading import open_shard, shard_paths
+from mjhab.data.store.places import shard_paths
+from mjhab.data.store.reading import open_shard
 from mjhab.evaluation.recorded import recorded_env
 
 _MOST_ROWS = 20

@@ -19,7 +19,8 @@ from mjhab.data.select.query import Filter
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.reading import UNREADABLE, RecordedEpisode, open_shard, shard_paths
+from mjhab.data.store.places import shard_paths
+from mjhab.data.store.reading import UNREADABLE, RecordedEpisode, open_shard
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter
 

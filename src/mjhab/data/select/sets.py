@@ -18,7 +18,8 @@ from mjhab.data.export.folders import broken
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
 from mjhab.data.store.journal import journal_path
-from mjhab.data.store.reading import RecordedEpisode, episodes, open_shard, shard_paths
+from mjhab.data.store.places import episodes, shard_paths
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.shard import ShardWriter, StorageError
 from mjhab.rollout.records import EpisodeRecord
 
@@ -72,10 +73,10 @@ def first_of_targets(found: Selection, count: int) -> list[Place]:
 def select(
     places: Path | Sequence[Path], where: Filter | None = None, copies: bool = False
 ) -> Selection:
-    """Apply a filter to every episode; without a filter all pass. ``copies``: see `reading.episodes`.
+    """Apply a filter to every episode; without a filter all pass. ``copies``: see `places.episodes`.
 
     Raises:
-        UsageError, DamagedError: see ``open_shard`` and `reading.episodes`.
+        UsageError, DamagedError: see ``open_shard`` and `places.episodes`.
     """
     found = Selection()
     for episode in episodes(places, copies):

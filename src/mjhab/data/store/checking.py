@@ -14,7 +14,8 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, is_written
 from mjhab.data.store.damage import problems_in
 from mjhab.data.store.journal import committed_length, journal_path, recover
-from mjhab.data.store.reading import open_shard, shard_paths
+from mjhab.data.store.places import shard_paths
+from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import ShardWriter, StorageError, is_full
 from mjhab.data.store.wreck import Wreck

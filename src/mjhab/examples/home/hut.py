@@ -30,6 +30,8 @@ HOME = {
         {"kind": "kitchen_counter", "at": (1.85, 0.345), "yaw_degrees": 90},
         {"kind": "fridge", "at": (4.5, 0.365), "yaw_degrees": 90},
         {"kind": "table_01", "at": MIDDLE, "yaw_degrees": 90},
+        {"kind": "tvstand", "at": (1.2, 4.77), "yaw_degrees": -90},
+        {"kind": "sofa", "at": (3.9, 4.5), "yaw_degrees": -90},
         *chairs,
     ],
 }

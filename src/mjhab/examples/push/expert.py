@@ -46,7 +46,7 @@ def push(view: WorldView) -> Script:
 
 def come_near(view: WorldView, middle: np.ndarray) -> Script:
     """Drive to where object and goal are in reach, unless they are."""
-    here = view.q[:2]
+    here = view.base[:2]
     if np.linalg.norm(here - middle) <= DRIVE_FROM_M:
         return
     planner = motion.planner(view.home)
@@ -89,7 +89,7 @@ def stroke(view: WorldView, obj: str, goal: np.ndarray) -> Script:
 
 def hand_rotation(view: WorldView, pos: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     """(3, 3) rotation of the hand: fingers down and outwards, both of them across the way ``ahead`` (3,)."""
-    outwards = pos[:2] - view.q[:2]
+    outwards = pos[:2] - view.base[:2]
     outwards = outwards / np.linalg.norm(outwards)
     approach = np.array([*(np.sin(TILT_RAD) * outwards), -np.cos(TILT_RAD)])
     aside = np.array([-ahead[1], ahead[0], 0.0])

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.select.query import Filter
-from mjhab.data.store.reading import RecordedEpisode, open_shard, shard_paths
+from mjhab.data.store.places import shard_paths
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.store import EPISODES
 from mjhab.sim.mujoco.cpu import CpuSimulator

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
+from mjhab.core.names import kind_of
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.data.store.places import episodes
 from mjhab.evaluation.evaluate import evaluate
@@ -26,11 +27,12 @@ from mjhab.learning.demos import recorded_profile
 from mjhab.learning.reinforcement.configs import RLPD, ReinforcementConfig, SacConfig
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
-from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.request import Request
+from mjhab.learning.runs.collection import Means, Scene, make_env
+from mjhab.learning.runs.request import Request, layout_for
 from mjhab.learning.runs.train import train
 from mjhab.reports import students as students_report
 from mjhab.robots.registry import ROBOTS, robot_named
+from mjhab.tasks.plan import GOAL_OF
 from tests.learning.small import config
 
 BOXY = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
@@ -234,6 +236,31 @@ def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
     assert kinds == {"close", "open"}
     again = train(request, tmp_path / "run", resume=True)
     assert again.summary["steps"] == result.summary["steps"]
+
+
+@pytest.mark.parametrize(
+    ("task", "target"),
+    [("set_table", ""), ("set_table", "024_bowl"), ("tidy_house", "")],
+)
+def test_a_student_of_navigate_knows_where_its_ways_lead(task: str, target: str) -> None:
+    """To objects, to their goals and to links; with a target it carries this object to its goal."""
+    scene = Scene(task, "navigate", target, home="builtin_m0_00", profile="ms_hab")
+    request = Request(
+        TrainConfig(config(inputs=InputConfig(cameras=(), image_size=0))),
+        scene,
+        Means(1, 1, 1),
+    )
+    layout = layout_for(request)
+    env = make_env(scene, {}, Means(worlds=4, threads=1))
+    found: set[str] = set()
+    for seed in range(3):
+        env.reset(seed=seed)
+        specs = [env.episode_spec(world) for world in range(4)]
+        found |= {
+            kind_of(entry["target"]) for spec in specs if spec for entry in spec["plan"]
+        }
+    assert found <= set(layout.targets)
+    assert f"{GOAL_OF}{target}" in found if target else len(found) > 2
 
 
 def test_other_robots_are_trained_with_their_own_cameras(tmp_path: Path) -> None:

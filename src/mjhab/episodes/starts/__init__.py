@@ -2,6 +2,7 @@
 
 from mjhab.episodes.starts.maker import (
     StartMaker,
+    aims_of,
     check_target,
     subtask_positions,
     valid_targets,
@@ -14,6 +15,7 @@ __all__ = [
     "Start",
     "StartMaker",
     "SubtaskStart",
+    "aims_of",
     "check_target",
     "subtask_positions",
     "valid_targets",

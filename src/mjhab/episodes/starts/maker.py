@@ -28,7 +28,7 @@ from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.tasks.household.registry import TASKS, chain
-from mjhab.tasks.plan import Box, Subtask, TaskPlan
+from mjhab.tasks.plan import GOAL_OF, Box, Subtask, TaskPlan
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, spec_of
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -62,6 +62,22 @@ def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
     if config.subtask and SUBTASKS[config.subtask].jointed:
         return [link_with_role(layout.pack.roles, role) for role in task.opened_links]
     return list(task.object_types) or sorted(set(layout.roster))
+
+
+def aims_of(config: EnvConfig, layout: Layout) -> list[str]:
+    """Return the types of the targets that the single-subtask episodes of a configuration are about.
+
+    They are those of `valid_targets`, or ``config.target`` alone. A Navigate leads to objects, to their goals and to
+    the links that are opened; with a target it carries this object to its goal.
+    """
+    named = [config.target] if config.target else valid_targets(config, layout)
+    if not config.subtask or not SUBTASKS[config.subtask].navigates:
+        return named
+    goals = [f"{GOAL_OF}{name}" for name in named]
+    if config.target:
+        return goals
+    roles = TASKS[config.task].opened_links
+    return [*named, *goals, *(link_with_role(layout.pack.roles, role) for role in roles)]
 
 
 def check_target(config: EnvConfig, layout: Layout) -> None:

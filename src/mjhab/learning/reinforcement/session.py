@@ -214,14 +214,9 @@ class ReinforcementSession:
             # The student was trained with demonstrations of the same profile; see `Layout.check_env`.
             self.start.layout.check_env(self.env)
             return self.start.layout
-        from mjhab.episodes.starts import valid_targets
+        from mjhab.episodes.starts import aims_of
 
-        target = self.request.scene.target
-        targets = (
-            (target,)
-            if target
-            else tuple(valid_targets(self.env.config, self.env.layout))
-        )
+        targets = aims_of(self.env.config, self.env.layout)
         layout = layout_of(self.env, self.config.inputs, targets)
         # Training episodes may be of another stillness, by which the environment's profile is not recognised.
         return dataclasses.replace(

@@ -107,7 +107,7 @@ def layout_for(request: Request) -> Layout:
     for one in request.scenes:
         # With its images, so that wrong cameras and sizes are told before anything is written.
         env = make_env(one, image_options(inputs), Means(worlds=1, threads=1))
-        layouts.append(layout_of(env, inputs, _targets(one, env)))
+        layouts.append(layout_of(env, inputs, _targets(env)))
     first = layouts[0]
     for other, one in zip(layouts, request.scenes, strict=True):
         wrong = compare_layouts(first, other.state, other.actions, other.control)
@@ -119,13 +119,11 @@ def layout_for(request: Request) -> Layout:
     return replace(first, targets=tuple(known))
 
 
-def _targets(scene: Scene, env: SequentialTaskEnv) -> tuple[str, ...]:
-    """Types of targets that episodes of a scene are about."""
-    from mjhab.episodes.starts import valid_targets
+def _targets(env: SequentialTaskEnv) -> tuple[str, ...]:
+    """Types of targets that episodes of an environment are about."""
+    from mjhab.episodes.starts import aims_of
 
-    return (
-        (scene.target,) if scene.target else tuple(valid_targets(env.config, env.layout))
-    )
+    return tuple(aims_of(env.config, env.layout))
 
 
 def _check_judged(request: Request) -> None:
@@ -140,7 +138,7 @@ def _check_judged(request: Request) -> None:
         if (scene.subtask, scene.target) in shown:
             continue
         env = make_env(scene, {}, Means(worlds=1, threads=1))
-        wanted += [(scene.subtask, target) for target in _targets(scene, env)]
+        wanted += [(scene.subtask, target) for target in _targets(env)]
     missing = [goal for goal in wanted if goal not in shown]
     if missing:
         raise UsageError(

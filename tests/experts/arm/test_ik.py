@@ -63,7 +63,7 @@ def test_a_compiled_step_is_that_of_the_batched_kinematics(far):
     wanted = limited_step(
         error, CHAIN.jacobian(q)[:, :, DOFS], pull, StepBounds(low, high, bounds)
     )
-    found = ik.servo(CHAIN, q, goal, rot, DOFS, rest=REST)
+    found = ik.servo(CHAIN, q, ik.TipGoals(goal, rot, DOFS, REST))
     np.testing.assert_allclose(found[:, DOFS], np.clip(wanted, low, high), atol=1e-9)
 
 
@@ -71,7 +71,7 @@ def test_a_compiled_step_is_that_of_the_batched_kinematics(far):
 def test_solutions_reach_their_goals_inside_the_limits(mode):
     pos, rot = reachable(0, 30)
     seeds = ik.random_seeds(CHAIN, REST, DOFS, 12, np.random.default_rng(1))
-    found = ik.solve(CHAIN, pos, rot, seeds, DOFS, rest=REST, mode=mode)
+    found = ik.solve(CHAIN, ik.TipGoals(pos, rot, DOFS, REST, mode), seeds)
     q, cost = found.best(ik.travel_steps(CHAIN, REST, found.q, DOFS))
     assert np.isfinite(cost).mean() >= 0.95
     good = np.isfinite(cost)
@@ -108,10 +108,10 @@ def fill_freed_memory_with_nan() -> None:
 def test_what_memory_held_before_does_not_count(mode):
     pos, rot = reachable(0, 3)
     seeds = ik.random_seeds(CHAIN, REST, DOFS, 2, np.random.default_rng(1))
-    found = ik.solve(CHAIN, pos, rot, seeds, DOFS, rest=REST, mode=mode)
+    found = ik.solve(CHAIN, ik.TipGoals(pos, rot, DOFS, REST, mode), seeds)
     for _ in range(5):
         fill_freed_memory_with_nan()
-        again = ik.solve(CHAIN, pos, rot, seeds, DOFS, rest=REST, mode=mode)
+        again = ik.solve(CHAIN, ik.TipGoals(pos, rot, DOFS, REST, mode), seeds)
         np.testing.assert_array_equal(again.q, found.q)
 
 
@@ -119,16 +119,20 @@ def test_the_base_can_help_to_reach_far_goals():
     rot = CHAIN.tip_pose(REST)[1]
     pos = np.array([[2.0, 1.0, 0.8]])
     seeds = REST[None]
-    arm_only = ik.solve(CHAIN, pos, rot, seeds, DOFS, rest=REST, mode="approach")
+    arm_only = ik.solve(CHAIN, ik.TipGoals(pos, rot, DOFS, REST, "approach"), seeds)
     with_base = ik.solve(
-        CHAIN, pos, rot, seeds, ik.columns(CHAIN, base=True), rest=REST, mode="approach"
+        CHAIN,
+        ik.TipGoals(pos, rot, ik.columns(CHAIN, base=True), REST, "approach"),
+        seeds,
     )
     assert not arm_only.ok.any() and with_base.ok.all()
 
 
 def test_hopeless_goals_are_not_called_reached():
     found = ik.solve(
-        CHAIN, np.array([[3.0, 0, 1]]), np.eye(3)[None], REST[None], DOFS, rest=REST
+        CHAIN,
+        ik.TipGoals(np.array([[3.0, 0, 1]]), np.eye(3)[None], DOFS, REST),
+        REST[None],
     )
     assert not found.ok.any()
     assert np.isinf(found.best(np.zeros((1, 1)))[1]).all()
@@ -143,9 +147,7 @@ def test_servo_steps_stay_within_speed_and_limits_and_come_nearer(seed):
     )[None]
     pos, rot = CHAIN.tip_pose(q)
     goal = pos + rng.normal(0, 0.02, (1, 3))
-    delta = ik.servo(
-        CHAIN, q, goal, rot, DOFS, rest=REST, options=ik.ServoOptions(rest_gain=0.0)
-    )
+    delta = ik.servo(CHAIN, q, ik.TipGoals(goal, rot, DOFS, REST), rest_gain=0.0)
     assert (np.abs(delta) <= ik.step_limits(CHAIN) + 1e-12).all()
     assert (q + delta >= CHAIN.lower - 1e-12).all() and (
         q + delta <= CHAIN.upper + 1e-12
@@ -163,14 +165,14 @@ def test_servo_follows_a_straight_line_and_holds_still_while_the_base_drives():
     for _ in range(60):
         pos, rot = CHAIN.tip_pose(q)
         aim, aim_rot = ik.straight_line(pos, goal, rot, turn, 0.02, 0.05)
-        q = q + ik.servo(CHAIN, q, aim, aim_rot, DOFS, rest=REST)
+        q = q + ik.servo(CHAIN, q, ik.TipGoals(aim, aim_rot, DOFS, REST))
         along = (CHAIN.tip_pose(q)[0] - start)[0]
         line = (goal - start)[0] / np.linalg.norm(goal - start)
         assert np.linalg.norm(along - line * (along @ line)) < 5e-3
     np.testing.assert_allclose(CHAIN.tip_pose(q)[0], goal, atol=2e-3)
     for _ in range(12):
         ahead = q[:, :3] + np.array([-0.005, 0.0, 0.004])
-        q = q + ik.servo(CHAIN, q, goal, turn, DOFS, rest=REST, base_next=ahead)
+        q = q + ik.servo(CHAIN, q, ik.TipGoals(goal, turn, DOFS, REST), base_next=ahead)
         q[:, :3] = ahead
         np.testing.assert_allclose(CHAIN.tip_pose(q)[0], goal, atol=3e-3)
 

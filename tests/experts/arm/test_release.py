@@ -162,11 +162,8 @@ def test_the_hand_draws_back_out_of_reach_of_the_object_and_never_across_the_fin
     )
     found = ik.solve(
         ROBOT.chain,
-        spot[None],
-        rot[None],
+        ik.TipGoals(spot[None], rot[None], ik.columns(ROBOT.chain, torso=False), view.q),
         view.q[None],
-        ik.columns(ROBOT.chain, torso=False),
-        rest=view.q,
     )
     assert found.ok[0, 0]
     assert (

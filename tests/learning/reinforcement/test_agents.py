@@ -21,9 +21,11 @@ from mjhab.learning.reinforcement.configs import (
     reinforcement_preset,
 )
 from mjhab.learning.reinforcement.networks import Critics
-from mjhab.learning.reinforcement.ppo import LEAST_STD, MOST_STD, Ppo, PpoLearner
+from mjhab.learning.reinforcement.ppo.agent import LEAST_STD, MOST_STD, Ppo
+from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
-from mjhab.learning.reinforcement.sac import Sac, SacLearner
+from mjhab.learning.reinforcement.sac.agent import Sac
+from mjhab.learning.reinforcement.sac.learner import SacLearner
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Worlds
 from mjhab.learning.runs.training import BrokenLossError

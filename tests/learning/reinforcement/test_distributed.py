@@ -10,7 +10,8 @@ from torch.multiprocessing.spawn import spawn
 
 from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import changed
-from mjhab.learning.reinforcement.ppo import Ppo, PpoLearner, Rollout
+from mjhab.learning.reinforcement.ppo.agent import Ppo
+from mjhab.learning.reinforcement.ppo.learner import PpoLearner, Rollout
 from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
 from tests.learning.reinforcement.toy import LAYOUT, PPO_TOY, Toy

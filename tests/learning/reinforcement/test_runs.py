@@ -27,7 +27,7 @@ from mjhab.learning.reinforcement.configs import (
     ReinforcementConfig,
     SacConfig,
 )
-from mjhab.learning.reinforcement.ppo import PpoLearner
+from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement

@@ -27,7 +27,7 @@ from mjhab.bench.interact.scene import (
 )
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.joints import BASE
-from mjhab.experts.arm.ik import columns, random_seeds, solve
+from mjhab.experts.arm.ik import TipGoals, columns, random_seeds, solve
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.registry import robot_named
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -70,7 +70,7 @@ def way_points(start: np.ndarray) -> np.ndarray:
     for _, angle, reach, above in WAY:
         goal = np.array([[SHOULDER_X + reach, 0.0, surface + above]])
         seeds = random_seeds(chain, now, dofs, 64, np.random.default_rng(0), spread=0.3)
-        found = solve(chain, goal, down[None], seeds, dofs, rest=now, mode="pose")
+        found = solve(chain, TipGoals(goal, down[None], dofs, now), seeds)
         best, price = found.best(np.abs(found.q - now).max(axis=-1))
         if not np.isfinite(price[0]):
             raise ValueError(f"the arm does not reach {goal[0]}")

@@ -29,6 +29,25 @@ TORSO_STEP_M = 0.02
 """Motion that the torso reliably makes in one control step; the weight of the arm makes it slower than the arm."""
 
 
+@dataclass(frozen=True, eq=False)
+class TipGoals:
+    """Goals of the tip, and what may move to reach them.
+
+    Attributes:
+        pos: (M, 3) positions in the world [m].
+        rot: (M, 3, 3) rotations; ``mode`` "approach" uses only column 0, "closing" only column 1.
+        dofs: (D,) columns that may move, see `columns`.
+        rest: (Q,) preferred posture, approached in the null space.
+        mode: which part of the orientation counts.
+    """
+
+    pos: np.ndarray
+    rot: np.ndarray
+    dofs: np.ndarray
+    rest: np.ndarray
+    mode: Mode = "pose"
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of `solve`.
@@ -121,25 +140,16 @@ def random_seeds(
 
 def solve(
     chain: Chain,
-    pos: np.ndarray,
-    rot: np.ndarray,
+    goals: TipGoals,
     seeds: np.ndarray,
-    dofs: np.ndarray,
-    *,
-    rest: np.ndarray,
-    mode: Mode = "pose",
     options: Options | None = None,
 ) -> Solutions:
     """Find configurations that bring the tip to goals.
 
     Args:
         chain: the robot; a chain without extra links is faster.
-        pos: (M, 3) goal positions in the world [m].
-        rot: (M, 3, 3) goal rotations; ``mode`` "approach" uses only column 0, "closing" only column 1.
-        seeds: (S, Q) or (M, S, Q) start configurations; columns outside ``dofs`` keep their values.
-        dofs: (D,) columns that may move, see `columns`.
-        rest: (Q,) preferred posture, approached in the null space.
-        mode: which part of the orientation counts.
+        goals: M goals, and what may move.
+        seeds: (S, Q) or (M, S, Q) start configurations; columns that may not move keep their values.
         options: iteration limits and tolerances.
 
     Returns:
@@ -147,18 +157,18 @@ def solve(
     """
     options = options or Options()
     seeds = np.asarray(seeds, dtype=np.float64)
-    shape = (len(pos), seeds.shape[-2])
+    shape = (len(goals.pos), seeds.shape[-2])
     flat = chain.clip(
         np.broadcast_to(seeds, (*shape, seeds.shape[-1])).reshape(shape[0] * shape[1], -1)
     )
     pos_err, rot_err = ik_kernels.reach(
         tree_of(chain),
         flat,
-        _floats(pos),
-        _floats(rot),
-        ik_kernels.MODES[mode],
-        dofs,
-        _floats(rest),
+        _floats(goals.pos),
+        _floats(goals.rot),
+        ik_kernels.MODES[goals.mode],
+        goals.dofs,
+        _floats(goals.rest),
         options.iterations,
         options.rest_gain,
         options.max_step,
@@ -174,32 +184,13 @@ def solve(
     )
 
 
-@dataclass(frozen=True)
-class ServoOptions:
-    """Options of `servo`.
-
-    Attributes:
-        mode: which part of the orientation counts.
-        rest_gain: share of the difference to the preferred posture that one step takes out in the null space.
-    """
-
-    mode: Mode = "pose"
-    rest_gain: float = 0.02
-
-
-USUAL_SERVO = ServoOptions()
-
-
 def servo(
     chain: Chain,
     q: np.ndarray,
-    pos: np.ndarray,
-    rot: np.ndarray,
-    dofs: np.ndarray,
+    goals: TipGoals,
     *,
-    rest: np.ndarray,
     base_next: np.ndarray | None = None,
-    options: ServoOptions = USUAL_SERVO,
+    rest_gain: float = 0.02,
 ) -> np.ndarray:
     """Compute the joint motion of one control step that moves the tip towards a pose.
 
@@ -210,17 +201,14 @@ def servo(
     Args:
         chain: the robot.
         q: (N, Q) present configurations, base columns in the world.
-        pos: (N, 3) tip position in the world at the end of the step [m]; goals a few centimetres apart give a
-            straight path.
-        rot: (N, 3, 3) tip rotation at the end of the step.
-        dofs: (D,) columns that may move, without base columns.
-        rest: (Q,) preferred posture, approached in the null space.
+        goals: pose of the tip at the end of the step for each of them, and what may move, without base columns; goals
+            a few centimetres apart give a straight path.
         base_next: (N, 3) x, y [m], yaw [rad] of the base expected after the step; None if the base stands.
-        options: which part of the orientation counts, and the gain of the null space.
+        rest_gain: share of the difference to the preferred posture that the step takes out in the null space.
 
     Returns:
-        (N, Q) changes of the columns, zero outside ``dofs``, inside the joint limits, and scaled together so that no
-        joint exceeds `ARM_STEP_RAD` or `TORSO_STEP_M`.
+        (N, Q) changes of the columns, zero for those that may not move, inside the joint limits, and scaled together
+        so that no joint exceeds `ARM_STEP_RAD` or `TORSO_STEP_M`.
     """
     q = np.atleast_2d(_floats(q))
     ahead = q
@@ -231,12 +219,12 @@ def servo(
         tree_of(chain),
         ahead,
         q,
-        _floats(pos),
-        _floats(rot),
-        ik_kernels.MODES[options.mode],
-        dofs,
-        _floats(rest),
-        options.rest_gain,
+        _floats(goals.pos),
+        _floats(goals.rot),
+        ik_kernels.MODES[goals.mode],
+        goals.dofs,
+        _floats(goals.rest),
+        rest_gain,
         step_limits(chain),
     )
 

@@ -289,9 +289,8 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
         size = np.linalg.norm(lead)
         aim = here + lead * min(1.0, 0.06 / max(size, 1e-9))
         base_next = view.base[None] + base_motion(view.base[2], move.drive)
-        delta = ik.servo(
-            robot, view.q, aim[None], carrot_rot, dofs, rest=rest, base_next=base_next
-        )[0]
+        goals = ik.TipGoals(aim[None], carrot_rot, dofs, rest)
+        delta = ik.servo(robot, view.q, goals, base_next=base_next)[0]
         yield action(
             view, view.q + delta / ARM_STEP_SHARE, gripper=move.gripper, drive=move.drive
         )
@@ -322,7 +321,8 @@ def still_tcp(
     for _ in range(steps):
         if until(view):
             return True
-        delta = ik.servo(robot, view.q, pos[None], rot[None], dofs, rest=view.q)[0]
+        goals = ik.TipGoals(pos[None], rot[None], dofs, view.q)
+        delta = ik.servo(robot, view.q, goals)[0]
         yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=gripper)
     return True
 

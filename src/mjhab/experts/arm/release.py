@@ -136,7 +136,9 @@ def drawn_back(
     spots = (pos + np.array(DRAW_BACK_M)[:, None] * ways[:, None]).reshape(-1, 3)
     turns = np.repeat(rot[None], len(spots), axis=0)
     found = ik.solve(
-        robot, spots, turns, view.q[None], ik.columns(robot, torso=False), rest=rest
+        robot,
+        ik.TipGoals(spots, turns, ik.columns(robot, torso=False), rest),
+        view.q[None],
     )
     q = np.concatenate([view.q[None], found.q[:, 0]])
     room = np.minimum(

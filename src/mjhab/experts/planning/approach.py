@@ -326,7 +326,7 @@ def _funnel(
         ahead_base = next_base(view, v, w)
         aim = (here + rot @ shift)[None]
         delta = ik.servo(
-            robot, view.q, aim, aim_rot, dofs, rest=posture, base_next=ahead_base
+            robot, view.q, ik.TipGoals(aim, aim_rot, dofs, posture), base_next=ahead_base
         )[0]
         yield motion.action(
             view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w)

@@ -182,11 +182,10 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
         return end
     found = ik.solve(
         robot,
-        reach.pos[None],
-        reach.rot[None],
+        ik.TipGoals(
+            reach.pos[None], reach.rot[None], ik.columns(robot, torso=False), goal
+        ),
         end[None, None],
-        ik.columns(robot, torso=False),
-        rest=goal,
     )
     near = (
         found.ok[0, 0]

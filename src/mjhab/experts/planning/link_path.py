@@ -91,12 +91,9 @@ def action(
     delta = ik.servo(
         robot,
         q,
-        pos[None],
-        rot[None],
-        ik.columns(robot),
-        rest=wish,
+        ik.TipGoals(pos[None], rot[None], ik.columns(robot), wish),
         base_next=base_next,
-        options=ik.ServoOptions(rest_gain=0.1),
+        rest_gain=0.1,
     )[0]
     return motion.action(
         view, q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w)

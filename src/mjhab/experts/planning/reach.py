@@ -172,11 +172,8 @@ def _configurations(
     options = ik.Options(iterations=25, pos_tolerance=2e-3, rot_tolerance=2e-2)
     found = ik.solve(
         robot,
-        goals.pos[goal],
-        goals.rot[goal],
+        ik.TipGoals(goals.pos[goal], goals.rot[goal], dofs, body.rest),
         seeds,
-        dofs,
-        rest=body.rest,
         options=options,
     )
     q = ik.unwind(robot, found.q, now)
@@ -214,11 +211,8 @@ def _before(q: np.ndarray, goal: np.ndarray, work: Work) -> tuple[np.ndarray, np
     )
     found = ik.solve(
         robot,
-        goals.pre[goal],
-        goals.rot[goal],
+        ik.TipGoals(goals.pre[goal], goals.rot[goal], dofs, scene.body.rest),
         q[:, None],
-        dofs,
-        rest=scene.body.rest,
         options=options,
     )
     pre = found.q[:, 0]
@@ -305,12 +299,14 @@ def settle_reach(
     for free in (arm, ik.columns(robot)):
         seed = np.stack([stance.pre, stance.at])
         seed[:, BASE] = view.base
-        first = ik.solve(robot, pos[:1], rot[None], seed, free, rest=stance.at)
+        first = ik.solve(robot, ik.TipGoals(pos[:1], rot[None], free, stance.at), seed)
         for start in first.q[0, first.ok[0]]:
             seeds = np.concatenate([start[None], seed])
             seeds[:, torso] = start[torso]
             found = ik.solve(
-                robot, pos, np.repeat(rot[None], len(pos), axis=0), seeds, arm, rest=start
+                robot,
+                ik.TipGoals(pos, np.repeat(rot[None], len(pos), axis=0), arm, start),
+                seeds,
             )
             if found.ok.any(axis=1).all():
                 gap = np.abs(found.q - start).max(axis=-1)

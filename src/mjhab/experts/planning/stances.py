@@ -175,33 +175,44 @@ def seeds(robot: Robot, count: int, number: int = 0) -> np.ndarray:
     return ik.random_seeds(robot.chain, rest, dofs, count, np.random.default_rng(number))
 
 
+@dataclass(frozen=True, eq=False)
+class HandPaths:
+    """N paths of K way points of the hand, with the base below it.
+
+    Attributes:
+        base: (N, K, 3) base poses in the plan frame.
+        pos: (N, K, 3) positions of the hand.
+        rot: (N, K, 3, 3) rotations of the hand.
+        mode: which part of the orientation counts.
+    """
+
+    base: np.ndarray
+    pos: np.ndarray
+    rot: np.ndarray
+    mode: ik.Mode = "pose"
+
+
 def track(
     body: Robot,
-    base: np.ndarray,
-    pos: np.ndarray,
-    rot: np.ndarray,
+    paths: HandPaths,
     boxes: Sequence[Boxes] | None = None,
     *,
     tries: int = 12,
-    mode: ik.Mode = "pose",
 ) -> Stances:
-    """Arm motions along way points while the base moves, for many base paths at once.
+    """Arm motions along way points while the base moves, for many paths at once.
 
     Args:
         body: the robot.
-        base: (N, K, 3) base poses in the plan frame.
-        pos, rot: (N, K, 3), (N, K, 3, 3) hand poses.
+        paths: of base and hand.
         boxes: obstacles at every way point.
         tries: seeds for the first way point.
-        mode: what part of the orientation counts.
 
     Returns:
-        The stances that reach every way point, for each base path the one the arm gets to soonest from rest.
+        The stances that reach every way point, for each path the one the arm gets to soonest from rest.
     """
-    paths = _HandPaths(base, pos, rot, mode)
     first, row = _first_configurations(body, paths, tries)
     path, row = _drop([first], row, _clear(body, first, boxes[0] if boxes else None))
-    for k in range(1, base.shape[1]):
+    for k in range(1, paths.base.shape[1]):
         if not len(row):
             break
         following, reached = _next_configurations(body, paths, k, path[-1], row)
@@ -209,24 +220,13 @@ def track(
         path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None))
     if not len(row):
         return Stances(
-            np.zeros((0, base.shape[1], body.chain.size)), np.zeros(0), np.zeros(0)
+            np.zeros((0, paths.base.shape[1], body.chain.size)), np.zeros(0), np.zeros(0)
         )
     return _soonest(body, path, row)
 
 
-@dataclass(frozen=True, eq=False)
-class _HandPaths:
-    """N paths of the hand with the base below it: ``base`` (N, K, 3), ``pos`` (N, K, 3) and ``rot`` (N, K, 3, 3) in
-    the plan frame; ``mode``: what part of the orientation counts."""
-
-    base: np.ndarray
-    pos: np.ndarray
-    rot: np.ndarray
-    mode: ik.Mode
-
-
 def _first_configurations(
-    body: Robot, paths: _HandPaths, tries: int
+    body: Robot, paths: HandPaths, tries: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (R, Q) at the first way point, the `SEEDS_FOLLOWED` soonest reached ones of every path, and the
     path (R,) that each belongs to."""
@@ -236,7 +236,9 @@ def _first_configurations(
     start = np.repeat(seeds(body, tries)[None], len(paths.base), axis=0)
     start[:, :, BASE] = paths.base[:, None, 0]
     found = ik.solve(
-        robot, paths.pos[:, 0], paths.rot[:, 0], start, dofs, rest=rest, mode=paths.mode
+        robot,
+        ik.TipGoals(paths.pos[:, 0], paths.rot[:, 0], dofs, rest, paths.mode),
+        start,
     )
     q = ik.unwind(robot, found.q, rest).reshape(-1, robot.size)
     row = np.repeat(np.arange(len(paths.base)), tries)
@@ -249,22 +251,21 @@ def _first_configurations(
 
 
 def _next_configurations(
-    body: Robot, paths: _HandPaths, k: int, before: np.ndarray, row: np.ndarray
+    body: Robot, paths: HandPaths, k: int, before: np.ndarray, row: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (R, Q) at way point ``k``, from those at the way point before it, and whether (R,) each reaches
     it without a jump."""
     now = before.copy()
     now[:, BASE] = paths.base[row, k]
-    step = ik.solve(
-        body.chain,
+    goals = ik.TipGoals(
         paths.pos[row, k],
         paths.rot[row, k],
-        now[:, None],
         ik.columns(body.chain),
-        rest=body.rest.copy(),
-        mode=paths.mode,
-        options=ik.Options(iterations=15, rest_gain=0.0),
+        body.rest.copy(),
+        paths.mode,
     )
+    options = ik.Options(iterations=15, rest_gain=0.0)
+    step = ik.solve(body.chain, goals, now[:, None], options)
     q = step.q[:, 0]
     jump = np.abs(q[:, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0)
     return q, step.ok[:, 0] & (jump < MAX_JUMP_RAD)

@@ -59,7 +59,6 @@ FUNNEL_TURN_M = 0.25
 FREE_ASIDE_M = 0.006
 FREE_TURN = 0.06
 """Distance beside the approach line [m] and angle [rad] below which the hand does not stay back."""
-SERVO = ik.ServoOptions(rest_gain=0.02)
 REACH_SPEED_M_S = 0.5
 NEAR_SPEED_M_S = 0.25
 """Speeds of the tcp farther than, and within, `STANDOFF_M` from its goal."""
@@ -174,7 +173,9 @@ def _nearest_to_rest(
     seeds = np.repeat(q[None], len(rows), axis=0)[:, None]
     ready: dict[int, np.ndarray] = {}
     for pos in (hands.before, hands.pos, hands.after):
-        found = ik.solve(chain, pos[rows], rot[rows], seeds, ik.columns(chain), rest=q)
+        found = ik.solve(
+            chain, ik.TipGoals(pos[rows], rot[rows], ik.columns(chain), q), seeds
+        )
         good = np.flatnonzero(found.ok[:, 0])
         good = good[clear_ones(found.q[good, 0], scene, LEAST_ROOM_M)]
         rows = rows[good]
@@ -256,12 +257,10 @@ def move_hand(
     delta = ik.servo(
         chain,
         view.q,
-        pos[None],
-        rot[None],
-        ik.columns(chain),
-        rest=ik.unwind(chain, posture, view.q),
+        ik.TipGoals(
+            pos[None], rot[None], ik.columns(chain), ik.unwind(chain, posture, view.q)
+        ),
         base_next=view.base[None] + motion.base_motion(view.base[2], drive),
-        options=SERVO,
     )[0]
     return motion.action(
         view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=drive

@@ -310,12 +310,9 @@ def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
         delta = ik.servo(
             robot,
             view.q,
-            goal[None],
-            aim_rot,
-            ik.columns(robot),
-            rest=wish,
+            ik.TipGoals(goal[None], aim_rot, ik.columns(robot), wish, "approach"),
             base_next=approach.next_base(view, v, w),
-            options=ik.ServoOptions(mode="approach", rest_gain=0.1),
+            rest_gain=0.1,
         )[0]
         yield motion.action(
             view,
@@ -390,11 +387,8 @@ def _withdrawn(body: Robot, q: np.ndarray, back: float) -> np.ndarray:
     pos, rot = robot.tip_pose(q)
     found = ik.solve(
         robot,
-        pos - back * rot[:, :, 0],
-        rot,
+        ik.TipGoals(pos - back * rot[:, :, 0], rot, ik.columns(robot), q[0]),
         q[:, None],
-        ik.columns(robot),
-        rest=q[0],
         options=ik.Options(iterations=25, rest_gain=0.0),
     )
     near = np.abs(found.q[:, 0, BASE.stop :] - q[:, BASE.stop :]).max(axis=1) < 1.2

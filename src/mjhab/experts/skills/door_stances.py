@@ -17,7 +17,7 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning import stances
-from mjhab.experts.planning.stances import Stances
+from mjhab.experts.planning.stances import HandPaths, Stances
 from mjhab.robots.robot import Robot
 
 PRE_GRASP_M = 0.11
@@ -187,15 +187,14 @@ def _search(
     """
     base = base[_in_reach(robot, base, hands.pos)]
     n = len(base)
-    return stances.track(
-        robot,
+    paths = HandPaths(
         base,
         np.broadcast_to(hands.pos, (n, *hands.pos.shape)),
         np.broadcast_to(hands.rot, (n, *hands.rot.shape)),
-        [_with_door(link, float(a)) for a in hands.angles],
-        tries=tries,
-        mode=mode,
+        mode,
     )
+    doors = [_with_door(link, float(a)) for a in hands.angles]
+    return stances.track(robot, paths, doors, tries=tries)
 
 
 def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stances:

@@ -13,7 +13,7 @@ from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning import approach, link_path, stances
 from mjhab.experts.planning.link_path import LinkPath
-from mjhab.experts.planning.stances import Stances
+from mjhab.experts.planning.stances import HandPaths, Stances
 from mjhab.experts.style import style_of
 from mjhab.robots.robot import Robot
 from mjhab.tasks.style import ARM, GRASP
@@ -244,9 +244,11 @@ def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
             found.append(
                 stances.track(
                     robot,
-                    paths,
-                    np.broadcast_to(pos, (len(paths), *pos.shape)),
-                    np.broadcast_to(rot, (len(paths), len(values), 3, 3)),
+                    HandPaths(
+                        paths,
+                        np.broadcast_to(pos, (len(paths), *pos.shape)),
+                        np.broadcast_to(rot, (len(paths), len(values), 3, 3)),
+                    ),
                     boxes,
                 )
             )
@@ -302,11 +304,10 @@ def _still(
     """
     n = len(base)
     k = len(pos)
-    return stances.track(
-        robot,
+    paths = HandPaths(
         np.repeat(base[:, None], k, axis=1),
         np.broadcast_to(pos, (n, k, 3)),
         np.broadcast_to(rot, (n, k, 3, 3)),
-        boxes,
-        mode=mode,
+        mode,
     )
+    return stances.track(robot, paths, boxes)

@@ -375,10 +375,7 @@ def _push(
         delta = ik.servo(
             robot,
             view.q,
-            aim[None],
-            aim_rot,
-            ik.columns(robot, torso=False),
-            rest=hand.rest,
+            ik.TipGoals(aim[None], aim_rot, ik.columns(robot, torso=False), hand.rest),
         )[0]
         yield motion.action(
             view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.OPEN

@@ -1,8 +1,7 @@
-"""Proximal policy optimization: the update of actor and value from one rollout (Schulman et al., arXiv 1707.06347)."""
+"""Rollouts of PPO, and the update of actor and value from one."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,13 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.core.seeding import stream
-from mjhab.learning.devices import normal
-from mjhab.learning.layout import Layout
-from mjhab.learning.networks import Normalizer, Trunk
+from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement import distributed
-from mjhab.learning.reinforcement.configs import PpoConfig, ReinforcementConfig
+from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.finite import check_finite
-from mjhab.learning.reinforcement.networks import Value
+from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.returns import (
     Outcomes,
@@ -26,13 +23,7 @@ from mjhab.learning.reinforcement.returns import (
 from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
-from mjhab.learning.students.bc import BehaviourCloning
-from mjhab.learning.students.heads import make_student
-from mjhab.learning.students.student import Student
 
-LEAST_STD = 0.02
-MOST_STD = 1.0
-"""Limits of a state-dependent standard deviation of the actions, as fractions of the action range [-1, 1]."""
 RATE_STEP = 1.5
 LEAST_RATE = 1e-5
 MOST_RATE = 3e-3
@@ -61,121 +52,6 @@ class Rollout:
     stds: Tensor
     advantages: Tensor
     returns: Tensor
-
-
-class Ppo(nn.Module):
-    """PPO agent: a Gaussian policy whose mean is a student network, and a state value network.
-
-    Args:
-        config: of the whole run. layout: observations and actions of the actor.
-        privileged: width of the input that only the critic receives.
-        seed: of the initial weights.
-        start: student that initializes the actor; only the first action of its chunk is used.
-    """
-
-    def __init__(
-        self,
-        config: ReinforcementConfig,
-        layout: Layout,
-        privileged: int,
-        seed: int,
-        start: Student | None = None,
-    ) -> None:
-        super().__init__()
-        assert config.ppo is not None
-        self.config: PpoConfig = config.ppo
-        actor = start or make_student(config.student, layout, seed)
-        assert isinstance(actor, BehaviourCloning)
-        self.actor = actor
-        self.keeps_normalization = start is not None or self.config.demonstrations > 0
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed + 1)
-            if start is None:
-                _act_little(self.actor)
-            self.value = Value(config.student, layout, privileged)
-            width = self.actor.trunk.width if self.config.state_std else 0
-            self.spread = Spread(width, len(layout.actions), self.config.initial_std)
-            if config.network.encoder == "nature" and start is None:
-                _begin_as_published(self.actor, self.value)
-
-    def acting_parameters(self) -> list[nn.Parameter]:
-        """Parameters of the policy: its mean and its standard deviation."""
-        return [*self.actor.parameters(), *self.spread.parameters()]
-
-    def mean(self, seen: Seen) -> Tensor:
-        """Means (B, A) of the actions."""
-        return self.distribution(seen).mean
-
-    def distribution(self, seen: Seen) -> Actions:
-        """Distribution of the actions given observations."""
-        features = self.actor.trunk(seen.vector, seen.images)
-        mean = self.actor.chunk_of(features)[:, 0]
-        return Actions(mean, self.spread(features).expand_as(mean))
-
-
-@dataclass(frozen=True, eq=False)
-class Actions:
-    """Diagonal normal distributions of actions: mean (B, A), logarithm of the standard deviation (B, A)."""
-
-    mean: Tensor
-    log_std: Tensor
-
-    def sample(self, random: torch.Generator) -> Tensor:
-        """Draw actions (B, A)."""
-        noise = normal(self.mean.shape, random, self.mean)
-        return self.mean + self.log_std.exp() * noise
-
-    def log_probability(self, actions: Tensor) -> Tensor:
-        """Log density (B,) of actions (B, A)."""
-        distance = (actions - self.mean) / self.log_std.exp()
-        density = -0.5 * distance**2 - self.log_std - 0.5 * math.log(2.0 * math.pi)
-        return density.sum(dim=1)
-
-
-class Spread(nn.Module):
-    """Logarithm of the standard deviation of the actions; actions range over [-1, 1].
-
-    Args:
-        features: width of the features that the standard deviation depends on; it then stays between LEAST_STD and
-            MOST_STD. 0 learns one unlimited constant per action dimension, as MS-HAB does.
-        actions: width of an action. initial_std: standard deviation before training.
-    """
-
-    def __init__(self, features: int, actions: int, initial_std: float) -> None:
-        super().__init__()
-        self._low = math.log(LEAST_STD)
-        self._half = 0.5 * (math.log(MOST_STD) - self._low)
-        begin = math.log(initial_std)
-        if features:
-            begin = math.atanh((begin - self._low) / self._half - 1.0)
-        self.bias = nn.Parameter(torch.full((actions,), begin))
-        self.weight = nn.Parameter(torch.zeros(actions, features)) if features else None
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Log standard deviation: (B, A) for features (B, F), or the constant (A,)."""
-        if self.weight is None:
-            return self.bias
-        raw = nn.functional.linear(features, self.weight, self.bias)
-        return self._low + self._half * (torch.tanh(raw) + 1.0)
-
-
-def _act_little(actor: BehaviourCloning) -> None:
-    """Initialize the last layer of a new actor so that its actions are close to zero."""
-    nn.init.orthogonal_(actor.head.weight, 0.01)
-    nn.init.zeros_(actor.head.bias)
-
-
-def _begin_as_published(actor: BehaviourCloning, value: Value) -> None:
-    """Initialize the layers behind the encoders as MS-HAB does (mshab/agents/ppo): orthogonal, gain sqrt(2), no bias.
-
-    The actor's last layer has a hundredth of that gain.
-    """
-    assert isinstance(actor.trunk, Trunk)
-    for layer in (*actor.trunk.layers, *value.layers, actor.head):
-        if isinstance(layer, nn.Linear):
-            gain = 0.01 * math.sqrt(2.0) if layer is actor.head else math.sqrt(2.0)
-            nn.init.orthogonal_(layer.weight, gain)
-            nn.init.zeros_(layer.bias)
 
 
 class PpoLearner:

@@ -1,0 +1,126 @@
+"""A training run without its algorithm: checkpoints, evaluations, replay buffers, demonstrations."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from torch import Tensor
+
+from mjhab.learning.reinforcement import distributed
+from mjhab.learning.reinforcement.demonstrations.expert import collect_demonstrations
+from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
+from mjhab.learning.reinforcement.demonstrations.recorded import replay_recorded
+from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
+from mjhab.learning.reinforcement.session import DEMONSTRATIONS, ReinforcementSession
+from mjhab.learning.students.student import Student
+from mjhab.tasks.subtasks.registry import SUBTASKS, horizons
+
+
+class AlgorithmRun(ABC):
+    """The part of a training run that all algorithms share."""
+
+    def __init__(self, session: ReinforcementSession) -> None:
+        self.session = session
+        self.config = session.config
+
+    actor: Student
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Make or read the demonstrations and imitate them, if the config asks for it.
+
+        Raises:
+            OutOfTime: the budget is spent.
+            UsageError: recorded demonstrations do not fit.
+        """
+
+    @abstractmethod
+    def tensors(self) -> dict[str, Tensor]:
+        """State that the next update depends on, as named tensors for a checkpoint."""
+
+    @abstractmethod
+    def learn(self) -> None:
+        """Train until the run's number of samples is reached.
+
+        Raises:
+            OutOfTime: the budget is spent.
+        """
+
+    def between(self, before: int) -> None:
+        """Write a checkpoint and evaluate if either became due since ``before`` samples."""
+        session = self.session
+        if session.due(self.config.checkpoint_samples, before):
+            session.save(self.actor, self.tensors())
+        every = self.config.eval_samples
+        if session.request.round_episodes and session.due(every, before):
+            session.evaluate(self.actor, session.request.round_episodes)
+        session.check_time()
+
+    def buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:
+        """Make an empty replay buffer for ``capacity`` control steps of ``worlds`` worlds; on a processor it is kept
+        in the folder ``name`` of the run.
+        """
+        seen = self.session.worlds.seen
+        images = seen.images.shape[1:]
+        steps = max(capacity // worlds, 2)
+        reserve = min(self.config.checkpoint_samples // worlds + 2, steps // 4)
+        if name == DEMONSTRATIONS:
+            reserve = 0
+        shape = ReplayShape(
+            worlds=worlds,
+            steps=steps,
+            vector=seen.vector.shape[1],
+            images=(int(images[0]), int(images[1]), int(images[2])),
+            privileged=seen.privileged.shape[1],
+            actions=len(self.session.layout.actions),
+        )
+        self.session.log.say(f"memory of the buffer {name}: {shape.words}")
+        device = self.session.worlds.device
+        folder = self.session.folder.path / name if device.type == "cpu" else None
+        return ReplayBuffer(shape, device, folder, reserve)
+
+    def demonstrations(self, episodes: int, style: tuple[str, ...] = ()) -> ReplayBuffer:
+        """A buffer of recorded episodes or, without any, of ``episodes`` new episodes of the expert.
+
+        ``style``: of the expert, see `collect_demonstrations`.
+        """
+        folder = self.session.folder.path / DEMONSTRATIONS
+
+        def fill() -> ReplayBuffer:
+            return (
+                self._replay_recorded()
+                if self.session.request.data
+                else self._ask_expert(episodes, style)
+            )
+
+        shown = kept_demonstrations(folder, fill)
+        self.session.demonstrations = shown.episodes
+        return shown
+
+    def _replay_recorded(self) -> ReplayBuffer:
+        session = self.session
+
+        def make(worlds: int, steps: int) -> ReplayBuffer:
+            return self.buffer(DEMONSTRATIONS, worlds, worlds * steps)
+
+        def tell(done: int, total: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{total}"})
+            # Several processes have different numbers of batches, and could not decide together.
+            if distributed.processes() == 1:
+                session.check_time()
+
+        return replay_recorded(session, make, tell)
+
+    def _ask_expert(self, episodes: int, style: tuple[str, ...]) -> ReplayBuffer:
+        session = self.session
+        subtask = SUBTASKS[session.request.scene.subtask]
+        horizon = int(max(*horizons(session.env.task_config), subtask.limits.horizon)) + 2
+
+        def make(worlds: int) -> ReplayBuffer:
+            per_world = -(-episodes // worlds) * horizon
+            return self.buffer(DEMONSTRATIONS, worlds, worlds * per_world)
+
+        def tell(done: int) -> None:
+            session.log.show({"phase": f"demonstrations: {done}/{episodes}"})
+
+        return collect_demonstrations(session, episodes, make, tell, style)

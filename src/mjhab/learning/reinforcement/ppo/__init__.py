@@ -1,0 +1,1 @@
+"""Proximal policy optimization (Schulman et al., arXiv 1707.06347)."""

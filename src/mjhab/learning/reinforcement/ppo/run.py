@@ -1,0 +1,102 @@
+"""A training run of PPO."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mjhab.learning.checkpoint import restoring
+from mjhab.learning.reinforcement.algorithm import AlgorithmRun
+from mjhab.learning.reinforcement.keeping import (
+    optimizer_tensors,
+    part_of,
+    prefixed,
+    restore_optimizer,
+)
+from mjhab.learning.reinforcement.ppo.agent import Ppo
+from mjhab.learning.reinforcement.ppo.learner import PpoLearner
+from mjhab.learning.reinforcement.session import ReinforcementSession
+
+
+class PpoRun(AlgorithmRun):
+    """PPO: rollouts and updates in turn."""
+
+    def __init__(self, session: ReinforcementSession) -> None:
+        super().__init__(session)
+        worlds = session.worlds
+        agent = Ppo(
+            self.config,
+            session.layout,
+            session.privileged_width,
+            session.request.seed,
+            session.start,
+        ).to(worlds.device)
+        self.actor = agent.actor
+        self.agent = agent
+        self.learner = PpoLearner(agent, worlds, self.config, session.seed)
+        if session.saved is not None:
+            with restoring(session.training_file):
+                self._restore(session.saved.tensors)
+
+    def prepare(self) -> None:
+        session = self.session
+        ppo = self.agent.config
+        if not ppo.demonstrations:
+            return
+        self.learner.shown = self.demonstrations(
+            ppo.demonstrations, ppo.demonstration_style
+        )
+        if session.saved is None and session.start is None:
+            session.log.show({"phase": "imitation"})
+            self.learner.imitate(self._imitated)
+
+    def _imitated(self) -> None:
+        """Note one update of the imitation, and end it in time for the evaluations."""
+        self.session.standing.trained = True
+        self.session.check_time()
+
+    def _restore(self, tensors: Any) -> None:
+        learner = self.learner
+        self.agent.load_state_dict(part_of("agent", tensors))
+        restore_optimizer(learner.optimizer, part_of("optimizer", tensors))
+        learner.statistics.restore(part_of("statistics", tensors))
+        learner.privileged.restore(part_of("privileged", tensors))
+        learner.updates = self.session.standing.updates
+        learner.learning_rate = float(tensors["learning_rate"])
+
+    def tensors(self) -> dict[str, Tensor]:
+        learner = self.learner
+        return {
+            "learning_rate": torch.tensor(learner.learning_rate, dtype=torch.float64),
+            **prefixed("agent", self.agent.state_dict()),
+            **prefixed("optimizer", optimizer_tensors(learner.optimizer)),
+            **prefixed("statistics", learner.statistics.tensors()),
+            **prefixed("privileged", learner.privileged.tensors()),
+        }
+
+    def learn(self) -> None:
+        session = self.session
+        learner = self.learner
+        standing = session.standing
+        while standing.samples < self.config.samples:
+            before = standing.samples
+            began = time.perf_counter()
+            rollout, transitions = learner.collect()
+            for transition in transitions:
+                session.note(transition)
+            acted = time.perf_counter()
+            numbers = learner.update(rollout, standing.samples / self.config.samples)
+            learner.normalize(rollout.seen)
+            standing.updates = learner.updates
+            standing.trained = True
+            ended = time.perf_counter()
+            session.learner_seconds += ended - acted
+            numbers["loss"] = numbers["value_loss"]
+            numbers["samples_per_second"] = (standing.samples - before) / (ended - began)
+            numbers["learner_share"] = (ended - acted) / (ended - began)
+            session.log.show({"phase": "learning"})
+            session.report(numbers)
+            self.between(before)

@@ -1,0 +1,188 @@
+"""A training run of SAC."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mjhab.core.seeding import stream
+from mjhab.learning.checkpoint import restoring
+from mjhab.learning.reinforcement import distributed
+from mjhab.learning.reinforcement.algorithm import AlgorithmRun
+from mjhab.learning.reinforcement.keeping import (
+    optimizer_tensors,
+    part_of,
+    prefixed,
+    restore_optimizer,
+)
+from mjhab.learning.reinforcement.replay import ReplayBuffer
+from mjhab.learning.reinforcement.running import RunningStatistics
+from mjhab.learning.reinforcement.sac.agent import Sac
+from mjhab.learning.reinforcement.sac.learner import SacLearner
+from mjhab.learning.reinforcement.session import REPLAY, ReinforcementSession
+from mjhab.learning.students.gaussian import SquashedGaussian
+
+REPORT_SECONDS = 2.0
+"""Time between two reports of SAC, which makes many updates per second [s]."""
+
+
+class SacRun(AlgorithmRun):
+    """SAC and RLPD: one control step of all worlds and some updates in turn."""
+
+    def __init__(self, session: ReinforcementSession) -> None:
+        super().__init__(session)
+        assert self.config.sac is not None
+        self.sac = self.config.sac
+        worlds = session.worlds
+        start = session.start
+        assert start is None or isinstance(start, SquashedGaussian)
+        self.agent = Sac(
+            self.config,
+            session.layout,
+            session.privileged_width,
+            session.request.seed,
+            start,
+        ).to(worlds.device)
+        self.actor = self.agent.actor
+        self.learner = SacLearner(self.agent, self.config, session.seed)
+        self.owed = 0.0
+        """Number of updates that are due; fractions add up."""
+        self.online = self.buffer(REPLAY, worlds.count, self.sac.capacity)
+        self.shown: ReplayBuffer | None = None
+        if session.saved is not None:
+            with restoring(session.training_file):
+                self._restore(session.saved.tensors)
+
+    def prepare(self) -> None:
+        if self.sac.demonstrations:
+            self.shown = self.demonstrations(self.sac.demonstrations)
+
+    def _restore(self, tensors: Any) -> None:
+        learner = self.learner
+        self.agent.load_state_dict(part_of("agent", tensors))
+        for name, optimizer in learner.optimizers.items():
+            restore_optimizer(optimizer, part_of(f"optimizer_{name}", tensors))
+        learner.updates = self.session.standing.updates
+        self.owed = float(tensors["owed"])
+        if self.session.worlds.device.type == "cpu":
+            self.online.position.copy_(tensors["position"])
+
+    def tensors(self) -> dict[str, Tensor]:
+        learner = self.learner
+        kept = prefixed("agent", self.agent.state_dict())
+        for name, optimizer in learner.optimizers.items():
+            kept |= prefixed(f"optimizer_{name}", optimizer_tensors(optimizer))
+        kept["owed"] = torch.tensor(self.owed, dtype=torch.float64)
+        kept["position"] = self.online.position
+        return kept
+
+    def learn(self) -> None:
+        session = self.session
+        standing = session.standing
+        worlds = session.worlds
+        ratio = self.sac.updates_per_step or 1.0 / worlds.count
+        told_at = 0.0
+        while standing.samples < self.config.samples:
+            before = standing.samples
+            began = time.perf_counter()
+            self._step()
+            acted = time.perf_counter()
+            numbers: dict[str, float] = {}
+            if standing.samples >= self.sac.warm_up:
+                if before < self.sac.warm_up:
+                    self._fit_normalizers()
+                self.owed += ratio * worlds.count
+                while self.owed >= 1.0:
+                    numbers |= self._update()
+                    self.owed -= 1.0
+            ended = time.perf_counter()
+            session.learner_seconds += ended - acted
+            if numbers and ended - told_at > REPORT_SECONDS:
+                told_at = ended
+                numbers["loss"] = numbers["critic_loss"]
+                numbers["samples_per_second"] = worlds.count / (ended - began)
+                numbers["learner_share"] = (ended - acted) / (ended - began)
+                session.log.show({"phase": "learning"})
+                session.report(numbers)
+            if standing.samples >= self.sac.warm_up:
+                self.between(before)
+            else:
+                session.check_time()
+
+    def _step(self) -> None:
+        """Take one control step in all worlds and store it in the replay buffer."""
+        worlds = self.session.worlds
+        seen = worlds.seen
+        with torch.no_grad():
+            random = self._noise()
+            if (
+                self.session.standing.samples < self.sac.warm_up
+                and self.session.start is None
+            ):
+                shape = (worlds.count, len(self.session.layout.actions))
+                actions = (
+                    2.0 * torch.rand(shape, generator=random).to(worlds.device) - 1.0
+                )
+            else:
+                features = self.agent.actor.features(seen.vector, seen.images)
+                actions, _ = self.agent.actor.sample(features, random)
+        transition = worlds.step(actions)
+        self.online.add(seen, actions, transition.reward, transition.terminated)
+        ended = torch.nonzero(transition.ended).flatten()
+        if len(ended):
+            self.online.close(ended, transition.next_seen.rows(ended))
+        self.session.note(transition)
+
+    def _noise(self) -> torch.Generator:
+        drawn = stream(self.session.seed, "sac-act", self.session.standing.samples)
+        return torch.Generator().manual_seed(int(drawn.integers(1 << 62)))
+
+    def _update(self) -> dict[str, float]:
+        standing = self.session.standing
+        sac = self.sac
+        since = standing.samples - sac.warm_up
+        share = max(0.0, 1.0 - since / max(sac.imitation_samples, 1))
+        batch = self.learner.batch(self.online, self.shown)
+        demonstrated = round(sac.demonstration_share * sac.batch) if self.shown else 0
+        frozen = since < sac.frozen_actor_samples
+        told = self.learner.update(
+            batch, demonstrated, sac.imitation_coefficient * share, frozen
+        )
+        standing.updates = self.learner.updates
+        standing.trained = True
+        return told
+
+    def _fit_normalizers(self) -> None:
+        """Fit the normalizers once, before the first update; the buffer stores unnormalized observations."""
+        agent = self.agent
+        if not self.config.inputs.normalize:
+            return
+        sources = [self.shown] if self.shown is not None else []
+        rows = [
+            source.draw(self.sac.warm_up // 2, self.learner.random("fit")).seen
+            for source in [*sources, self.online]
+        ]
+        device = self.session.worlds.device
+        layout = self.session.layout
+        vector = torch.cat([seen.vector for seen in rows])
+        statistics = RunningStatistics(layout.width, device)
+        statistics.add(vector[:, -layout.width :])
+        encoders = [agent.judge.encoder.normalizer, agent.target.encoder.normalizer]
+        if self.session.start is None:
+            encoders.append(agent.actor.normalizer)
+        elif self.sac.share_encoder:
+            # The trained actor's inputs keep their meaning, and the critics read the same encoder.
+            encoders = []
+        if encoders:
+            statistics.fit(encoders, layout.measured_width)
+        privileged = torch.cat([seen.privileged for seen in rows])
+        critics = [agent.judge.critics.privileged, agent.target.critics.privileged]
+        if privileged.shape[1]:
+            statistics = RunningStatistics(privileged.shape[1], device)
+            statistics.add(privileged)
+            statistics.fit(critics, privileged.shape[1])
+        for part in [*encoders, *critics]:
+            distributed.average([part.mean, part.scale])

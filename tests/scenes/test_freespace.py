@@ -58,7 +58,7 @@ def test_clearance_of_a_turned_box_is_its_distance(
 
 def test_every_blocked_point_is_marked() -> None:
     home = _room(props=(Placement("pillar", (1.3, 2.2, 0.0)),))
-    pack = _pack(Prop("pillar", (rod((0.0, 0.0, 0.5), 0.2, 1.0, "oak"),)))
+    pack = _pack(Prop("pillar", (rod((0.0, 0.0, 0.5), (0.2, 1.0), "oak"),)))
     free = free_map(home, pack, cell=0.04)
     for angle in np.linspace(0.0, 2 * np.pi, 60):
         point = np.array([1.3, 2.2]) + 0.199 * np.array([np.cos(angle), np.sin(angle)])

@@ -328,63 +328,52 @@ def _short(r: Result) -> str:
     return f"{task} {r.target.rpartition('/')[0] or r.target or ALL}"
 
 
+def _pack_bars(results: Sequence[Result], pack: str, color: str) -> dict[str, Any]:
+    """Bars of the success rates in the homes of one asset pack, with their intervals."""
+    mine = [r for r in results if r.pack == pack and r.success_once is not None]
+    rates = [r.success_once or 0.0 for r in mine]
+    intervals = [r.interval for r in mine]
+    return {
+        "type": "bar",
+        "name": f"expert, {pack} homes",
+        "x": [_short(r) for r in mine],
+        "y": rates,
+        "marker": {"color": color},
+        "error_y": {
+            "type": "data",
+            "symmetric": False,
+            "array": [high - y for y, (_, high) in zip(rates, intervals, strict=True)],
+            "arrayminus": [y - low for y, (low, _) in zip(rates, intervals, strict=True)],
+            "thickness": 1.2,
+            "width": 3,
+        },
+        "hovertemplate": "%{x}<br>%{y:.1%}<extra></extra>",
+    }
+
+
+def _paper_bars(results: Sequence[Result]) -> dict[str, Any]:
+    """Bars of the success rates that the paper tells."""
+    known = {_short(r): r.paper for r in results if r.paper is not None}
+    return {
+        "type": "bar",
+        "name": f"paper, {PAPER_POLICY}",
+        "x": list(known),
+        "y": list(known.values()),
+        "marker": {"color": _PAPER_COLOR},
+        "hovertemplate": "%{x}<br>paper %{y:.1%}<extra></extra>",
+    }
+
+
 def _paper_figure(results: Sequence[Result]) -> Figure:
     """Bars: ours in every asset pack, then the paper's."""
     names = list(dict.fromkeys(_short(result) for result in results))
-    data: list[dict[str, Any]] = []
-    for pack, color in zip(
-        dict.fromkeys(result.pack for result in results),
-        _COLORS * len(results),
-        strict=False,
-    ):
-        mine = [r for r in results if r.pack == pack and r.success_once is not None]
-        rates = [r.success_once or 0.0 for r in mine]
-        above = [
-            high - rate
-            for rate, high in zip(rates, (r.interval[1] for r in mine), strict=True)
-        ]
-        below = [
-            rate - low
-            for rate, low in zip(rates, (r.interval[0] for r in mine), strict=True)
-        ]
-        bars = {
-            "type": "bar",
-            "name": f"expert, {pack} homes",
-            "x": [_short(r) for r in mine],
-            "y": rates,
-        }
-        whiskers = {
-            "type": "data",
-            "symmetric": False,
-            "array": above,
-            "arrayminus": below,
-            "thickness": 1.2,
-            "width": 3,
-        }
-        hover = "%{x}<br>%{y:.1%}<extra></extra>"
-        data.append(
-            {
-                **bars,
-                "marker": {"color": color},
-                "error_y": whiskers,
-                "hovertemplate": hover,
-            }
-        )
-    known = {
-        _short(result): result.paper for result in results if result.paper is not None
-    }
-    data.append(
-        {
-            "type": "bar",
-            "name": f"paper, {PAPER_POLICY}",
-            "x": list(known),
-            "y": list(known.values()),
-            "marker": {"color": _PAPER_COLOR},
-            "hovertemplate": "%{x}<br>paper %{y:.1%}<extra></extra>",
-        }
-    )
+    packs = dict.fromkeys(result.pack for result in results)
+    data = [
+        _pack_bars(results, pack, color)
+        for pack, color in zip(packs, _COLORS * len(results), strict=False)
+    ]
     return {
-        "data": data,
+        "data": [*data, _paper_bars(results)],
         "layout": {
             "height": 440,
             "barmode": "group",

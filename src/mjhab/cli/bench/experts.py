@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -78,59 +79,19 @@ def _weight(counts: Mapping[Row, int]) -> float:
 
 
 def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> None:
-    results = found.results
-    errors = found.errors
-    left = found.left
-    for row, error in errors.items():
+    for row, error in found.errors.items():
         print(f"mjhab: {row.name} could not be measured: {error}", file=sys.stderr)
-    if left:
+    if found.left:
         print(
-            f"mjhab: stopped, {left} episodes are left. The same command with --resume continues.",
+            f"mjhab: stopped, {found.left} episodes are left. The same command with --resume continues.",
             file=sys.stderr,
         )
-    singles = [result for result in results if result.subtask != CHAIN]
-    chains = [result for result in results if result.subtask == CHAIN]
     if options.json:
-        print_json(
-            {
-                "profile": options.profile,
-                "rows": len(results),
-                "episodes": sum(result.episodes for result in results),
-                "success_once": {
-                    name_of(result): result.success_once for result in results
-                },
-                "below_asked": [
-                    name_of(result) for result in results if result.met is False
-                ],
-                "tainted": sum(result.tainted for result in results),
-                "failed_rows": [row.name for row in errors],
-                "left": left,
-                "seconds": round(seconds, 1),
-                "out": str(options.out),
-            }
-        )
+        print_json(_summary(options, found, seconds))
         return
-    for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
-        rows = [
-            _cells(result)
-            for result in singles
-            if (result.pack, result.task) == (pack, task)
-        ]
-        columns = (
-            "subtask",
-            "target",
-            "n",
-            "once",
-            "95 %",
-            "< 1,400 N",
-            "asked",
-            "paper",
-        )
-        print_table(
-            f"{task}, {pack} homes, {options.split}, profile {options.profile}: success once [%]",
-            columns,
-            rows,
-        )
+    of = f"{options.split}, profile {options.profile}"
+    _print_singles([r for r in found.results if r.subtask != CHAIN], of)
+    chains = [result for result in found.results if result.subtask == CHAIN]
     if chains:
         columns = (
             "chain",
@@ -140,12 +101,36 @@ def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> N
             "asked",
             "completed 1, 2, ... subtasks",
         )
-        print_table(
-            f"Progressive completion, {options.split}, profile {options.profile} [%]",
-            columns,
-            map(_chain_cells, chains),
-        )
+        title = f"Progressive completion, {of} [%]"
+        print_table(title, columns, map(_chain_cells, chains))
     print(f"report: {options.out / REPORT}")
+
+
+def _summary(
+    options: BenchExpertsOptions, found: Measurement, seconds: float
+) -> dict[str, Any]:
+    """The measurement as JSON data."""
+    results = found.results
+    return {
+        "profile": options.profile,
+        "rows": len(results),
+        "episodes": sum(result.episodes for result in results),
+        "success_once": {name_of(result): result.success_once for result in results},
+        "below_asked": [name_of(result) for result in results if result.met is False],
+        "tainted": sum(result.tainted for result in results),
+        "failed_rows": [row.name for row in found.errors],
+        "left": found.left,
+        "seconds": round(seconds, 1),
+        "out": str(options.out),
+    }
+
+
+def _print_singles(singles: Sequence[Result], of: str) -> None:
+    """Print one table per pack and task; ``of``: which homes and profile."""
+    columns = ("subtask", "target", "n", "once", "95 %", "< 1,400 N", "asked", "paper")
+    for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
+        rows = [_cells(r) for r in singles if (r.pack, r.task) == (pack, task)]
+        print_table(f"{task}, {pack} homes, {of}: success once [%]", columns, rows)
 
 
 def name_of(result: Result) -> str:

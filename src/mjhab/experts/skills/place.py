@@ -15,6 +15,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat, mat_from_rotation_vector
 from mjhab.envs.parts.world_view import WorldView
+from mjhab.episodes.grasps.pinch import ObjectShape
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import care_for
 from mjhab.experts.arm.motion import Motion
@@ -295,16 +296,7 @@ def hand_goals(
     turn = hand.T @ mat_from_quat(pose[3:])
     offset = hand.T @ (pose[:3] - tcp)
     floor = float(goal[2]) - shape.half[2]
-    # Tall objects fall over when they are released tilted.
-    ball = shape.kind == "sphere"
-    upset = (
-        0.2
-        if ball
-        else LEAN_PRICE
-        if shelf
-        else 2.0 + 2.0 * shape.half[2] / min(shape.half)
-    )
-    upset *= STUCK_FACTOR if not ball and play(view) < TIGHT_PLAY_M else 1.0
+    upset = _tilt_price(view, shape, shelf)
     back = view.base[:2] - goal[:2]
     back = back / max(float(np.linalg.norm(back)), 1e-6)
     aside = np.array([-back[1], back[0]])
@@ -314,12 +306,9 @@ def hand_goals(
         spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)
     ]
     most = GOAL_SHARE * view.config.goal_tol
-    yaws = (
-        np.arange(SHELF_YAWS if shelf else YAWS)
-        * 2
-        * np.pi
-        / (SHELF_YAWS if shelf else YAWS)
-    )
+    count = SHELF_YAWS if shelf else YAWS
+    yaws = np.arange(count) * 2 * np.pi / count
+    ball = shape.kind == "sphere"
     tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
     turns = mat_from_rotation_vector(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
     leans = mat_from_rotation_vector(np.array(tilts)[:, None] * np.array([*aside, 0.0]))
@@ -348,6 +337,14 @@ def hand_goals(
     pre = at + np.array([0.0, 0.0, SHELF_ABOVE_M if shelf else ABOVE_M])
     width = np.full(len(at), 2.0 * float(view.q[view.robot.columns.fingers].mean()))
     return HandGoals(at, np.array(rot), pre, width, np.array(score))
+
+
+def _tilt_price(view: WorldView, shape: ObjectShape, shelf: bool) -> float:
+    """Score that a hand pose loses per radian that the object is tilted: tall ones fall over when they are released."""
+    if shape.kind == "sphere":
+        return 0.2
+    price = LEAN_PRICE if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
+    return price * (STUCK_FACTOR if play(view) < TIGHT_PLAY_M else 1.0)
 
 
 def _sides(every: bool) -> list[tuple[np.ndarray, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError
 from mjhab.robots.controllers.arm import ArmRequest
-from mjhab.robots.controllers.controller import BASES, STATIONARY, Controller
+from mjhab.robots.controllers.controller import BASES, STATIONARY, BodyOptions, Controller
 from mjhab.robots.controllers.modes import (
     CONTROL_MODES,
     DEFAULT_MODE,
@@ -43,7 +43,6 @@ def make_controller(
     robot: Robot | None = None,
     base: str = "forward",
     stationary: Sequence[str] = (),
-    limits: ActionLimits | None = None,
     like: Array | None = None,
 ) -> Controller:
     """Make the controller of a control mode for W worlds.
@@ -51,11 +50,10 @@ def make_controller(
     Args:
         mode: one of CONTROL_MODES.
         num_worlds: W.
-        robot: the robot to command; None for the default robot.
+        robot: the robot to command, with the ranges that actions of ±1 are scaled to; None for the default robot.
         base: "forward" ([forward, yaw rate], as in MS-HAB) or "holonomic" ([forward, left, yaw rate]).
         stationary: parts of "head", "torso" and "base" whose entries of the action are taken as zero
             (mshab/envs/wrappers/action.py); with a stiff body they hold their positions of the last reset.
-        limits: ranges that actions of ±1 are scaled to; None for those of the robot.
         like: an array of the library, device and dtype of the simulator's joint positions; None for numpy float64.
 
     Raises:
@@ -63,16 +61,13 @@ def make_controller(
     """
     chosen = CONTROL_MODES[mode]
     robot = robot or robot_named()
-    limits = limits or robot.limits
-    request = ArmRequest(robot, num_worlds, limits, np.zeros(0) if like is None else like)
+    like = np.zeros(0) if like is None else like
+    request = ArmRequest(robot, num_worlds, robot.limits, like)
     return Controller(
         mode,
         robot,
         chosen.arm(request),
-        limits,
-        stiff_body=chosen.stiff_body,
-        base=base,
-        stationary=stationary,
+        BodyOptions(chosen.stiff_body, base, stationary),
     )
 
 

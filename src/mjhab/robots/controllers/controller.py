@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from mjhab.robots.controllers.table import (
     delta_rows,
     gripper_row,
 )
-from mjhab.robots.parts import ActionLimits, Drives
+from mjhab.robots.parts import Drives
 from mjhab.robots.robot import Robot
 
 BASES = ("forward", "holonomic")
@@ -31,6 +32,27 @@ class JointState(Protocol):
     def robot_q(self) -> Array:
         """(W, J) joint positions [m, rad]."""
         ...
+
+
+@dataclass(frozen=True)
+class BodyOptions:
+    """How torso, head and base are commanded.
+
+    Attributes:
+        stiff: torso and head take absolute positions [rad, m] with stiff servos, instead of changes.
+        base: one of BASES.
+        stationary: parts of STATIONARY whose entries of an action are taken as zero.
+
+    Raises:
+        UsageError: there is no such base control or part.
+    """
+
+    stiff: bool = False
+    base: str = "forward"
+    stationary: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        _check_options(self.base, self.stationary)
 
 
 class Controller:
@@ -54,19 +76,16 @@ class Controller:
         mode: str,
         robot: Robot,
         arm: Arm,
-        limits: ActionLimits,
-        *,
-        stiff_body: bool,
-        base: str,
-        stationary: Sequence[str],
+        options: BodyOptions,
     ) -> None:
-        _check_options(base, stationary)
+        stiff_body = options.stiff
+        limits = robot.limits
         self.mode = mode
         self.robot = robot
         self.limits = limits
         self._arm = arm
         self._stiff_body = stiff_body
-        self._holonomic = base == "holonomic"
+        self._holonomic = options.base == "holonomic"
         body = (
             absolute_rows(robot, robot.body_joints)
             if stiff_body
@@ -87,7 +106,7 @@ class Controller:
             [1.0 if row.normalized else row.high for row in self.table], np.float32
         )
         self.drives = Drives(arm.drives.velocity, robot.body_joints if stiff_body else ())
-        self._place_columns(stationary)
+        self._place_columns(options.stationary)
         self._keep_arrays(arm.target)
 
     def _place_columns(self, stationary: Sequence[str]) -> None:

@@ -90,13 +90,16 @@ def _plant(name: str, leaves: str, radius: float, height: float, pot: str) -> Pr
     tall = leaves == "plant_tall"
     top = 1.35 if tall else 0.75
     geoms = [
-        rod((0.0, 0.0, height / 2), radius, height, pot, visual=False),
+        rod((0.0, 0.0, height / 2), (radius, height), pot, visual=False),
         rod(
-            (0.0, 0.0, (height + top) / 2), 0.10, top - height, "leaf_green", visual=False
+            (0.0, 0.0, (height + top) / 2),
+            (0.10, top - height),
+            "leaf_green",
+            visual=False,
         ),
         look("pot_tall" if tall else "pot_bush", pot),
         look(leaves, "leaf_green" if tall else "leaf_light", (0.0, 0.0, height - 0.05)),
-        rod((0.0, 0.0, height - 0.03), radius - 0.025, 0.01, "soil", collide=False),
+        rod((0.0, 0.0, height - 0.03), (radius - 0.025, 0.01), "soil", collide=False),
     ]
     return Prop(name, tuple(geoms))
 
@@ -104,8 +107,8 @@ def _plant(name: str, leaves: str, radius: float, height: float, pot: str) -> Pr
 def _beanbag() -> Prop:
     """A beanbag, 0.8 m wide."""
     geoms = (
-        rod((0.0, 0.0, 0.17), 0.39, 0.34, "beanbag_fabric", visual=False),
-        rod((0.0, 0.0, 0.47), 0.24, 0.26, "beanbag_fabric", visual=False),
+        rod((0.0, 0.0, 0.17), (0.39, 0.34), "beanbag_fabric", visual=False),
+        rod((0.0, 0.0, 0.47), (0.24, 0.26), "beanbag_fabric", visual=False),
         look("beanbag", "beanbag_fabric"),
     )
     return Prop("beanbag", geoms)
@@ -114,9 +117,9 @@ def _beanbag() -> Prop:
 def _lamp() -> Prop:
     """A floor lamp."""
     geoms = (
-        rod((0.0, 0.0, 0.015), 0.15, 0.03, "black_metal"),
-        rod((0.0, 0.0, 0.70), 0.015, 1.36, "black_metal"),
-        rod((0.0, 0.0, 1.47), 0.18, 0.30, "lamp_shade", visual=False),
+        rod((0.0, 0.0, 0.015), (0.15, 0.03), "black_metal"),
+        rod((0.0, 0.0, 0.70), (0.015, 1.36), "black_metal"),
+        rod((0.0, 0.0, 1.47), (0.18, 0.30), "lamp_shade", visual=False),
         look("lamp_shade", "lamp_shade"),
         ball((0.0, 0.0, 1.45), 0.06, "lamp_shade", collide=False),
     )
@@ -157,10 +160,10 @@ def _wall_shelf() -> Prop:
         (-0.33, "sofa_fabric"),
         (-0.22, "pot_white"),
     ):
-        geoms.append(rod((0.0, y, 1.68), 0.035, 0.09, material, collide=False))
+        geoms.append(rod((0.0, y, 1.68), (0.035, 0.09), material, collide=False))
     geoms += [
         look("vase", "terracotta", (0.0, 0.05, 1.635)),
-        rod((0.0, 0.40, 1.68), 0.05, 0.09, "terracotta", collide=False),
+        rod((0.0, 0.40, 1.68), (0.05, 0.09), "terracotta", collide=False),
         look("plant_small", "leaf_light", (0.0, 0.40, 1.72)),
         box((0.0, 0.60, 1.76), (0.14, 0.03, 0.24), "book_red", collide=False),
         box((0.0, 0.635, 1.75), (0.14, 0.035, 0.22), "book_yellow", collide=False),
@@ -198,8 +201,7 @@ def _picture(name: str) -> Prop:
         geoms.append(
             rod(
                 (0.029, 0.22, z + 0.12),
-                0.08,
-                0.004,
+                (0.08, 0.004),
                 "picture_sun",
                 axis="x",
                 collide=False,
@@ -209,8 +211,7 @@ def _picture(name: str) -> Prop:
         geoms.append(
             rod(
                 (0.029, 0.0, z + 0.08),
-                0.13,
-                0.004,
+                (0.13, 0.004),
                 "cushion_coral",
                 axis="x",
                 collide=False,
@@ -256,8 +257,7 @@ def _window() -> Prop:
     geoms.append(
         rod(
             (0.05, 0.0, z + h / 2 + 0.13),
-            0.012,
-            w + 0.6,
+            (0.012, w + 0.6),
             "brass",
             axis="y",
             collide=False,
@@ -273,7 +273,7 @@ def _front_door() -> Prop:
         span((0.0, 0.05), (-0.52, -0.45), (0.0, 2.12), "trim_white", collide=False),
         span((0.0, 0.05), (0.45, 0.52), (0.0, 2.12), "trim_white", collide=False),
         span((0.0, 0.05), (-0.45, 0.45), (2.05, 2.12), "trim_white", collide=False),
-        rod((0.055, 0.36, 1.0), 0.012, 0.12, "brass", axis="y", collide=False),
+        rod((0.055, 0.36, 1.0), (0.012, 0.12), "brass", axis="y", collide=False),
     )
     return Prop("front_door", geoms, blocks_base=False)
 
@@ -281,8 +281,8 @@ def _front_door() -> Prop:
 def _bin() -> Prop:
     """A waste bin."""
     geoms = (
-        rod((0.0, 0.0, 0.20), 0.14, 0.40, "steel"),
-        rod((0.0, 0.0, 0.41), 0.145, 0.02, "black_metal", collide=False),
+        rod((0.0, 0.0, 0.20), (0.14, 0.40), "steel"),
+        rod((0.0, 0.0, 0.41), (0.145, 0.02), "black_metal", collide=False),
     )
     return Prop("bin_01", geoms)
 

@@ -179,8 +179,7 @@ def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], li
         visuals.append(
             rod(
                 (s * (hx - skin), 0.0, -0.45 * hz),
-                min(0.35 * hy, 0.2 * hz),
-                2 * skin,
+                (min(0.35 * hy, 0.2 * hz), 2 * skin),
                 main,
                 axis="x",
                 collide=False,
@@ -210,8 +209,7 @@ def _flat_carton(
         visuals.append(
             rod(
                 (-0.45 * hx, 0.3 * hy, s * (hz - skin)),
-                0.3 * hx,
-                skin,
+                (0.3 * hx, skin),
                 spot,
                 collide=False,
             )
@@ -266,18 +264,17 @@ def _can(
     r = half[0]
     h = half[2]
     visuals = [
-        rod((0.0, 0.0, 0.0), r - 0.0015, 2 * h, lid, collide=False),
-        rod((0.0, 0.0, 0.0), r - 0.0003, 1.84 * h, main, collide=False),
-        rod((0.0, 0.0, -0.38 * h), r, 0.85 * h, band, collide=False),
-        rod((0.0, 0.0, h - 0.0005), 0.8 * r, 0.001, "tin", collide=False),
+        rod((0.0, 0.0, 0.0), (r - 0.0015, 2 * h), lid, collide=False),
+        rod((0.0, 0.0, 0.0), (r - 0.0003, 1.84 * h), main, collide=False),
+        rod((0.0, 0.0, -0.38 * h), (r, 0.85 * h), band, collide=False),
+        rod((0.0, 0.0, h - 0.0005), (0.8 * r, 0.001), "tin", collide=False),
     ]
     if dot:
         for s in (-1.0, 1.0):
             visuals.append(
                 rod(
                     (s * (r - 0.004), 0.0, 0.04 * h),
-                    0.35 * r,
-                    0.0082,
+                    (0.35 * r, 0.0082),
                     dot,
                     axis="x",
                     collide=False,
@@ -288,7 +285,7 @@ def _can(
 
 def _apple() -> tuple[list[Geom], list[Geom]]:
     hull = Geom("mesh", (1.0, 1.0, 1.0), mesh="apple_hull", visual=False)
-    stem = rod((0.0, 0.0, 0.031), 0.0015, 0.012, "apple_stem", collide=False)
+    stem = rod((0.0, 0.0, 0.031), (0.0015, 0.012), "apple_stem", collide=False)
     return [hull], [look("apple_look", "apple_red"), stem]
 
 

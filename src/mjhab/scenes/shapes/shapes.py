@@ -41,15 +41,15 @@ def span(
 
 def rod(
     center: Vec3,
-    radius: float,
-    length: float,
+    size: tuple[float, float],
     material: str,
     *,
     axis: str = "z",
     collide: bool = True,
     visual: bool = True,
 ) -> Geom:
-    """Make a cylinder from its centre, radius and full length [m] along a coordinate axis."""
+    """Make a cylinder from its centre and its size, radius and full length [m], along a coordinate axis."""
+    radius, length = size
     s = math.sqrt(0.5)
     quat = {"z": IDENTITY, "x": (s, 0.0, s, 0.0), "y": (s, s, 0.0, 0.0)}[axis]
     return Geom(

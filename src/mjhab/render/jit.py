@@ -18,6 +18,7 @@ KERNEL_MODULES = (
     "render.raster.batch",
     "render.raster.fill",
     "render.raster.kernels",
+    "render.raster.nodes",
     "render.raster.shading",
     "render.raster.surfaces",
     "render.raster.texturing",

@@ -10,8 +10,9 @@ from mjhab.core.kernels.counter import take_next
 from mjhab.render.jit import kernel
 from mjhab.render.raster.arrays import Bodies, Lens, Scratch
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
+from mjhab.render.raster.nodes import Openness
 from mjhab.render.raster.occlusion import ambient_occlusion
-from mjhab.render.raster.shading import Openness, ShadeScratch, shade
+from mjhab.render.raster.shading import ShadeScratch, shade
 from mjhab.render.raster.sight import place_balls
 
 

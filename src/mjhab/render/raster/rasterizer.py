@@ -18,9 +18,10 @@ from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
 from mjhab.render.raster.batch import ThreadBuffers, Views, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.lighting import SHADOW_SLOPE
+from mjhab.render.raster.nodes import Openness
 from mjhab.render.raster.occlusion import ambient_occlusion
 from mjhab.render.raster.scenery import make_scenery
-from mjhab.render.raster.shading import Openness, make_shade_scratch, shade
+from mjhab.render.raster.shading import make_shade_scratch, shade
 from mjhab.render.raster.sight import place_balls
 from mjhab.render.render_scene import RenderScene
 

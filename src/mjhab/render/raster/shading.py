@@ -18,28 +18,23 @@ from mjhab.render.raster.lighting import (
     DG,
     DR,
     FACING,
-    GLOSS,
     MOST_NODES,
     NODE_ROW,
     NODE_ROWS,
-    NX,
-    NY,
-    NZ,
-    OPEN,
     SB,
     SG,
     SR,
-    VX,
-    VY,
-    VZ,
-    X,
-    Y,
-    Z,
-    blended_share,
     light_nodes,
     sky,
 )
-from mjhab.render.raster.surfaces import fill_frame, normal_at, place_point
+from mjhab.render.raster.nodes import (
+    aim_nodes,
+    openness_at,
+    towards_camera,
+    world_normal,
+    write_node,
+)
+from mjhab.render.raster.surfaces import fill_frame
 from mjhab.render.raster.texturing import texture_level, texture_map, textured
 from mjhab.scenes.shapes.colors import linear_to_srgb
 
@@ -47,15 +42,6 @@ SHORT_RUN = 3
 """Runs up to this many samples have constant light, that of their middle."""
 TONE_RANGE = 4.0
 """Linear light of the last entry of ``tone_curve``; larger values are clipped."""
-
-
-class Openness(NamedTuple):
-    """Ambient occlusion: share, depths (a, b) f32 from `occlusion.ambient_occlusion`, or (0, 0) for none; cells: cells
-    per pixel."""
-
-    share: np.ndarray
-    depths: np.ndarray
-    cells: float
 
 
 class ShadeScratch(NamedTuple):
@@ -97,92 +83,6 @@ def tone_curve(entries: int = 16384) -> np.ndarray:
     over = np.maximum(linear - 0.6, 0.0)
     linear = np.minimum(linear, 0.6) + 0.4 * (1.0 - np.exp(-over / 0.4))
     return np.round(255.0 * linear_to_srgb(linear)).astype(np.uint8)
-
-
-@color_inline
-def _world_normal(surface, poses, scratch, i, face, u, v, depth):
-    """Unit normal in the world of ``face`` of instance ``i``, at a depth [m] along the ray with the slopes (u, v)."""
-    px, py, pz = place_point(scratch.frames, i, u, v, depth)
-    px, py, pz = normal_at(surface, scratch.frames, i, face, px, py, pz)
-    rot = poses.rot
-    return (
-        rot[i, 0, 0] * px + rot[i, 0, 1] * py + rot[i, 0, 2] * pz,
-        rot[i, 1, 0] * px + rot[i, 1, 1] * py + rot[i, 1, 2] * pz,
-        rot[i, 2, 0] * px + rot[i, 2, 1] * py + rot[i, 2, 2] * pz,
-    )
-
-
-@color_inline
-def _towards_camera(lens, u, v, nx, ny, nz):
-    """The normal, turned if it points away from the camera along the ray with the slopes (u, v)."""
-    m = lens.mat
-    away = (
-        nx * (m[0, 0] * u + m[0, 1] * v - m[0, 2])
-        + ny * (m[1, 0] * u + m[1, 1] * v - m[1, 2])
-        + nz * (m[2, 0] * u + m[2, 1] * v - m[2, 2])
-    )
-    sign = -1.0 if away > 0.0 else 1.0
-    return sign * nx, sign * ny, sign * nz
-
-
-@color_inline
-def _open_share(openness, row, col, depth):
-    """Ambient openness 0..1 at a pixel of this depth [m]; 1 without ambient occlusion."""
-    if openness.share.shape[0] == 0:
-        return np.float32(1.0)
-    rows = (row + 0.5) * openness.cells
-    cols = (col + 0.5) * openness.cells
-    return blended_share(openness.share, openness.depths, rows, cols, depth)
-
-
-@color_inline
-def _write_node(nodes, n, u, depth, nx, ny, nz, gloss, open_share):
-    """Write what is known of node ``n`` before `_aim_nodes`; ``u``: slope of its ray, ``depth`` [m]."""
-    n = np.uint64(n)
-    nodes[n + X] = u
-    nodes[n + Z] = depth
-    nodes[n + NX] = nx
-    nodes[n + NY] = ny
-    nodes[n + NZ] = nz
-    nodes[n + GLOSS] = gloss
-    nodes[n + OPEN] = open_share
-
-
-@color_inline
-def _aim_nodes(lens, v, nodes, count):
-    """Compute the points of the first ``count`` nodes of a row, the directions to the camera, and ``FACING``.
-
-    Row X holds the slope u of each node's ray before, and Z its depth [m]; ``v`` is the slope upwards.
-    """
-    one = np.float32(1.0)
-    v = np.float32(v)
-    m = lens.mat
-    right_x = np.float32(m[0, 0])
-    right_y = np.float32(m[1, 0])
-    right_z = np.float32(m[2, 0])
-    ahead_x = np.float32(m[0, 1]) * v - np.float32(m[0, 2])
-    ahead_y = np.float32(m[1, 1]) * v - np.float32(m[1, 2])
-    ahead_z = np.float32(m[2, 1]) * v - np.float32(m[2, 2])
-    cam_x = np.float32(lens.pos[0])
-    cam_y = np.float32(lens.pos[1])
-    cam_z = np.float32(lens.pos[2])
-    for n in range(np.uint64(count)):
-        u = nodes[n + X]
-        depth = nodes[n + Z]
-        rx = right_x * u + ahead_x
-        ry = right_y * u + ahead_y
-        rz = right_z * u + ahead_z
-        inv = -one / np.sqrt(rx * rx + ry * ry + rz * rz)
-        vx = rx * inv
-        vy = ry * inv
-        vz = rz * inv
-        nodes[n + X] = cam_x + rx * depth
-        nodes[n + Y] = cam_y + ry * depth
-        nodes[n + Z] = cam_z + rz * depth
-        nodes[n + VX] = vx
-        nodes[n + VY] = vy
-        nodes[n + VZ] = vz
-        nodes[n + FACING] = nodes[n + NX] * vx + nodes[n + NY] * vy + nodes[n + NZ] * vz
 
 
 @color_inline
@@ -259,23 +159,23 @@ def _place_runs(
         at = (start + x) // 2 if short else start
         last = at if short else x - 1
         u = (at + 0.5 - 0.5 * columns) * inv
-        nx, ny, nz = _world_normal(
+        nx, ny, nz = world_normal(
             surface, poses, scratch, i, face, u, v, 1.0 / inverse[row, at]
         )
         if not smooth:
-            nx, ny, nz = _towards_camera(lens, u, v, nx, ny, nz)
+            nx, ny, nz = towards_camera(lens, u, v, nx, ny, nz)
         while True:
             depth = np.float32(1.0) / inverse[row, at]
             u = (at + 0.5 - 0.5 * columns) * inv
             if smooth and at > start:
-                nx, ny, nz = _world_normal(surface, poses, scratch, i, face, u, v, depth)
-            open_share = _open_share(openness, row, at, depth)
-            _write_node(light, nodes, u, depth, nx, ny, nz, gloss, open_share)
+                nx, ny, nz = world_normal(surface, poses, scratch, i, face, u, v, depth)
+            share = openness_at(openness, row, at, depth)
+            write_node(light, nodes, u, depth, nx, ny, nz, gloss, share)
             nodes += 1
             if at == last:
                 break
             at = min(at + stride, last)
-    _aim_nodes(lens, v, light, nodes)
+    aim_nodes(lens, v, light, nodes)
     return runs, nodes
 
 

@@ -30,9 +30,9 @@ def unknown_name(kind: str, given: object, valid: Iterable[str]) -> UsageError:
     Args:
         kind: what the name names, e.g. ``"task"``.
         given: the name that was asked for; whatever is no text is told as such.
-        valid: every accepted name.
+        valid: every accepted name; "" is left out.
     """
-    names = sorted(valid)
+    names = sorted(filter(None, valid))
     if not isinstance(given, str):
         told = f"{shown(given)} ({type(given).__name__})"
         return UsageError(

@@ -50,8 +50,12 @@ def shipped_path(task: str, subtask: str, target: str) -> str:
     """The checkpoint for a subtask on a target: one for this target alone, else one for all.
 
     Raises:
-        UsageError: there is none; the message lists the existing ones.
+        UsageError: a name is unknown, or there is no such student; the message lists the existing ones.
     """
+    objects = TASKS[task].object_types
+    kind = SUBTASKS[subtask]
+    if target and objects and not kind.jointed and target not in objects:
+        raise unknown_name("target", target, objects)
     there = shipped()
     for name in (file_name(task, subtask, target), file_name(task, subtask, "")):
         if name in there:

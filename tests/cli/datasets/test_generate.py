@@ -216,6 +216,8 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
             ("replay", str(made), "--render", "rgb", "--out", str(made / "shard_000.h5")),
             "one of the shards",
         ),
+        (("replay", "--verify"), "name shards"),
+        (("replay", str(made), "--render", "dept", *out), "Did you mean 'depth'"),
         (
             ("replay", str(made), "--render", "depth", "--cameras", "follow", *out),
             "colour only",

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from mjhab.cli.main import main
+from mjhab.cli.main import main, parse
+from mjhab.cli.policies.reproduce import table_spec
+from mjhab.core.errors import MjhabError
 from mjhab.learning import configs
 from mjhab.learning.changes import with_changes
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig, preset_of
 from mjhab.learning.reproduce.rows import table_rows
-from mjhab.learning.reproduce.spec import TableSpec
+from mjhab.learning.reproduce.spec import TableSpec, chosen_rows, table_config
 from mjhab.learning.reproduce.studies import config_of
 from mjhab.learning.reproduce.variants import CHANGED, STYLES, VARIANTS, Imitation
 from mjhab.reports.paper import paper_success
+from mjhab.robots.robot import Robot
 from tests.learning.small import config
 
 COMMAND = [
@@ -43,6 +47,7 @@ def test_rows_are_those_of_the_paper() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (("--robot", "fetsh"), "Did you mean 'fetch'"),
         (("--rows", "set_table/close/drawr"), "Did you mean 'set_table/close/drawer'"),
         (("--preset", "smal"), "Did you mean 'small'"),
         (("--split", "vla"), "unknown split"),
@@ -70,6 +75,31 @@ def test_bad_input(
     assert main(["reproduce", "table1", "--out", str(out), *words]) == 2
     assert said in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_robot_is_that_of_training_and_evaluation(tmp_path: Path) -> None:
+    words = ["reproduce", "table1", "--out", str(tmp_path), "--robot", "fetch"]
+    spec = table_spec(parse(words))
+    assert spec.robot == table_config(spec)["robot"] == "fetch"
+
+
+def test_a_robot_without_its_files_leaves_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def absent(robot: Robot) -> Any:
+        raise MjhabError("the files are not installed")
+
+    monkeypatch.setattr(Robot, "body", property(absent))
+    words = ["reproduce", "table5", "--out", str(tmp_path / "run"), "--robot", "fetch"]
+    assert main(words) == 1
+    assert "the files are not installed" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_row_that_is_named_twice_is_one_row(tmp_path: Path) -> None:
+    rows = ["--rows", "set_table/close/drawer", "set_table/close/drawer"]
+    words = ["reproduce", "table1", "--out", str(tmp_path), *rows]
+    assert [row.name for row in chosen_rows(table_spec(parse(words)))] == rows[1:2]
 
 
 def test_a_row_is_trained_judged_and_set_beside_the_paper(

@@ -54,6 +54,11 @@ def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
             "max-message-mb must be at least 1",
         ),
         (["serve", "ws://localhost:1"], "is served already"),
+        (["serve", "student", "--subtask", "pikc"], "Did you mean 'pick'"),
+        (
+            ["serve", "student", "--subtask", "pick", "--target", "013_aple"],
+            "Did you mean '013_apple'",
+        ),
         (["serve", "zero", "--style", "speed=0.5"], "only the policy expert has a style"),
         (["serve", "expert", "--style", "speeed=0.5"], "Did you mean 'speed'"),
         (["serve", "expert", "--assets", "nowhere"], "'nowhere'"),

@@ -179,6 +179,36 @@ def test_the_memory_of_a_buffer_is_told_before_it_is_made(
     assert lines[-1].startswith(last) and first < len(lines) - 1
 
 
+@pytest.mark.parametrize("algorithm", ["dagger", "rlpd"])
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--where", "success and ("), "column 13: cannot be read"),
+        (("--where", "sucess", "--data", "x"), "Did you mean 'success'"),
+        (("--where", "success"), "--where filters recorded demonstrations: give --data"),
+    ],
+)
+def test_a_filter_is_read_before_anything_else(
+    algorithm: str,
+    words: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["train", algorithm, "--out", str(tmp_path / "run"), *words]) == 2
+    told = capsys.readouterr()
+    assert told.err.startswith("mjhab: ") and said in told.err and not told.out
+    assert not (tmp_path / "run").exists()
+
+
+def test_demonstrations_are_recorded_or_generated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--out", str(tmp_path / "run"), "--data", str(tmp_path), "--demos", "3"]
+    assert main(["train", "bc", *words]) == 2
+    assert "--data names recorded ones: leave one out" in capsys.readouterr().err
+
+
 def test_an_interrupted_run_says_what_is_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -267,6 +267,29 @@ def test_tables(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert text in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("data", "stats"),
+        ("data", "check"),
+        ("data", "repair"),
+        ("data", "query"),
+        ("data", "merge", "--out", "{new}"),
+        ("data", "split", "--out", "{new}"),
+        ("label", "--write"),
+        ("export", "maniskill", "--out", "{new}"),
+    ],
+    ids=" ".join,
+)
+def test_no_shards_at_all_are_refused(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = tmp_path / "new.h5"
+    assert main([word.replace("{new}", str(new)) for word in words]) == 2
+    assert capsys.readouterr().err == "mjhab: name shards (*.h5), or folders of shards.\n"
+    assert not new.exists()
+
+
 def test_damage_fails_the_check_and_is_repaired(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -53,6 +53,7 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
         workers=options.workers,
         budget_minutes=options.budget_minutes,
         profile=options.profile,
+        robot=options.robot,
         starts=options.starts,
         stillness=options.stillness,
         split=options.split,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -133,6 +133,29 @@ def eval_split(options: RunOptions) -> str:
     return options.eval_split
 
 
+def check_data(data: Sequence[Path], where: str | None, demos: int | None) -> None:
+    """Check the options about recorded demonstrations before anything is read or written.
+
+    Args:
+        data: shards or folders; empty if the expert generates demonstrations.
+        where: filter on the episodes of ``data``; None if absent.
+        demos: number of episodes that the expert tries; None if absent.
+
+    Raises:
+        UsageError: the filter cannot be read, or an option would have no effect.
+    """
+    from mjhab.data.select.query import Filter
+
+    if where is not None:
+        Filter(where)
+        if not data:
+            raise UsageError("--where filters recorded demonstrations: give --data.")
+    if data and demos is not None:
+        raise UsageError(
+            "--demos is about demonstrations that the expert generates, but --data names recorded ones: leave one out."
+        )
+
+
 def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest:
     """Check the options and turn them into a request.
 
@@ -144,6 +167,9 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
     from mjhab.learning.reinforcement.session import ReinforcementRequest
 
     scene = make_scene(options)
+    data: tuple[Path, ...] = getattr(options, "data", ())
+    where: str | None = getattr(options, "where", None)
+    check_data(data, where, demos=None)
     preset = reinforcement_preset(REINFORCEMENT[type(options)], options.preset)
     preset = with_fields(preset, options.set)
     names = ("samples", "worlds", "privileged_critic", "capacity", "demonstrations")
@@ -164,8 +190,8 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
         films=options.films,
         backend=options.backend,
         device=options.device,
-        data=getattr(options, "data", ()),
-        where=getattr(options, "where", None) or "",
+        data=data,
+        where=where or "",
         recompute_rewards=getattr(options, "recompute_rewards", False),
         eval_split=eval_split(options),
     )
@@ -184,6 +210,7 @@ def make_request(options: TrainOptions) -> Request:
     for name in ("worlds", "workers", "demos", "updates"):
         if getattr(options, name) is not None:
             at_least(name, getattr(options, name), 1)
+    check_data(options.data, options.where, options.demos)
     at_least("per-target", options.per_target, 0)
     if options.per_target and not options.data:
         raise UsageError(

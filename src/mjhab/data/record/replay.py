@@ -270,8 +270,28 @@ def render(
         tell: called after every episode.
 
     Raises:
-        UsageError: an episode has no states; ``out`` is among the places.
+        UsageError: an episode has no states; ``out`` is among the places. A new shard is deleted if nothing was drawn.
     """
+    is_new = not request.out.exists()
+    try:
+        return _render(request, make_env, tell)
+    except UsageError:
+        if is_new and _is_empty(request.out):
+            request.out.unlink()
+        raise
+
+
+def _is_empty(shard: Path) -> bool:
+    """Whether a file is a shard without episodes."""
+    if not shard.is_file():
+        return False
+    with open_shard(shard) as opened:
+        return len(opened) == 0
+
+
+def _render(
+    request: RenderRequest, make_env: MakeEnv, tell: Callable[[], object]
+) -> Rendered:
     written = frames = size = present = 0
     out = request.out
     follow = FOLLOW in (request.cameras or ())

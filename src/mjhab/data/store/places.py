@@ -14,8 +14,10 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
     is named twice, or by a link, too, is there once.
 
     Raises:
-        UsageError: a place does not exist, or a folder has no shards.
+        UsageError: no place is given, a place does not exist, or a folder has no shards.
     """
+    if not isinstance(places, Path) and not places:
+        raise UsageError("name shards (*.h5), or folders of shards.")
     found: list[Path] = []
     for place in [places] if isinstance(places, Path) else places:
         if place.is_dir():

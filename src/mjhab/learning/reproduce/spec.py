@@ -31,6 +31,7 @@ from mjhab.learning.reproduce.variants import (
     VARIANTS,
     Variant,
 )
+from mjhab.robots.registry import robot_named
 
 DEFAULT_PRESETS = {STUDENTS: "small"}
 REINFORCEMENT_PRESET = "fast"
@@ -121,10 +122,11 @@ def policy_rows(row: TableRow) -> list[TableRow]:
 
 
 def chosen_rows(spec: TableSpec) -> list[TableRow]:
-    """The requested rows.
+    """The requested rows, each once.
 
     Raises:
         UsageError: a name is unknown, or ``policies`` is not the folder of a reproduction.
+        MjhabError: the robot lacks its files.
     """
     known = known_rows(spec.what)
     chosen_variants(spec)
@@ -147,7 +149,11 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
             raise UsageError(
                 f"--{name} is for {', '.join(STUDIES)}, not for {spec.what}."
             )
-    rows = [known[name] for name in spec.rows or DEFAULT_ROWS.get(spec.what, known)]
+    if spec.robot:
+        # The files of a robot may not be installed.
+        _ = robot_named(spec.robot).body
+    names = spec.rows or DEFAULT_ROWS.get(spec.what, known)
+    rows = [known[name] for name in dict.fromkeys(names)]
     for row in rows:
         for part in policy_rows(row):
             _check_preset(spec, part)

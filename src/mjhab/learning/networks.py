@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
@@ -93,49 +93,58 @@ class CameraEncoder(nn.Module):
         return self.head(self.convolutions(image))
 
 
-class PaperCamera(nn.Module):
+class _PublishedCamera(nn.Module):
+    """Image encoder of MS-HAB: convolutions without padding, and a linear layer.
+
+    Args:
+        frames: channels of an image.
+        size: its width and height [px].
+        layers: (channels, kernel, stride) of every convolution.
+        features: width of the output.
+    """
+
+    def __init__(
+        self,
+        frames: int,
+        size: int,
+        layers: Iterable[tuple[int, int, int]],
+        features: int,
+    ) -> None:
+        super().__init__()
+        made: list[nn.Module] = []
+        before = frames
+        for after, kernel, stride in layers:
+            made += [nn.Conv2d(before, after, kernel, stride), nn.ReLU()]
+            before = after
+            size = (size - kernel) // stride + 1
+        self.convolutions = nn.Sequential(*made, nn.Flatten())
+        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.ReLU())
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.head(self.convolutions(image))
+
+
+class PaperCamera(_PublishedCamera):
     """Image encoder of MS-HAB's BC: k5 s2 three times, k3 s1 twice, a linear layer (mshab/agents/bc/agent.py)."""
 
     def __init__(
         self, frames: int, size: int, channels: Sequence[int], features: int
     ) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        before = frames
-        for number, after in enumerate(channels):
-            kernel, stride = (5, 2) if number < 3 else (3, 1)
-            layers += [nn.Conv2d(before, after, kernel, stride), nn.ReLU()]
-            before = after
-            size = (size - kernel) // stride + 1
-        self.convolutions = nn.Sequential(*layers, nn.Flatten())
-        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.ReLU())
-
-    def forward(self, image: Tensor) -> Tensor:
-        return self.head(self.convolutions(image))
+        layers = [
+            (width, *((5, 2) if number < 3 else (3, 1)))
+            for number, width in enumerate(channels)
+        ]
+        super().__init__(frames, size, layers, features)
 
 
-class NatureCamera(nn.Module):
+class NatureCamera(_PublishedCamera):
     """Image encoder of MS-HAB's PPO: k8 s4, k4 s2, k3 s1, a linear layer (mshab/agents/ppo)."""
-
-    KERNELS_AND_STRIDES = ((8, 4), (4, 2), (3, 1))
 
     def __init__(
         self, frames: int, size: int, channels: Sequence[int], features: int
     ) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        before = frames
-        for (kernel, stride), after in zip(
-            self.KERNELS_AND_STRIDES, channels, strict=True
-        ):
-            layers += [nn.Conv2d(before, after, kernel, stride), nn.ReLU()]
-            before = after
-            size = (size - kernel) // stride + 1
-        self.convolutions = nn.Sequential(*layers, nn.Flatten())
-        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.ReLU())
-
-    def forward(self, image: Tensor) -> Tensor:
-        return self.head(self.convolutions(image))
+        layers = zip(channels, (8, 4, 3), (4, 2, 1), strict=True)
+        super().__init__(frames, size, layers, features)
 
 
 class StridedCamera(nn.Module):

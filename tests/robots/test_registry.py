@@ -264,10 +264,10 @@ def test_a_robot_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def code_lines() -> Iterator[tuple[str, int, str]]:
-    """File, number and text of every line of source outside `robots` and `examples`."""
+    """File, number and text of every line of source outside `robots` and the example of a robot."""
     for file in sorted(SOURCE.rglob("*.py")):
         name = file.relative_to(SOURCE).as_posix()
-        if not name.startswith(("robots/", "examples/")):
+        if not name.startswith(("robots/", "examples/robot/")):
             for number, line in enumerate(
                 file.read_text(encoding="utf-8").splitlines(), 1
             ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -162,3 +163,28 @@ def test_what_is_shipped_is_small_acts_and_says_where_it_learned() -> None:
             assert name in [shipped_kind.file_name(**one) for one in learned]
             assert (scene["profile"], student.layout.profile) == ("ms_hab", "ms_hab")
             assert scene["assets"] == "builtin"
+
+
+def test_the_expert_drives_where_no_student_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shipped_kind, "FOLDER", tmp_path)
+    monkeypatch.setattr(
+        shipped_kind, "build_entries", lambda name, entries, env, options: entries
+    )
+    driving: Any = SimpleNamespace(config=SimpleNamespace(navigate="drive"))
+
+    def drivers() -> list[str]:
+        entries: Any = shipped_kind.build_policy("student:set_table", driving, None)  # pyright: ignore[reportArgumentType]
+        return [entry.checkpoint for entry in entries if entry.subtask == "navigate"]
+
+    def ship(subtask: str) -> str:
+        path = tmp_path / f"set_table.{subtask}.safetensors"
+        scene = {"task": "set_table", "subtask": subtask, "target": ""}
+        save_student(path, make_student(config(), layout()), {"scene": scene})
+        return str(path)
+
+    ship("pick")
+    assert drivers() == ["expert"]
+    shipped = ship("navigate")
+    assert drivers() == [shipped]

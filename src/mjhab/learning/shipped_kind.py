@@ -1,7 +1,8 @@
 """Checkpoints that come with the package: ``--policy student`` of every command. See `evaluation.resolve.PolicyModule`.
 
 `evaluation.resolve.full_spec` adds the subtask to "student", for instance ``student:set_table/close/fridge/top_door``.
-Without a subtask the students of a task's subtasks act in turn; where the robot is not teleported, the expert drives.
+Without a subtask the students of a task's subtasks act in turn; where the robot is not teleported and the task has no
+student of Navigate, the expert drives.
 """
 
 from __future__ import annotations
@@ -130,10 +131,11 @@ def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
     if not subtask:
         entries = shipped_entries(task)
         if cast(Any, env).config.navigate != "teleport":
+            learned = {entry.subtask for entry in entries}
             entries += tuple(
                 Entry(name, "", EXPERT)
                 for name in TASKS[task].subtasks
-                if SUBTASKS[name].navigates
+                if SUBTASKS[name].navigates and name not in learned
             )
         return build_entries(STUDENT, entries, env, options)
     return policy_kind.build_policy(shipped_path(task, subtask, target), env, options)

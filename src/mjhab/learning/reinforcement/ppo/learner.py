@@ -25,9 +25,8 @@ from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
 
 RATE_STEP = 1.5
-LEAST_RATE = 1e-5
 MOST_RATE = 3e-3
-"""Factor and limits of the learning rate that adapts to the KL divergence (the scheme of rsl_rl and rl_games)."""
+"""Factor and upper limit of the learning rate that adapts to the KL divergence (the scheme of rsl_rl and rl_games)."""
 IMITATION_RATE = 1e-3
 """Learning rate at the start of imitation; it falls to zero."""
 IMITATION_HUBER = 0.5
@@ -253,7 +252,9 @@ class PpoLearner:
             self.learning_rate /= RATE_STEP
         elif divergence < 0.5 * wanted:
             self.learning_rate *= RATE_STEP
-        self.learning_rate = min(max(self.learning_rate, LEAST_RATE), MOST_RATE)
+        self.learning_rate = min(
+            max(self.learning_rate, self.config.least_learning_rate), MOST_RATE
+        )
 
     def _imitation_weight(self) -> float:
         """Weight of the imitation loss in this update."""

@@ -34,6 +34,12 @@ def test_fields_that_depend_on_each_other_are_set_in_any_order() -> None:
     for words in (["chunk=1", "execute=1"], ["execute=1", "chunk=1"]):
         student = with_changes(preset, words).student
         assert (student.chunk, student.execute) == (1, 1)
+    polish = reinforcement_preset(PPO, "polish")
+    low = ["ppo.learning_rate=1e-6", "ppo.least_learning_rate=1e-7"]
+    for words in (low, low[::-1]):
+        changed = with_fields(polish, words).ppo
+        assert changed is not None
+        assert (changed.learning_rate, changed.least_learning_rate) == (1e-6, 1e-7)
 
 
 @pytest.mark.parametrize(

@@ -131,6 +131,10 @@ class Layout:
         """Width of the vector of one observation."""
         return sum(width for _, width in self.entries)
 
+    def without_images(self) -> Layout:
+        """The same layout for a network that sees no images."""
+        return replace(self, inputs=replace(self.inputs, cameras=(), image_size=0))
+
     @property
     def state_width(self) -> int:
         """Width of the state vector."""

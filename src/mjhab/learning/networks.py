@@ -274,5 +274,9 @@ class Trunk(nn.Module):
         """Normalizer of the vector input."""
         return self.encoder.normalizer
 
+    def encoded(self, vector: Tensor, images: Tensor) -> Tensor:
+        """Input (B, F) of the fully connected layers."""
+        return self.encoder.joined(vector, images)
+
     def forward(self, vector: Tensor, images: Tensor) -> Tensor:
-        return self.layers(self.encoder.joined(vector, images))
+        return self.layers(self.encoded(vector, images))

@@ -53,6 +53,9 @@ class PpoConfig:
     critic_learning_rate: constant learning rate of the critic; 0 uses that of the actor.
     state_std: the standard deviation depends on the observation instead of being one learned constant.
     critic_updates: number of initial updates that train only the critic, used when the actor is not new.
+    critic_images: whether the critic sees the images, too; without them it needs the privileged inputs.
+    freeze_encoder: the encoder of the student that the run begins from keeps its weights, and encodes every
+    observation once instead of in every epoch. Both make updates from images several times faster.
     demonstrations: number of expert episodes that the actor imitates first, in imitation_updates updates of
     imitation_batch samples. demonstration_style: of the expert in these episodes, see `Styles.parse`; the actor
     imitates the intended actions. imitation_coefficient: weight of the imitation loss in the PPO updates that follow;
@@ -81,6 +84,8 @@ class PpoConfig:
     least_learning_rate: float = 1e-5
     state_std: bool = False
     critic_updates: int = 0
+    critic_images: bool = True
+    freeze_encoder: bool = False
     demonstrations: int = 0
     demonstration_style: tuple[str, ...] = ()
     imitation_updates: int = 3000
@@ -218,6 +223,10 @@ class ReinforcementConfig:
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
         if self.ppo is not None:
+            if not self.ppo.critic_images and not self.privileged_critic:
+                raise UsageError(
+                    "critic_images=false needs the privileged critic: leave out --no-privileged-critic."
+                )
             rows = self.worlds * self.ppo.rollout_steps
             if rows % self.ppo.minibatches:
                 raise UsageError(

@@ -33,9 +33,13 @@ class PaperTrunk(nn.Module):
         """Normalizer of the vector input."""
         return self.encoder.normalizer
 
-    def forward(self, vector: Tensor, images: Tensor) -> Tensor:
+    def encoded(self, vector: Tensor, images: Tensor) -> Tensor:
+        """Input (B, F) of the fully connected layers."""
         features, seen = self.encoder(vector, images)
-        return self.layers(torch.cat([*features, self.state(seen)], dim=1))
+        return torch.cat([*features, self.state(seen)], dim=1)
+
+    def forward(self, vector: Tensor, images: Tensor) -> Tensor:
+        return self.layers(self.encoded(vector, images))
 
 
 class BehaviourCloning(Student):

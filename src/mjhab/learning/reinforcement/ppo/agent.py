@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from mjhab.core.errors import UsageError
 from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Trunk
@@ -31,6 +32,9 @@ class Ppo(nn.Module):
         privileged: width of the input that only the critic receives.
         seed: of the initial weights.
         start: student that initializes the actor; only the first action of its chunk is used.
+
+    Raises:
+        UsageError: ``freeze_encoder`` without ``start``.
     """
 
     def __init__(
@@ -47,20 +51,29 @@ class Ppo(nn.Module):
         actor = start or make_student(config.student, layout, seed)
         assert isinstance(actor, BehaviourCloning)
         self.actor = actor
+        if self.config.freeze_encoder:
+            if start is None:
+                raise UsageError(
+                    "freeze_encoder keeps the weights of a student: give one with --start."
+                )
+            actor.trunk.requires_grad_(False)
+            actor.trunk.layers.requires_grad_(True)
         self.keeps_normalization = start is not None or self.config.demonstrations > 0
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed + 1)
             if start is None:
                 _act_little(self.actor)
-            self.value = Value(config.student, layout, privileged)
+            seen = layout if self.config.critic_images else layout.without_images()
+            self.value = Value(config.student, seen, privileged)
             width = self.actor.trunk.width if self.config.state_std else 0
             self.spread = Spread(width, len(layout.actions), self.config.initial_std)
             if config.network.encoder == "nature" and start is None:
                 _begin_as_published(self.actor, self.value)
 
     def acting_parameters(self) -> list[nn.Parameter]:
-        """Parameters of the policy: its mean and its standard deviation."""
-        return [*self.actor.parameters(), *self.spread.parameters()]
+        """Parameters of the policy that are trained: of its mean and its standard deviation."""
+        every = [*self.actor.parameters(), *self.spread.parameters()]
+        return [parameter for parameter in every if parameter.requires_grad]
 
     def mean(self, seen: Seen) -> Tensor:
         """Means (B, A) of the actions."""
@@ -68,7 +81,15 @@ class Ppo(nn.Module):
 
     def distribution(self, seen: Seen) -> Actions:
         """Distribution of the actions given observations."""
-        features = self.actor.trunk(seen.vector, seen.images)
+        return self.distribution_of(self.encoded(seen))
+
+    def encoded(self, seen: Seen) -> Tensor:
+        """What the actor's encoder makes of observations, (B, F)."""
+        return self.actor.trunk.encoded(seen.vector, seen.images)
+
+    def distribution_of(self, encoded: Tensor) -> Actions:
+        """Distribution of the actions given encoded observations (B, F)."""
+        features = self.actor.trunk.layers(encoded)
         mean = self.actor.chunk_of(features)[:, 0]
         return Actions(mean, self.spread(features).expand_as(mean))
 

@@ -43,6 +43,7 @@ class Rollout:
 
     seen: observations. actions (N, A). log_probabilities (N,): of the actions under the policy that took them.
     stds (N, A): standard deviations of that policy. advantages (N,). returns (N,): targets of the critic.
+    encoded (N, F): observations as the actor's encoder sees them, None if the encoder is trained.
     """
 
     seen: Seen
@@ -51,6 +52,7 @@ class Rollout:
     stds: Tensor
     advantages: Tensor
     returns: Tensor
+    encoded: Tensor | None = None
 
 
 class PpoLearner:
@@ -99,11 +101,13 @@ class PpoLearner:
         actions: list[Tensor] = []
         densities: list[Tensor] = []
         stds: list[Tensor] = []
+        encoded: list[Tensor] = []
         transitions: list[Transition] = []
         with torch.no_grad():
             for _ in range(self.config.rollout_steps):
                 seen = self.worlds.seen
-                drawn = agent.distribution(seen)
+                encoded.append(agent.encoded(seen))
+                drawn = agent.distribution_of(encoded[-1])
                 action = drawn.sample(random)
                 rows.append(seen)
                 actions.append(action)
@@ -121,6 +125,7 @@ class PpoLearner:
             torch.cat(stds),
             gains.flatten(),
             (gains + outcomes.values).flatten(),
+            torch.cat(encoded) if self.config.freeze_encoder else None,
         )
         return rollout, transitions
 
@@ -274,7 +279,10 @@ class PpoLearner:
         config = self.config
         agent = self.agent
         seen = rollout.seen.rows(rows)
-        drawn = agent.distribution(seen)
+        encoded = (
+            agent.encoded(seen) if rollout.encoded is None else rollout.encoded[rows]
+        )
+        drawn = agent.distribution_of(encoded)
         density = drawn.log_probability(rollout.actions[rows])
         logarithm = density - rollout.log_probabilities[rows]
         ratio = logarithm.exp()

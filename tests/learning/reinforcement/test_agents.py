@@ -276,6 +276,66 @@ def test_the_spread_depends_on_what_is_seen() -> None:
     )
 
 
+class ToyInPictures(Toy):
+    """The toy with a camera; the pictures are the same everywhere."""
+
+    def _obs(self) -> dict:
+        picture = np.full((self.num_envs, 16, 16, 1), 800, np.int16)
+        return super()._obs() | {"sensor_data/fetch_head/depth": picture}
+
+
+def in_pictures(**changes: object) -> tuple[PpoLearner, Ppo]:
+    """An agent that begins from a student with a camera, and its learner."""
+    inputs = dataclasses.replace(PPO_TOY.inputs, cameras=("fetch_head",), image_size=16)
+    network = dataclasses.replace(PPO_TOY.network, channels=(4, 8), image_features=8)
+    config = dataclasses.replace(
+        changed(PPO_TOY, changes), inputs=inputs, network=network
+    )
+    told = dataclasses.replace(LAYOUT, inputs=inputs)
+    sight = Sight(ToyInPictures(WORLDS), told, True)
+    place = Worlds(sight._env, sight, 0)
+    start = make_student(config.student, told, 3)
+    agent = Ppo(config, told, sight.privileged_width, 0, start)
+    return PpoLearner(agent, place, config, seed=0), agent
+
+
+def test_a_frozen_encoder_keeps_its_weights_and_changes_no_number() -> None:
+    rollouts = []
+    for frozen in (False, True):
+        learner, agent = in_pictures(freeze_encoder=frozen)
+        encoder = [value.clone() for value in agent.actor.trunk.encoder.parameters()]
+        layers = [value.clone() for value in agent.actor.trunk.layers.parameters()]
+        rollout, _ = learner.collect()
+        rollouts.append(rollout)
+        learner.update(rollout, 0.0)
+        kept = map(torch.equal, encoder, agent.actor.trunk.encoder.parameters())
+        assert all(kept) == frozen
+        assert not all(map(torch.equal, layers, agent.actor.trunk.layers.parameters()))
+    free, kept = rollouts
+    assert free.encoded is None and kept.encoded is not None
+    assert torch.equal(free.actions, kept.actions)
+    assert torch.allclose(kept.encoded, agent.encoded(kept.seen), atol=1e-6)
+
+
+def test_a_frozen_encoder_needs_a_student() -> None:
+    config = changed(PPO_TOY, {"freeze_encoder": True})
+    with pytest.raises(UsageError, match="give one with --start"):
+        Ppo(config, LAYOUT, 0, seed=0)
+
+
+def test_a_critic_without_images_sees_the_rest() -> None:
+    learner, agent = in_pictures(critic_images=False)
+    assert agent.value.encoder.cameras == 0 and agent.actor.trunk.encoder.cameras == 1
+    seen = learner.worlds.seen
+    values = agent.value(seen)
+    other = dataclasses.replace(seen, images=255 - seen.images)
+    assert torch.equal(values, agent.value(other))
+    nearer = dataclasses.replace(seen, privileged=seen.privileged + 1.0)
+    assert not torch.equal(values, agent.value(nearer))
+    with pytest.raises(UsageError, match="critic_images=false needs the privileged"):
+        dataclasses.replace(learner.run, privileged_critic=False)
+
+
 def test_the_learning_rate_follows_the_divergence() -> None:
     rates = []
     for wanted, least in ((1e-6, 1e-5), (1e-6, 3e-3), (10.0, 1e-5), (0.0, 1e-5)):

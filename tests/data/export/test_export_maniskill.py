@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from mjhab.core.errors import UsageError
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
@@ -68,6 +69,28 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
         )
         for number, episode in enumerate(episodes(source / "picks.h5")):
             check(file[f"traj_{number}"], episode, number, said["episodes"][number])
+
+
+def test_overwrite_replaces_exports_alone(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "runs"
+    shards = out / "set_table/pick"
+    shards.mkdir(parents=True)
+    record(shards / "024_bowl.h5", range(1), FakeEnv(subtask="pick"))
+    before = (shards / "024_bowl.h5").read_bytes()
+    for place in (source, out):
+        with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
+            to_maniskill(place, out, overwrite=True)
+    # Data of MS-HAB itself have a JSON file beside them, too.
+    (shards / "024_bowl.json").write_text('{"source_type": "rl"}')
+    with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
+        to_maniskill(source, out, overwrite=True)
+    assert (shards / "024_bowl.h5").read_bytes() == before
+    (out / "set_table").rename(tmp_path / "set_table")
+    (out / "notes").mkdir()
+    with pytest.raises(UsageError, match="no trajectory files"):
+        to_maniskill(source, out, overwrite=True)
+    to_maniskill(source, tmp_path / "out")
+    assert to_maniskill(source, tmp_path / "out", overwrite=True).episodes == 6
 
 
 def check(

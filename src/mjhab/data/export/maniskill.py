@@ -19,6 +19,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.folders import Target, whole_folder
@@ -86,7 +88,7 @@ def export_maniskill(
     after = begin(len(found.matched)) if begin else None
     without = 0
     files = dict[Path, _File]()
-    target = Target(request.out, "*/*/*.h5", request.overwrite, request.resume)
+    target = Target(request.out, _foreign, request.overwrite, request.resume)
     until = until or Until()
     job = {"format": "maniskill", "episodes": found.fingerprint, "until": until.text}
     frames = 0
@@ -115,6 +117,28 @@ def place_of(record: EpisodeRecord) -> Path:
         return Path(record.task, CHAIN, "all.h5")
     target = target_of(record)
     return Path(record.task, record.subtask, f"{target.rpartition('/')[0] or target}.h5")
+
+
+def _foreign(folder: Path) -> str:
+    """Why a folder is not an export of `export_maniskill`; "" if it is one.
+
+    Shards and MS-HAB's own data may lie in the same folders under the same names.
+    """
+    files = sorted(folder.rglob("*.h5"))
+    others = (path for path in files if not _is_exported(path))
+    other = next(others, None)
+    if other is not None:
+        return f"{other.relative_to(folder)} is not of one"
+    return "" if files else "no trajectory files"
+
+
+def _is_exported(path: Path) -> bool:
+    """Whether the JSON file beside an HDF5 file describes it as a trajectory file of mjhab."""
+    try:
+        told = read_json_object(path.with_suffix(".json"))
+    except UsageError:
+        return False
+    return told.get("source_type") == SOURCE_TYPE
 
 
 class _File:

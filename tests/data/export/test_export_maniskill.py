@@ -13,6 +13,8 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.data.export.conventions import CONVENTIONS
+from mjhab.data.imports.ms_hab import import_ms_hab
+from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import RecordedEpisode
@@ -69,6 +71,29 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
         )
         for number, episode in enumerate(episodes(source / "picks.h5")):
             check(file[f"traj_{number}"], episode, number, said["episodes"][number])
+
+
+def test_metadata_end_with_the_exported_part(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = 7
+    monkeypatch.setattr(Until, "steps", lambda self, success: kept)
+    done = to_maniskill(source / "picks.h5", tmp_path / "out", until=Until(2))
+    told = json.loads(done.files[0].with_suffix(".json").read_text())["episodes"]
+    imported = import_ms_hab(done.files[0], tmp_path / "imported")
+    whole = list(episodes(source / "picks.h5"))
+    assert any(episode.record.success_at_end for episode in whole)
+    for each, before, after in zip(told, whole, episodes(imported.shard), strict=True):
+        assert each["elapsed_steps"] == after.steps == kept < before.steps
+        old = before.record
+        new = after.record
+        assert len(old.events) > len(new.events)
+        assert new.events == tuple(event for event in old.events if event[0] <= kept)
+        assert new.force == pytest.approx(old.force[:kept], abs=0.1)
+        assert not each["success_once"] and not each["success_at_end"]
+        assert (each["fail"], each["ending"]) == (False, "cut")
+        assert each["label"] == old.subtasks[-1].label
+        assert not after.terminated
 
 
 def test_overwrite_replaces_exports_alone(source: Path, tmp_path: Path) -> None:

@@ -259,7 +259,9 @@ def _observations(
 
 
 def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str, Any]:
+    """Metadata of the first ``steps`` control steps of an episode; labels are those of all of it."""
     record = episode.record
+    events = [event for event in record.events if event[0] <= steps]
     link = target_of(record).rpartition("/")[0]
     return {
         "episode_id": number,
@@ -290,13 +292,25 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
         else record.plan[0].target,
         "split": record.split,
         "ending": str(episode.attributes["ending"]),
-        "events": to_events(record.subtask, record.events)
+        "events": to_events(record.subtask, events)
         if record.subtask
-        else [name for _, name in record.events],
-        "events_verbose": to_verbose(record.events, record.force),
+        else [name for _, name in events],
+        "events_verbose": to_verbose(events, record.force[:steps]),
         "articulation_type": link or None,
         "reset_kwargs": {},
         "success_once": record.success_once,
         "success_at_end": record.success_at_end,
         "fail": record.fail,
+        **(_outcome_at(episode, steps) if steps < episode.steps else {}),
+    }
+
+
+def _outcome_at(episode: RecordedEpisode, steps: int) -> dict[str, Any]:
+    """Outcome of an episode that is cut after ``steps`` control steps."""
+    success = episode.array("reward/success")[:steps].astype(bool)
+    return {
+        "ending": "cut",
+        "success_once": bool(success.any()),
+        "success_at_end": bool(success[-1]),
+        "fail": bool(episode.array("reward/fail")[steps - 1]),
     }

@@ -17,6 +17,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
 from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import merge
 from mjhab.data.store.checking import check
 from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
@@ -288,6 +289,25 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
             3,
             3,
         )
+
+
+def test_a_shard_is_continued_with_the_same_images_alone(
+    recorded: Path, env: Any, tmp_path: Path
+) -> None:
+    out = tmp_path / "head.h5"
+    first = Filter("index == 0")
+    render(RenderRequest(recorded, out, PNG, ["fetch_head"], first), given(env))
+    before = out.read_bytes()
+    with pytest.raises(UsageError, match=r"head\.h5 .* with other images .*cameras"):
+        render(RenderRequest(recorded, out, PNG, ["fetch_hand"]), given(env))
+    assert out.read_bytes() == before
+    done = render(RenderRequest(recorded, out, PNG, ["fetch_head"]), given(env))
+    assert (done.episodes, done.present) == (2, 1)
+    # Episodes that were never drawn, such as merged ones, are not taken for drawn ones.
+    copy = tmp_path / "copy.h5"
+    merge([recorded], copy)
+    with pytest.raises(UsageError, match="with other images"):
+        render(RenderRequest(recorded, copy, PNG, ["fetch_head"]), given(env))
 
 
 def test_what_is_replayed_is_never_written(recorded: Path, env: Any) -> None:

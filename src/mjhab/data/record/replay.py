@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -270,7 +271,8 @@ def render(
         tell: called after every episode.
 
     Raises:
-        UsageError: an episode has no states; ``out`` is among the places. A new shard is deleted if nothing was drawn.
+        UsageError: an episode has no states; ``out`` is among the places, or has an episode with other images. A new
+            shard is deleted if nothing was drawn.
     """
     is_new = not request.out.exists()
     try:
@@ -295,6 +297,7 @@ def _render(
     written = frames = size = present = 0
     out = request.out
     follow = FOLLOW in (request.cameras or ())
+    before = _rendered_options(out)
     with ShardWriter(out) as writer:
         for env, batch in _batches(request.places, make_env, request.where):
             for episode in batch:
@@ -302,20 +305,55 @@ def _render(
                     raise UsageError(
                         f"--out {out} is one of the shards to replay; give a new file."
                     )
+                cameras = (
+                    env.observer.cameras if request.cameras is None else request.cameras
+                )
                 if episode.name in writer.names:
+                    wanted = _view_options(env, cameras)
+                    _refuse_others(out, before.get(episode.name, wanted), wanted)
                     present += 1
                 else:
                     drawn = _draw(env, episode, follow, request.images)
-                    cameras = (
-                        env.observer.cameras
-                        if request.cameras is None
-                        else request.cameras
-                    )
                     size += writer.append(_with_images(episode, drawn, env, cameras))
                     written += 1
                     frames = frames + episode.steps + 1
                 tell()
     return Rendered(written, frames, size, present)
+
+
+def _rendered_options(shard: Path) -> dict[str, Mapping[str, Any]]:
+    """How the images of every episode of a shard were rendered; empty if they were not, or there is no shard."""
+    if not shard.exists():
+        return {}
+    with open_shard(shard) as opened:
+        return {
+            episode.name: episode.run.options.get("rendered", {}) for episode in opened
+        }
+
+
+def _view_options(env: RecordedEnv, cameras: Sequence[str]) -> dict[str, Any]:
+    """Options that determine the rendered images, as JSON data."""
+    return {
+        "obs_mode": "+".join(env.observer.outputs) or "state",
+        "cameras": list(cameras),
+        "camera_size": list(env.observer.size),
+    }
+
+
+def _refuse_others(
+    out: Path, rendered: Mapping[str, Any], wanted: Mapping[str, Any]
+) -> None:
+    """Refuse to continue a shard whose images were rendered otherwise.
+
+    Raises:
+        UsageError: names the options that differ.
+    """
+    other = [name for name in wanted if rendered.get(name) != wanted[name]]
+    if other:
+        raise UsageError(
+            f"{out} has episodes with other images (their {', '.join(other)}); give the options that it was made "
+            "with, or a new file as --out."
+        )
 
 
 def _draw(
@@ -391,12 +429,8 @@ def _with_images(
             }
     arrays |= drawn
     columns = {path: _columns(episode, path) for path in arrays if path in episode.paths}
-    seen = {
-        "obs_mode": "+".join(env.observer.outputs) or "state",
-        "cameras": list(cameras),
-        "camera_size": list(size),
-    }
-    options = {**episode.run.options, "rendered": {**seen, "mjhab": __version__}}
+    rendered = {**_view_options(env, cameras), "mjhab": __version__}
+    options = {**episode.run.options, "rendered": rendered}
     layout = {**episode.run.layout, **describe_views(env.observer)}
     run = dataclasses.replace(episode.run, options=options, layout=layout)
     attributes = episode.attributes

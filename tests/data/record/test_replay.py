@@ -284,6 +284,11 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
             and episode.frame(FOLLOW, "rgb", 0).std() > 5
         )
         assert episode.frame("fetch_hand", "rgb", 0).shape == (SIZE, SIZE, 3)
+        calibration = episode.run.layout["cameras"]
+        assert {name: each["size"] for name, each in calibration.items()} == {
+            head: [24, 32],
+            hand: [SIZE, SIZE],
+        }
         assert episode.array("obs/sensor_param/fetch_head/intrinsic_cv").shape == (
             STEPS + 1,
             3,

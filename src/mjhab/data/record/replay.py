@@ -432,6 +432,9 @@ def _with_images(
     rendered = {**_view_options(env, cameras), "mjhab": __version__}
     options = {**episode.run.options, "rendered": rendered}
     layout = {**episode.run.layout, **describe_views(env.observer)}
+    if "cameras" in episode.run.layout:
+        # Cameras whose images are kept keep their calibration.
+        layout["cameras"] = {**episode.run.layout["cameras"], **layout["cameras"]}
     run = dataclasses.replace(episode.run, options=options, layout=layout)
     attributes = episode.attributes
     try:

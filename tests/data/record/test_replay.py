@@ -296,6 +296,16 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
         )
 
 
+def test_a_replay_of_nothing_is_refused(recorded: Path, env: Any, tmp_path: Path) -> None:
+    nothing = Filter("index > 100")
+    with pytest.raises(UsageError, match="no episode passes"):
+        verify(recorded, given(env), nothing)
+    out = tmp_path / "none.h5"
+    with pytest.raises(UsageError, match="no episode passes"):
+        render(RenderRequest(recorded, out, PNG, ["fetch_head"], nothing), given(env))
+    assert not out.exists()
+
+
 def test_a_shard_is_continued_with_the_same_images_alone(
     recorded: Path, env: Any, tmp_path: Path
 ) -> None:

@@ -17,6 +17,7 @@ from mjhab.core.version import __version__
 from mjhab.data.record.provenance import describe_views, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import nothing_passes
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
@@ -75,6 +76,7 @@ def verify(
         tell: called after every episode.
 
     Raises:
+        UsageError: no episode passes the filter.
         UsageError, DamagedError: see ``open_shard``.
     """
     found = Verified()
@@ -99,7 +101,11 @@ def verify(
 def _batches(
     places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None
 ) -> Iterator[tuple[RecordedEnv, list[RecordedEpisode]]]:
-    """Batches of an environment and episodes of one shard and config, at most as many as it has worlds."""
+    """Batches of an environment and episodes of one shard and config, at most as many as it has worlds.
+
+    Raises:
+        UsageError: no episode passes the filter.
+    """
     envs: dict[str, RecordedEnv] = {}
     for path in shard_paths(places):
         # Episodes are read faster while their shard is open.
@@ -115,6 +121,8 @@ def _batches(
                 worlds = envs[name].num_envs
                 for start in range(0, len(members), worlds):
                     yield envs[name], members[start : start + worlds]
+    if not envs:
+        raise nothing_passes()
 
 
 def require_states(members: Sequence[RecordedEpisode]) -> None:
@@ -271,8 +279,8 @@ def render(
         tell: called after every episode.
 
     Raises:
-        UsageError: an episode has no states; ``out`` is among the places, or has an episode with other images. A new
-            shard is deleted if nothing was drawn.
+        UsageError: no episode passes the filter; an episode has no states; ``out`` is among the places, or has an
+            episode with other images. A new shard is deleted if nothing was drawn.
     """
     is_new = not request.out.exists()
     try:

@@ -328,6 +328,11 @@ def test_a_shard_is_continued_with_the_same_images_alone(
 def test_what_is_replayed_is_never_written(recorded: Path, env: Any) -> None:
     with pytest.raises(UsageError, match="one of the shards to replay"):
         render(RenderRequest(recorded, recorded, PNG, ["fetch_head"]), given(env))
+    inside = recorded.parent / "drawn" / "head.h5"
+    request = RenderRequest(recorded.parent, inside, PNG, ["fetch_head"])
+    with pytest.raises(UsageError, match="would then be there twice"):
+        render(request, given(env))
+    assert not inside.parent.exists()
 
 
 def test_training_environments_are_built_again(

@@ -17,7 +17,7 @@ from mjhab.core.version import __version__
 from mjhab.data.record.provenance import describe_views, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
-from mjhab.data.select.sets import nothing_passes
+from mjhab.data.select.sets import check_outside, nothing_passes
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
@@ -279,9 +279,10 @@ def render(
         tell: called after every episode.
 
     Raises:
-        UsageError: no episode passes the filter; an episode has no states; ``out`` is among the places, or has an
-            episode with other images. A new shard is deleted if nothing was drawn.
+        UsageError: no episode passes the filter; an episode has no states; ``out`` is or lies in one of the places, or
+            has an episode with other images. A new shard is deleted if nothing was drawn.
     """
+    check_outside(request.places, request.out)
     is_new = not request.out.exists()
     try:
         return _render(request, make_env, tell)

@@ -102,9 +102,12 @@ def test_overwrite_replaces_exports_alone(source: Path, tmp_path: Path) -> None:
     shards.mkdir(parents=True)
     record(shards / "024_bowl.h5", range(1), FakeEnv(subtask="pick"))
     before = (shards / "024_bowl.h5").read_bytes()
-    for place in (source, out):
-        with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
-            to_maniskill(place, out, overwrite=True)
+    with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
+        to_maniskill(source, out, overwrite=True)
+    for inside in (out, out / "set"):
+        with pytest.raises(UsageError, match="is read as a shard"):
+            to_maniskill(out, inside, overwrite=True)
+    assert [path.name for path in out.iterdir()] == ["set_table"]
     # Data of MS-HAB itself have a JSON file beside them, too.
     (shards / "024_bowl.json").write_text('{"source_type": "rl"}')
     with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):

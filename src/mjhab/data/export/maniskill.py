@@ -36,7 +36,7 @@ from mjhab.data.imports.ms_hab_layout import (
 )
 from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
 from mjhab.data.select.facts import target_of
-from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.select.sets import check_outside, nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
@@ -79,9 +79,10 @@ def export_maniskill(
         begin: called with the number of episodes; returns a function that is called after each episode.
 
     Raises:
-        UsageError, StorageError: no episode passes; see ``whole_folder``.
+        UsageError, StorageError: no episode passes; the folder lies in a source; see ``whole_folder``.
         DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
+    check_outside(request.places, request.out)
     found = select(request.places, request.where)
     if not found.matched:
         raise nothing_passes()

@@ -191,7 +191,7 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
 
 
 def check_outside(places: Path | Sequence[Path], out: Path) -> None:
-    """Refuse a shard below a source: later commands would count its episodes twice.
+    """Refuse to write HDF5 files below a source: later commands would read them as shards of it.
 
     Raises:
         UsageError: names both.
@@ -199,7 +199,7 @@ def check_outside(places: Path | Sequence[Path], out: Path) -> None:
     for place in [places] if isinstance(places, Path) else places:
         if place.is_dir() and out.resolve().is_relative_to(place.resolve()):
             raise UsageError(
-                f"--out {out} lies in {place}, whose episodes would then be there twice; give a place beside it."
+                f"--out {out} lies in {place}, of which every *.h5 is read as a shard; give a place beside it."
             )
 
 

@@ -202,6 +202,7 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--out", str(tmp_path / "new"))
+    shard = ("--out", str(tmp_path / "new.h5"))
     for args, words in (
         (("generate", "--subtask", "pick", *out), "the number of episodes is missing"),
         (
@@ -240,14 +241,15 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
             "one of the shards",
         ),
         (("replay", "--verify"), "name shards"),
-        (("replay", str(made), "--render", "dept", *out), "Did you mean 'depth'"),
+        (("replay", str(made), "--render", "depth", *out), "must end with .h5"),
+        (("replay", str(made), "--render", "dept", *shard), "Did you mean 'depth'"),
         (
-            ("replay", str(made), "--render", "depth", "--cameras", "follow", *out),
+            ("replay", str(made), "--render", "depth", "--cameras", "follow", *shard),
             "colour only",
         ),
     ):
         assert words in refused(capsys, *args), args
-    assert not (tmp_path / "new").exists()
+    assert not list(tmp_path.glob("new*"))
 
 
 def test_a_quota_that_was_not_filled_fails(

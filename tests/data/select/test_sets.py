@@ -290,6 +290,16 @@ def test_no_shards_at_all_are_refused(
     assert not new.exists()
 
 
+@pytest.mark.parametrize("out", ["merged", "folder"])
+def test_merge_takes_names_that_are_found_in_a_folder(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str
+) -> None:
+    (tmp_path / "folder").mkdir()
+    assert main(["data", "merge", str(folder), "--out", str(tmp_path / out)]) == 2
+    assert "--out" in capsys.readouterr().err
+    assert not (tmp_path / "merged").exists() and not list(tmp_path.rglob("*.lock"))
+
+
 def test_damage_fails_the_check_and_is_repaired(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import imageio_ffmpeg
 import numpy as np
 import pytest
 
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.render.film import FilmWriter, write_film
+from mjhab.render.film import FilmWriter, join_films, write_film
 
 
 def decode(path):
@@ -49,6 +51,15 @@ def test_the_index_comes_first_so_that_browsers_can_start_early(tmp_path):
     write_film(tmp_path / "a.mp4", frames(4, 32, 32))
     data = (tmp_path / "a.mp4").read_bytes()
     assert data.index(b"moov") < data.index(b"mdat")
+
+
+def test_a_colon_in_a_relative_path_is_no_protocol(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    parts = [Path("12:30/a.mp4"), Path("12:30/b's.mp4")]
+    for part in parts:
+        write_film(part, frames(3, 32, 32))
+    join_films(parts, Path("12:30.mp4"))
+    assert len(decode(tmp_path / "12:30.mp4")[0]) == 6
 
 
 def test_an_error_leaves_no_file(tmp_path):

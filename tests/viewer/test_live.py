@@ -190,6 +190,26 @@ def test_the_same_episode_of_a_policy_is_kept_once(tmp_path: Path) -> None:
         assert episode.run.policy == "zero"
 
 
+def test_an_early_end_does_not_take_the_place_of_the_whole_episode(
+    tmp_path: Path,
+) -> None:
+    shard = tmp_path / "early.h5"
+    with session(shard=shard, playing=False) as made:
+        until(lambda: made.track is not None, 20.0)
+        made.finish_episode()
+        until(lambda: is_over(made), 20.0)
+        made.restart()
+        until(lambda: steps(made) == HORIZON and is_over(made), 20.0)
+        assert made.recording.startswith("2 episodes")
+    with open_shard(shard) as opened:
+        found = {str(e.attributes["ending"]): e for e in opened}
+        assert set(found) == {"cut", "timeout"}
+        assert {e.record.index for e in opened} == {0}
+        assert {e.run.policy for e in opened} == {"random"}
+        assert "take" in found["cut"].run.config["policy"]
+        assert "take" not in found["timeout"].run.config["policy"]
+
+
 def test_another_policy_acts_without_a_new_episode() -> None:
     with session("zero", playing=False) as made:
         until_step(made, 0)

@@ -230,7 +230,8 @@ class GeneratedData:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Counts as JSON data; ``written`` and ``episodes_per_hour`` are those of this run, the others totals."""
+        """Counts as JSON data; ``written``, ``errors`` (episodes that the policy could not finish) and
+        ``episodes_per_hour`` are those of this run, the others totals."""
         done = self.standing
         return {
             "written": done.written,
@@ -240,6 +241,7 @@ class GeneratedData:
             "bytes_per_episode": round(done.bytes / done.kept) if done.kept else 0,
             "tried": done.tried,
             "yield": round(done.passed / done.tried, 4) if done.tried else 0.0,
+            "errors": sum(done.errors.values()),
             "seconds": round(self.seconds, 1),
         }
 

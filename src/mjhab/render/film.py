@@ -157,10 +157,15 @@ class FilmWriter:
         ]
         if self.keyframes:
             command += ["-g", str(self.keyframes), "-bf", "0"]
-        command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(self._part)]
+        command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", _url(self._part)]
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log
         )
+
+
+def _url(path: Path) -> str:
+    """A file for ffmpeg, which takes what stands before a colon in a name for a protocol."""
+    return f"file:{path}"
 
 
 def join_films(parts: Sequence[Path], path: Path) -> None:
@@ -175,7 +180,7 @@ def join_films(parts: Sequence[Path], path: Path) -> None:
     """
     import imageio_ffmpeg
 
-    quoted = (f"file:{part.resolve()}".replace("'", r"'\''") for part in parts)
+    quoted = (_url(part.resolve()).replace("'", r"'\''") for part in parts)
     listed = "".join(f"file '{name}'\n" for name in quoted)
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
     command += [
@@ -188,7 +193,7 @@ def join_films(parts: Sequence[Path], path: Path) -> None:
         "-i",
         "pipe:0",
     ]
-    command += ["-c", "copy", "-movflags", "+faststart", str(path)]
+    command += ["-c", "copy", "-movflags", "+faststart", _url(path)]
     done = subprocess.run(command, input=listed.encode(), capture_output=True)
     if done.returncode != 0:
         tail = done.stderr.decode(errors="replace").strip()[-400:]

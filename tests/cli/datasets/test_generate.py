@@ -80,6 +80,29 @@ def test_generate_tells_machines_what_it_made(
         assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
 
 
+def test_episodes_that_the_policy_cannot_finish_end_with_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\n"
+        "class Mine:\n"
+        "    name = 'mine'\n"
+        "    def __init__(self, env): self.shape = (env.num_envs, 13)\n"
+        "    def reset(self, mask): pass\n"
+        "    def act(self, obs, info): return np.zeros(self.shape, np.float32)\n"
+        "    def fault(self, world): return 'no answer within 30 s'\n"
+    )
+    policy = ("--policy", f"{tmp_path}/mine.py:Mine")
+    out = tmp_path / "set"
+    words = (*COMMAND, *policy, "--out", str(out))
+    assert main([*words, "--json"]) == 1
+    told = capsys.readouterr()
+    found = json.loads(told.out)
+    assert (found["kept"], found["tried"], found["errors"]) == (0, 2, 2)
+    assert "could not finish 2 episodes" in told.err and "no answer within" in told.err
+    assert not (out / "tried.jsonl").exists()
+
+
 def test_the_library_function_goes_on_with_what_the_command_began(
     made: Path, tmp_path: Path
 ) -> None:
@@ -179,6 +202,7 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = ("--out", str(tmp_path / "new"))
+    shard = ("--out", str(tmp_path / "new.h5"))
     for args, words in (
         (("generate", "--subtask", "pick", *out), "the number of episodes is missing"),
         (
@@ -217,14 +241,15 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
             "one of the shards",
         ),
         (("replay", "--verify"), "name shards"),
-        (("replay", str(made), "--render", "dept", *out), "Did you mean 'depth'"),
+        (("replay", str(made), "--render", "depth", *out), "must end with .h5"),
+        (("replay", str(made), "--render", "dept", *shard), "Did you mean 'depth'"),
         (
-            ("replay", str(made), "--render", "depth", "--cameras", "follow", *out),
+            ("replay", str(made), "--render", "depth", "--cameras", "follow", *shard),
             "colour only",
         ),
     ):
         assert words in refused(capsys, *args), args
-    assert not (tmp_path / "new").exists()
+    assert not list(tmp_path.glob("new*"))
 
 
 def test_a_quota_that_was_not_filled_fails(

@@ -52,6 +52,16 @@ def test_they_are_copied_once_and_nothing_of_the_user_is_overwritten(
     assert not (out / "control_mode.py").exists()
 
 
+def test_commands_are_for_a_shell_whatever_the_folder_is_called(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "my examples"
+    assert main(["examples", "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    words = shlex.split(told["commands"]["robot"])
+    assert words[:2] == [f"MJHAB_PLUGINS={out}/robot/boxy.py", "mjhab"]
+
+
 def test_a_full_disk_is_told_with_the_file_that_cannot_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,10 @@ import h5py
 import numpy as np
 import pytest
 
+from mjhab.core.errors import UsageError
 from mjhab.data.export.conventions import CONVENTIONS
+from mjhab.data.imports.ms_hab import import_ms_hab
+from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import RecordedEpisode
@@ -68,6 +71,54 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
         )
         for number, episode in enumerate(episodes(source / "picks.h5")):
             check(file[f"traj_{number}"], episode, number, said["episodes"][number])
+
+
+def test_metadata_end_with_the_exported_part(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = 7
+    monkeypatch.setattr(Until, "steps", lambda self, success: kept)
+    done = to_maniskill(source / "picks.h5", tmp_path / "out", until=Until(2))
+    told = json.loads(done.files[0].with_suffix(".json").read_text())["episodes"]
+    imported = import_ms_hab(done.files[0], tmp_path / "imported")
+    whole = list(episodes(source / "picks.h5"))
+    assert any(episode.record.success_at_end for episode in whole)
+    for each, before, after in zip(told, whole, episodes(imported.shard), strict=True):
+        assert each["elapsed_steps"] == after.steps == kept < before.steps
+        old = before.record
+        new = after.record
+        assert len(old.events) > len(new.events)
+        assert new.events == tuple(event for event in old.events if event[0] <= kept)
+        assert new.force == pytest.approx(old.force[:kept], abs=0.1)
+        assert not each["success_once"] and not each["success_at_end"]
+        assert (each["fail"], each["ending"]) == (False, "cut")
+        assert each["label"] == old.subtasks[-1].label
+        assert not after.terminated
+
+
+def test_overwrite_replaces_exports_alone(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "runs"
+    shards = out / "set_table/pick"
+    shards.mkdir(parents=True)
+    record(shards / "024_bowl.h5", range(1), FakeEnv(subtask="pick"))
+    before = (shards / "024_bowl.h5").read_bytes()
+    with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
+        to_maniskill(source, out, overwrite=True)
+    for inside in (out, out / "set"):
+        with pytest.raises(UsageError, match="is read as a shard"):
+            to_maniskill(out, inside, overwrite=True)
+    assert [path.name for path in out.iterdir()] == ["set_table"]
+    # Data of MS-HAB itself have a JSON file beside them, too.
+    (shards / "024_bowl.json").write_text('{"source_type": "rl"}')
+    with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
+        to_maniskill(source, out, overwrite=True)
+    assert (shards / "024_bowl.h5").read_bytes() == before
+    (out / "set_table").rename(tmp_path / "set_table")
+    (out / "notes").mkdir()
+    with pytest.raises(UsageError, match="no trajectory files"):
+        to_maniskill(source, out, overwrite=True)
+    to_maniskill(source, tmp_path / "out")
+    assert to_maniskill(source, tmp_path / "out", overwrite=True).episodes == 6
 
 
 def check(

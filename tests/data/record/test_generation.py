@@ -9,16 +9,20 @@ import os
 import random
 import signal
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.data.record.crew import ProcessCrew
-from mjhab.data.record.generation import CONFIG, TRIED, Standing, generate
+from mjhab.data.record.crew import ProcessCrew, Stage
+from mjhab.data.record.generation import CONFIG, TRIED, Job, Standing, generate
 from mjhab.data.store.checking import check
 from mjhab.data.store.shard import ShardWriter, StorageError
+from mjhab.rollout.policy import RandomPolicy
 from tests.data.record.crews import KEEP, InlineCrew, after, build, job, kept
 
 COUNT = 16
@@ -132,6 +136,72 @@ def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) ->
         resume=True,
     )
     assert again.tried == 12 and len((tmp_path / TRIED).read_text().splitlines()) == 12
+
+
+class FailingPolicy(RandomPolicy):
+    """Ends every third episode with an error until ``works`` is set."""
+
+    works = False
+
+    def __init__(self) -> None:
+        super().__init__(0)
+        self.indices: list[int] = []
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        self.indices = [spec["index"] for spec in info["episode_spec"]]
+        return super().act(obs, info)
+
+    def fault(self, world: int) -> str:
+        fails = not self.works and self.indices[world] % 3 == 0
+        return "no answer within 30 s" if fails else ""
+
+
+class OncePolicy(FailingPolicy):
+    """Ends every episode with an error that another worker has begun before."""
+
+    owners: ClassVar[dict[int, FailingPolicy]] = {}
+
+    def fault(self, world: int) -> str:
+        owner = self.owners.setdefault(self.indices[world], self)
+        return "no answer within 30 s" if owner is not self and not self.works else ""
+
+
+def build_failing(policy: type[FailingPolicy]) -> Stage:
+    return replace(build(), policy=policy())
+
+
+def failing(work: Job, policy: type[FailingPolicy]) -> Job:
+    stage = functools.partial(build_failing, policy)
+    return replace(work, spec=replace(work.spec, build=stage))
+
+
+@pytest.mark.parametrize("keep", ["", "steps > 0"])
+def test_episodes_that_the_policy_cannot_finish_are_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: str
+) -> None:
+    work = failing(job(tmp_path, keep, episodes=9, workers=2), FailingPolicy)
+    done = generate(work, InlineCrew(deaths=0.1))
+    assert done.errors == {"no answer within 30 s": 3} and done.complete
+    assert list(kept(tmp_path)) == [1, 2, 4, 5, 7, 8] and done.kept == 6
+    assert not (tmp_path / TRIED).exists()
+    monkeypatch.setattr(FailingPolicy, "works", True)
+    done = generate(work, InlineCrew(), resume=True)
+    assert not done.errors and (done.written, done.kept) == (3, 9)
+    assert list(kept(tmp_path)) == list(range(9))
+
+
+def test_a_lost_episode_that_fails_the_second_time_is_not_waited_for(
+    tmp_path: Path, reference: dict[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(OncePolicy, "owners", {})
+    work = job(tmp_path, KEEP, per_target=COUNT, workers=3, chunk=4)
+    work = failing(work, OncePolicy)
+    # The crew dies with an episode that was promised to be kept.
+    done = generate(work, InlineCrew(seed=0, deaths=0.2))
+    assert done.complete and done.errors and done.kept == COUNT - 1
+    monkeypatch.setattr(OncePolicy, "works", True)
+    done = generate(work, InlineCrew(), resume=True)
+    assert done.complete and not done.errors and kept(tmp_path) == reference
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
 from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import merge
 from mjhab.data.store.checking import check
 from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
@@ -283,6 +284,11 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
             and episode.frame(FOLLOW, "rgb", 0).std() > 5
         )
         assert episode.frame("fetch_hand", "rgb", 0).shape == (SIZE, SIZE, 3)
+        calibration = episode.run.layout["cameras"]
+        assert {name: each["size"] for name, each in calibration.items()} == {
+            head: [24, 32],
+            hand: [SIZE, SIZE],
+        }
         assert episode.array("obs/sensor_param/fetch_head/intrinsic_cv").shape == (
             STEPS + 1,
             3,
@@ -290,9 +296,43 @@ def test_other_sizes_cameras_and_modalities(recorded: Path, tmp_path: Path) -> N
         )
 
 
+def test_a_replay_of_nothing_is_refused(recorded: Path, env: Any, tmp_path: Path) -> None:
+    nothing = Filter("index > 100")
+    with pytest.raises(UsageError, match="no episode passes"):
+        verify(recorded, given(env), nothing)
+    out = tmp_path / "none.h5"
+    with pytest.raises(UsageError, match="no episode passes"):
+        render(RenderRequest(recorded, out, PNG, ["fetch_head"], nothing), given(env))
+    assert not out.exists()
+
+
+def test_a_shard_is_continued_with_the_same_images_alone(
+    recorded: Path, env: Any, tmp_path: Path
+) -> None:
+    out = tmp_path / "head.h5"
+    first = Filter("index == 0")
+    render(RenderRequest(recorded, out, PNG, ["fetch_head"], first), given(env))
+    before = out.read_bytes()
+    with pytest.raises(UsageError, match=r"head\.h5 .* with other images .*cameras"):
+        render(RenderRequest(recorded, out, PNG, ["fetch_hand"]), given(env))
+    assert out.read_bytes() == before
+    done = render(RenderRequest(recorded, out, PNG, ["fetch_head"]), given(env))
+    assert (done.episodes, done.present) == (2, 1)
+    # Episodes that were never drawn, such as merged ones, are not taken for drawn ones.
+    copy = tmp_path / "copy.h5"
+    merge([recorded], copy)
+    with pytest.raises(UsageError, match="with other images"):
+        render(RenderRequest(recorded, copy, PNG, ["fetch_head"]), given(env))
+
+
 def test_what_is_replayed_is_never_written(recorded: Path, env: Any) -> None:
     with pytest.raises(UsageError, match="one of the shards to replay"):
         render(RenderRequest(recorded, recorded, PNG, ["fetch_head"]), given(env))
+    inside = recorded.parent / "drawn" / "head.h5"
+    request = RenderRequest(recorded.parent, inside, PNG, ["fetch_head"])
+    with pytest.raises(UsageError, match="is read as a shard"):
+        render(request, given(env))
+    assert not inside.parent.exists()
 
 
 def test_training_environments_are_built_again(

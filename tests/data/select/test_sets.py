@@ -118,7 +118,7 @@ def test_a_data_set_is_not_written_into_itself(folder: Path) -> None:
         lambda: split([folder], folder / "parts", {"a": 0.5}),
         lambda: merge([folder], folder / "all.h5"),
     ):
-        with pytest.raises(UsageError, match="would then be there twice"):
+        with pytest.raises(UsageError, match="is read as a shard"):
             work()
     assert sorted(folder.rglob("*")) == before
 
@@ -288,6 +288,16 @@ def test_no_shards_at_all_are_refused(
     assert main([word.replace("{new}", str(new)) for word in words]) == 2
     assert capsys.readouterr().err == "mjhab: name shards (*.h5), or folders of shards.\n"
     assert not new.exists()
+
+
+@pytest.mark.parametrize("out", ["merged", "folder"])
+def test_merge_takes_names_that_are_found_in_a_folder(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], out: str
+) -> None:
+    (tmp_path / "folder").mkdir()
+    assert main(["data", "merge", str(folder), "--out", str(tmp_path / out)]) == 2
+    assert "--out" in capsys.readouterr().err
+    assert not (tmp_path / "merged").exists() and not list(tmp_path.rglob("*.lock"))
 
 
 def test_damage_fails_the_check_and_is_repaired(

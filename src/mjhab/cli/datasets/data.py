@@ -158,6 +158,7 @@ def _report(options: DataReportOptions) -> int:
 
 
 def _merge(options: DataMergeOptions) -> int:
+    check_file(options.out, ".h5")
     done = merge(options.places, options.out, read_filter(options.where, options.preset))
     if options.json:
         print_json(

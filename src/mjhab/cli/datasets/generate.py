@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -19,7 +20,10 @@ from mjhab.evaluation.generate import GeneratedData, GenerateSpec, run_generatio
 
 
 def run_generate(options: GenerateOptions) -> int:
-    """Run the command; returns 0, 1 if a quota could not be filled, or 130 after Ctrl-C or SIGTERM."""
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM.
+
+    1 if a quota could not be filled, or the policy could not finish an episode.
+    """
     spec = generate_spec(options)
     with stop_signals() as stopped, _progress(spec) as tell:
         made = run_generation(spec, tell, stopped)
@@ -27,7 +31,7 @@ def run_generate(options: GenerateOptions) -> int:
     _tell(options, made, interrupted)
     if interrupted:
         return 130
-    return 1 if made.is_short else 0
+    return 1 if made.is_short or made.standing.errors else 0
 
 
 def generate_spec(options: GenerateOptions) -> GenerateSpec:
@@ -110,6 +114,13 @@ def _tell(options: GenerateOptions, made: GeneratedData, interrupted: bool) -> N
         print(
             f"mjhab: only {done.kept} of {done.wanted} episodes passed of {done.tried} that were tried. A larger "
             "--episodes with --resume tries more.",
+            file=sys.stderr,
+        )
+    if done.errors:
+        reason, count = Counter(done.errors).most_common(1)[0]
+        print(
+            f"mjhab: the policy could not finish {numbers['errors']} episodes. They are not kept; the same command "
+            f"with --resume tries them again. {count} of them: {reason}",
             file=sys.stderr,
         )
     if options.json:

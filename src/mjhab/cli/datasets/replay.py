@@ -10,6 +10,7 @@ from mjhab.cli.datasets.data import read_filter
 from mjhab.cli.options.datasets.generate import ReplayOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
+from mjhab.core.files.outputs import check_file
 from mjhab.core.progress import progress_bar
 from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
 from mjhab.data.record.worlds import RecordedEnv
@@ -79,6 +80,7 @@ def _render(options: ReplayOptions) -> int:
         raise UsageError(
             "--render needs --out FILE.h5: the recorded shard is not changed."
         )
+    check_file(options.out, ".h5")
     if any(
         path.resolve() == options.out.resolve() for path in shard_paths(options.places)
     ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,7 +62,8 @@ def run_examples(options: ExamplesOptions) -> int:
         UsageError: the folder has files of the same names with other content.
     """
     written = copy_examples(options.out)
-    found = {name: entry.command.format(options.out) for name, entry in EXAMPLES.items()}
+    folder = shlex.quote(str(options.out))
+    found = {name: entry.command.format(folder) for name, entry in EXAMPLES.items()}
     if options.json:
         print_json({"folder": str(options.out), "written": written, "commands": found})
         return 0

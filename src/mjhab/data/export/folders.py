@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,15 +36,15 @@ class Filling:
 class Target:
     """The folder to write.
 
-    out: its path. overwrite: replace an existing folder that contains a file matching the pattern ``mark``.
-    resume: continue what an interrupted process has left.
+    out: its path. foreign: tells why a folder is not an export of this kind, "" if it is one. overwrite: replace an
+    existing export. resume: continue what an interrupted process has left.
 
     Raises:
         UsageError: ``out`` has no name of its own ("." or "/"), so that no folder beside it can be named after it.
     """
 
     out: Path
-    mark: str
+    foreign: Callable[[Path], str]
     overwrite: bool = False
     resume: bool = False
 
@@ -175,9 +175,10 @@ def _check(target: Target, job: dict[str, Any]) -> None:
             raise UsageError(
                 f"{out} exists already; name another folder as --out, or give --overwrite."
             )
-        if any(out.iterdir()) and not any(out.glob(target.mark)):
+        foreign = target.foreign(out) if any(out.iterdir()) else ""
+        if foreign:
             raise UsageError(
-                f"{out} does not hold an export (no {target.mark}), so it is not overwritten."
+                f"{out} does not hold an export ({foreign}), so it is not overwritten."
             )
     if not target.begun:
         return

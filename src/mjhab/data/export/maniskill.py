@@ -19,6 +19,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.folders import Target, whole_folder
@@ -34,7 +36,7 @@ from mjhab.data.imports.ms_hab_layout import (
 )
 from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
 from mjhab.data.select.facts import target_of
-from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.select.sets import check_outside, nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
@@ -77,16 +79,17 @@ def export_maniskill(
         begin: called with the number of episodes; returns a function that is called after each episode.
 
     Raises:
-        UsageError, StorageError: no episode passes; see ``whole_folder``.
+        UsageError, StorageError: no episode passes; the folder lies in a source; see ``whole_folder``.
         DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
+    check_outside(request.places, request.out)
     found = select(request.places, request.where)
     if not found.matched:
         raise nothing_passes()
     after = begin(len(found.matched)) if begin else None
     without = 0
     files = dict[Path, _File]()
-    target = Target(request.out, "*/*/*.h5", request.overwrite, request.resume)
+    target = Target(request.out, _foreign, request.overwrite, request.resume)
     until = until or Until()
     job = {"format": "maniskill", "episodes": found.fingerprint, "until": until.text}
     frames = 0
@@ -115,6 +118,28 @@ def place_of(record: EpisodeRecord) -> Path:
         return Path(record.task, CHAIN, "all.h5")
     target = target_of(record)
     return Path(record.task, record.subtask, f"{target.rpartition('/')[0] or target}.h5")
+
+
+def _foreign(folder: Path) -> str:
+    """Why a folder is not an export of `export_maniskill`; "" if it is one.
+
+    Shards and MS-HAB's own data may lie in the same folders under the same names.
+    """
+    files = sorted(folder.rglob("*.h5"))
+    others = (path for path in files if not _is_exported(path))
+    other = next(others, None)
+    if other is not None:
+        return f"{other.relative_to(folder)} is not of one"
+    return "" if files else "no trajectory files"
+
+
+def _is_exported(path: Path) -> bool:
+    """Whether the JSON file beside an HDF5 file describes it as a trajectory file of mjhab."""
+    try:
+        told = read_json_object(path.with_suffix(".json"))
+    except UsageError:
+        return False
+    return told.get("source_type") == SOURCE_TYPE
 
 
 class _File:
@@ -235,7 +260,9 @@ def _observations(
 
 
 def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str, Any]:
+    """Metadata of the first ``steps`` control steps of an episode; labels are those of all of it."""
     record = episode.record
+    events = [event for event in record.events if event[0] <= steps]
     link = target_of(record).rpartition("/")[0]
     return {
         "episode_id": number,
@@ -266,13 +293,25 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
         else record.plan[0].target,
         "split": record.split,
         "ending": str(episode.attributes["ending"]),
-        "events": to_events(record.subtask, record.events)
+        "events": to_events(record.subtask, events)
         if record.subtask
-        else [name for _, name in record.events],
-        "events_verbose": to_verbose(record.events, record.force),
+        else [name for _, name in events],
+        "events_verbose": to_verbose(events, record.force[:steps]),
         "articulation_type": link or None,
         "reset_kwargs": {},
         "success_once": record.success_once,
         "success_at_end": record.success_at_end,
         "fail": record.fail,
+        **(_outcome_at(episode, steps) if steps < episode.steps else {}),
+    }
+
+
+def _outcome_at(episode: RecordedEpisode, steps: int) -> dict[str, Any]:
+    """Outcome of an episode that is cut after ``steps`` control steps."""
+    success = episode.array("reward/success")[:steps].astype(bool)
+    return {
+        "ending": "cut",
+        "success_once": bool(success.any()),
+        "success_at_end": bool(success[-1]),
+        "fail": bool(episode.array("reward/fail")[steps - 1]),
     }

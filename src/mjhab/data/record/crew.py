@@ -86,10 +86,14 @@ class Ready:
 
 @dataclass(frozen=True)
 class Report:
-    """An episode is finished. stored: it is on the disk; otherwise the worker holds it back or has dropped it."""
+    """An episode is finished. stored: it is on the disk; otherwise the worker holds it back or has dropped it.
+
+    error: why the policy could not finish it, so that it was dropped; "" if it could.
+    """
 
     outcome: Outcome
     stored: bool
+    error: str = ""
 
 
 @dataclass(frozen=True)
@@ -225,9 +229,9 @@ class Worker:
 
     def _passes(self, record: EpisodeRecord, run: RunInfo) -> bool:
         passes = self._filter is None or self._filter(record, run)
-        if not passes:
-            self._tell(Report(outcome_of(record, False), False))
-        return passes
+        if record.error or not passes:
+            self._tell(Report(outcome_of(record, False), False, record.error))
+        return passes and not record.error
 
     def close(self) -> None:
         """Close shard and environment."""

@@ -74,6 +74,7 @@ class Standing:
 
     written: by this run. kept, tried, passed: in total; passed counts those that pass the filter. wanted: number to
     keep, 0 without a quota. labels: of the kept episodes. complete: the job is finished. bytes: size of the shards.
+    errors: of this run, episodes that the policy could not finish by reason; a resumed run tries them again.
     """
 
     written: int
@@ -84,6 +85,7 @@ class Standing:
     labels: Counter[str]
     complete: bool = False
     bytes: int = 0
+    errors: Mapping[str, int] = field(default_factory=dict)
 
 
 def generate(
@@ -153,6 +155,7 @@ class _Run:
         self.configs: set[str] = set()
         self.promised: set[int] = set()
         """Indices that were decided to be kept, but whose data were lost with a worker."""
+        self.errors: Counter[str] = Counter()
         self.again: list[int] = []
         self.next = self.written = 0
         self._take_stock()
@@ -262,9 +265,9 @@ class _Run:
                 self.quotas.targets = targets
                 member.ready = True
                 member.busy = False
-            case Report(outcome, stored):
+            case Report(outcome, stored, error):
                 member.deaths = 0
-                self._take(member, outcome, stored)
+                self._take(member, outcome, stored, error)
             case Stored(index):
                 self._settle(member, index)
             case Done():
@@ -280,7 +283,9 @@ class _Run:
             case Gone():
                 self._bury(number, member)
 
-    def _take(self, member: _Member, outcome: Outcome, stored: bool) -> None:
+    def _take(
+        self, member: _Member, outcome: Outcome, stored: bool, error: str = ""
+    ) -> None:
         index = outcome.index
         member.open.discard(index)
         self.quotas.report(outcome, True if stored else None)
@@ -289,6 +294,10 @@ class _Run:
             self.written += 1
         elif outcome.passes:
             member.held.add(index)
+        elif error:
+            # It is not logged as tried: what the policy would do in it is not known.
+            self.errors[error] += 1
+            self.promised.discard(index)
         else:
             self._log(outcome)
 
@@ -368,6 +377,7 @@ class _Run:
             labels,
             self.finished,
             size,
+            self.errors,
         )
 
 

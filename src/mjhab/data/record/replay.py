@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from mjhab.core.version import __version__
 from mjhab.data.record.provenance import describe_views, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import check_outside, nothing_passes
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.images import ImageFormat, encode
@@ -74,6 +76,7 @@ def verify(
         tell: called after every episode.
 
     Raises:
+        UsageError: no episode passes the filter.
         UsageError, DamagedError: see ``open_shard``.
     """
     found = Verified()
@@ -98,7 +101,11 @@ def verify(
 def _batches(
     places: Path | Sequence[Path], make_env: MakeEnv, where: Filter | None
 ) -> Iterator[tuple[RecordedEnv, list[RecordedEpisode]]]:
-    """Batches of an environment and episodes of one shard and config, at most as many as it has worlds."""
+    """Batches of an environment and episodes of one shard and config, at most as many as it has worlds.
+
+    Raises:
+        UsageError: no episode passes the filter.
+    """
     envs: dict[str, RecordedEnv] = {}
     for path in shard_paths(places):
         # Episodes are read faster while their shard is open.
@@ -114,6 +121,8 @@ def _batches(
                 worlds = envs[name].num_envs
                 for start in range(0, len(members), worlds):
                     yield envs[name], members[start : start + worlds]
+    if not envs:
+        raise nothing_passes()
 
 
 def require_states(members: Sequence[RecordedEpisode]) -> None:
@@ -270,8 +279,10 @@ def render(
         tell: called after every episode.
 
     Raises:
-        UsageError: an episode has no states; ``out`` is among the places. A new shard is deleted if nothing was drawn.
+        UsageError: no episode passes the filter; an episode has no states; ``out`` is or lies in one of the places, or
+            has an episode with other images. A new shard is deleted if nothing was drawn.
     """
+    check_outside(request.places, request.out)
     is_new = not request.out.exists()
     try:
         return _render(request, make_env, tell)
@@ -295,6 +306,7 @@ def _render(
     written = frames = size = present = 0
     out = request.out
     follow = FOLLOW in (request.cameras or ())
+    before = _rendered_options(out)
     with ShardWriter(out) as writer:
         for env, batch in _batches(request.places, make_env, request.where):
             for episode in batch:
@@ -302,20 +314,55 @@ def _render(
                     raise UsageError(
                         f"--out {out} is one of the shards to replay; give a new file."
                     )
+                cameras = (
+                    env.observer.cameras if request.cameras is None else request.cameras
+                )
                 if episode.name in writer.names:
+                    wanted = _view_options(env, cameras)
+                    _refuse_others(out, before.get(episode.name, wanted), wanted)
                     present += 1
                 else:
                     drawn = _draw(env, episode, follow, request.images)
-                    cameras = (
-                        env.observer.cameras
-                        if request.cameras is None
-                        else request.cameras
-                    )
                     size += writer.append(_with_images(episode, drawn, env, cameras))
                     written += 1
                     frames = frames + episode.steps + 1
                 tell()
     return Rendered(written, frames, size, present)
+
+
+def _rendered_options(shard: Path) -> dict[str, Mapping[str, Any]]:
+    """How the images of every episode of a shard were rendered; empty if they were not, or there is no shard."""
+    if not shard.exists():
+        return {}
+    with open_shard(shard) as opened:
+        return {
+            episode.name: episode.run.options.get("rendered", {}) for episode in opened
+        }
+
+
+def _view_options(env: RecordedEnv, cameras: Sequence[str]) -> dict[str, Any]:
+    """Options that determine the rendered images, as JSON data."""
+    return {
+        "obs_mode": "+".join(env.observer.outputs) or "state",
+        "cameras": list(cameras),
+        "camera_size": list(env.observer.size),
+    }
+
+
+def _refuse_others(
+    out: Path, rendered: Mapping[str, Any], wanted: Mapping[str, Any]
+) -> None:
+    """Refuse to continue a shard whose images were rendered otherwise.
+
+    Raises:
+        UsageError: names the options that differ.
+    """
+    other = [name for name in wanted if rendered.get(name) != wanted[name]]
+    if other:
+        raise UsageError(
+            f"{out} has episodes with other images (their {', '.join(other)}); give the options that it was made "
+            "with, or a new file as --out."
+        )
 
 
 def _draw(
@@ -391,13 +438,12 @@ def _with_images(
             }
     arrays |= drawn
     columns = {path: _columns(episode, path) for path in arrays if path in episode.paths}
-    seen = {
-        "obs_mode": "+".join(env.observer.outputs) or "state",
-        "cameras": list(cameras),
-        "camera_size": list(size),
-    }
-    options = {**episode.run.options, "rendered": {**seen, "mjhab": __version__}}
+    rendered = {**_view_options(env, cameras), "mjhab": __version__}
+    options = {**episode.run.options, "rendered": rendered}
     layout = {**episode.run.layout, **describe_views(env.observer)}
+    if "cameras" in episode.run.layout:
+        # Cameras whose images are kept keep their calibration.
+        layout["cameras"] = {**episode.run.layout["cameras"], **layout["cameras"]}
     run = dataclasses.replace(episode.run, options=options, layout=layout)
     attributes = episode.attributes
     try:

@@ -36,7 +36,7 @@ _ORDER: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
 }
 _EQUAL: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
+    ast.NotEq: lambda a, b: a != b and not (_is_nan(a) or _is_nan(b)),
 }
 _MATH: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Add: operator.add,
@@ -174,6 +174,11 @@ def read_filter(where: str | None, preset: str | None) -> Filter | None:
     if where is None:
         return named
     return Filter(f"({named.text}) and ({Filter(where).text})")
+
+
+def _is_nan(value: Any) -> bool:
+    """Whether a value is NaN, as of an event that did not occur; every comparison with it is false."""
+    return isinstance(value, float) and math.isnan(value)
 
 
 class _Compiler:
@@ -326,7 +331,7 @@ class _Compiler:
             return (
                 (lambda x, y: x in y)
                 if isinstance(op, ast.In)
-                else (lambda x, y: x not in y)
+                else (lambda x, y: x not in y and not _is_nan(x))
             )
         if a.kind != b.kind:
             raise self._error(where, f"{a.kind} cannot be compared with {b.kind}")

@@ -161,7 +161,7 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
     paths = shard_paths(places)
     if any(path.resolve() == out.resolve() for path in paths):
         raise UsageError(f"--out {out} is one of the shards to merge; give a new file.")
-    _check_outside(places, out)
+    check_outside(places, out)
     found = select(paths, where, copies=True)
     digests: dict[str, str] = {}
     if out.exists():
@@ -190,16 +190,16 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
     return Merged(len(found.matched) - repeated, found.of - len(found.matched), repeated)
 
 
-def _check_outside(places: Sequence[Path], out: Path) -> None:
-    """Refuse an output below a source: later commands would count its episodes twice.
+def check_outside(places: Path | Sequence[Path], out: Path) -> None:
+    """Refuse to write HDF5 files below a source: later commands would read them as shards of it.
 
     Raises:
         UsageError: names both.
     """
-    for place in places:
+    for place in [places] if isinstance(places, Path) else places:
         if place.is_dir() and out.resolve().is_relative_to(place.resolve()):
             raise UsageError(
-                f"--out {out} lies in {place}, whose episodes would then be there twice; give a place beside it."
+                f"--out {out} lies in {place}, of which every *.h5 is read as a shard; give a place beside it."
             )
 
 
@@ -232,7 +232,7 @@ def split(
     for path in targets.values():
         if path.exists():
             raise UsageError(f"{path} exists already; give an empty folder as --out.")
-    _check_outside(places, out)
+    check_outside(places, out)
     groups: dict[str, list[Place]] = defaultdict(list)
     for episode in episodes(places):
         groups[GROUPINGS[by](episode)].append((episode.shard.path, episode.name))

@@ -53,8 +53,8 @@ class TakeRecorder(Recorder):
     """Record episodes, with a run description that names who acted in them.
 
     An episode in which a person acted is recorded as one of the policy "human", with a unique take id, so that the same
-    episode can be recorded several times. An episode without a person that is in the shard already is left out, because
-    it would be identical. The dataset ``actor`` of an episode has the actor of every step.
+    episode can be recorded several times; so has one that did not reach its end. Another episode that is in the shard
+    already is left out, because it would be identical. The dataset ``actor`` of an episode has the actor of every step.
 
     Args:
         writer: the shard.
@@ -91,11 +91,11 @@ class TakeRecorder(Recorder):
 
     def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
         """See `Recorder`."""
-        self.run = self._run_of(self._acted.pop(world))
+        self.run = self._run_of(self._acted.pop(world), bool(env.progress.done[world]))
         super().on_episode_end(env, world, record)
 
-    def _run_of(self, acted: set[str]) -> RunInfo:
-        if acted == {self._policy["name"]}:
+    def _run_of(self, acted: set[str], is_whole: bool) -> RunInfo:
+        if is_whole and acted == {self._policy["name"]}:
             return self._alone
         name = HUMAN if HUMAN in acted else "+".join(sorted(acted))
         take = f"{time.strftime('%Y%m%dT%H%M%S')}-{secrets.token_hex(3)}"

@@ -59,6 +59,8 @@ from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 
+INFO = "meta/info.json"
+"""Description of the data set; every LeRobot data set has it."""
 CAMERAS = "meta/cameras.json"
 """Calibration of the cameras, see `ObservedRows.calibration`. LeRobot does not read it."""
 SEGMENTS = "meta/segments.json"
@@ -113,7 +115,7 @@ def export_lerobot(
         **films.settings,
         "episodes": found.fingerprint,
     }
-    target = Target(request.out, "meta/info.json", request.overwrite, request.resume)
+    target = Target(request.out, _foreign, request.overwrite, request.resume)
     with whole_folder(target, job) as filling:
         pieces = Pieces(filling.work, FPS, films)
         export = _Export(
@@ -124,6 +126,11 @@ def export_lerobot(
             if after is not None:
                 after()
         return export.finish()
+
+
+def _foreign(folder: Path) -> str:
+    """Why a folder is not a LeRobot data set; "" if it is one."""
+    return "" if (folder / INFO).is_file() else f"no {INFO}"
 
 
 @dataclass(frozen=True)
@@ -305,7 +312,7 @@ class _Export:
         }
         if not films:
             info["video_path"] = None
-        write_json(self._root / "meta/info.json", info)
+        write_json(self._root / INFO, info)
         notes = self._image_notes()
         write_json(self._root / ABOUT, CONVENTIONS)
         (self._root / "README.md").write_text(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import subprocess
 import sys
 import warnings
@@ -16,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mjhab.envs as envs
-from mjhab.config.env import AUTORESET_MODES
+from mjhab.config.env import AUTORESET_MODES, EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.envs.catalog import env_ids
 from mjhab.envs.parts.reporting import active_instruction
@@ -24,6 +25,7 @@ from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.episodes.spawn_factory import make_set
 from mjhab.episodes.spawn_sets import SpawnRecipe
+from mjhab.robots.registry import robot_named
 from mjhab.sim.protocol import TAINTS
 from mjhab.tasks.labelling.state import WATCHED
 from mjhab.tasks.subtasks.registry import force_limits, limits_of
@@ -399,6 +401,8 @@ BAD_OPTIONS = [
     ({"overrides": {"goal_tool": 0.1}}, "goal_tol"),
     ({"overrides": {"pick.horizont": 3}}, "pick.horizon"),
     ({"overrides": {"goal_tol": "wide"}}, "like 0.15"),
+    ({"overrides": {"ee_rest_pos": ("a", "b", "c")}}, r"like \(0.5, 0.0, 1.25\)"),
+    ({"overrides": {"ee_rest_pos": [0.5, 0.0]}}, r"like \(0.5, 0.0, 1.25\)"),
     ({"reward_mode": "sparce"}, "sparse"),
     ({"reward_scales": {"pick": {"reech": 1.0}}}, "reach"),
     ({"num_envs": 10**7}, "At most"),
@@ -412,6 +416,17 @@ BAD_OPTIONS = [
 def test_bad_options_name_what_is_valid(options: dict, match: str):
     with pytest.raises(UsageError, match=match):
         build(**options)
+
+
+def test_overrides_that_were_recorded_as_json_are_taken():
+    """Data sets and runs keep their configuration as JSON, in which a tuple is a list."""
+    given = {"ee_rest_pos": (0.5, 0.0, 1.2), "goal_tol": 0.2}
+    recorded = json.loads(json.dumps(given))
+    first, again = (
+        task_config(EnvConfig(overrides=overrides), robot_named())
+        for overrides in (given, recorded)
+    )
+    assert again == first and again.ee_rest_pos == (0.5, 0.0, 1.2)
 
 
 def test_options_of_training_take_effect():

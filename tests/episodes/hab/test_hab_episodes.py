@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -33,6 +34,8 @@ from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.household.prepare_groceries import FRIDGE_PREOPEN_RAD
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.household.spec import TargetRule, TaskSpec
 from tests.real_data import real_data
 
 PATH = Path("some.json.gz")
@@ -244,6 +247,46 @@ def test_set_table_needs_something_to_open() -> None:
         UsageError, match=r"episodes\[0\]\.rigid_objs: .* starts in no drawer or fridge"
     ):
         from_file("set_table", lifted)
+
+
+@pytest.fixture
+def stowing() -> Iterator[str]:
+    """A task that puts an apple into the fridge, which its plan opens and closes."""
+    rule = TargetRule(
+        start=("dining_table",),
+        goal=("fridge_shelf",),
+        object="013_apple",
+        opens="goal",
+        link="fridge_door",
+    )
+    name = "stow"
+    TASKS.add(name, TaskSpec(name, ("stow",), (rule,), ("013_apple",), clutter_copies=0))
+    yield name
+    TASKS.remove(name)
+    world.cache_clear()
+
+
+def test_a_file_leads_to_the_handle_of_what_is_opened_at_the_goal(stowing: str) -> None:
+    made = world(stowing)[2][0]
+    read = from_file(stowing, hab(stowing)).episode(0, 0)
+    assert read.targets[0].goal_link == "fridge/top_door"
+    np.testing.assert_allclose(
+        read.targets[0].handle_pos, made.targets[0].handle_pos, atol=1e-9
+    )
+
+
+def test_a_goal_outside_of_what_is_to_be_opened_is_named(stowing: str) -> None:
+    whole = hab(stowing)
+    ((name, matrix),) = whole.targets.items()
+    lifted = matrix.copy()
+    lifted[1, 3] += 1.0
+    episode = replace(
+        whole, targets={name: lifted}, target_receptacles=(), goal_receptacles=()
+    )
+    with pytest.raises(
+        UsageError, match=r"episodes\[0\]\.targets: .* is in no drawer or fridge"
+    ):
+        from_file(stowing, episode)
 
 
 def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs import make
 from mjhab.episodes.episode import Episode
@@ -358,6 +359,14 @@ def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
         UsageError, match=r"none of its 2 episodes is in home 'builtin_m1_00'"
     ):
         make(task="tidy_house", episodes_file=str(path), home="builtin_m1_00")
+
+
+def test_a_target_is_no_other_type_whose_name_begins_like_it() -> None:
+    """With the objects "mug" and "mug_tall", an episode about the tall one has no target "mug"."""
+    kind = kind_of(hab("tidy_house").target_names[0])
+    assert len(from_file("tidy_house", hab("tidy_house"), target=kind)) == 1
+    with pytest.raises(UsageError, match=f"with target '{kind[:-1]}'"):
+        from_file("tidy_house", hab("tidy_house"), target=kind[:-1])
 
 
 def test_real_episodes_stay_at_rest() -> None:

@@ -128,7 +128,7 @@ class FileEpisodes:
             i
             for i, episode in enumerate(self.file.episodes)
             if fnmatchcase(episode.scene, home or "*")
-            and any(n.startswith(target) for n in episode.target_names)
+            and (not target or target in map(kind_of, episode.target_names))
         ]
         if not self._rows:
             wanted = " ".join(

@@ -243,6 +243,20 @@ def test_state_round_trip_in_another_environment():
     assert flat(env.get_state(1)["tracker"]) == flat(other.get_state(2)["tracker"])
 
 
+def test_a_state_after_the_end_of_an_episode_waits_for_its_reset():
+    env = build(autoreset="next_step", num_envs=2)
+    env.reset(seed=0)
+    env.progress.steps_left[0] = 1
+    _, _, _, truncated, _ = env.step(actions(env, 0))
+    assert truncated.tolist() == [True, False]
+    ended = env.get_state(0)
+    first, *_ = env.step(actions(env, 1))
+    env.set_state(0, ended)
+    again, reward, _, _, info = env.step(actions(env, 2))
+    assert info["episode_spec"][0]["index"] == 1 and reward[0] == 0.0
+    np.testing.assert_array_equal(again["state"][0], first["state"][0])
+
+
 PER_STEP = (
     "._worlds",
     "sensing._rows",

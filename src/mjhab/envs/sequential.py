@@ -274,14 +274,16 @@ class SequentialTaskEnv(TaskLoop):
         }
 
     def set_columns(self, world: int, columns: Mapping[str, Any]) -> None:
-        """Restore a world from `get_columns`; no reset is due afterwards."""
+        """Restore a world from a snapshot; with "next_step" a reset is due if its episode has ended."""
         flags = columns["flags"]
+        ended = bool(columns["progress"]["done"])
+        due = ended and self.config.autoreset == "next_step"
         self.seeds[world] = columns["next"]["seed"]
         self.count = _with_entry(self.count, world, columns["next"]["count"])
         self.fallback = _with_entry(self.fallback, world, flags["fallback"])
         self.success = _with_entry(self.success, world, flags["success"])
         self.fail = _with_entry(self.fail, world, flags["fail"])
-        self.due = _with_entry(self.due, world, False)
+        self.due = _with_entry(self.due, world, due)
         self.joint_start = _with_entry(self.joint_start, world, columns["joint_start"])
         self.grip = _with_entry(self.grip, world, columns["grip"])
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -217,6 +218,51 @@ def test_episode_of_a_world_depends_on_its_seed_its_number_and_its_count_only():
     assert info["episode_spec"][1]["index"] == INDEX_STRIDE + 2
     d, _ = build(num_envs=2).reset(seed=6, options={"episode": [0, INDEX_STRIDE + 2]})
     np.testing.assert_array_equal(c["state"][1], d["state"][1])
+
+
+@pytest.mark.parametrize(
+    ("seed", "options", "message"),
+    [
+        (2**63, None, "seed must be at most"),
+        (-1, None, "seed must be at least 0"),
+        (1.5, None, "seed must be a whole number"),
+        ("12", None, "seed must be a whole number"),
+        ([1, 2.5], None, "seed must be a whole number"),
+        ([1, 2, 3], None, "2 of them, one per world"),
+        (None, [1], "options must be a mapping"),
+        (None, {"reset_mask": [1, 0]}, "reset_mask must be bool"),
+        (7, {"episode": 3}, "2 indices >= 0, one per reset world; got 3"),
+        (7, {"episode": [0.7, 1.2]}, "2 indices >= 0"),
+        (7, {"episode": ["a", "b"]}, "2 indices >= 0"),
+        (7, {"episode": [0, 2**64]}, "2 indices >= 0"),
+        (7, {"episode": [-1, 0]}, "2 indices >= 0"),
+    ],
+)
+def test_a_refused_reset_changes_nothing(seed: Any, options: Any, message: str):
+    env = build(num_envs=2)
+    env.reset(seed=4)
+    with pytest.raises(UsageError, match=message):
+        env.reset(seed=seed, options=options)
+    _, info = env.reset()
+    told = [(spec["seed"], spec["index"]) for spec in info["episode_spec"]]
+    assert told == [(4, 1), (4, INDEX_STRIDE + 1)]
+
+
+def test_seeds_and_episodes_are_whole_numbers_of_any_type():
+    env = build(num_envs=2)
+    numbers = (range(2), (0, 1), np.array([0, 1], np.uint8), [np.int64(0), 1])
+    for given in numbers:
+        _, info = env.reset(seed=given, options={"episode": given})
+        told = [(spec["seed"], spec["index"]) for spec in info["episode_spec"]]
+        assert told == [(0, 0), (1, 1)]
+
+
+def test_the_first_reset_begins_an_episode():
+    env = build(num_envs=2)
+    with pytest.raises(UsageError, match="the first reset must begin an episode"):
+        env.reset(options={"reset_mask": np.zeros(2, bool)})
+    _, info = env.reset(options={"reset_mask": np.array([True, False])})
+    assert [spec is None for spec in info["episode_spec"]] == [False, True]
 
 
 def test_state_round_trip_in_another_environment():

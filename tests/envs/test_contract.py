@@ -509,6 +509,16 @@ def test_options_of_training_take_effect():
     assert ends == [False] * 6 + [True]
 
 
+@pytest.mark.parametrize("make", [envs.make, envs.make_train])
+def test_a_pool_of_one_episode_is_the_same_arrangement_everywhere(make: Any):
+    env = make(subtask="pick", num_envs=3, episode_pool=1, threads=1)
+    env.reset(seed=5)
+    first, *others = env.episodes_now
+    for other in others:
+        np.testing.assert_array_equal(other.object_pose, first.object_pose)
+    assert len({env.state_digest(world) for world in range(3)}) == 3, "other spawns"
+
+
 def test_zone_goals_reach_over_the_whole_receptacle():
     env = build(
         subtask="place", task="tidy_house", overrides={"goal_type": "zone"}, num_envs=1

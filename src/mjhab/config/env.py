@@ -172,6 +172,13 @@ class EnvConfig:
             raise UsageError(
                 "continuous=True needs a subtask: in a chain, success is what brings the next subtask."
             )
+        if self.episodes_file:
+            for name in ("spawns", "extra_objects"):
+                if getattr(self, name):
+                    raise UsageError(
+                        f"episodes_file and {name} exclude each other: a file of episodes has objects and places of "
+                        "its own."
+                    )
         for name in (self.subtask,) if self.subtask else task.subtasks:
             robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
         self._check_numbers()

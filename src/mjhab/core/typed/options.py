@@ -54,7 +54,7 @@ def fitting(name: str, hint: Any, value: Any) -> Any:
     Args:
         name: of the option, for the message.
         hint: the annotation: text, whole number, number, yes or no, a tuple of these or of dataclasses, a mapping with
-            texts as keys, a function, a dataclass, or several of these.
+            texts as keys, a function, a dataclass, one of some values, or several of these.
         value: what the caller gave; a path stands for its text, a list for a tuple, a number of numpy for a plain one.
 
     Raises:
@@ -88,6 +88,8 @@ _WORDS: dict[Any, str] = {
 def _in_words(kind: Any) -> str:
     """A type in words, for messages: "a text" for str, "a LabelRule" for a dataclass of that name."""
     origin = typing.get_origin(kind) or kind
+    if origin is typing.Literal:
+        return " or ".join(map(repr, typing.get_args(kind)))
     is_record = isinstance(kind, type) and dataclasses.is_dataclass(kind)
     return _WORDS.get(origin, f"a {kind.__name__}" if is_record else str(kind))
 
@@ -115,6 +117,8 @@ def _read(name: str, kind: Any, value: Any) -> Any:
         return _number(value)
     if origin is tuple and isinstance(value, list | tuple):
         return _tuple(name, typing.get_args(kind), value)
+    if origin is typing.Literal:
+        return value if value in typing.get_args(kind) else _UNFIT
     if origin is Callable and callable(value):
         return value
     if origin is Mapping and isinstance(value, Mapping):

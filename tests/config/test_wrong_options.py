@@ -114,6 +114,14 @@ def test_options_of_another_backend_are_refused(options: dict[str, Any]):
         EnvConfig(**options)
 
 
+@pytest.mark.parametrize(
+    "options", [{"spawns": "starts.npz"}, {"extra_objects": ("024_bowl",)}]
+)
+def test_a_file_of_episodes_leaves_no_room_for_other_places(options: dict[str, Any]):
+    with pytest.raises(UsageError, match=f"episodes_file and {next(iter(options))}"):
+        EnvConfig(episodes_file="episodes.json", **options)
+
+
 @pytest.mark.parametrize("device", ["cuda:7", "cuda", "banana", "CPU"])
 def test_the_cpu_backend_has_no_other_device(device: str):
     for device_free in ("", "cpu"):

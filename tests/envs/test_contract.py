@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -16,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mjhab.envs as envs
-from mjhab.config.env import AUTORESET_MODES
+from mjhab.config.env import AUTORESET_MODES, EnvConfig, task_config
 from mjhab.core.errors import UsageError
 from mjhab.envs.catalog import env_ids
 from mjhab.envs.parts.reporting import active_instruction
@@ -24,6 +26,7 @@ from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.episodes.spawn_factory import make_set
 from mjhab.episodes.spawn_sets import SpawnRecipe
+from mjhab.robots.registry import robot_named
 from mjhab.sim.protocol import TAINTS
 from mjhab.tasks.labelling.state import WATCHED
 from mjhab.tasks.subtasks.registry import force_limits, limits_of
@@ -217,6 +220,51 @@ def test_episode_of_a_world_depends_on_its_seed_its_number_and_its_count_only():
     np.testing.assert_array_equal(c["state"][1], d["state"][1])
 
 
+@pytest.mark.parametrize(
+    ("seed", "options", "message"),
+    [
+        (2**63, None, "seed must be at most"),
+        (-1, None, "seed must be at least 0"),
+        (1.5, None, "seed must be a whole number"),
+        ("12", None, "seed must be a whole number"),
+        ([1, 2.5], None, "seed must be a whole number"),
+        ([1, 2, 3], None, "2 of them, one per world"),
+        (None, [1], "options must be a mapping"),
+        (None, {"reset_mask": [1, 0]}, "reset_mask must be bool"),
+        (7, {"episode": 3}, "2 indices >= 0, one per reset world; got 3"),
+        (7, {"episode": [0.7, 1.2]}, "2 indices >= 0"),
+        (7, {"episode": ["a", "b"]}, "2 indices >= 0"),
+        (7, {"episode": [0, 2**64]}, "2 indices >= 0"),
+        (7, {"episode": [-1, 0]}, "2 indices >= 0"),
+    ],
+)
+def test_a_refused_reset_changes_nothing(seed: Any, options: Any, message: str):
+    env = build(num_envs=2)
+    env.reset(seed=4)
+    with pytest.raises(UsageError, match=message):
+        env.reset(seed=seed, options=options)
+    _, info = env.reset()
+    told = [(spec["seed"], spec["index"]) for spec in info["episode_spec"]]
+    assert told == [(4, 1), (4, INDEX_STRIDE + 1)]
+
+
+def test_seeds_and_episodes_are_whole_numbers_of_any_type():
+    env = build(num_envs=2)
+    numbers = (range(2), (0, 1), np.array([0, 1], np.uint8), [np.int64(0), 1])
+    for given in numbers:
+        _, info = env.reset(seed=given, options={"episode": given})
+        told = [(spec["seed"], spec["index"]) for spec in info["episode_spec"]]
+        assert told == [(0, 0), (1, 1)]
+
+
+def test_the_first_reset_begins_an_episode():
+    env = build(num_envs=2)
+    with pytest.raises(UsageError, match="the first reset must begin an episode"):
+        env.reset(options={"reset_mask": np.zeros(2, bool)})
+    _, info = env.reset(options={"reset_mask": np.array([True, False])})
+    assert [spec is None for spec in info["episode_spec"]] == [False, True]
+
+
 def test_state_round_trip_in_another_environment():
     env = build()
     other = build()
@@ -239,6 +287,20 @@ def test_state_round_trip_in_another_environment():
         assert r1[1] == r2[2] and i1["cumulative_force"][1] == i2["cumulative_force"][2]
     assert physics(env, 1) == physics(other, 2)
     assert flat(env.get_state(1)["tracker"]) == flat(other.get_state(2)["tracker"])
+
+
+def test_a_state_after_the_end_of_an_episode_waits_for_its_reset():
+    env = build(autoreset="next_step", num_envs=2)
+    env.reset(seed=0)
+    env.progress.steps_left[0] = 1
+    _, _, _, truncated, _ = env.step(actions(env, 0))
+    assert truncated.tolist() == [True, False]
+    ended = env.get_state(0)
+    first, *_ = env.step(actions(env, 1))
+    env.set_state(0, ended)
+    again, reward, _, _, info = env.step(actions(env, 2))
+    assert info["episode_spec"][0]["index"] == 1 and reward[0] == 0.0
+    np.testing.assert_array_equal(again["state"][0], first["state"][0])
 
 
 PER_STEP = (
@@ -399,6 +461,8 @@ BAD_OPTIONS = [
     ({"overrides": {"goal_tool": 0.1}}, "goal_tol"),
     ({"overrides": {"pick.horizont": 3}}, "pick.horizon"),
     ({"overrides": {"goal_tol": "wide"}}, "like 0.15"),
+    ({"overrides": {"ee_rest_pos": ("a", "b", "c")}}, r"like \(0.5, 0.0, 1.25\)"),
+    ({"overrides": {"ee_rest_pos": [0.5, 0.0]}}, r"like \(0.5, 0.0, 1.25\)"),
     ({"reward_mode": "sparce"}, "sparse"),
     ({"reward_scales": {"pick": {"reech": 1.0}}}, "reach"),
     ({"num_envs": 10**7}, "At most"),
@@ -412,6 +476,17 @@ BAD_OPTIONS = [
 def test_bad_options_name_what_is_valid(options: dict, match: str):
     with pytest.raises(UsageError, match=match):
         build(**options)
+
+
+def test_overrides_that_were_recorded_as_json_are_taken():
+    """Data sets and runs keep their configuration as JSON, in which a tuple is a list."""
+    given = {"ee_rest_pos": (0.5, 0.0, 1.2), "goal_tol": 0.2}
+    recorded = json.loads(json.dumps(given))
+    first, again = (
+        task_config(EnvConfig(overrides=overrides), robot_named())
+        for overrides in (given, recorded)
+    )
+    assert again == first and again.ee_rest_pos == (0.5, 0.0, 1.2)
 
 
 def test_options_of_training_take_effect():
@@ -432,6 +507,16 @@ def test_options_of_training_take_effect():
     env.reset(seed=0)
     ends = [env.step(actions(env, i))[3][0] for i in range(7)]
     assert ends == [False] * 6 + [True]
+
+
+@pytest.mark.parametrize("make", [envs.make, envs.make_train])
+def test_a_pool_of_one_episode_is_the_same_arrangement_everywhere(make: Any):
+    env = make(subtask="pick", num_envs=3, episode_pool=1, threads=1)
+    env.reset(seed=5)
+    first, *others = env.episodes_now
+    for other in others:
+        np.testing.assert_array_equal(other.object_pose, first.object_pose)
+    assert len({env.state_digest(world) for world in range(3)}) == 3, "other spawns"
 
 
 def test_zone_goals_reach_over_the_whole_receptacle():

@@ -443,6 +443,7 @@ def test_a_step_never_waits_for_the_device(
         ({"reset_mask": [True]}, "reset_mask must be bool"),
         ({"episode": [0, 4]}, r"2 starts in \[0, 4\).*got \[0, 4\]; option starts"),
         ({"episode": [0.5, 1.0]}, "2 starts"),
+        ({"episode": "ab"}, "2 starts"),
         ({"episodes": [0]}, "unknown reset option 'episodes'"),
     ],
 )
@@ -461,6 +462,7 @@ def test_bad_actions_and_seeds_are_told(env: Any) -> None:
         env.reset(seed=[1, 2])
     with pytest.raises(UsageError, match="leave out reset_mask"):
         env.reset(seed=9, options={"reset_mask": torch.tensor([True, False])})
+    env.reset(seed=np.int64(env.pool.seed))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,9 @@ from mjhab.envs.observations.state import state_dim, state_table
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.robot import ROBOT
+from mjhab.scenes.pack_source import PACK_SOURCES, PackSource
+from mjhab.scenes.packs import open_pack
+from mjhab.scenes.spec import Roles
 from mjhab.tasks.plan import SubtaskKind
 
 
@@ -270,6 +275,41 @@ def test_fixed_home_and_splits():
 def test_bad_options_name_what_is_valid(options: dict, message: str):
     with pytest.raises(UsageError, match=message):
         build(**options)
+
+
+@pytest.fixture
+def plain_pack() -> Iterator[str]:
+    """Name of a pack without furniture that opens: TidyHouse needs none."""
+    pack = open_pack("builtin")
+    opening = tuple(f"{name}/" for name in pack.articulations)
+    places = {
+        role: tuple(place for place in listed if not place.startswith(opening))
+        for role, listed in pack.roles.places.items()
+    }
+    homes = tuple(
+        replace(home, articulations=(), open_limits=()) for home in pack.homes[:2]
+    )
+    plain = replace(
+        pack,
+        name="plain",
+        articulations={},
+        homes=homes,
+        roles=Roles({role: listed for role, listed in places.items() if listed}),
+    )
+    PACK_SOURCES.add("plain", PackSource("plain", lambda request: plain))
+    yield "plain"
+    PACK_SOURCES.remove("plain")
+
+
+@pytest.mark.parametrize("subtask", ["", "pick", "place", "navigate"])
+def test_a_pack_without_furniture_that_opens_is_enough(plain_pack: str, subtask: str):
+    env = build(
+        task="tidy_house", subtask=subtask, assets=plain_pack, reward_mode="dense"
+    )
+    env.reset(seed=0)
+    obs, reward, *_ = env.step(still(env))
+    assert env.observation_space.contains(obs) and np.isfinite(reward).all()
+    assert not env.link_state().any()
 
 
 def test_bad_actions_and_reset_options():

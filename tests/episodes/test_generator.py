@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,8 @@ from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.household.prepare_groceries import FRIDGE_PREOPEN_RAD
-from mjhab.tasks.household.spec import MIN_START_GOAL_M
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.household.spec import MIN_START_GOAL_M, TargetRule, TaskSpec
 
 
 def maker(task: str, target: str = "") -> EpisodeMaker:
@@ -100,3 +103,35 @@ def test_homes_of_a_pattern_take_turns():
     )
     with pytest.raises(UsageError, match=r"unknown home 'builtin_m9_\*'"):
         EpisodeMaker(sim, "tidy_house", "train", home="builtin_m9_*")
+
+
+def test_other_roles_of_the_same_furniture_are_other_episodes(tmp_path, monkeypatch):
+    """The episode cache must not give a pack the episodes of one whose pieces play other roles."""
+    monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
+    pack = open_pack("builtin")
+    goals = []
+    for table in ("table_01", "table_02"):
+        places = {**pack.roles.places, "dining_table": (table,)}
+        roles = dataclasses.replace(pack.roles, places=places)
+        own = dataclasses.replace(pack, roles=roles)
+        sim = CpuSimulator(Layout(own, roster("set_table")), 1, 1)
+        episodes = EpisodeMaker(sim, "set_table", "train", home="builtin_m0_00")
+        goals.append(episodes.episode(0, 0).targets[0].goal_pos)
+        assert goals[-1] == episodes.make(0, 0)[0].targets[0].goal_pos
+    assert goals[0] != goals[1]
+
+
+def test_other_rules_of_a_task_of_the_same_name_are_other_episodes():
+    """A script or notebook registers its task without a plugin file whose content could be hashed."""
+    layout = Layout(open_pack("builtin"), ("024_bowl",))
+    digests = []
+    for role in ("dining_table", "sink"):
+        rule = TargetRule(start=("open_surface",), goal=(role,), object="024_bowl")
+        TASKS.add("own", TaskSpec(name="own", words=("try",), targets=(rule,)))
+        try:
+            episodes = EpisodeMaker(CpuSimulator(layout, 1, 1), "own", "train")
+            digests.append(episodes.digest)
+            assert EpisodeMaker(episodes.sim, "own", "train").digest == digests[-1]
+        finally:
+            TASKS.remove("own")
+    assert digests[0] != digests[1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import runpy
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,6 +38,7 @@ def test_the_file_is_what_its_script_makes(
 ) -> None:
     script = runpy.run_path(str(FOLDER / "make_mug.py"))
     monkeypatch.setitem(script["main"].__globals__, "OUT", tmp_path / "mug.glb")
+    monkeypatch.setattr(sys, "argv", ["make_mug.py"])
     script["main"]()
     made = read_glb(tmp_path / "mug.glb")
     kept = read_glb(FOLDER / "mug.glb")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from trimesh.exchange.gltf import export_glb
 
 from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import PluginWarning, load_plugin
+from mjhab.scenes.builtin.objects import builtin_objects
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.object_glb import object_from_glb
 from mjhab.scenes.objects import (
@@ -167,3 +169,22 @@ def test_objects_that_cannot_be_made() -> None:
         UsageError, match=r"ball: objects\[0\]\.mass: 1e\+09 is out of the range"
     ):
         register_object(ObjectModel(dataclasses.replace(ball, mass=1e9)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"name": []}, "name must be a text"),
+        ({"mass": {}}, "object 'thing': mass must be a finite number"),
+        ({"half": 0.1}, "object 'thing': half must be a tuple"),
+        ({"collision": None}, "object 'thing': collision must be a tuple"),
+        ({"visuals": ("box",)}, "object 'thing': visuals must be a tuple"),
+        ({"grasp_shape": "hull"}, "object 'thing': grasp_shape must be '' or 'mesh'"),
+    ],
+)
+def test_values_of_another_type_are_refused(changes: dict[str, Any], said: str) -> None:
+    kind = dataclasses.replace(builtin_objects()["013_apple"], name="thing")
+    with pytest.raises(UsageError, match=said):
+        ObjectModel(dataclasses.replace(kind, **changes))
+    with pytest.raises(UsageError, match="object 'thing': meshes must be a mapping"):
+        ObjectModel(kind, meshes=[])  # type: ignore[arg-type]

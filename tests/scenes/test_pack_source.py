@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,9 @@ import pytest
 
 import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.pack_source import PACK_SOURCES
+from mjhab.scenes.spec import Pack
 
 
 def broken(request: Any) -> Any:
@@ -18,6 +21,12 @@ def broken(request: Any) -> Any:
 
 def refused(request: Any) -> Any:
     raise UsageError("no walls.")
+
+
+def of_homes(count: int) -> Callable[[Any], Pack]:
+    """A function that opens the built-in pack with its first home ``count`` times."""
+    pack = builtin_pack()
+    return lambda request: dataclasses.replace(pack, homes=pack.homes[:1] * count)
 
 
 @pytest.mark.parametrize(
@@ -29,6 +38,8 @@ def refused(request: Any) -> Any:
         ),
         (refused, r"asset pack 'mine' cannot open mine: no walls\."),
         (lambda request: None, "asset pack 'mine' .* must return a .*Pack, got NoneType"),
+        (of_homes(0), "asset pack mine has no homes"),
+        (of_homes(2), "asset pack mine has 2 homes of the name 'builtin_m0_00'"),
     ],
 )
 def test_a_source_that_fails_is_named(open_it: Callable[[Any], Any], told: str) -> None:

@@ -29,6 +29,7 @@ from mjhab.tasks.subtasks.registry import (
     spec_of,
 )
 from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
+from mjhab.tasks.thresholds import SubtaskConfig
 from tests.tasks.build import CONFIG, history
 
 SPARE: dict[str, Any] = {
@@ -115,6 +116,19 @@ def test_numbers_are_those_of_the_original() -> None:
             "a label twice",
         ),
         ({"name": "Stare!"}, "lower-case"),
+        ({"name": 3}, "subtask 3: name must be a text, got 3"),
+        ({"color": 3}, "subtask 'stare': color must be a text"),
+        ({"limits": 200}, "limits must be a SubtaskConfig, got 200"),
+        ({"limits": SubtaskConfig(0, 100.0)}, "horizon of limits must be a whole number"),
+        ({"limits": SubtaskConfig(200, 0.0)}, "force_limit of limits must be a number"),
+        ({"train_horizon": "long"}, "train_horizon must be a whole number or None"),
+        ({"train_horizon": -1}, "train_horizon must be a whole number of control steps"),
+        ({"measures": ["at_goal"]}, "measures must be a mapping"),
+        ({"edges": ("success",)}, "edges must be a mapping"),
+        ({"label_rules": ("done", "failed")}, "label_rules must be a tuple"),
+        ({"reward": "dense"}, "reward must be a RewardTable or None"),
+        ({"published": ("done",)}, "published must be a PublishedLabels or None"),
+        ({"keeps_goal": "no"}, "keeps_goal must be True or False"),
     ],
 )
 def test_a_subtask_that_lacks_something_is_refused(
@@ -190,6 +204,14 @@ def test_an_unknown_kind_is_an_error(where: str) -> None:
         ({"targets": ({"start": ()},)}, r"targets\[0\] must be a TargetRule, got dict"),
         ({"words": (), "targets": ()}, "has no words and no targets;"),
         ({"name": "no name"}, "lower-case"),
+        ({"name": 3}, "task 3: name must be a text"),
+        ({"targets": 3}, "task 'idle': targets must be a tuple of TargetRules, got 3"),
+        ({"clutter_copies": -1}, "clutter_copies must be at least 0"),
+        ({"clutter_copies": 1.5}, "clutter_copies must be a whole number"),
+        ({"openings": {"fridge_door": 1.5}}, "openings must be a tuple"),
+        ({"openings": (("fridge_door", "wide"),)}, "openings must be a tuple"),
+        ({"shelf_region": 0.0}, "shelf_region is a share above 0"),
+        ({"departs_from_last_goal": 1}, "departs_from_last_goal must be True or False"),
     ],
 )
 def test_a_task_that_lacks_something_is_refused(
@@ -198,6 +220,24 @@ def test_a_task_that_lacks_something_is_refused(
     rule = TargetRule(start=("sink",), goal=("sink",))
     with pytest.raises(UsageError, match=said):
         TaskSpec(**{"name": "idle", "words": ("idle",), "targets": (rule,), **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"object": 3}, "a TargetRule: object must be a text"),
+        ({"chain": "pick"}, "a TargetRule: chain must be a function or None"),
+        (
+            {"distance_m": 2.0},
+            "distance_m of a TargetRule is the smallest and the largest",
+        ),
+        ({"distance_m": (2.0, 0.5)}, "distance_m of a TargetRule"),
+        ({"distance_m": (-1.0, 0.5)}, "distance_m of a TargetRule"),
+    ],
+)
+def test_a_rule_with_a_wrong_value_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        TargetRule(**{"start": ("sink",), "goal": ("sink",), **changes})
 
 
 def test_a_rule_that_opens_names_the_link() -> None:

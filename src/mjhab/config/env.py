@@ -7,6 +7,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -171,6 +172,13 @@ class EnvConfig:
             raise UsageError(
                 "continuous=True needs a subtask: in a chain, success is what brings the next subtask."
             )
+        if self.episodes_file:
+            for name in ("spawns", "extra_objects"):
+                if getattr(self, name):
+                    raise UsageError(
+                        f"episodes_file and {name} exclude each other: a file of episodes has objects and places of "
+                        "its own."
+                    )
         for name in (self.subtask,) if self.subtask else task.subtasks:
             robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
         self._check_numbers()
@@ -355,6 +363,9 @@ def _override(
     if name not in (*plain, *nested):
         raise unknown_name("task-config override", name, (*plain, *nested))
     present = getattr(owner, part or name)
+    if isinstance(present, tuple) and isinstance(value, list):
+        # Configurations that were recorded as JSON hold lists.
+        value = tuple(value)
     new: Any = ()
     with contextlib.suppress(TypeError, ValueError):
         new = type(present)(value) if not isinstance(present, bool) else value
@@ -362,7 +373,10 @@ def _override(
     # A number may be as low as 0, or as its default, such as -1 for "without limit".
     if isinstance(present, int | float) and good:
         good = new >= min(0, present)
-    if not good or (isinstance(present, tuple) and len(present) != len(tuple(new))):
+    if isinstance(present, tuple) and good:
+        numbers = all(isinstance(n, Real) and math.isfinite(n) for n in new)
+        good = numbers and len(new) == len(present)
+    if not good:
         raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
     if part:
         limits[group] = dataclasses.replace(owner, **{part: new})

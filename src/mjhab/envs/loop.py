@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import operator
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from gymnasium import spaces
@@ -30,7 +31,7 @@ from mjhab.core.arrays import (
     namespace,
     where_rows,
 )
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, RewardRules
@@ -259,8 +260,13 @@ class TaskLoop(VectorEnv, ABC):
                 the worlds in the mask get, in order of worlds.
 
         Raises:
-            UsageError: unknown option, or shapes that do not fit.
+            UsageError: unknown option, shapes or types that do not fit, or the first reset begins no episode. Nothing
+                has changed then.
         """
+        if not isinstance(options, Mapping | None):
+            raise UsageError(
+                f"options must be a mapping such as {{'reset_mask': mask}}, got {shown(options)}"
+            )
         options = dict(options or {})
         mask = self._array(options.pop("reset_mask", ~self._no))
         wanted = options.pop("episode", None)
@@ -272,8 +278,11 @@ class TaskLoop(VectorEnv, ABC):
             raise UsageError(
                 f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
             )
-        self._reseed(seed, mask)
+        if self.signals is None and not may_hold(mask):
+            raise UsageError("the first reset must begin an episode in some world")
+        # Checked before anything changes.
         episodes = None if wanted is None else self._chosen_episodes(wanted, mask)
+        self._reseed(seed, mask)
         self._renew(mask, self._no, episodes)
         return self._keyed(self._observe()), self.info()
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
+from mjhab.config.ranges import whole_number
 from mjhab.core.arrays import Array, may_hold
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, shown
 from mjhab.core.joints import BASE_XY
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
@@ -33,6 +35,8 @@ from mjhab.tasks.signals import Signals, WorldState
 
 INDEX_STRIDE = 1 << 20
 """Without explicit indices, the k-th episode of world i has the index i * stride + k."""
+MAX_INDEX = 1 << 62
+"""Indices of episodes are below it."""
 
 
 class SequentialTaskEnv(TaskLoop):
@@ -86,10 +90,12 @@ class SequentialTaskEnv(TaskLoop):
     def _reseed(self, seed: Any, mask: np.ndarray) -> None:
         if seed is None:
             return
-        seeds = (
-            [seed] * self.num_envs if isinstance(seed, int | np.integer) else list(seed)
-        )
-        if len(seeds) != self.num_envs or any(s is not None and s < 0 for s in seeds):
+        given = _listed(seed)
+        seeds = [
+            None if each is None else whole_number("seed", each)
+            for each in ([seed] * self.num_envs if given is None else given)
+        ]
+        if len(seeds) != self.num_envs:
             raise UsageError(
                 f"seed must be a number >= 0 or {self.num_envs} of them, one per world; got {seed!r}"
             )
@@ -104,11 +110,13 @@ class SequentialTaskEnv(TaskLoop):
 
     def _chosen_episodes(self, wanted: Any, mask: np.ndarray) -> np.ndarray:
         worlds = np.flatnonzero(mask)
-        if len(wanted) != len(worlds) or any(int(i) < 0 for i in wanted):
+        listed = _listed(wanted) or []
+        given = [index for index in map(_index, listed) if index is not None]
+        if not len(given) == len(listed) == len(worlds):
             need = f"options['episode'] must give {len(worlds)} indices >= 0, one per reset world"
-            raise UsageError(f"{need}; got {list(wanted)}")
+            raise UsageError(f"{need}; got {shown(wanted)}")
         indices = np.zeros(self.num_envs, np.int64)
-        indices[worlds] = [int(i) for i in wanted]
+        indices[worlds] = given
         return indices
 
     def _adopt(self, fresh: np.ndarray, episodes: np.ndarray) -> None:
@@ -274,14 +282,16 @@ class SequentialTaskEnv(TaskLoop):
         }
 
     def set_columns(self, world: int, columns: Mapping[str, Any]) -> None:
-        """Restore a world from `get_columns`; no reset is due afterwards."""
+        """Restore a world from a snapshot; with "next_step" a reset is due if its episode has ended."""
         flags = columns["flags"]
+        ended = bool(columns["progress"]["done"])
+        due = ended and self.config.autoreset == "next_step"
         self.seeds[world] = columns["next"]["seed"]
         self.count = _with_entry(self.count, world, columns["next"]["count"])
         self.fallback = _with_entry(self.fallback, world, flags["fallback"])
         self.success = _with_entry(self.success, world, flags["success"])
         self.fail = _with_entry(self.fail, world, flags["fail"])
-        self.due = _with_entry(self.due, world, False)
+        self.due = _with_entry(self.due, world, due)
         self.joint_start = _with_entry(self.joint_start, world, columns["joint_start"])
         self.grip = _with_entry(self.grip, world, columns["grip"])
 
@@ -319,6 +329,23 @@ class SequentialTaskEnv(TaskLoop):
         return hashlib.sha256(
             batch.qpos[world].tobytes() + batch.qvel[world].tobytes()
         ).hexdigest()[:16]
+
+
+def _listed(values: Any) -> list[Any] | None:
+    """The items of a list or array; None for a single value and for texts."""
+    try:
+        return None if isinstance(values, str) else list(values)
+    except TypeError:
+        return None
+
+
+def _index(value: Any) -> int | None:
+    """A whole number that an episode can have; None for anything else."""
+    try:
+        index = -1 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None
+    return index if 0 <= index < MAX_INDEX else None
 
 
 def _with_entry(values: np.ndarray, world: int, value: float) -> np.ndarray:

@@ -5,6 +5,7 @@ The `TaskSpec` of a task defines where objects start and where their goals are, 
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -378,9 +379,22 @@ class EpisodeMaker:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of what an episode depends on besides (task, split, seed, index): homes, objects and compiling code."""
+        """Hash of what an episode depends on besides (task, split, seed, index): homes, objects and compiling code,
+        roles of the furniture, rules of the task."""
         shared = home_hash(self.layout, self.homes[0])
-        parts: tuple[object, ...] = (_VERSION, shared, self.homes, self._in_turn)
+        roles = self.layout.pack.roles
+        # What a chain makes of a target is not part of the episode.
+        rules = [dataclasses.replace(rule, chain=None) for rule in self.spec.targets]
+        spec = self.spec
+        drawn = (rules, spec.openings, spec.shelf_region, spec.shelf_clutter)
+        parts: tuple[object, ...] = (
+            _VERSION,
+            shared,
+            self.homes,
+            self._in_turn,
+            roles,
+            drawn,
+        )
         # A plugin can change the rules of its task while the code of mjhab stays the same.
         own = source_digest(TASKS.source(self.task))
         return hashlib.sha256(repr((*parts, own) if own else parts).encode()).hexdigest()[

@@ -89,13 +89,13 @@ class EpisodeSource:
         self.plan_length = 1 if config.subtask else TASKS[config.task].length
         # Settling the objects takes longer than all control steps of an episode: training draws from a pool of them.
         given = file is not None or self.starts.spawn_set is not None
-        self._pool_size = config.episode_pool if config.trains and not given else 0
+        self._pool_size = 0 if given else config.episode_pool
         self._pool = MemoryCache("episodes")
 
     def episode(self, seed: int, index: int) -> Episode:
         """Return the episode of (seed, index).
 
-        In training its home and object poses come from a pool of `EnvConfig.episode_pool` episodes. Spawn, target and
+        With `EnvConfig.episode_pool` its home and object poses come from a pool of so many episodes. Spawn, target and
         opening of links are still drawn for each (seed, index).
         """
         if not self._pool_size:

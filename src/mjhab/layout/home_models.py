@@ -49,7 +49,9 @@ class HomeModels:
             if home not in self._homes:
                 raise unknown_name("home", home, self._homes)
             self._hashes[home] = home_hash(self._layout, self._homes[home])
-        return _MODELS.get((self._hashes[home], self._drives), lambda: self._make(home))
+        # Stiff servos are not compiled, so that the hash of a home does not cover them.
+        key = (self._hashes[home], self._drives, self._layout.robot.stiff_gains)
+        return _MODELS.get(key, lambda: self._make(home))
 
     def _make(self, home: str) -> mujoco.MjModel:
         model = compile_home(self._layout, self._homes[home])

@@ -262,21 +262,22 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
 
 
 def _add_meshes(spec: mujoco.MjSpec, layout: Layout) -> None:
-    used = {
-        g.mesh
-        for kind in layout.pack.objects.values()
-        for g in kind.collision
-        if g.shape == "mesh"
-    }
-    used |= {
-        g.mesh
-        for prop in layout.pack.props.values()
-        for g in prop.geoms
-        if g.shape == "mesh" and g.collide
-    }
-    for name in sorted(used):
-        mesh = layout.pack.meshes[name]
-        spec.add_mesh(name=name, uservert=np.asarray(mesh.vertices, float).ravel())  # type: ignore[attr-defined]
+    pack = layout.pack
+    used = {g for kind in pack.objects.values() for g in kind.collision}
+    for furniture in (*pack.props.values(), *pack.articulations.values()):
+        used |= {g for g in furniture.geoms if g.collide}
+    scaled = {_mesh_name(g): g for g in used if g.shape == "mesh"}
+    for name in sorted(scaled):
+        geom = scaled[name]
+        vertices = np.asarray(pack.meshes[geom.mesh].vertices, float)  # type: ignore[attr-defined]
+        spec.add_mesh(name=name, uservert=(vertices * np.array(geom.size)).ravel())
+
+
+def _mesh_name(geom: Geom) -> str:
+    """Name in the model of the mesh of a geom; each scale of a mesh is one of its own."""
+    if geom.size == (1.0, 1.0, 1.0):
+        return geom.mesh
+    return f"{geom.mesh} x {geom.size}"
 
 
 def _add_geom(
@@ -298,7 +299,7 @@ def _add_geom(
         density=density,
     )
     if geom.shape == "mesh":
-        added.meshname = geom.mesh
+        added.meshname = _mesh_name(geom)
     else:
         added.size = geom.size
     return added
@@ -396,7 +397,7 @@ def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
             f"links of articulations are made of primitives, got mesh {geom.mesh!r}"
         )
     return float(
-        ConvexHull(np.asarray(spec.mesh(geom.mesh).uservert).reshape(-1, 3)).volume
+        ConvexHull(np.asarray(spec.mesh(_mesh_name(geom)).uservert).reshape(-1, 3)).volume
     )
 
 

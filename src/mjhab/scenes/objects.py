@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from mjhab.core.errors import UsageError
 from mjhab.core.names import check_texts
 from mjhab.core.registration.registry import Registry, check_item
+from mjhab.core.typed.options import fitting
 from mjhab.scenes.builtin.objects import builtin_objects
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.shapes.meshes import Mesh
@@ -38,6 +40,10 @@ class ObjectModel:
             raise UsageError(
                 f"the kind of an ObjectModel must be an ObjectType, got {type(self.kind).__name__}."
             )
+        owner = f"object {self.kind.name!r}"
+        for name, hint in typing.get_type_hints(ObjectType).items():
+            fitting(f"{owner}: {name}", hint, getattr(self.kind, name))
+        fitting(f"{owner}: meshes", Mapping[str, Mesh], self.meshes)
         check_texts(f"object {self.kind.name!r}: words", self.words)
         if not all(word.strip() for word in self.words):
             raise UsageError(

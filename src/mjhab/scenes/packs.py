@@ -7,6 +7,7 @@ files, and those of plugins.
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
@@ -48,10 +49,28 @@ def open_pack(assets: Assets = "builtin") -> Pack:
     request = pack_request(assets)
     source = source_of(request)
     if source is not None:
-        return with_registered_objects(_opened(source, request))
+        return with_registered_objects(_checked(_opened(source, request), request))
     if Path(request.place).is_dir():
-        return with_registered_objects(load_pack(Path(request.place)))
+        pack = load_pack(Path(request.place))
+        return with_registered_objects(_checked(pack, request))
     raise _nothing_there(request.place)
+
+
+def _checked(pack: Pack, request: PackRequest) -> Pack:
+    """Return a pack that has homes, each under a name of its own.
+
+    Raises:
+        UsageError: it has none, or two of one name, of which only one could be found.
+    """
+    if not pack.homes:
+        raise UsageError(f"asset pack {request} has no homes.")
+    names = [home.name for home in pack.homes]
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise UsageError(
+                f"asset pack {request} has {count} homes of the name {name!r}; give each one of its own."
+            )
+    return pack
 
 
 def _opened(source: PackSource, request: PackRequest) -> Pack:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -57,6 +58,14 @@ def test_a_name_is_registered_once(shelf: Registry[object]) -> None:
             shelf.add(name, 2)
     with pytest.raises(UsageError, match="has not been registered by a plugin"):
         shelf.remove("path")
+
+
+@pytest.mark.parametrize("name", ["", 3, [], "../up", "two words"])
+def test_what_is_no_name_is_refused(shelf: Registry[object], name: Any) -> None:
+    before = shelf.names()
+    with pytest.raises(UsageError, match="is no name"):
+        shelf.add(name, object())
+    assert shelf.names() == before
 
 
 def test_an_unknown_name_lists_the_names_and_the_plugins_that_failed(

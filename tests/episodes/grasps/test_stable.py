@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from mjhab.episodes.grasps.stable import (
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
+from mjhab.robots.fetch.robot import ROBOT as FETCH
 from mjhab.scenes.builtin.objects import SIZES
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -44,6 +46,21 @@ def library(sim: CpuSimulator, harvested: bool = False) -> StableGrasps:
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
     return tmp_path
+
+
+def test_another_hand_has_grasps_of_its_own():
+    """A plugin that changes the sizes of its gripper is not given the grasps of before from the cache."""
+    hand = FETCH.gripper
+    narrow = dataclasses.replace(hand, usable=0.5 * hand.usable)
+    closed = dataclasses.replace(FETCH.limits, gripper=(0.0, 0.05))
+    robots = (
+        FETCH,
+        dataclasses.replace(FETCH, gripper=narrow),
+        dataclasses.replace(FETCH, limits=closed),
+    )
+    layouts = (Layout(open_pack("builtin"), (BOWL,), robot) for robot in robots)
+    sims = [CpuSimulator(layout, 1, 1) for layout in layouts]
+    assert len({library(sim).folder for sim in sims}) == len(robots)
 
 
 @pytest.mark.parametrize("kind", [APPLE, BOWL])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs import make
 from mjhab.episodes.episode import Episode
@@ -33,6 +35,8 @@ from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.household.prepare_groceries import FRIDGE_PREOPEN_RAD
+from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.household.spec import TargetRule, TaskSpec
 from tests.real_data import real_data
 
 PATH = Path("some.json.gz")
@@ -246,6 +250,46 @@ def test_set_table_needs_something_to_open() -> None:
         from_file("set_table", lifted)
 
 
+@pytest.fixture
+def stowing() -> Iterator[str]:
+    """A task that puts an apple into the fridge, which its plan opens and closes."""
+    rule = TargetRule(
+        start=("dining_table",),
+        goal=("fridge_shelf",),
+        object="013_apple",
+        opens="goal",
+        link="fridge_door",
+    )
+    name = "stow"
+    TASKS.add(name, TaskSpec(name, ("stow",), (rule,), ("013_apple",), clutter_copies=0))
+    yield name
+    TASKS.remove(name)
+    world.cache_clear()
+
+
+def test_a_file_leads_to_the_handle_of_what_is_opened_at_the_goal(stowing: str) -> None:
+    made = world(stowing)[2][0]
+    read = from_file(stowing, hab(stowing)).episode(0, 0)
+    assert read.targets[0].goal_link == "fridge/top_door"
+    np.testing.assert_allclose(
+        read.targets[0].handle_pos, made.targets[0].handle_pos, atol=1e-9
+    )
+
+
+def test_a_goal_outside_of_what_is_to_be_opened_is_named(stowing: str) -> None:
+    whole = hab(stowing)
+    ((name, matrix),) = whole.targets.items()
+    lifted = matrix.copy()
+    lifted[1, 3] += 1.0
+    episode = replace(
+        whole, targets={name: lifted}, target_receptacles=(), goal_receptacles=()
+    )
+    with pytest.raises(
+        UsageError, match=r"episodes\[0\]\.targets: .* is in no drawer or fridge"
+    ):
+        from_file(stowing, episode)
+
+
 def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:
     pack = open_pack("builtin")
     bare = replace(
@@ -315,6 +359,14 @@ def test_the_env_runs_the_episodes_of_a_file(tmp_path: Path) -> None:
         UsageError, match=r"none of its 2 episodes is in home 'builtin_m1_00'"
     ):
         make(task="tidy_house", episodes_file=str(path), home="builtin_m1_00")
+
+
+def test_a_target_is_no_other_type_whose_name_begins_like_it() -> None:
+    """With the objects "mug" and "mug_tall", an episode about the tall one has no target "mug"."""
+    kind = kind_of(hab("tidy_house").target_names[0])
+    assert len(from_file("tidy_house", hab("tidy_house"), target=kind)) == 1
+    with pytest.raises(UsageError, match=f"with target '{kind[:-1]}'"):
+        from_file("tidy_house", hab("tidy_house"), target=kind[:-1])
 
 
 def test_real_episodes_stay_at_rest() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Generic, TypeVar, cast
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import check_name
 from mjhab.core.registration import plugins
 
 Item = TypeVar("Item")
@@ -33,8 +34,12 @@ class Registry(Generic[Item]):
         """Register an item and return it. One that a plugin adds is taken back if the plugin raises later on.
 
         Raises:
-            UsageError: the name is taken; the message says by whom.
+            UsageError: the name is taken; the message says by whom. Or it is no name, see `check_name`.
         """
+        try:
+            check_name(f"name of the {self._what}", name)
+        except ValueError as error:
+            raise UsageError(str(error)) from error
         source = plugins.current_source()
         if name in self._names:
             raise UsageError(

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from numbers import Integral, Real
 from os import PathLike, fspath
 from pathlib import Path
@@ -17,17 +17,19 @@ from mjhab.core.errors import UsageError, shown
 MAX_TEXT_CHARACTERS = 4096
 
 
-def take_types(options: Any, apart: Collection[str] = ()) -> None:
+def take_types(options: Any, apart: Collection[str] = (), owner: str = "") -> None:
     """Put defaults in place of None, and plain values in place of paths, lists and numbers of numpy, in a dataclass.
 
     Args:
         options: a frozen dataclass that is being made; it is changed in place.
         apart: fields that are checked elsewhere.
+        owner: what the fields belong to, for messages: "task 'set_table'".
 
     Raises:
         UsageError: see `fitting`.
     """
     hints = typing.get_type_hints(type(options))
+    prefix = f"{owner}: " if owner else ""
     for option in dataclasses.fields(options):
         if option.name in apart:
             continue
@@ -36,7 +38,7 @@ def take_types(options: Any, apart: Collection[str] = ()) -> None:
             value = _default(option)
         # Some defaults are None themselves: something else determines them later.
         if value is not None or option.default is dataclasses.MISSING:
-            value = fitting(option.name, hints[option.name], value)
+            value = fitting(f"{prefix}{option.name}", hints[option.name], value)
         object.__setattr__(options, option.name, value)
 
 
@@ -51,8 +53,8 @@ def fitting(name: str, hint: Any, value: Any) -> Any:
 
     Args:
         name: of the option, for the message.
-        hint: the annotation: text, whole number, number, yes or no, a tuple of texts or of numbers, a mapping with
-            texts as keys, or several of these.
+        hint: the annotation: text, whole number, number, yes or no, a tuple of these or of dataclasses, a mapping with
+            texts as keys, a function, a dataclass, one of some values, or several of these.
         value: what the caller gave; a path stands for its text, a list for a tuple, a number of numpy for a plain one.
 
     Raises:
@@ -63,9 +65,7 @@ def fitting(name: str, hint: Any, value: Any) -> Any:
         found = _read(name, kind, value)
         if found is not _UNFIT:
             return found
-    expected = " or ".join(
-        _WORDS.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds
-    )
+    expected = " or ".join(map(_in_words, kinds))
     raise UsageError(
         f"{name} must be {expected}, got {shown(value)} ({type(value).__name__})."
     )
@@ -80,8 +80,18 @@ _WORDS: dict[Any, str] = {
     Path: "a path",
     tuple: "a tuple",
     Mapping: "a mapping with texts as keys",
+    Callable: "a function",
     types.NoneType: "None",
 }
+
+
+def _in_words(kind: Any) -> str:
+    """A type in words, for messages: "a text" for str, "a LabelRule" for a dataclass of that name."""
+    origin = typing.get_origin(kind) or kind
+    if origin is typing.Literal:
+        return " or ".join(map(repr, typing.get_args(kind)))
+    is_record = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    return _WORDS.get(origin, f"a {kind.__name__}" if is_record else str(kind))
 
 
 def _is_union(hint: Any) -> bool:
@@ -107,6 +117,10 @@ def _read(name: str, kind: Any, value: Any) -> Any:
         return _number(value)
     if origin is tuple and isinstance(value, list | tuple):
         return _tuple(name, typing.get_args(kind), value)
+    if origin is typing.Literal:
+        return value if value in typing.get_args(kind) else _UNFIT
+    if origin is Callable and callable(value):
+        return value
     if origin is Mapping and isinstance(value, Mapping):
         return value if all(isinstance(key, str) for key in value) else _UNFIT
     if dataclasses.is_dataclass(origin) and isinstance(value, typing.cast(type, origin)):

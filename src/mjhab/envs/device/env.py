@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from numbers import Integral
 from typing import Any
 
 import torch
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import to_numpy
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, shown
 from mjhab.core.joints import BASE_XY
 from mjhab.envs.device.landings import Teleporter
 from mjhab.envs.device.notes import DeviceNotes, DeviceStepNotes
@@ -141,22 +142,25 @@ class DeviceEnv(TaskLoop):
     def _reseed(self, seed: Any, mask: Tensor) -> None:
         if seed is None:
             return
-        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
             raise UsageError(
                 f"backend 'warp' takes one seed for all worlds, a number >= 0; got {seed!r}"
             )
         if seed != self.pool.seed:
             if not bool(mask.all()):
                 raise UsageError("a new seed is for all worlds: leave out reset_mask")
-            self.pool = StartPool(self._source, self.sim, self.pool.count, seed)
+            self.pool = StartPool(self._source, self.sim, self.pool.count, int(seed))
         self.count = torch.where(mask, 0, self.count)
 
     def _next_episodes(self) -> Tensor:
         return (self._worlds + self.count * self.num_envs) % self.pool.count
 
     def _chosen_episodes(self, wanted: Any, mask: Tensor) -> Tensor:
-        chosen = torch.as_tensor(wanted, device=self.device)
         count = int(mask.sum())
+        try:
+            chosen = torch.as_tensor(wanted, device=self.device)
+        except (TypeError, ValueError, RuntimeError):
+            chosen = torch.zeros(0)
         integral = not (chosen.is_floating_point() or chosen.dtype == torch.bool)
         if (
             chosen.shape != (count,)
@@ -164,9 +168,7 @@ class DeviceEnv(TaskLoop):
             or bool(((chosen < 0) | (chosen >= self.pool.count)).any())
         ):
             need = f"options['episode'] must give {count} starts in [0, {self.pool.count}), one per reset world"
-            raise UsageError(
-                f"{need}; got {to_numpy(chosen).tolist()}; option starts sets how many"
-            )
+            raise UsageError(f"{need}; got {shown(wanted)}; option starts sets how many")
         rows = self.start_row.clone()
         rows[mask] = chosen.to(rows.dtype)
         return rows

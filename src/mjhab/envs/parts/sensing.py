@@ -46,6 +46,7 @@ class Sensing:
         self._opening = as_like([finger.opens for finger in robot.fingers], like)
         self._tcp = addresses.robot_body[robot.tcp]
         self._base_height = robot.base_height
+        self._has_links = bool(layout.links)
         self._link_body = as_like(addresses.link_body, like, whole)
         self._handles = as_like(
             [ref.link.handle.point(handle_points) for ref in layout.links], like
@@ -96,6 +97,8 @@ class Sensing:
 
     def joint_now(self, state: SimState, focus: Focus) -> Array:
         """(W,) joint position of the active subtask's link [m or rad], 0 without one."""
+        if not self._has_links:
+            return zeros((len(self._rows),), state.robot_q)
         return state.link_q[self._rows, focus.link] * focus.has_link
 
     def link_state(self, state: SimState, focus: Focus) -> Array:
@@ -106,6 +109,8 @@ class Sensing:
         small openings: a network cannot distinguish 1 % (closed) from 3 % by a normalised opening.
         """
         xp = namespace(state.robot_q)
+        if not self._has_links:
+            return xp.astype(zeros((len(self._rows), 5), state.robot_q), xp.float32)
         link = xp.where(focus.has_link, focus.link, 0)
         low, high = self._range[link].T
         opening = (state.link_q[self._rows, link] - low) / (high - low)
@@ -136,7 +141,7 @@ class Sensing:
         rows = self._rows
         goal = focus.active.goal_pos
         jointed = focus.jointed
-        if may_hold(jointed):
+        if self._has_links and may_hold(jointed):
             where = namespace(jointed).where
             handle = self.handle_pos(state, rows, where(focus.has_link, focus.link, 0))
             goal = where(jointed[:, None], handle, goal)

@@ -233,7 +233,9 @@ class StableGrasps:
             MAX_APPROACH_SLANT_RAD,
             _VERSION,
         )
-        name = repr((home_hash(self.layout, self.layout.pack.homes[0]), test))
+        # The hash of a home covers what its model is made of, not the sizes that the search goes by.
+        hand = (self.robot.gripper, self.robot.limits.gripper)
+        name = repr((home_hash(self.layout, self.layout.pack.homes[0]), hand, test))
         return cache_dir() / "grasps" / hashlib.sha256(name.encode()).hexdigest()[:16]
 
     def _check(self, kind: str) -> None:

@@ -128,7 +128,7 @@ class FileEpisodes:
             i
             for i, episode in enumerate(self.file.episodes)
             if fnmatchcase(episode.scene, home or "*")
-            and any(n.startswith(target) for n in episode.target_names)
+            and (not target or target in map(kind_of, episode.target_names))
         ]
         if not self._rows:
             wanted = " ".join(
@@ -208,11 +208,15 @@ class FileEpisodes:
             raise UsageError(f"{where}.{error}") from error
         rules = TASKS[self.task].targets
         if any(rule.opens for rule in rules):
-            targets = file_targets(self.layout, home, episode, pose, root)
+            targets = file_targets(self.layout, home, episode, pose, root, self.task)
             for rule, target in zip(rules, targets, strict=False):
                 if rule.opens == "start" and not target.start_link:
                     raise UsageError(
                         f"{where}.rigid_objs: {target.obj!r} starts in no drawer or fridge; {self.task} opens one."
+                    )
+                if rule.opens == "goal" and not target.goal_link:
+                    raise UsageError(
+                        f"{where}.targets: the goal of {target.obj!r} is in no drawer or fridge; {self.task} opens one."
                     )
 
     def _read(self, row: int) -> tuple[Home, np.ndarray, np.ndarray, int]:
@@ -241,7 +245,7 @@ class FileEpisodes:
         )
         upright = np.einsum("mi,mi->m", axis_before, axis_after)
         rest = Rest(hab.instances, moved, np.arccos(np.clip(upright, -1.0, 1.0)))
-        targets = file_targets(self.layout, home, hab, rested, root)
+        targets = file_targets(self.layout, home, hab, rested, root, self.task)
         return Episode(
             self.task, home.split, 0, row, home.name, rested, after[a.link_q], targets
         ), rest
@@ -426,7 +430,12 @@ def receptacle_at(
 
 
 def file_targets(
-    layout: Layout, home: Home, episode: HabEpisode, pose: np.ndarray, root: int
+    layout: Layout,
+    home: Home,
+    episode: HabEpisode,
+    pose: np.ndarray,
+    root: int,
+    task: str,
 ) -> tuple[Target, ...]:
     """Return the targets of an episode, in order; links that the file does not name are found by geometry.
 
@@ -436,17 +445,20 @@ def file_targets(
         episode: the episode.
         pose: (N, 7) poses of all object slots, world frame [m, wxyz].
         root: number of the root link, from `number_of_root`.
+        task: household task, whose rules say which link the plan opens for a target.
     """
     places = placed_receptacles(layout, home)
     out = []
-    for k, name in enumerate(episode.target_names):
+    rules = TASKS[task].targets
+    for k, (name, rule) in enumerate(zip(episode.target_names, rules, strict=False)):
         slot = layout.object_names.index(name)
         goal = pose_from_hab(episode.targets[name], layout.objects[slot].scan_yaw)
         starts = _listed_link(layout, episode.target_receptacles, k, root)
         ends = _listed_link(layout, episode.goal_receptacles, k, root)
         start_link = starts or _link_around(layout, home, places, name, pose[slot])
         goal_link = ends or _link_around(layout, home, places, name, goal)
-        handle = layout.closed_handle(home, start_link) if start_link else (0.0, 0.0, 0.0)
+        opened = goal_link if rule.opens == "goal" else start_link
+        handle = layout.closed_handle(home, opened) if opened else (0.0, 0.0, 0.0)
         out.append(
             Target(name, _point(goal), _point(pose[slot]), start_link, goal_link, handle)
         )

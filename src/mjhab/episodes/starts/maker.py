@@ -23,7 +23,7 @@ from mjhab.episodes.starts.fronts import link_front
 from mjhab.episodes.starts.home_state import HomeState
 from mjhab.episodes.starts.scene import Scene, Situation, Start, SubtaskStart
 from mjhab.layout.layout import Layout
-from mjhab.scenes.roles import link_with_role
+from mjhab.scenes.roles import link_with_role, roles_of
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
@@ -60,8 +60,19 @@ def valid_targets(config: EnvConfig, layout: Layout) -> list[str]:
     """Return the object types or link ids that ``config.target`` may name for its task and subtask."""
     task = TASKS[config.task]
     if config.subtask and SUBTASKS[config.subtask].jointed:
-        return [link_with_role(layout.pack.roles, role) for role in task.opened_links]
+        return _opened_links(config.task, layout)
     return list(task.object_types) or sorted(set(layout.roster))
+
+
+def _opened_links(task: str, layout: Layout) -> list[str]:
+    """Return the ids of the links that the plans of a task open in the homes of a layout, without repeats."""
+    pack = layout.pack
+    found: list[str] = []
+    for role in TASKS[task].opened_links:
+        links = [roles_of(pack, home).links.get(role) for home in pack.homes]
+        # Of a role that no home has, the error says which ones the pack has.
+        found += filter(None, links) if any(links) else [link_with_role(pack.roles, role)]
+    return list(dict.fromkeys(found))
 
 
 def aims_of(config: EnvConfig, layout: Layout) -> list[str]:
@@ -76,8 +87,7 @@ def aims_of(config: EnvConfig, layout: Layout) -> list[str]:
     goals = [f"{GOAL_OF}{name}" for name in named]
     if config.target:
         return goals
-    roles = TASKS[config.task].opened_links
-    return [*named, *goals, *(link_with_role(layout.pack.roles, role) for role in roles)]
+    return [*named, *goals, *_opened_links(config.task, layout)]
 
 
 def check_target(config: EnvConfig, layout: Layout) -> None:

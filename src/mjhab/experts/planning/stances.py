@@ -107,7 +107,7 @@ class Frame:
         )
 
 
-_FOUND: dict[tuple[str, Hashable, str], Stances] = {}
+_FOUND: dict[tuple[Robot, Hashable, float, str], Stances] = {}
 
 
 def cached(
@@ -117,11 +117,10 @@ def cached(
     search: Callable[[Robot, JointedLink], Stances],
 ) -> Stances:
     """The stances of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
-    key = (robot.name, link.spec, job)
+    height = float(link.origin[2])
+    key = (robot, link.spec, height, job)
     if key not in _FOUND:
-        plain = JointedLink(
-            link.id, link.spec, np.array([0.0, 0.0, link.origin[2]]), np.eye(3)
-        )
+        plain = JointedLink(link.id, link.spec, np.array([0.0, 0.0, height]), np.eye(3))
         path = cache_dir() / "stances" / f"{_digest(robot, plain, job)}.npz"
         found = _read(path)
         if found is None:

@@ -7,10 +7,11 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.names import check_texts
+from mjhab.core.typed.options import take_types
 from mjhab.tasks.household.steps import open_goal, open_start, pick_and_place
 from mjhab.tasks.plan import Subtask, Target, TaskPlan
 from mjhab.tasks.subtasks.registry import subtask_names
@@ -44,7 +45,8 @@ class TargetRule:
         distance_m: smallest and largest distance between start and goal [m].
 
     Raises:
-        UsageError: an unknown ``opens``, no roles, or ``opens`` without ``link`` or the reverse.
+        UsageError: an unknown ``opens``, no roles, ``opens`` without ``link`` or the reverse, or a field has another
+            type.
     """
 
     start: tuple[str, ...]
@@ -56,6 +58,7 @@ class TargetRule:
     distance_m: tuple[float, float] = (MIN_START_GOAL_M, math.inf)
 
     def __post_init__(self) -> None:
+        take_types(self, ("start", "goal", "opens", "distance_m"), "a TargetRule")
         if self.opens not in get_args(Opens):
             raise unknown_name("opens of a TargetRule", self.opens, get_args(Opens))
         check_texts("start of a TargetRule", self.start)
@@ -68,10 +71,23 @@ class TargetRule:
             raise UsageError(
                 "a TargetRule that opens something needs the role of the link, and no other does."
             )
+        if not _is_range(self.distance_m):
+            raise UsageError(
+                "distance_m of a TargetRule is the smallest and the largest distance [m], as in (0.5, 2.0), "
+                f"got {self.distance_m!r}."
+            )
 
     def subtasks(self, target: Target) -> list[Subtask]:
         """Subtasks for a target, in order."""
         return (self.chain or _CHAINS[self.opens])(target)
+
+
+def _is_range(given: Any) -> bool:
+    """Whether something is a pair of numbers, 0 <= least <= most; the second may be infinite."""
+    numbers = isinstance(given, tuple | list) and all(
+        isinstance(number, int | float) for number in given
+    )
+    return numbers and len(given) == 2 and 0.0 <= given[0] <= given[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +107,7 @@ class TaskSpec:
         departs_from_last_goal: a single Navigate starts at the goal of the subtask before, not anywhere in the home.
 
     Raises:
-        UsageError: an invalid name, a required field is missing, or a field has another type.
+        UsageError: an invalid name, a required field is missing, or a field has another type or is out of its range.
     """
 
     name: str = ""
@@ -105,6 +121,7 @@ class TaskSpec:
     departs_from_last_goal: bool = False
 
     def __post_init__(self) -> None:
+        take_types(self, ("words", "objects", "targets"), f"task {self.name!r}")
         if not _NAME.fullmatch(self.name):
             raise UsageError(
                 f"a task needs a name of lower-case letters, digits and _, got {self.name!r}."
@@ -117,11 +134,27 @@ class TaskSpec:
                 f"task {self.name!r} has no {' and no '.join(missing)}; "
                 f"give {'; '.join(_NEEDED[part] for part in missing)}."
             )
+        self._check_numbers()
+        if not isinstance(self.targets, tuple | list):
+            raise UsageError(
+                f"task {self.name!r}: targets must be a tuple of TargetRules, got {shown(self.targets)}."
+            )
         for k, rule in enumerate(self.targets):
             if not isinstance(rule, TargetRule):
                 raise UsageError(
                     f"task {self.name!r}: targets[{k}] must be a TargetRule, got {type(rule).__name__}."
                 )
+
+    def _check_numbers(self) -> None:
+        for name in ("clutter_copies", "shelf_clutter"):
+            if getattr(self, name) < 0:
+                raise UsageError(
+                    f"task {self.name!r}: {name} must be at least 0, got {getattr(self, name)}."
+                )
+        if not 0.0 < self.shelf_region <= 1.0:
+            raise UsageError(
+                f"task {self.name!r}: shelf_region is a share above 0 and up to 1, got {self.shelf_region}."
+            )
 
     @property
     def roles(self) -> tuple[str, ...]:

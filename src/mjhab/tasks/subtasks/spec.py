@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from string import Formatter
 from typing import Any, Literal, get_args
 
@@ -15,6 +16,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import GROUPS
 from mjhab.core.names import check_texts
 from mjhab.core.registration.plugins import raised_text
+from mjhab.core.typed.options import take_types
 from mjhab.tasks.labelling.state import WATCHED, LabelState, uneventful
 from mjhab.tasks.rewards.table import RewardTable
 from mjhab.tasks.signals import CHECKS, Active, WorldState
@@ -80,6 +82,8 @@ _TEXTS = (
     "joint_groups",
 )
 """Fields that are tuples of texts."""
+_CHECKED_APART = (*_TEXTS, "about", "start", "expert")
+"""Fields whose types are checked with their values."""
 _NEEDED = {
     "words": 'words=("pick up {object}", ...), wordings of its instruction',
     "conditions": 'conditions=("at_goal", "is_static", ...), checks of mjhab.tasks.signals.CHECKS',
@@ -189,6 +193,7 @@ class SubtaskSpec:
     expert: Any = None
 
     def __post_init__(self) -> None:
+        take_types(self, _CHECKED_APART, f"subtask {self.name!r}")
         if not _NAME.fullmatch(self.name):
             raise UsageError(
                 f"a subtask needs a name of lower-case letters, digits and _, got {self.name!r}."
@@ -201,9 +206,26 @@ class SubtaskSpec:
                 f"subtask {self.name!r} has no {' and no '.join(missing)}; "
                 f"give {'; '.join(_NEEDED[part] for part in missing)}."
             )
+        self._check_limits()
         self._check_words()
         self._check_names()
         self._check_labels()
+
+    def _check_limits(self) -> None:
+        steps = {"horizon of limits": self.limits.horizon}
+        if self.train_horizon is not None:
+            steps["train_horizon"] = self.train_horizon
+        for what, value in steps.items():
+            if not isinstance(value, Integral) or value < 1:
+                raise UsageError(
+                    f"subtask {self.name!r}: {what} must be a whole number of control steps of at least 1, "
+                    f"got {value!r}."
+                )
+        force = self.limits.force_limit
+        if not isinstance(force, Real) or not force > 0.0:
+            raise UsageError(
+                f"subtask {self.name!r}: force_limit of limits must be a number above 0, or infinite, got {force!r}."
+            )
 
     def _check_words(self) -> None:
         for wording in self.words:

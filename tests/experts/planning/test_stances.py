@@ -1,0 +1,54 @@
+"""Stances of doors and drawers: searched for once for every link, robot and height."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjhab.envs.parts.world_view import JointedLink, home_shapes
+from mjhab.experts.planning import stances
+from mjhab.experts.planning.stances import Stances
+from mjhab.layout.layout import Layout
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.robots.robot import Robot
+from mjhab.scenes.packs import open_pack
+
+
+def height(robot: Robot, link: JointedLink) -> Stances:
+    """A search that finds nothing but how high the link is."""
+    return Stances(np.full((1, 1, 1), link.origin[2]), np.zeros(1), np.zeros(1))
+
+
+def base_height(robot: Robot, link: JointedLink) -> Stances:
+    """A search that finds nothing but how high the base is."""
+    return Stances(np.full((1, 1, 1), robot.base_height), np.zeros(1), np.zeros(1))
+
+
+@pytest.fixture
+def link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> JointedLink:
+    monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
+    monkeypatch.setattr(stances, "_FOUND", {})
+    pack = open_pack("builtin")
+    return home_shapes(Layout(pack, ()), pack.homes[0].name).links["fridge/top_door"]
+
+
+def test_the_same_door_at_another_height_has_stances_of_its_own(link: JointedLink):
+    """The order in which homes are seen decides nothing."""
+    lifted = replace(link, origin=link.origin + np.array([0.0, 0.0, 0.2]))
+    for each in (link, lifted, link):
+        found = stances.cached(ROBOT, each, "height", height)
+        assert found.q.item() == each.origin[2]
+    aside = replace(link, origin=link.origin + np.array([3.0, 1.0, 0.0]))
+    assert stances.cached(ROBOT, aside, "height", height) is stances.cached(
+        ROBOT, link, "height", height
+    )
+
+
+def test_a_changed_robot_of_the_same_name_has_stances_of_its_own(link: JointedLink):
+    high = replace(ROBOT, base_height=ROBOT.base_height + 0.1)
+    for robot in (ROBOT, high):
+        found = stances.cached(robot, link, "base", base_height)
+        assert found.q.item() == robot.base_height

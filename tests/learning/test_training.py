@@ -421,6 +421,32 @@ def test_the_learning_rate_falls_to_zero_in_the_end(
     )
 
 
+def test_the_cosine_schedule_ends_with_the_last_round(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used: list[float] = []
+    make_updates = Trainer.update
+
+    def note(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
+        report = make_updates(trainer, one, rate)
+        used.append(trainer.optimizer.param_groups[0]["lr"])
+        return report
+
+    monkeypatch.setattr(Trainer, "update", note)
+    monkeypatch.setattr(Session, "collect", lambda session, _: session.load(source))
+    optimizer = dataclasses.replace(
+        config().optimizer, schedule="cosine", warmup=0, learning_rate=1.0
+    )
+    told = dataclasses.replace(
+        train_config(optimizer=optimizer),
+        dagger=DaggerConfig(rounds=2, updates=4, final_updates=0),
+    )
+    train(request(source, config=told, where=""), tmp_path / "run")
+    # Of 4 updates of the first round and 4 of each of the others.
+    wanted = 0.5 * (1.0 + np.cos(np.pi * np.arange(12) / 12))
+    np.testing.assert_allclose(used, wanted, rtol=1e-6)
+
+
 # -- what a run says of itself ---------------------------------------------------------------------------------------
 
 

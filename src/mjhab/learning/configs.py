@@ -187,6 +187,15 @@ class TrainConfig:
         """Name of the algorithm as in `mjhab train ALGORITHM`."""
         return DAGGER if self.dagger is not None else self.student.algorithm
 
+    @property
+    def updates(self) -> int:
+        """Number of updates of a whole run, all rounds of DAgger included."""
+        updates = self.student.updates
+        if self.dagger is not None:
+            updates += self.dagger.rounds * self.dagger.updates
+            updates += self.dagger.final_updates
+        return updates
+
 
 PAPER_INPUTS = InputConfig(
     image_size=128, previous_action=False, condition=False, normalize=False, shift=0

@@ -91,7 +91,7 @@ class Session:
             self.progress = saved_state(folder.training, saved.about, Progress)
         self.device = training_device(request.device)
         student = make_student(self.config, layout, request.seed).to(self.device)
-        self.trainer = Trainer(student, request.seed, self.config.updates)
+        self.trainer = Trainer(student, request.seed, request.config.updates)
         if saved is not None:
             with restoring(folder.training):
                 self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))

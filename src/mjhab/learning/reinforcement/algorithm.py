@@ -46,11 +46,15 @@ class AlgorithmRun(ABC):
             OutOfTime: the budget is spent.
         """
 
+    def save(self) -> None:
+        """Write a checkpoint; all worlds start new episodes."""
+        self.session.save(self.actor, self.tensors())
+
     def between(self, before: int) -> None:
         """Write a checkpoint and evaluate if either became due since ``before`` samples."""
         session = self.session
         if session.due(self.config.checkpoint_samples, before):
-            session.save(self.actor, self.tensors())
+            self.save()
         every = self.config.eval_samples
         if session.request.round_episodes and session.due(every, before):
             session.evaluate(self.actor, session.request.round_episodes)

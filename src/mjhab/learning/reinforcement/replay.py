@@ -210,6 +210,13 @@ class ReplayBuffer:
         zero = torch.zeros(len(worlds), device=self.device)
         self._write(worlds, last, nothing, zero, zero.bool(), False)
 
+    def cut(self, last: Seen) -> None:
+        """End the running episodes of all worlds here; ``last`` (W rows) are their last observations."""
+        newest = (self.position - 1) % self.shape.steps
+        running = (self.position > 0) & self._data["begins"][self._rows, newest]
+        worlds = torch.nonzero(running).flatten()
+        self.close(worlds, last.rows(worlds))
+
     def _write(
         self,
         worlds: Tensor,

@@ -41,7 +41,7 @@ def train_reinforcement(
                 run.learn()
             except OutOfTime:
                 session.log.show({"phase": "the budget is spent"})
-            session.save(run.actor, run.tensors())
+            run.save()
             session.keep_best(run.actor)
             # Random weights are not judged.
             if request.eval_episodes and session.standing.trained:

@@ -70,6 +70,11 @@ class SacRun(AlgorithmRun):
         if self.session.worlds.device.type == "cpu":
             self.online.position.copy_(tensors["position"])
 
+    def save(self) -> None:
+        # The worlds start new episodes, whose observations do not follow the steps stored so far.
+        self.online.cut(self.session.worlds.seen)
+        super().save()
+
     def tensors(self) -> dict[str, Tensor]:
         learner = self.learner
         kept = prefixed("agent", self.agent.state_dict())

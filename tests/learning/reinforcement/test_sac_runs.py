@@ -65,3 +65,26 @@ def test_no_transition_leads_from_one_side_of_a_checkpoint_to_the_other(
     drawn = run.online.draw(2000, torch.Generator().manual_seed(0))
     expected = drawn.seen.vector + STEP * drawn.actions
     torch.testing.assert_close(drawn.next_seen.vector, expected)
+
+
+def test_a_resumed_run_draws_what_the_killed_one_drew(tmp_path: Path) -> None:
+    steps = 16
+    run = run_of(
+        tmp_path,
+        TrainingRules(success_ends=True),
+        checkpoint_samples=steps * WORLDS,
+        capacity=160 * WORLDS,
+    )
+    while int(run.online.position.min()) < 160:
+        run._step()
+    run.save()
+    saved = run.online.position.clone()
+    wanted = run.online.draw(2000, torch.Generator().manual_seed(0))
+    for _ in range(steps):
+        run._step()
+    # More than these steps, because an entry with the last observation closes each of many episodes.
+    assert int((run.online.position - saved).max()) > steps + 2
+    run.online.position.copy_(saved)
+    found = run.online.draw(2000, torch.Generator().manual_seed(0))
+    assert torch.equal(wanted.seen.vector, found.seen.vector)
+    assert torch.equal(wanted.next_seen.vector, found.next_seen.vector)

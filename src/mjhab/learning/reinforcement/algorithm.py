@@ -67,7 +67,9 @@ class AlgorithmRun(ABC):
         seen = self.session.worlds.seen
         images = seen.images.shape[1:]
         steps = max(capacity // worlds, 2)
-        reserve = min(self.config.checkpoint_samples // worlds + 2, steps // 4)
+        # Between two checkpoints every step may end an episode, whose last observation takes an entry, too.
+        apart = -(-self.config.checkpoint_samples // worlds)
+        reserve = min(2 * apart + 1, steps // 4)
         if name == DEMONSTRATIONS:
             reserve = 0
         shape = ReplayShape(

@@ -143,6 +143,8 @@ class ReplayBuffer:
         self.device = device
         self._reserve = reserve
         self._folder = folder
+        self.is_new = folder is None
+        """Whether it lacks an array of an earlier start of the run."""
         self.position = torch.zeros(shape.worlds, dtype=torch.int64, device=device)
         """(W,) number of entries written to each ring so far."""
         kinds = {
@@ -174,6 +176,7 @@ class ReplayBuffer:
                     "another run."
                 )
         else:
+            self.is_new = True
             array = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=size)
         return torch.from_numpy(array)
 

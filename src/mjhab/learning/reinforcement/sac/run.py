@@ -50,6 +50,12 @@ class SacRun(AlgorithmRun):
         self.learner = SacLearner(self.agent, self.config, session.seed)
         self.owed = 0.0
         """Number of updates that are due; fractions add up."""
+        # A transition of the buffer takes two control steps.
+        least = 2 * worlds.count * distributed.processes()
+        self.warm_up = max(self.sac.warm_up, least)
+        """Number of samples before the first update."""
+        self.first_update = self.warm_up
+        """Number of samples at which updates begin, or go on after a start whose buffer is gone."""
         self.online = self.buffer(REPLAY, worlds.count, self.sac.capacity)
         self.shown: ReplayBuffer | None = None
         if session.saved is not None:
@@ -67,8 +73,14 @@ class SacRun(AlgorithmRun):
             restore_optimizer(optimizer, part_of(f"optimizer_{name}", tensors))
         learner.updates = self.session.standing.updates
         self.owed = float(tensors["owed"])
-        if self.session.worlds.device.type == "cpu":
+        if not self.online.is_new:
             self.online.position.copy_(tensors["position"])
+        elif bool(tensors["position"].any()):
+            self.first_update = self.session.standing.samples + self.warm_up
+            self.session.log.say(
+                f"the replay buffer of the earlier start is gone; {self.warm_up:,} samples fill it again before the "
+                "next update"
+            )
 
     def save(self) -> None:
         # The worlds start new episodes, whose observations do not follow the steps stored so far.
@@ -96,8 +108,8 @@ class SacRun(AlgorithmRun):
             self._step()
             acted = time.perf_counter()
             numbers: dict[str, float] = {}
-            if standing.samples >= self.sac.warm_up:
-                if before < self.sac.warm_up:
+            if standing.samples >= self.first_update:
+                if before < self.first_update and not self.learner.updates:
                     self._fit_normalizers()
                 self.owed += ratio * worlds.count
                 while self.owed >= 1.0:
@@ -167,7 +179,7 @@ class SacRun(AlgorithmRun):
             return
         sources = [self.shown] if self.shown is not None else []
         rows = [
-            source.draw(self.sac.warm_up // 2, self.learner.random("fit")).seen
+            source.draw(self.warm_up // 2, self.learner.random("fit")).seen
             for source in [*sources, self.online]
         ]
         device = self.session.worlds.device

@@ -18,6 +18,7 @@ from mjhab.core.errors import UsageError
 from mjhab.learning.changes import with_fields
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import InputConfig, NetworkConfig
+from mjhab.learning.reinforcement import algorithm
 from mjhab.learning.reinforcement import session as sessions
 from mjhab.learning.reinforcement import train as training
 from mjhab.learning.reinforcement.configs import (
@@ -34,6 +35,7 @@ from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Scene
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook
+from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.training import BrokenLossError
 
 SCENE = Scene(
@@ -132,6 +134,27 @@ def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     assert set(wanted) == set(found)
     for name, value in wanted.items():
         assert torch.equal(value, found[name]), name
+
+
+@pytest.mark.parametrize("slow", ["collect_demonstrations", "_imitation_loss"])
+def test_a_budget_that_ends_before_learning_leaves_a_run_to_begin_with(
+    slow: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def out_of_time(*_: object) -> None:
+        raise OutOfTime
+
+    owner = PpoLearner if slow == "_imitation_loss" else algorithm
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, slow, out_of_time)
+        early = train_reinforcement(request(TINY_IMITATING), tmp_path / "early")
+    assert not early.summary["trained"] and early.summary["checkpoint"] is None
+    train_reinforcement(request(TINY_IMITATING), tmp_path / "early", resume=True)
+    train_reinforcement(request(TINY_IMITATING), tmp_path / "whole")
+    wanted, found = (
+        load_checkpoint(tmp_path / name / "training.safetensors").tensors
+        for name in ("whole", "early")
+    )
+    assert all(torch.equal(value, found[name]) for name, value in wanted.items())
 
 
 def _train_and_kill(rank: int, out: Path) -> None:

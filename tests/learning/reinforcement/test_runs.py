@@ -265,6 +265,36 @@ def test_the_student_is_the_best_evaluated_actor(
     assert result.summary["samples"] == 48 and next(rates, None) is None
 
 
+def test_a_killed_run_keeps_the_best_actor_of_one_that_was_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is killed after the evaluation and the checkpoint of 32 samples."""
+    rates = {0: 0.1, 32: 0.6, 64: 0.4}
+    monkeypatch.setattr(
+        sessions.ReinforcementSession,
+        "_judge",
+        lambda self, episodes, last: rates[self.standing.samples],
+    )
+    told = dataclasses.replace(
+        request(dataclasses.replace(TINY, eval_samples=32)), round_episodes=1
+    )
+    check = sessions.ReinforcementSession.check_time
+
+    def killed(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 32:
+            raise Killed
+        check(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sessions.ReinforcementSession, "check_time", killed)
+        with pytest.raises(Killed):
+            train_reinforcement(told, tmp_path / "killed")
+    result = train_reinforcement(told, tmp_path / "killed", resume=True)
+    assert result.summary["samples"] == 64 and result.summary["student_samples"] == 32
+    student = load_checkpoint(tmp_path / "killed" / "student.safetensors")
+    assert student.about["samples"] == 32
+
+
 @pytest.mark.parametrize(("by", "kept"), [("once", 16), ("at_end", 32)])
 def test_the_success_that_chooses_the_student_can_be_told(
     by: str, kept: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -51,13 +51,14 @@ class AlgorithmRun(ABC):
         self.session.save(self.actor, self.tensors())
 
     def between(self, before: int) -> None:
-        """Write a checkpoint and evaluate if either became due since ``before`` samples."""
+        """Evaluate and write a checkpoint if either became due since ``before`` samples."""
         session = self.session
-        if session.due(self.config.checkpoint_samples, before):
-            self.save()
         every = self.config.eval_samples
         if session.request.round_episodes and session.due(every, before):
             session.evaluate(self.actor, session.request.round_episodes)
+        # After the evaluation, so that a resumed run knows the best success.
+        if session.due(self.config.checkpoint_samples, before):
+            self.save()
         session.check_time()
 
     def buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:

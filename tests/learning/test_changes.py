@@ -100,6 +100,15 @@ def test_fields_of_reinforcement_are_set_by_name() -> None:
         with_fields(preset, ["ppo.minibatches=7"])
 
 
+def test_fields_of_reinforcement_that_depend_on_each_other_are_set_together() -> None:
+    preset = reinforcement_preset(PPO, "fast")
+    changed = with_fields(preset, ["ppo.minibatches=6", "worlds=48"])
+    assert changed.ppo is not None and (changed.ppo.minibatches, changed.worlds) == (
+        6,
+        48,
+    )
+
+
 def test_devices_have_names() -> None:
     assert training_device(CPU) == torch.device("cpu")
     assert training_device(AUTO).type == ("cuda" if torch.cuda.is_available() else "cpu")

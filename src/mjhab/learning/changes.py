@@ -6,7 +6,7 @@ import dataclasses
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.learning.configs import DAGGER, TrainConfig
@@ -59,23 +59,19 @@ def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
     Raises:
         UsageError: there is no such field, or the value has another type.
     """
-    student = config.student
-    dagger = config.dagger
-    own: dict[str, Any] = {}
     known = settable(config)
-    for word in words:
-        name, text = _split(word, known)
-        value = _read(name, text, known[name])
-        part, dot, field = name.partition(".")
+    student: dict[str, Any] = {}
+    dagger: dict[str, Any] = {}
+    for name, value in _values(words, known).items():
+        part, _, field = name.partition(".")
         if part == DAGGER:
-            dagger = _replaced(dagger, field, value)
-        elif dot:
-            student = _set(student, name, value)
+            dagger[field] = value
         else:
-            own[name] = value
-    # Together, because a student is checked as a whole: chunk=1 alone would be refused before execute=1 is read.
-    student = dataclasses.replace(student, **own)
-    return dataclasses.replace(config, student=student, dagger=dagger)
+            student[name] = value
+    changed = dataclasses.replace(config, student=_replaced(config.student, student))
+    return _replaced(
+        changed, {f"{DAGGER}.{name}": value for name, value in dagger.items()}
+    )
 
 
 def with_fields(config: Record, words: Sequence[str]) -> Record:
@@ -84,11 +80,7 @@ def with_fields(config: Record, words: Sequence[str]) -> Record:
     Raises:
         UsageError: there is no such field, or the value has another type.
     """
-    known = fields_of(config)
-    for word in words:
-        name, text = _split(word, known)
-        config = _set(config, name, _read(name, text, known[name]))
-    return config
+    return _replaced(config, _values(words, fields_of(config)))
 
 
 def settable(config: TrainConfig) -> dict[str, Any]:
@@ -124,15 +116,31 @@ def _split(word: str, known: Mapping[str, Any]) -> tuple[str, str]:
     return name, text
 
 
-def _set(config: Any, name: str, value: Any) -> Any:
-    part, dot, field = name.partition(".")
-    if not dot:
-        return _replaced(config, name, value)
-    return _replaced(config, part, _replaced(getattr(config, part), field, value))
+def _values(words: Sequence[str], known: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of NAME=VALUE words by name, each of the type of the known one."""
+    found: dict[str, Any] = {}
+    for word in words:
+        name, text = _split(word, known)
+        found[name] = _read(name, text, known[name])
+    return found
 
 
-def _replaced(record: Any, name: str, value: Any) -> Any:
-    return dataclasses.replace(record, **{name: value})
+def _replaced(config: Record, values: Mapping[str, Any]) -> Record:
+    """The config with other values by name, those of its parts as PART.FIELD.
+
+    They are set together, because a config is checked as a whole: chunk=1 alone would be refused before execute=1.
+    """
+    own: dict[str, Any] = {}
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        part, dot, field = name.partition(".")
+        if dot:
+            parts.setdefault(part, {})[field] = value
+        else:
+            own[name] = value
+    for part, fields in parts.items():
+        own[part] = dataclasses.replace(getattr(config, part), **fields)
+    return dataclasses.replace(cast(Any, config), **own)
 
 
 def _read(name: str, text: str, like: Any) -> Any:

@@ -17,6 +17,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import compact
 from mjhab.learning.batches import BatchSampler, take_chunks
+from mjhab.learning.changes import with_changes
 from mjhab.learning.checkpoint import (
     load_checkpoint,
     load_student,
@@ -41,7 +42,7 @@ from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Session, open_session
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import BrokenLossError, Trainer
-from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
 from tests.data.fake_world import FakeEnv
@@ -390,6 +391,45 @@ def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -
 def test_data_that_do_not_fit_leave_no_folder(source: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no episode passes"):
         train(request(source, where="steps > 1000"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "words"),
+    [
+        ("bc", ["inputs.image_size=2"]),
+        ("bc", ["network.encoder=nature"]),
+        ("act", ["network.hidden=130"]),
+        ("act", ["network.layers=0"]),
+        ("diffusion", ["chunk=6", "execute=2"]),
+        ("diffusion", ["network.unet=60,100"]),
+        ("diffusion", ["inputs.cameras="]),
+    ],
+)
+def test_sizes_that_do_not_fit_together_are_refused(
+    algorithm: str, words: list[str]
+) -> None:
+    told = with_changes(preset_of(algorithm), words).student
+    with pytest.raises(UsageError, match="give no network that can act"):
+        check_student(told, layout(told.inputs))
+
+
+def test_a_network_that_a_checkpoint_could_not_hold_is_refused() -> None:
+    told = with_changes(preset_of("bc"), ["network.hidden=20000"]).student
+    with pytest.raises(UsageError, match=r"hidden: expected .* to 16,384, got 20000"):
+        check_student(told, layout(told.inputs))
+
+
+@pytest.mark.parametrize("algorithm", ["bc", "flow"])
+def test_a_student_needs_no_hidden_layers(algorithm: str) -> None:
+    network = dataclasses.replace(config(algorithm).network, layers=0)
+    trainer_of(algorithm, network=network).update(batch())
+
+
+def test_a_network_that_cannot_act_leaves_no_folder(source: Path, tmp_path: Path) -> None:
+    network = NetworkConfig(encoder="nature", channels=(4, 8))
+    with pytest.raises(UsageError, match="give no network that can act"):
+        train(request(source, config=train_config(network=network)), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 

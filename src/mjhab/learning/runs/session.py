@@ -29,7 +29,7 @@ from mjhab.learning.runs.interrupts import held_interrupts
 from mjhab.learning.runs.request import Request, layout_for, resolved_config
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.training import Trainer
-from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
@@ -336,6 +336,7 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
     config = resolved_config(request)
     check_folder(out, config, resume=resume, replaceable=False)
     layout = layout_for(request)
+    check_student(request.config.student, layout)
     session = Session(
         request, layout, TrainingFolder.open(out, config, resume=resume), resume
     )

@@ -11,6 +11,7 @@ import pytest
 
 import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.evaluation.evaluate import close_policy
 from mjhab.learning.by_subtask import Entry, PoliciesBySubtask, entries_text, read_entries
 
 PLAN = [
@@ -75,6 +76,31 @@ def test_a_policy_that_works_long_is_asked_only_for_its_worlds() -> None:
     }
     assert policy.act({}, info)[:, 0].tolist() == [1.0, 2.0]
     assert driver.chosen == [[True, False]]
+
+
+class Failing(Constant):
+    """Fails in every world, and notes that it was closed."""
+
+    closed = False
+
+    def fault(self, world: int) -> str:
+        return f"no answer in world {world}"
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_fault_is_that_of_the_acting_policy_and_all_are_closed() -> None:
+    entries = (Entry("navigate", "", "ws://a"), Entry("pick", "", ""))
+    driver, picker = Failing(1.0), Constant(2.0)
+    policy = PoliciesBySubtask(entries, [driver, picker], worlds=2, width=3)
+    info: dict[str, Any] = {"episode_spec": [{"plan": PLAN}] * 2}
+    policy.act({}, {**info, "pointer": np.array([0, 1])})
+    assert [policy.fault(world) for world in range(2)] == ["no answer in world 0", ""]
+    policy.act({}, {**info, "pointer": np.array([1, 3])})
+    assert [policy.fault(world) for world in range(2)] == ["", ""]
+    close_policy(policy)
+    assert driver.closed
 
 
 def test_an_entry_names_any_policy(tmp_path: Path) -> None:

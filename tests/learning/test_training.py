@@ -124,6 +124,27 @@ def test_normalized_numbers_have_mean_zero_and_spread_one() -> None:
     assert not plain.normalizer.mean.any() and (plain.normalizer.scale == 1).all()
 
 
+@pytest.mark.parametrize("normalize", [False, True])
+def test_diffusion_reaches_the_limits_of_actions(
+    normalize: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its network asks for actions far beyond the range, on both sides."""
+    inputs = dataclasses.replace(INPUTS, normalize=normalize)
+    student = make_student(config("diffusion", inputs=inputs), layout(inputs))
+    student.fit_normalizers(demonstrations(lengths=(200, 300)))
+    one = batch()
+    for sign in (-1.0, 1.0):
+        monkeypatch.setattr(
+            student.unet,
+            "forward",
+            lambda point, *_, sign=sign: torch.full_like(point, -sign * 1e4),
+        )
+        noise = torch.zeros(8, student.draws, 4, 13)
+        with torch.no_grad():
+            chunk = student.chunk(one.vector, one.images, noise)
+        torch.testing.assert_close(chunk, torch.full_like(chunk, sign))
+
+
 def test_the_average_follows_the_weights() -> None:
     trainer = trainer_of()
     before = [value.clone() for value in trainer.average.parameters()]

@@ -24,6 +24,7 @@ from mjhab.learning.reinforcement import train as training
 from mjhab.learning.reinforcement.configs import (
     PPO,
     RLPD,
+    SAC,
     PpoConfig,
     ReinforcementConfig,
     SacConfig,
@@ -93,6 +94,19 @@ TINY_RLPD = dataclasses.replace(
         critics=2,
     ),
 )
+
+
+SHORT_EPISODES = dataclasses.replace(
+    TINY,
+    algorithm=SAC,
+    ppo=None,
+    sac=SacConfig(batch=8, warm_up=32, capacity=640, updates_per_step=0.25),
+    samples=432,
+    checkpoint_samples=144,
+    horizon=5,
+    worlds=4,
+)
+"""Episodes end at other steps in each of two processes."""
 
 
 class Killed(Exception):
@@ -432,8 +446,8 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
     assert summary["episodes"] == summary["trained"]
 
 
-def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
-    """One of two processes, as torchrun starts them."""
+def join_as(number: int, port: int) -> None:
+    """Be one of two processes, as torchrun starts them."""
     own = {
         "RANK": number,
         "WORLD_SIZE": 2,
@@ -442,6 +456,16 @@ def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
     }
     os.environ |= {name: str(value) for name, value in own.items()}
     torch.set_num_threads(1)
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
+    join_as(number, port)
     told = dataclasses.replace(request(TINY), budget_seconds=600.0)
     train_reinforcement(told, Path(folder), resume)
     torch.distributed.destroy_process_group()
@@ -449,10 +473,36 @@ def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
 
 def test_two_processes_train_and_resume_together(tmp_path: Path) -> None:
     for number, resume in enumerate((False, True)):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        spawn(train_in_process, (str(tmp_path / "run"), port, resume), nprocs=2)
+        spawn(train_in_process, (str(tmp_path / "run"), free_port(), resume), nprocs=2)
         saved = load_checkpoint(tmp_path / "run" / "training.safetensors")
         # The samples of both count; a run that is over makes no more when it is resumed.
         assert saved.about["samples"] == TINY.samples, number
+
+
+def train_killed_and_whole(number: int, folder: str, port: int) -> None:
+    """One of two processes that train, and train, are killed and resume."""
+    join_as(number, port)
+    told = request(SHORT_EPISODES)
+    train_reinforcement(told, Path(folder) / "whole")
+    check = sessions.ReinforcementSession.check_time
+
+    def killed(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 300:
+            raise Killed
+        check(self)
+
+    sessions.ReinforcementSession.check_time = killed  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        train_reinforcement(told, Path(folder) / "killed")
+    sessions.ReinforcementSession.check_time = check  # type: ignore[method-assign]
+    train_reinforcement(told, Path(folder) / "killed", resume=True)
+    torch.distributed.destroy_process_group()
+
+
+def test_each_of_two_processes_goes_on_with_its_own_buffer(tmp_path: Path) -> None:
+    spawn(train_killed_and_whole, (str(tmp_path), free_port()), nprocs=2)
+    wanted, found = (
+        load_checkpoint(tmp_path / name / "training.safetensors").tensors
+        for name in ("whole", "killed")
+    )
+    assert all(torch.equal(value, found[name]) for name, value in wanted.items())

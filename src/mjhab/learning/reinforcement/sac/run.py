@@ -73,9 +73,10 @@ class SacRun(AlgorithmRun):
             restore_optimizer(optimizer, part_of(f"optimizer_{name}", tensors))
         learner.updates = self.session.standing.updates
         self.owed = float(tensors["owed"])
+        position = tensors["position"].chunk(distributed.processes())[distributed.rank()]
         if not self.online.is_new:
-            self.online.position.copy_(tensors["position"])
-        elif bool(tensors["position"].any()):
+            self.online.position.copy_(position)
+        elif bool(position.any()):
             self.first_update = self.session.standing.samples + self.warm_up
             self.session.log.say(
                 f"the replay buffer of the earlier start is gone; {self.warm_up:,} samples fill it again before the "
@@ -93,7 +94,8 @@ class SacRun(AlgorithmRun):
         for name, optimizer in learner.optimizers.items():
             kept |= prefixed(f"optimizer_{name}", optimizer_tensors(optimizer))
         kept["owed"] = torch.tensor(self.owed, dtype=torch.float64)
-        kept["position"] = self.online.position
+        # Episodes of other processes end at other steps.
+        kept["position"] = distributed.gathered(self.online.position)
         return kept
 
     def learn(self) -> None:

@@ -30,6 +30,7 @@ from mjhab.learning.reinforcement.configs import (
     SacConfig,
 )
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner
+from mjhab.learning.reinforcement.ppo.run import PpoRun
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
@@ -169,6 +170,15 @@ def test_a_budget_that_ends_before_learning_leaves_a_run_to_begin_with(
         for name in ("whole", "early")
     )
     assert all(torch.equal(value, found[name]) for name, value in wanted.items())
+
+
+def test_demonstrations_end_by_the_rules_of_training(tmp_path: Path) -> None:
+    """As they are paid; but the expert closes this drawer without a force that would cost."""
+    told = request(dataclasses.replace(TINY_IMITATING, success_ends=True))
+    with sessions.open_reinforcement(told, tmp_path) as session:
+        shown = PpoRun(session).demonstrations(1)
+        drawn = shown.draw(500, torch.Generator().manual_seed(0))
+    assert bool(drawn.terminated.any()) and not bool(drawn.terminated.all())
 
 
 def _train_and_kill(rank: int, out: Path) -> None:

@@ -544,6 +544,29 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(
     assert f"{last or 2} episodes in homes of split {split}" in page
 
 
+def test_a_resumed_run_makes_the_evaluation_that_was_interrupted(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = judge_without_simulation(monkeypatch)
+    judge = Session._evaluate_in
+
+    def interrupted(session: Session, *given: Any) -> Any:
+        if session.trainer.step == 2:
+            raise KeyboardInterrupt
+        return judge(session, *given)
+
+    told = request(source, round_episodes=2)
+    with monkeypatch.context() as patch:
+        patch.setattr(Session, "_evaluate_in", interrupted)
+        assert train(told, tmp_path / "run").interrupted
+    train(told, tmp_path / "run", resume=True)
+    rows = TrainingFolder(tmp_path / "run", {}).read_metrics()
+    assert [row["step"] for row in rows if "success_once" in row] == [1, 2, 3]
+    assert len(asked) == 3
+    about = load_checkpoint(tmp_path / "run" / "training.safetensors").about
+    assert about["evaluated"] == [1, 2, 3]
+
+
 @pytest.mark.parametrize("films", [None, 0])
 def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
     films: int | None, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

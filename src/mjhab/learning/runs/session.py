@@ -304,6 +304,7 @@ class Session:
         by_row = self.judged.success_by_row()
         success = float(self.judged.summary()["success_once"])
         self.progress.evaluated.append(self.trainer.step)
+        self.save()
         numbers: dict[str, float] = {
             "success_once": success,
             "evaluated_episodes": len(self.judged.records),

@@ -583,6 +583,8 @@ def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
             path = out / "films" / f"episode_{index:05d}.mp4"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(b"film")
+            # A process that was killed has left a part of another.
+            path.with_name(f".episode_{index:05d}.7.part.mp4").write_bytes(b"part")
         return judge(session, scene, split, episodes, films, out)
 
     monkeypatch.setattr(Session, "_evaluate_in", with_films)

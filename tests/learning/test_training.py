@@ -409,6 +409,17 @@ def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -
         assert session.layout.targets == ("024_bowl",)
 
 
+def test_two_processes_do_not_train_in_one_folder(source: Path, tmp_path: Path) -> None:
+    with open_session(request(source), tmp_path / "run"):
+        with pytest.raises(UsageError, match="is being written by process"):
+            train(request(source), tmp_path / "run", resume=True)
+        with pytest.raises(UsageError, match="is being written by process"):
+            TrainingFolder.open(tmp_path / "run", {}, resume=True)
+    done = train(request(source), tmp_path / "run", resume=True)
+    assert done.summary["steps"] == 4
+    assert not list((tmp_path / "run").glob("*.lock"))
+
+
 def test_data_that_do_not_fit_leave_no_folder(source: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no episode passes"):
         train(request(source, where="steps > 1000"), tmp_path / "run")
@@ -621,10 +632,12 @@ def test_a_run_counts_no_processor_time_of_an_earlier_run_in_its_process(
 ) -> None:
     clock = [100.0, 20.0, 3.0, 0.0, 0.0]
     monkeypatch.setattr("os.times", lambda: tuple(clock))
-    log = Logbook(TrainingFolder.open(tmp_path / "run", {}))
+    folder = TrainingFolder.open(tmp_path / "run", {})
+    log = Logbook(folder)
     clock[0] += 5.0
     log.report(1, 8, {"loss": 1.0})
     assert log.cpu_seconds == 5.0
+    folder.close()
     resumed = Logbook(TrainingFolder.open(tmp_path / "run", {}, resume=True), step=1)
     clock[2] += 2.0
     assert resumed.cpu_seconds == 7.0

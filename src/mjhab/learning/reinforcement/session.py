@@ -7,7 +7,7 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -485,9 +485,9 @@ def open_reinforcement(
         distributed.wait()
     check_folder(mine, config, resume=resume, replaceable=False)
     _check_start(request)
-    folder = TrainingFolder.open(mine, config, resume=resume)
-    if first:
-        distributed.wait()
-    session = ReinforcementSession(request, folder, out / TRAINING, resume)
-    with session.log:
-        yield session
+    with closing(TrainingFolder.open(mine, config, resume=resume)) as folder:
+        if first:
+            distributed.wait()
+        session = ReinforcementSession(request, folder, out / TRAINING, resume)
+        with session.log:
+            yield session

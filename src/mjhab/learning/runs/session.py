@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -338,8 +338,7 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
     check_folder(out, config, resume=resume, replaceable=False)
     layout = layout_for(request)
     check_student(request.config.student, layout)
-    session = Session(
-        request, layout, TrainingFolder.open(out, config, resume=resume), resume
-    )
-    with session.log:
-        yield session
+    with closing(TrainingFolder.open(out, config, resume=resume)) as folder:
+        session = Session(request, layout, folder, resume)
+        with session.log:
+            yield session

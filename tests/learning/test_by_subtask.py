@@ -103,6 +103,17 @@ def test_a_fault_is_that_of_the_acting_policy_and_all_are_closed() -> None:
     assert driver.closed
 
 
+def test_two_policies_for_the_same_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policies.json"
+    entries = [
+        {"subtask": "pick", "target": "024_bowl", "checkpoint": name}
+        for name in ("expert", "zero")
+    ]
+    path.write_text(json.dumps({"policies": entries}), encoding="utf-8")
+    with pytest.raises(UsageError, match="two policies for pick 024_bowl"):
+        read_entries(path)
+
+
 def test_an_entry_names_any_policy(tmp_path: Path) -> None:
     path = tmp_path / "policies.json"
     rows = [

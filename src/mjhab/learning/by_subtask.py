@@ -60,7 +60,7 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
     """Read a policies file.
 
     Raises:
-        UsageError: the file does not exist or has another format, or a subtask is unknown.
+        UsageError: the file does not exist or has another format, a subtask is unknown, or two entries name one.
     """
     if not is_file(path):
         raise UsageError(
@@ -77,8 +77,14 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
         raise UsageError(
             f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}. {error}'
         ) from error
+    seen: set[tuple[str, str]] = set()
     for entry in entries:
         SUBTASKS.check(entry.subtask)
+        place = (entry.subtask, entry.target)
+        if place in seen:
+            told = f"{entry.subtask} {entry.target or 'of all targets'}"
+            raise UsageError(f"{path} names two policies for {told}; leave one out.")
+        seen.add(place)
     return entries
 
 

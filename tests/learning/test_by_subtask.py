@@ -13,6 +13,7 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import close_policy
 from mjhab.learning.by_subtask import Entry, PoliciesBySubtask, entries_text, read_entries
+from mjhab.learning.policy_kind import joined
 
 PLAN = [
     {"kind": "navigate", "target": "024_bowl_:0000"},
@@ -101,6 +102,16 @@ def test_a_fault_is_that_of_the_acting_policy_and_all_are_closed() -> None:
     assert [policy.fault(world) for world in range(2)] == ["", ""]
     close_policy(policy)
     assert driver.closed
+
+
+def test_images_need_not_be_square() -> None:
+    wide = {"camera_size": (64, 48)}
+    assert joined("both", [("a", wide), ("b", wide)]) == wide
+    assert joined("both", [("a", {"camera_size": 32}), ("b", {"camera_size": 64})]) == {
+        "camera_size": 64
+    }
+    with pytest.raises(UsageError, match=r"camera_size is \(64, 48\) for one and 32"):
+        joined("both", [("a", wide), ("b", {"camera_size": 32})])
 
 
 def test_two_policies_for_the_same_are_refused(tmp_path: Path) -> None:

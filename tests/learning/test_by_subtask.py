@@ -11,7 +11,9 @@ import pytest
 
 import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.evaluation.evaluate import close_policy
 from mjhab.learning.by_subtask import Entry, PoliciesBySubtask, entries_text, read_entries
+from mjhab.learning.policy_kind import joined
 
 PLAN = [
     {"kind": "navigate", "target": "024_bowl_:0000"},
@@ -75,6 +77,52 @@ def test_a_policy_that_works_long_is_asked_only_for_its_worlds() -> None:
     }
     assert policy.act({}, info)[:, 0].tolist() == [1.0, 2.0]
     assert driver.chosen == [[True, False]]
+
+
+class Failing(Constant):
+    """Fails in every world, and notes that it was closed."""
+
+    closed = False
+
+    def fault(self, world: int) -> str:
+        return f"no answer in world {world}"
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_fault_is_that_of_the_acting_policy_and_all_are_closed() -> None:
+    entries = (Entry("navigate", "", "ws://a"), Entry("pick", "", ""))
+    driver, picker = Failing(1.0), Constant(2.0)
+    policy = PoliciesBySubtask(entries, [driver, picker], worlds=2, width=3)
+    info: dict[str, Any] = {"episode_spec": [{"plan": PLAN}] * 2}
+    policy.act({}, {**info, "pointer": np.array([0, 1])})
+    assert [policy.fault(world) for world in range(2)] == ["no answer in world 0", ""]
+    policy.act({}, {**info, "pointer": np.array([1, 3])})
+    assert [policy.fault(world) for world in range(2)] == ["", ""]
+    close_policy(policy)
+    assert driver.closed
+
+
+def test_images_need_not_be_square() -> None:
+    wide = {"camera_size": (64, 48)}
+    assert joined("both", [("a", wide), ("b", wide)]) == wide
+    assert joined("both", [("a", {"camera_size": 32}), ("b", {"camera_size": 64})]) == {
+        "camera_size": 64
+    }
+    with pytest.raises(UsageError, match=r"camera_size is \(64, 48\) for one and 32"):
+        joined("both", [("a", wide), ("b", {"camera_size": 32})])
+
+
+def test_two_policies_for_the_same_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policies.json"
+    entries = [
+        {"subtask": "pick", "target": "024_bowl", "checkpoint": name}
+        for name in ("expert", "zero")
+    ]
+    path.write_text(json.dumps({"policies": entries}), encoding="utf-8")
+    with pytest.raises(UsageError, match="two policies for pick 024_bowl"):
+        read_entries(path)
 
 
 def test_an_entry_names_any_policy(tmp_path: Path) -> None:

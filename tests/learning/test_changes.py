@@ -7,7 +7,7 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.changes import fields_of, settable, with_changes, with_fields
-from mjhab.learning.configs import BC, DAGGER, preset_of
+from mjhab.learning.configs import BC, DAGGER, DIFFUSION, FLOW, preset_of
 from mjhab.learning.devices import AUTO, CPU, training_device
 from mjhab.learning.reinforcement.configs import PPO, RLPD, SAC, reinforcement_preset
 
@@ -63,11 +63,49 @@ def test_fields_that_depend_on_each_other_are_set_in_any_order() -> None:
         ("network.channels=32,0", "must be at least 1"),
         ("network.encoder=smal", "Did you mean 'small'"),
         ("optimizer.schedule=cosin", "Did you mean 'cosine'"),
+        ("optimizer.betas=0.9", "two numbers from 0 to below 1"),
+        ("optimizer.betas=0.9,1", "two numbers from 0 to below 1"),
+        ("optimizer.ema=1", "at least 0 and below 1"),
+        ("network.log_std=1,-5", "two rising numbers"),
     ],
 )
 def test_wrong_words_are_refused(word: str, told: str) -> None:
     with pytest.raises(UsageError, match=told):
         with_changes(preset_of(BC), [word])
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "word", "told"),
+    [
+        (FLOW, "sampling_steps=0", "at least 1, got 0"),
+        (DIFFUSION, "sampling_steps=0", "at least 1, got 0"),
+        (DAGGER, "dagger.new_share=1.5", "between 0 and 1"),
+    ],
+)
+def test_wrong_words_of_an_algorithm_are_refused(
+    algorithm: str, word: str, told: str
+) -> None:
+    with pytest.raises(UsageError, match=told):
+        with_changes(preset_of(algorithm), [word])
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "name", "word", "told"),
+    [
+        (PPO, "fast", "ppo.initial_std=0", "initial_std must be above 0"),
+        (PPO, "scratch", "ppo.initial_std=1", "between 0.02 and 1.0"),
+        (SAC, "fast", "sac.initial_alpha=0", "initial_alpha must be above 0"),
+        (SAC, "fast", "sac.adam_beta=1", "adam_beta must be at least 0 and below 1"),
+        (SAC, "fast", "sac.atoms=1", "at least 2 atoms"),
+        (SAC, "fast", "sac.value_low=20", "over rising values"),
+        (RLPD, "demos", "sac.demonstration_share=1", "at least 0 and below 1"),
+    ],
+)
+def test_wrong_words_of_reinforcement_are_refused(
+    algorithm: str, name: str, word: str, told: str
+) -> None:
+    with pytest.raises(UsageError, match=told):
+        with_fields(reinforcement_preset(algorithm, name), [word])
 
 
 def as_words(fields: dict) -> list[str]:
@@ -104,6 +142,15 @@ def test_fields_of_reinforcement_are_set_by_name() -> None:
         with_fields(preset, ["ppo.demonstration=800"])
     with pytest.raises(UsageError, match="minibatches do not divide"):
         with_fields(preset, ["ppo.minibatches=7"])
+
+
+def test_fields_of_reinforcement_that_depend_on_each_other_are_set_together() -> None:
+    preset = reinforcement_preset(PPO, "fast")
+    changed = with_fields(preset, ["ppo.minibatches=6", "worlds=48"])
+    assert changed.ppo is not None and (changed.ppo.minibatches, changed.worlds) == (
+        6,
+        48,
+    )
 
 
 def test_devices_have_names() -> None:

@@ -17,6 +17,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import compact
 from mjhab.learning.batches import BatchSampler, take_chunks
+from mjhab.learning.changes import with_changes
 from mjhab.learning.checkpoint import (
     load_checkpoint,
     load_student,
@@ -41,7 +42,7 @@ from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Session, open_session
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import BrokenLossError, Trainer
-from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
 from tests.data.fake_world import FakeEnv
@@ -121,6 +122,27 @@ def test_normalized_numbers_have_mean_zero_and_spread_one() -> None:
     )
     plain.fit_normalizers(data)
     assert not plain.normalizer.mean.any() and (plain.normalizer.scale == 1).all()
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+def test_diffusion_reaches_the_limits_of_actions(
+    normalize: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its network asks for actions far beyond the range, on both sides."""
+    inputs = dataclasses.replace(INPUTS, normalize=normalize)
+    student = make_student(config("diffusion", inputs=inputs), layout(inputs))
+    student.fit_normalizers(demonstrations(lengths=(200, 300)))
+    one = batch()
+    for sign in (-1.0, 1.0):
+        monkeypatch.setattr(
+            student.unet,
+            "forward",
+            lambda point, *_, sign=sign: torch.full_like(point, -sign * 1e4),
+        )
+        noise = torch.zeros(8, student.draws, 4, 13)
+        with torch.no_grad():
+            chunk = student.chunk(one.vector, one.images, noise)
+        torch.testing.assert_close(chunk, torch.full_like(chunk, sign))
 
 
 def test_the_average_follows_the_weights() -> None:
@@ -387,9 +409,59 @@ def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -
         assert session.layout.targets == ("024_bowl",)
 
 
+def test_two_processes_do_not_train_in_one_folder(source: Path, tmp_path: Path) -> None:
+    with open_session(request(source), tmp_path / "run"):
+        with pytest.raises(UsageError, match="is being written by process"):
+            train(request(source), tmp_path / "run", resume=True)
+        with pytest.raises(UsageError, match="is being written by process"):
+            TrainingFolder.open(tmp_path / "run", {}, resume=True)
+    done = train(request(source), tmp_path / "run", resume=True)
+    assert done.summary["steps"] == 4
+    assert not list((tmp_path / "run").glob("*.lock"))
+
+
 def test_data_that_do_not_fit_leave_no_folder(source: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no episode passes"):
         train(request(source, where="steps > 1000"), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "words"),
+    [
+        ("bc", ["inputs.image_size=2"]),
+        ("bc", ["network.encoder=nature"]),
+        ("act", ["network.hidden=130"]),
+        ("act", ["network.layers=0"]),
+        ("diffusion", ["chunk=6", "execute=2"]),
+        ("diffusion", ["network.unet=60,100"]),
+        ("diffusion", ["inputs.cameras="]),
+    ],
+)
+def test_sizes_that_do_not_fit_together_are_refused(
+    algorithm: str, words: list[str]
+) -> None:
+    told = with_changes(preset_of(algorithm), words).student
+    with pytest.raises(UsageError, match="give no network that can act"):
+        check_student(told, layout(told.inputs))
+
+
+def test_a_network_that_a_checkpoint_could_not_hold_is_refused() -> None:
+    told = with_changes(preset_of("bc"), ["network.hidden=20000"]).student
+    with pytest.raises(UsageError, match=r"hidden: expected .* to 16,384, got 20000"):
+        check_student(told, layout(told.inputs))
+
+
+@pytest.mark.parametrize("algorithm", ["bc", "flow"])
+def test_a_student_needs_no_hidden_layers(algorithm: str) -> None:
+    network = dataclasses.replace(config(algorithm).network, layers=0)
+    trainer_of(algorithm, network=network).update(batch())
+
+
+def test_a_network_that_cannot_act_leaves_no_folder(source: Path, tmp_path: Path) -> None:
+    network = NetworkConfig(encoder="nature", channels=(4, 8))
+    with pytest.raises(UsageError, match="give no network that can act"):
+        train(request(source, config=train_config(network=network)), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -419,6 +491,32 @@ def test_the_learning_rate_falls_to_zero_in_the_end(
         0,
         4,
     )
+
+
+def test_the_cosine_schedule_ends_with_the_last_round(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    used: list[float] = []
+    make_updates = Trainer.update
+
+    def note(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
+        report = make_updates(trainer, one, rate)
+        used.append(trainer.optimizer.param_groups[0]["lr"])
+        return report
+
+    monkeypatch.setattr(Trainer, "update", note)
+    monkeypatch.setattr(Session, "collect", lambda session, _: session.load(source))
+    optimizer = dataclasses.replace(
+        config().optimizer, schedule="cosine", warmup=0, learning_rate=1.0
+    )
+    told = dataclasses.replace(
+        train_config(optimizer=optimizer),
+        dagger=DaggerConfig(rounds=2, updates=4, final_updates=0),
+    )
+    train(request(source, config=told, where=""), tmp_path / "run")
+    # Of 4 updates of the first round and 4 of each of the others.
+    wanted = 0.5 * (1.0 + np.cos(np.pi * np.arange(12) / 12))
+    np.testing.assert_allclose(used, wanted, rtol=1e-6)
 
 
 # -- what a run says of itself ---------------------------------------------------------------------------------------
@@ -457,6 +555,29 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(
     assert f"{last or 2} episodes in homes of split {split}" in page
 
 
+def test_a_resumed_run_makes_the_evaluation_that_was_interrupted(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = judge_without_simulation(monkeypatch)
+    judge = Session._evaluate_in
+
+    def interrupted(session: Session, *given: Any) -> Any:
+        if session.trainer.step == 2:
+            raise KeyboardInterrupt
+        return judge(session, *given)
+
+    told = request(source, round_episodes=2)
+    with monkeypatch.context() as patch:
+        patch.setattr(Session, "_evaluate_in", interrupted)
+        assert train(told, tmp_path / "run").interrupted
+    train(told, tmp_path / "run", resume=True)
+    rows = TrainingFolder(tmp_path / "run", {}).read_metrics()
+    assert [row["step"] for row in rows if "success_once" in row] == [1, 2, 3]
+    assert len(asked) == 3
+    about = load_checkpoint(tmp_path / "run" / "training.safetensors").about
+    assert about["evaluated"] == [1, 2, 3]
+
+
 @pytest.mark.parametrize("films", [None, 0])
 def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
     films: int | None, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -473,6 +594,8 @@ def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
             path = out / "films" / f"episode_{index:05d}.mp4"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(b"film")
+            # A process that was killed has left a part of another.
+            path.with_name(f".episode_{index:05d}.7.part.mp4").write_bytes(b"part")
         return judge(session, scene, split, episodes, films, out)
 
     monkeypatch.setattr(Session, "_evaluate_in", with_films)
@@ -509,10 +632,12 @@ def test_a_run_counts_no_processor_time_of_an_earlier_run_in_its_process(
 ) -> None:
     clock = [100.0, 20.0, 3.0, 0.0, 0.0]
     monkeypatch.setattr("os.times", lambda: tuple(clock))
-    log = Logbook(TrainingFolder.open(tmp_path / "run", {}))
+    folder = TrainingFolder.open(tmp_path / "run", {})
+    log = Logbook(folder)
     clock[0] += 5.0
     log.report(1, 8, {"loss": 1.0})
     assert log.cpu_seconds == 5.0
+    folder.close()
     resumed = Logbook(TrainingFolder.open(tmp_path / "run", {}, resume=True), step=1)
     clock[2] += 2.0
     assert resumed.cpu_seconds == 7.0

@@ -109,6 +109,8 @@ def test_overwrite_deletes_only_own_files(tmp_path: Path) -> None:
     run(RunFolder.open(tmp_path, CONFIG))
     (tmp_path / "films").mkdir()
     (tmp_path / "films" / "episode_00000.mp4").write_bytes(b"x")
+    # What a killed process leaves of a film.
+    (tmp_path / "films" / ".episode_00001.7.part.mp4").write_bytes(b"x")
     for name in ("notes.txt", "films/mine.mp4"):
         (tmp_path / name).write_text("mine")
     with RunFolder.open(tmp_path, CONFIG, overwrite=True) as folder:

@@ -21,6 +21,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import beside, is_file, read_json_object
 from mjhab.core.names import kind_of
 from mjhab.core.typed.records import read_record
+from mjhab.evaluation.evaluate import close_policy
 from mjhab.evaluation.resolve import (
     EXPERT,
     NAMED_POLICIES,
@@ -32,7 +33,7 @@ from mjhab.evaluation.resolve import (
 from mjhab.evaluation.resolve import inspect_policy as inspect_any
 from mjhab.learning import policy_kind
 from mjhab.learning.ms_hab.policy_kind import PREFIX as MS_HAB
-from mjhab.rollout.policy import Policy, RolloutEnv, Selective
+from mjhab.rollout.policy import Fallible, Policy, RolloutEnv, Selective
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -59,7 +60,7 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
     """Read a policies file.
 
     Raises:
-        UsageError: the file does not exist or has another format, or a subtask is unknown.
+        UsageError: the file does not exist or has another format, a subtask is unknown, or two entries name one.
     """
     if not is_file(path):
         raise UsageError(
@@ -76,8 +77,14 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
         raise UsageError(
             f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}. {error}'
         ) from error
+    seen: set[tuple[str, str]] = set()
     for entry in entries:
         SUBTASKS.check(entry.subtask)
+        place = (entry.subtask, entry.target)
+        if place in seen:
+            told = f"{entry.subtask} {entry.target or 'of all targets'}"
+            raise UsageError(f"{path} names two policies for {told}; leave one out.")
+        seen.add(place)
     return entries
 
 
@@ -216,6 +223,7 @@ class PoliciesBySubtask:
             (entry.subtask, entry.target): number for number, entry in enumerate(entries)
         }
         self._pointer = np.full(worlds, -1)
+        self._chosen = np.full(worlds, -1)
         self._width = width
 
     def reset(self, mask: np.ndarray) -> None:
@@ -231,6 +239,7 @@ class PoliciesBySubtask:
         )
         entering = pointer != self._pointer
         self._pointer = pointer.copy()
+        self._chosen = chosen
         actions = np.zeros((len(pointer), self._width), np.float32)
         for number in np.unique(chosen[chosen >= 0]).tolist():
             mine = chosen == number
@@ -247,6 +256,17 @@ class PoliciesBySubtask:
             else:
                 actions[mine] = policy.act(obs, told)[mine]
         return actions
+
+    def fault(self, world: int) -> str:
+        """Why the policy that acted last in a world cannot go on, "" if it can."""
+        number = int(self._chosen[world])
+        policy = self._policies[number] if number >= 0 else None
+        return policy.fault(world) if isinstance(policy, Fallible) else ""
+
+    def close(self) -> None:
+        """Free what the policies hold."""
+        for policy in self._policies:
+            close_policy(policy)
 
     def _choose(self, episode: Mapping[str, Any] | None, pointer: int) -> int:
         """Index of the policy for the active subtask of an episode, -1 for none."""

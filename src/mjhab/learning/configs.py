@@ -87,6 +87,12 @@ class NetworkConfig:
     unet: tuple[int, ...] = (64, 128, 256)
     log_std: tuple[float, float] = (-5.0, 1.0)
 
+    def __post_init__(self) -> None:
+        if len(self.log_std) != 2 or not self.log_std[0] < self.log_std[1]:
+            raise UsageError(
+                f"network.log_std must be two rising numbers, got {shown(self.log_std)}."
+            )
+
 
 @dataclass(frozen=True)
 class OptimizerConfig:
@@ -105,6 +111,16 @@ class OptimizerConfig:
     clip_norm: float = 1.0
     ema: float = 0.998
     """Decay of the moving average of the weights, which evaluations use; 0 uses the weights themselves."""
+
+    def __post_init__(self) -> None:
+        if len(self.betas) != 2 or not all(0.0 <= beta < 1.0 for beta in self.betas):
+            raise UsageError(
+                f"optimizer.betas must be two numbers from 0 to below 1, got {shown(self.betas)}."
+            )
+        if not 0.0 <= self.ema < 1.0:
+            raise UsageError(
+                f"optimizer.ema must be at least 0 and below 1, got {self.ema}."
+            )
 
 
 @dataclass(frozen=True)
@@ -141,6 +157,10 @@ class StudentConfig:
             raise UsageError(
                 f"execute must be from 1 to chunk ({self.chunk}), got {self.execute}."
             )
+        if self.algorithm in (FLOW, DIFFUSION) and self.sampling_steps < 1:
+            raise UsageError(
+                f"sampling_steps of {self.algorithm} must be at least 1, got {self.sampling_steps}."
+            )
 
 
 @dataclass(frozen=True)
@@ -166,6 +186,12 @@ class DaggerConfig:
     horizon: int = 320
     final_updates: int = 0
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.new_share <= 1.0:
+            raise UsageError(
+                f"dagger.new_share must lie between 0 and 1, got {self.new_share}."
+            )
+
     def longest_prefix(self, round_number: int) -> int:
         """Largest number of control steps for which the student acts in a round; 0 in round 0."""
         if round_number == 0:
@@ -186,6 +212,15 @@ class TrainConfig:
     def algorithm(self) -> str:
         """Name of the algorithm as in `mjhab train ALGORITHM`."""
         return DAGGER if self.dagger is not None else self.student.algorithm
+
+    @property
+    def updates(self) -> int:
+        """Number of updates of a whole run, all rounds of DAgger included."""
+        updates = self.student.updates
+        if self.dagger is not None:
+            updates += self.dagger.rounds * self.dagger.updates
+            updates += self.dagger.final_updates
+        return updates
 
 
 PAPER_INPUTS = InputConfig(
@@ -391,11 +426,6 @@ def student_from_plain(values: Mapping[str, Any]) -> StudentConfig:
         config: StudentConfig = read_record(
             StudentConfig, _with_log_std(values), "student"
         )
-        least, most = config.network.log_std
-        if not least < most:
-            raise ValueError(
-                f"student.network.log_std: expected two rising numbers, got {least}, {most}."
-            )
         for part in (config, config.inputs, config.network):
             for name, most in SIZES.items():
                 _check_size(name, getattr(part, name, 0), most)

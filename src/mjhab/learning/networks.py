@@ -267,7 +267,7 @@ class Trunk(nn.Module):
         self.encoder = Encoder(config, layout)
         hidden = [network.hidden] * network.layers
         self.layers = mlp([self.encoder.width, *hidden], norm=network.norm)
-        self.width = network.hidden
+        self.width = network.hidden if hidden else self.encoder.width
 
     @property
     def normalizer(self) -> Normalizer:

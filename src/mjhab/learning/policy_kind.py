@@ -47,9 +47,16 @@ def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[s
     for member, wanted in needed:
         for option, value in wanted.items():
             kept = options.setdefault(option, value)
-            if option == CAMERA_SIZE and max(kept, value) % min(kept, value) == 0:
+            if kept == value:
+                continue
+            square = isinstance(kept, int) and isinstance(value, int)
+            if (
+                option == CAMERA_SIZE
+                and square
+                and max(kept, value) % min(kept, value) == 0
+            ):
                 options[option] = max(kept, value)
-            elif kept != value:
+            else:
                 raise UsageError(
                     f"the policies of {name} need different environments: {option} is {kept!r} for one and {value!r} "
                     f"for {member}."

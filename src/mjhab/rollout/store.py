@@ -275,7 +275,10 @@ def _delete_own(path: Path) -> None:
     for name in OWN:
         entry = path / name
         if entry.is_dir():
-            for film in entry.glob("episode_*.mp4*"):
+            for film in (
+                *entry.glob("episode_*.mp4*"),
+                *entry.glob(".episode_*.part.mp4"),
+            ):
                 film.unlink()
             if not any(entry.iterdir()):
                 entry.rmdir()

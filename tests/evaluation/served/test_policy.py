@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -11,6 +12,7 @@ import pytest
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
+from mjhab.evaluation.evaluate import close_policy
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
 from mjhab.evaluation.served.twin import Place, Twin, TwinResponder, TwinSession
 from mjhab.learning.checkpoint import save_student
@@ -18,7 +20,7 @@ from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import layout_of
 from mjhab.learning.students.heads import make_student
 from mjhab.rollout.loop import rollout
-from mjhab.rollout.policy import ZeroPolicy
+from mjhab.rollout.policy import Selective, ZeroPolicy
 from mjhab.serving.server import ServerOptions
 from tests.learning.small import config
 from tests.serving.constant import Constant, serving
@@ -86,6 +88,35 @@ def test_a_wrong_answer_ends_its_episode_alone(bad: np.ndarray, error: str) -> N
     assert [record.steps for record in records] == [STEPS, 3]
     assert not records[0].error and error in records[1].error
     assert not records[1].success_once
+
+
+def test_a_served_policy_of_a_policies_file_fails_alone(tmp_path: Path) -> None:
+    path = tmp_path / "policies.json"
+    with serving(Whimsical(np.full((1, 13), np.nan))) as server:
+        address = spec(server.port, "&execute=1&prompt=task")
+        entries = [{"subtask": "close", "target": "", "checkpoint": address}]
+        path.write_text(json.dumps({"policies": entries}), encoding="utf-8")
+        env = world()
+        policy = resolve_policy(str(path), env)
+        records = rollout(env, policy, [0, 1], seed=0, max_steps=STEPS)
+        close_policy(policy)
+    assert [record.steps for record in records] == [STEPS, 3]
+    assert not records[0].error and "has nan for" in records[1].error
+
+
+def test_a_served_policy_is_asked_for_the_worlds_of_its_subtask_alone() -> None:
+    policy = Constant(np.full((1, 13), 0.5))
+    with serving(policy) as server:
+        env = world()
+        served = resolve_policy(spec(server.port, "&execute=1&prompt=task"), env)
+        assert isinstance(served, Selective)
+        obs, info = env.reset(seed=0)
+        served.reset(np.ones(2, bool))
+        first, _ = info["episode_spec"]
+        told = {**info, "episode_spec": [first, None]}
+        actions = served.act_in(obs, told, np.array([True, False]))
+        close_policy(served)
+    assert actions[0].any() and not actions[1].any()
 
 
 def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_executed() -> (

@@ -15,13 +15,15 @@ from mjhab.core.errors import UsageError
 from mjhab.learning.configs import preset_of
 from mjhab.learning.layout import Layout
 from mjhab.learning.reinforcement.configs import (
+    LEAST_STD,
+    MOST_STD,
     PAPER_INPUTS,
     SacConfig,
     changed,
     reinforcement_preset,
 )
 from mjhab.learning.reinforcement.networks import Critics
-from mjhab.learning.reinforcement.ppo.agent import LEAST_STD, MOST_STD, Ppo
+from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac.agent import Sac

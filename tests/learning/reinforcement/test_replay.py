@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
+from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sight import Seen
 
@@ -87,6 +88,24 @@ def test_a_buffer_in_files_is_there_after_its_process(tmp_path: Path) -> None:
     found = again.draw(50, torch.Generator().manual_seed(1))
     assert torch.equal(wanted.seen.vector, found.seen.vector)
     assert torch.equal(wanted.next_seen.images, found.next_seen.images)
+
+
+def test_demonstrations_are_made_again_if_a_file_of_theirs_is_gone(
+    tmp_path: Path,
+) -> None:
+    folder = tmp_path / "demonstrations"
+    made: list[int] = []
+
+    def fill() -> ReplayBuffer:
+        made.append(len(made))
+        return filled(30, folder)
+
+    wanted = kept_demonstrations(folder, fill)
+    assert kept_demonstrations(folder, fill).episodes == wanted.episodes
+    assert made == [0]
+    (folder / "begins.npy").unlink()
+    assert kept_demonstrations(folder, fill).episodes == wanted.episodes
+    assert made == [0, 1]
 
 
 def test_a_buffer_larger_than_the_memory_is_refused_with_what_fits() -> None:

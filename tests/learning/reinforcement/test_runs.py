@@ -18,22 +18,26 @@ from mjhab.core.errors import UsageError
 from mjhab.learning.changes import with_fields
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import InputConfig, NetworkConfig
+from mjhab.learning.reinforcement import algorithm
 from mjhab.learning.reinforcement import session as sessions
 from mjhab.learning.reinforcement import train as training
 from mjhab.learning.reinforcement.configs import (
     PPO,
     RLPD,
+    SAC,
     PpoConfig,
     ReinforcementConfig,
     SacConfig,
 )
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner
+from mjhab.learning.reinforcement.ppo.run import PpoRun
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Scene
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook
+from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.training import BrokenLossError
 
 SCENE = Scene(
@@ -93,6 +97,19 @@ TINY_RLPD = dataclasses.replace(
 )
 
 
+SHORT_EPISODES = dataclasses.replace(
+    TINY,
+    algorithm=SAC,
+    ppo=None,
+    sac=SacConfig(batch=8, warm_up=32, capacity=640, updates_per_step=0.25),
+    samples=432,
+    checkpoint_samples=144,
+    horizon=5,
+    worlds=4,
+)
+"""Episodes end at other steps in each of two processes."""
+
+
 class Killed(Exception):
     """What stands for kill -9: nothing is saved after it."""
 
@@ -132,6 +149,36 @@ def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     assert set(wanted) == set(found)
     for name, value in wanted.items():
         assert torch.equal(value, found[name]), name
+
+
+@pytest.mark.parametrize("slow", ["collect_demonstrations", "_imitation_loss"])
+def test_a_budget_that_ends_before_learning_leaves_a_run_to_begin_with(
+    slow: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def out_of_time(*_: object) -> None:
+        raise OutOfTime
+
+    owner = PpoLearner if slow == "_imitation_loss" else algorithm
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, slow, out_of_time)
+        early = train_reinforcement(request(TINY_IMITATING), tmp_path / "early")
+    assert not early.summary["trained"] and early.summary["checkpoint"] is None
+    train_reinforcement(request(TINY_IMITATING), tmp_path / "early", resume=True)
+    train_reinforcement(request(TINY_IMITATING), tmp_path / "whole")
+    wanted, found = (
+        load_checkpoint(tmp_path / name / "training.safetensors").tensors
+        for name in ("whole", "early")
+    )
+    assert all(torch.equal(value, found[name]) for name, value in wanted.items())
+
+
+def test_demonstrations_end_by_the_rules_of_training(tmp_path: Path) -> None:
+    """As they are paid; but the expert closes this drawer without a force that would cost."""
+    told = request(dataclasses.replace(TINY_IMITATING, success_ends=True))
+    with sessions.open_reinforcement(told, tmp_path) as session:
+        shown = PpoRun(session).demonstrations(1)
+        drawn = shown.draw(500, torch.Generator().manual_seed(0))
+    assert bool(drawn.terminated.any()) and not bool(drawn.terminated.all())
 
 
 def _train_and_kill(rank: int, out: Path) -> None:
@@ -240,6 +287,36 @@ def test_the_student_is_the_best_evaluated_actor(
     student = load_checkpoint(tmp_path / "run" / "student.safetensors")
     assert result.summary["student_samples"] == student.about["samples"] == 16
     assert result.summary["samples"] == 48 and next(rates, None) is None
+
+
+def test_a_killed_run_keeps_the_best_actor_of_one_that_was_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is killed after the evaluation and the checkpoint of 32 samples."""
+    rates = {0: 0.1, 32: 0.6, 64: 0.4}
+    monkeypatch.setattr(
+        sessions.ReinforcementSession,
+        "_judge",
+        lambda self, episodes, last: rates[self.standing.samples],
+    )
+    told = dataclasses.replace(
+        request(dataclasses.replace(TINY, eval_samples=32)), round_episodes=1
+    )
+    check = sessions.ReinforcementSession.check_time
+
+    def killed(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 32:
+            raise Killed
+        check(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sessions.ReinforcementSession, "check_time", killed)
+        with pytest.raises(Killed):
+            train_reinforcement(told, tmp_path / "killed")
+    result = train_reinforcement(told, tmp_path / "killed", resume=True)
+    assert result.summary["samples"] == 64 and result.summary["student_samples"] == 32
+    student = load_checkpoint(tmp_path / "killed" / "student.safetensors")
+    assert student.about["samples"] == 32
 
 
 @pytest.mark.parametrize(("by", "kept"), [("once", 16), ("at_end", 32)])
@@ -379,8 +456,8 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
     assert summary["episodes"] == summary["trained"]
 
 
-def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
-    """One of two processes, as torchrun starts them."""
+def join_as(number: int, port: int) -> None:
+    """Be one of two processes, as torchrun starts them."""
     own = {
         "RANK": number,
         "WORLD_SIZE": 2,
@@ -389,6 +466,16 @@ def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
     }
     os.environ |= {name: str(value) for name, value in own.items()}
     torch.set_num_threads(1)
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
+    join_as(number, port)
     told = dataclasses.replace(request(TINY), budget_seconds=600.0)
     train_reinforcement(told, Path(folder), resume)
     torch.distributed.destroy_process_group()
@@ -396,10 +483,36 @@ def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
 
 def test_two_processes_train_and_resume_together(tmp_path: Path) -> None:
     for number, resume in enumerate((False, True)):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        spawn(train_in_process, (str(tmp_path / "run"), port, resume), nprocs=2)
+        spawn(train_in_process, (str(tmp_path / "run"), free_port(), resume), nprocs=2)
         saved = load_checkpoint(tmp_path / "run" / "training.safetensors")
         # The samples of both count; a run that is over makes no more when it is resumed.
         assert saved.about["samples"] == TINY.samples, number
+
+
+def train_killed_and_whole(number: int, folder: str, port: int) -> None:
+    """One of two processes that train, and train, are killed and resume."""
+    join_as(number, port)
+    told = request(SHORT_EPISODES)
+    train_reinforcement(told, Path(folder) / "whole")
+    check = sessions.ReinforcementSession.check_time
+
+    def killed(self: sessions.ReinforcementSession) -> None:
+        if self.standing.samples >= 300:
+            raise Killed
+        check(self)
+
+    sessions.ReinforcementSession.check_time = killed  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        train_reinforcement(told, Path(folder) / "killed")
+    sessions.ReinforcementSession.check_time = check  # type: ignore[method-assign]
+    train_reinforcement(told, Path(folder) / "killed", resume=True)
+    torch.distributed.destroy_process_group()
+
+
+def test_each_of_two_processes_goes_on_with_its_own_buffer(tmp_path: Path) -> None:
+    spawn(train_killed_and_whole, (str(tmp_path), free_port()), nprocs=2)
+    wanted, found = (
+        load_checkpoint(tmp_path / name / "training.safetensors").tensors
+        for name in ("whole", "killed")
+    )
+    assert all(torch.equal(value, found[name]) for name, value in wanted.items())

@@ -163,7 +163,7 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
         UsageError: an unknown name, or a number out of range.
     """
     from mjhab.learning.changes import with_fields
-    from mjhab.learning.reinforcement.configs import changed, reinforcement_preset
+    from mjhab.learning.reinforcement.configs import reinforcement_preset
     from mjhab.learning.reinforcement.session import ReinforcementRequest
 
     scene = make_scene(options)
@@ -171,15 +171,26 @@ def reinforcement_request(options: ReinforcementOptions) -> ReinforcementRequest
     where: str | None = getattr(options, "where", None)
     check_data(data, where, demos=None)
     preset = reinforcement_preset(REINFORCEMENT[type(options)], options.preset)
-    preset = with_fields(preset, options.set)
-    names = ("samples", "worlds", "privileged_critic", "capacity", "demonstrations")
-    values = {name: getattr(options, name, None) for name in names}
-    imitates = preset.ppo is not None and preset.ppo.demonstrations > 0
-    for name, value in values.items():
-        if value is not None and name != "privileged_critic":
-            at_least(name, value, 0 if name == "samples" and imitates else 1)
+    part = "sac" if preset.ppo is None else "ppo"
+    fields = {
+        "samples": "samples",
+        "worlds": "worlds",
+        "privileged_critic": "privileged_critic",
+        "capacity": "sac.capacity",
+        "demonstrations": f"{part}.demonstrations",
+    }
+    given = {name: getattr(options, name, None) for name in fields}
+    given = {name: value for name, value in given.items() if value is not None}
+    for name, value in given.items():
+        if name != "privileged_critic":
+            at_least(name, value, 0 if name == "samples" else 1)
+    # Together, because a config is checked as a whole.
+    words = [f"{fields[name]}={str(value).lower()}" for name, value in given.items()]
+    config = with_fields(preset, (*options.set, *words))
+    if config.ppo is None or not config.ppo.demonstrations:
+        at_least("samples", config.samples, 1)
     return ReinforcementRequest(
-        config=changed(preset, values),
+        config=config,
         scene=scene,
         seed=options.seed,
         start=str(options.start or ""),

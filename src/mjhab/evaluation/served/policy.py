@@ -101,9 +101,13 @@ class ServedPolicy:
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, A): the next ones of the chunks. Used-up chunks are requested anew first."""
-        over = self._env.progress.done
+        return self.act_in(obs, info, np.ones(len(self._worlds), bool))
+
+    def act_in(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray) -> np.ndarray:
+        """Actions (W, A) as of `act`; zero outside of the worlds in ``mask`` (W,), for which nothing is requested."""
+        asked = mask & ~np.asarray(self._env.progress.done)
         running = [
-            w for w, world in enumerate(self._worlds) if not (over[w] or world.fault)
+            w for w, world in enumerate(self._worlds) if asked[w] and not world.fault
         ]
         due = [w for w in running if self._is_used_up(self._worlds[w])]
         groups = [due] if self._address.batch else [[w] for w in due]

@@ -46,14 +46,19 @@ class AlgorithmRun(ABC):
             OutOfTime: the budget is spent.
         """
 
+    def save(self) -> None:
+        """Write a checkpoint; all worlds start new episodes."""
+        self.session.save(self.actor, self.tensors())
+
     def between(self, before: int) -> None:
-        """Write a checkpoint and evaluate if either became due since ``before`` samples."""
+        """Evaluate and write a checkpoint if either became due since ``before`` samples."""
         session = self.session
-        if session.due(self.config.checkpoint_samples, before):
-            session.save(self.actor, self.tensors())
         every = self.config.eval_samples
         if session.request.round_episodes and session.due(every, before):
             session.evaluate(self.actor, session.request.round_episodes)
+        # After the evaluation, so that a resumed run knows the best success.
+        if session.due(self.config.checkpoint_samples, before):
+            self.save()
         session.check_time()
 
     def buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:
@@ -63,7 +68,9 @@ class AlgorithmRun(ABC):
         seen = self.session.worlds.seen
         images = seen.images.shape[1:]
         steps = max(capacity // worlds, 2)
-        reserve = min(self.config.checkpoint_samples // worlds + 2, steps // 4)
+        # Between two checkpoints every step may end an episode, whose last observation takes an entry, too.
+        apart = -(-self.config.checkpoint_samples // worlds)
+        reserve = min(2 * apart + 1, steps // 4)
         if name == DEMONSTRATIONS:
             reserve = 0
         shape = ReplayShape(

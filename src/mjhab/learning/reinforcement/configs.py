@@ -32,6 +32,9 @@ RLPD = "rlpd"
 ALGORITHMS = (PPO, SAC, RLPD)
 ONCE = "once"
 AT_END = "at_end"
+LEAST_STD = 0.02
+MOST_STD = 1.0
+"""Limits of a state-dependent standard deviation of the actions, as fractions of the action range [-1, 1]."""
 KEEP_BEST_BY = (ONCE, AT_END)
 """Which success of an episode chooses the best actor: at any control step, or at the last one."""
 
@@ -108,6 +111,12 @@ class PpoConfig:
                 f"least_learning_rate must be above 0 and at most learning_rate ({self.learning_rate}), "
                 f"got {self.least_learning_rate}."
             )
+        if not self.initial_std > 0.0:
+            raise UsageError(f"initial_std must be above 0, got {self.initial_std}.")
+        if self.state_std and not LEAST_STD < self.initial_std < MOST_STD:
+            raise UsageError(
+                f"with state_std initial_std must lie between {LEAST_STD} and {MOST_STD}, got {self.initial_std}."
+            )
 
 
 @dataclass(frozen=True)
@@ -159,6 +168,21 @@ class SacConfig:
         if self.updates_per_step < 0:
             raise UsageError(
                 f"updates_per_step must be at least 0, got {self.updates_per_step}."
+            )
+        if not self.initial_alpha > 0.0:
+            raise UsageError(f"initial_alpha must be above 0, got {self.initial_alpha}.")
+        if not 0.0 <= self.adam_beta < 1.0:
+            raise UsageError(
+                f"adam_beta must be at least 0 and below 1, got {self.adam_beta}."
+            )
+        if self.atoms == 1 or (self.atoms and not self.value_low < self.value_high):
+            raise UsageError(
+                "a distributional critic needs at least 2 atoms over rising values, got "
+                f"{self.atoms} from {self.value_low} to {self.value_high}; atoms=0 selects a scalar one."
+            )
+        if not 0.0 <= self.demonstration_share < 1.0:
+            raise UsageError(
+                f"demonstration_share must be at least 0 and below 1, got {self.demonstration_share}."
             )
 
 

@@ -58,6 +58,15 @@ def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:
     return mean, (moments[1] - mean**2).clamp(min=0.0).sqrt()
 
 
+def gathered(values: Tensor) -> Tensor:
+    """The values (n, ...) of all processes, (processes * n, ...) in the order of their ranks."""
+    if processes() == 1:
+        return values
+    parts = [torch.zeros_like(values) for _ in range(processes())]
+    dist.all_gather(parts, values)
+    return torch.cat(parts)
+
+
 def told_by_first(judged: bool) -> bool:
     """Return the first process's value of ``judged`` in every process."""
     if processes() == 1:

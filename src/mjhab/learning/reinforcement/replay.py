@@ -143,6 +143,8 @@ class ReplayBuffer:
         self.device = device
         self._reserve = reserve
         self._folder = folder
+        self.is_new = folder is None
+        """Whether it lacks an array of an earlier start of the run."""
         self.position = torch.zeros(shape.worlds, dtype=torch.int64, device=device)
         """(W,) number of entries written to each ring so far."""
         kinds = {
@@ -174,6 +176,7 @@ class ReplayBuffer:
                     "another run."
                 )
         else:
+            self.is_new = True
             array = np.lib.format.open_memmap(path, mode="w+", dtype=dtype, shape=size)
         return torch.from_numpy(array)
 
@@ -209,6 +212,13 @@ class ReplayBuffer:
         nothing = torch.zeros(len(worlds), self.shape.actions, device=self.device)
         zero = torch.zeros(len(worlds), device=self.device)
         self._write(worlds, last, nothing, zero, zero.bool(), False)
+
+    def cut(self, last: Seen) -> None:
+        """End the running episodes of all worlds here; ``last`` (W rows) are their last observations."""
+        newest = (self.position - 1) % self.shape.steps
+        running = (self.position > 0) & self._data["begins"][self._rows, newest]
+        worlds = torch.nonzero(running).flatten()
+        self.close(worlds, last.rows(worlds))
 
     def _write(
         self,

@@ -7,7 +7,7 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import gaussian_of
+from mjhab.learning.students.heads import check_student
 from mjhab.learning.students.student import Student
 from mjhab.rollout.store import check_folder
 from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
@@ -157,6 +158,7 @@ class ReinforcementSession:
             **self._episodes(),
         )
         self.layout = self._layout()
+        check_student(self.config.student, self.layout)
         sight = Sight(self.env, self.layout, self.config.privileged_critic)
         self.privileged_width = sight.privileged_width
         self.scene = dataclasses.replace(request.scene, profile=self.layout.profile)
@@ -483,9 +485,9 @@ def open_reinforcement(
         distributed.wait()
     check_folder(mine, config, resume=resume, replaceable=False)
     _check_start(request)
-    folder = TrainingFolder.open(mine, config, resume=resume)
-    if first:
-        distributed.wait()
-    session = ReinforcementSession(request, folder, out / TRAINING, resume)
-    with session.log:
-        yield session
+    with closing(TrainingFolder.open(mine, config, resume=resume)) as folder:
+        if first:
+            distributed.wait()
+        session = ReinforcementSession(request, folder, out / TRAINING, resume)
+        with session.log:
+            yield session

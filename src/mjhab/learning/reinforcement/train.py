@@ -32,16 +32,22 @@ def train_reinforcement(
     interrupted = False
     with refused_leaves_nothing(out), open_reinforcement(request, out, resume) as session:
         run = PpoRun(session) if session.config.ppo is not None else SacRun(session)
+        prepared = False
         try:
             try:
                 run.prepare()
+                prepared = True
                 session.check_time()
                 if request.round_episodes and not session.standing.evaluated:
                     session.evaluate(run.actor, request.round_episodes)
                 run.learn()
             except OutOfTime:
                 session.log.show({"phase": "the budget is spent"})
-            session.save(run.actor, run.tensors())
+            if prepared:
+                run.save()
+            else:
+                # A checkpoint would be resumed without the rest of the imitation.
+                session.keep_last(run.actor)
             session.keep_best(run.actor)
             # Random weights are not judged.
             if request.eval_episodes and session.standing.trained:

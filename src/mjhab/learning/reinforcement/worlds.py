@@ -52,6 +52,20 @@ class TrainingRules:
     success_ends: bool = False
     conditions: tuple[str, ...] = ()
 
+    def apply(
+        self, reward: Tensor, terminated: Tensor, info: Mapping[str, Any]
+    ) -> tuple[Tensor, Tensor]:
+        """Reward and termination (W,) of a control step under these rules, from those of the environment."""
+        if self.force_ends:
+            exceeded = torch.as_tensor(info["cumulative_force"]) > self.force_limit
+            terminated = terminated | exceeded
+        if self.success_ends:
+            terminated = terminated | torch.as_tensor(info["success"])
+        if self.force_cost:
+            share = torch.as_tensor(info["robot_force"]).float() / self.force_limit
+            reward = reward - self.force_cost * share
+        return reward, terminated
+
 
 class Worlds:
     """The worlds of an environment with ``autoreset="disabled"``; this class resets the finished ones itself.
@@ -79,8 +93,8 @@ class Worlds:
         self.sight = sight
         self.count: int = env.num_envs
         self.device = sight.device
-        self._rules = rules or TrainingRules()
-        self._holding = torch.zeros(len(self._rules.conditions), device=sight.device)
+        self.rules = rules or TrainingRules()
+        self._holding = torch.zeros(len(self.rules.conditions), device=sight.device)
         self._steps = 0
         self.seconds = 0.0
         """Wall time spent in the environment and in converting its observations [s]."""
@@ -99,7 +113,7 @@ class Worlds:
         obs, info = self.env.reset(seed=seed)
         every = ~self._none
         self._succeeded = self._none
-        longest = self._rules.longest_first
+        longest = self.rules.longest_first
         if longest:
             drawn = stream(seed, "stagger").integers(1, longest + 1, self.count)
             self._left = torch.from_numpy(drawn).to(self.device)
@@ -120,21 +134,11 @@ class Worlds:
         taken = actions.clamp(-1.0, 1.0)
         given = taken.numpy() if self.device.type == "cpu" and self._numpy else taken
         obs, reward, terminated, truncated, info = self.env.step(given)
-        ended = torch.as_tensor(terminated) | torch.as_tensor(truncated)
-        terminated = torch.as_tensor(terminated)
-        reward = torch.as_tensor(reward).float()
-        rules = self._rules
-        if rules.force_ends:
-            exceeded = torch.as_tensor(info["cumulative_force"]) > rules.force_limit
-            terminated = terminated | exceeded
-            ended = ended | exceeded
-        if rules.success_ends:
-            success = torch.as_tensor(info["success"])
-            terminated = terminated | success
-            ended = ended | success
-        if rules.force_cost:
-            share = torch.as_tensor(info["robot_force"]).float() / rules.force_limit
-            reward = reward - rules.force_cost * share
+        rules = self.rules
+        reward, terminated = rules.apply(
+            torch.as_tensor(reward).float(), torch.as_tensor(terminated), info
+        )
+        ended = terminated | torch.as_tensor(truncated)
         if rules.longest_first:
             self._left -= 1
             ended = ended | (self._left == 0)
@@ -157,7 +161,7 @@ class Worlds:
         )
 
     def _count(self, info: Mapping[str, Any]) -> None:
-        for number, name in enumerate(self._rules.conditions):
+        for number, name in enumerate(self.rules.conditions):
             self._holding[number] += torch.as_tensor(info[name]).float().mean()
         self._steps += 1
 
@@ -166,7 +170,7 @@ class Worlds:
         shares = (self._holding / max(self._steps, 1)).tolist()
         self._holding.zero_()
         self._steps = 0
-        return dict(zip(self._rules.conditions, shares, strict=True))
+        return dict(zip(self.rules.conditions, shares, strict=True))
 
     @property
     def _numpy(self) -> bool:

@@ -217,7 +217,7 @@ def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
 def _films(folder: TrainingFolder) -> str:
     evaluations = folder.path / EVALUATIONS
     # With several scenes the run folder of each lies below that of the evaluation.
-    paths = sorted(evaluations.rglob(f"{FILMS}/*.mp4"))
+    paths = sorted(evaluations.rglob(f"{FILMS}/episode_*.mp4"))
     if not paths:
         return ""
     films = "".join(

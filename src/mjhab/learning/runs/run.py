@@ -28,6 +28,7 @@ from rich.live import Live
 from rich.table import Table
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json
 from mjhab.rollout.store import check_folder, write_text
 
@@ -81,11 +82,14 @@ def _has_work(path: Path) -> bool:
 
 
 class TrainingFolder:
-    """An opened folder of a run. Make one with ``TrainingFolder.open``."""
+    """An opened folder of a run: nobody else can open it until `close`. Make one with ``TrainingFolder.open``."""
 
-    def __init__(self, path: Path, config: Mapping[str, Any]) -> None:
+    def __init__(
+        self, path: Path, config: Mapping[str, Any], lock: WriteLock | None = None
+    ) -> None:
         self.path = path
         self.config = dict(config)
+        self._lock = lock
 
     @classmethod
     def open(
@@ -94,12 +98,20 @@ class TrainingFolder:
         """Prepare ``path`` for a run of ``config`` (plain JSON data).
 
         Raises:
-            UsageError: the folder is not empty and ``resume`` is not set, or it holds a run of another config.
+            UsageError: the folder is not empty and ``resume`` is not set, it holds a run of another config, or another
+                process writes into it.
         """
         check_folder(path, config, resume=resume, replaceable=False)
         path.mkdir(parents=True, exist_ok=True)
+        lock = WriteLock(path / CONFIG, path)
         write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
-        return cls(path, config)
+        return cls(path, config, lock)
+
+    def close(self) -> None:
+        """Let others write into the folder; closing twice is fine."""
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
 
     @property
     def training(self) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from mjhab.learning.runs.interrupts import held_interrupts
 from mjhab.learning.runs.request import Request, layout_for, resolved_config
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.training import Trainer
-from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import check_folder
@@ -91,7 +91,7 @@ class Session:
             self.progress = saved_state(folder.training, saved.about, Progress)
         self.device = training_device(request.device)
         student = make_student(self.config, layout, request.seed).to(self.device)
-        self.trainer = Trainer(student, request.seed, self.config.updates)
+        self.trainer = Trainer(student, request.seed, request.config.updates)
         if saved is not None:
             with restoring(folder.training):
                 self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
@@ -304,6 +304,7 @@ class Session:
         by_row = self.judged.success_by_row()
         success = float(self.judged.summary()["success_once"])
         self.progress.evaluated.append(self.trainer.step)
+        self.save()
         numbers: dict[str, float] = {
             "success_once": success,
             "evaluated_episodes": len(self.judged.records),
@@ -336,8 +337,8 @@ def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[
     config = resolved_config(request)
     check_folder(out, config, resume=resume, replaceable=False)
     layout = layout_for(request)
-    session = Session(
-        request, layout, TrainingFolder.open(out, config, resume=resume), resume
-    )
-    with session.log:
-        yield session
+    check_student(request.config.student, layout)
+    with closing(TrainingFolder.open(out, config, resume=resume)) as folder:
+        session = Session(request, layout, folder, resume)
+        with session.log:
+            yield session

@@ -27,5 +27,9 @@ def train_supervised(session: Session) -> None:
         until = config.updates * part // EVALUATIONS
         if session.progress.round_step < until:
             session.train(until)
-            if request.round_episodes and part < EVALUATIONS:
-                session.evaluate(request.round_episodes)
+        if not request.round_episodes or part == EVALUATIONS or not until:
+            continue
+        # An earlier start of the run may have been stopped in the evaluation.
+        made = until in session.progress.evaluated
+        if session.progress.round_step == until and not made:
+            session.evaluate(request.round_episodes)

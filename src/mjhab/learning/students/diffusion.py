@@ -76,6 +76,9 @@ class DiffusionPolicy(Student):
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         seen = self.see(vector, images)
+        limits = torch.ones(len(self.layout.actions), device=noise.device)
+        least = self.action_normalizer(-limits)
+        most = self.action_normalizer(limits)
         point = noise[:, 0]
         for step in reversed(range(len(self.kept))):
             predicted = self.unet(
@@ -83,9 +86,8 @@ class DiffusionPolicy(Student):
             )
             kept = self.kept[step]
             before = self.kept[step - 1] if step else torch.ones_like(kept)
-            clean = ((point - (1.0 - kept).sqrt() * predicted) / kept.sqrt()).clamp(
-                -1.0, 1.0
-            )
+            clean = (point - (1.0 - kept).sqrt() * predicted) / kept.sqrt()
+            clean = clean.clamp(least, most)
             fade = kept / before
             mean = before.sqrt() * (1.0 - fade) / (1.0 - kept) * clean
             mean = mean + fade.sqrt() * (1.0 - before) / (1.0 - kept) * point

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import torch
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.reading import reason
 from mjhab.learning.configs import (
     ACT,
     BC,
@@ -13,6 +16,8 @@ from mjhab.learning.configs import (
     GAUSSIAN,
     GAUSSIAN_ACTIONS,
     StudentConfig,
+    student_from_plain,
+    to_plain,
 )
 from mjhab.learning.layout import Layout
 from mjhab.learning.students.act import ActionTransformer
@@ -43,3 +48,32 @@ def make_student(config: StudentConfig, layout: Layout, seed: int = 0) -> Studen
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return HEADS_BY_ALGORITHM[config.algorithm](config, layout)
+
+
+def check_student(config: StudentConfig, layout: Layout) -> None:
+    """Refuse a config whose sizes do not fit together, or do not fit its images; takes no memory for the weights.
+
+    Raises:
+        UsageError: the network cannot be made, or cannot act; or a checkpoint of it could not be read.
+    """
+    student_from_plain(to_plain(config))
+    inputs = config.inputs
+    cameras = len(layout.image_keys)
+    side = inputs.image_size if cameras else 0
+    channels = inputs.history * cameras
+    # All steps of sampling are alike.
+    config = dataclasses.replace(config, sampling_steps=min(config.sampling_steps, 1))
+    try:
+        with torch.device("meta"):
+            student = make_student(config, layout)
+            student.chunk(
+                torch.zeros(1, inputs.history * layout.width),
+                torch.zeros(1, channels, side, side, dtype=torch.uint8),
+                torch.zeros(1, student.draws, config.chunk, len(layout.actions)),
+            )
+    # What torch says about sizes that do not fit together differs from layer to layer.
+    except (RuntimeError, ValueError, TypeError, AssertionError, LookupError) as error:
+        raise UsageError(
+            f"the fields of preset {config.preset} give no network that can act ({reason(error)}). Check chunk, inputs "
+            "and network of --set."
+        ) from error

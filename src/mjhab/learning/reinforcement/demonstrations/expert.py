@@ -97,11 +97,11 @@ class _Play:
             intended = torch.from_numpy(self._expert.notes().intended)
             obs, reward, terminated, truncated, info = self._env.step(executed.numpy())
             following = self._sight.see(obs, info, executed, ~self._every)
+            paid, over = self._session.worlds.rules.apply(
+                torch.from_numpy(reward).float(), torch.from_numpy(terminated), info
+            )
             buffer.add(
-                seen.to(device),
-                intended.to(device),
-                torch.from_numpy(reward).float().to(device),
-                torch.from_numpy(terminated).to(device),
+                seen.to(device), intended.to(device), paid.to(device), over.to(device)
             )
             seen = following
             ended = ended | torch.from_numpy(terminated | truncated)

@@ -27,8 +27,9 @@ def kept_demonstrations(folder: Path, fill: Callable[[], ReplayBuffer]) -> Repla
         buffer = ReplayBuffer(
             ReplayShape.from_plain(kept["shape"]), torch.device("cpu"), folder
         )
-        buffer.position.copy_(torch.tensor(kept["position"]))
-        return buffer
+        if not buffer.is_new:
+            buffer.position.copy_(torch.tensor(kept["position"]))
+            return buffer
     buffer = fill()
     if folder.is_dir():
         kept = {"shape": asdict(buffer.shape), "position": buffer.position.tolist()}

@@ -151,6 +151,7 @@ class _Player:
         self._sight = Sight(self._env, session.layout, session.config.privileged_critic)
         self._width = len(session.layout.actions)
         self._device = session.worlds.device
+        self._rules = session.worlds.rules
 
     def play(self, batch: Sequence[RecordedEpisode], buffer: ReplayBuffer) -> None:
         """Simulate at most W episodes and add their control steps to the buffer, except the first step of each."""
@@ -183,11 +184,14 @@ class _Player:
             fresh = torch.zeros_like(mine)
             active = torch.tensor([w for w, rows in enumerate(recorded) if t < len(rows)])
             if seen is not None:
+                paid, ended = self._rules.apply(
+                    torch.from_numpy(reward).float(), torch.from_numpy(terminated), info
+                )
                 buffer.add(
                     seen.rows(active).to(self._device),
                     taken[active].to(self._device),
-                    torch.from_numpy(reward).float()[active].to(self._device),
-                    torch.from_numpy(terminated)[active].to(self._device),
+                    paid[active].to(self._device),
+                    ended[active].to(self._device),
                     active.to(self._device),
                 )
             seen = following

@@ -12,16 +12,17 @@ from mjhab.core.errors import UsageError
 from mjhab.learning.devices import normal
 from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Trunk
-from mjhab.learning.reinforcement.configs import PpoConfig, ReinforcementConfig
+from mjhab.learning.reinforcement.configs import (
+    LEAST_STD,
+    MOST_STD,
+    PpoConfig,
+    ReinforcementConfig,
+)
 from mjhab.learning.reinforcement.networks import Value
 from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
-
-LEAST_STD = 0.02
-MOST_STD = 1.0
-"""Limits of a state-dependent standard deviation of the actions, as fractions of the action range [-1, 1]."""
 
 
 class Ppo(nn.Module):

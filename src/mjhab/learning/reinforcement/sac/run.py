@@ -50,6 +50,12 @@ class SacRun(AlgorithmRun):
         self.learner = SacLearner(self.agent, self.config, session.seed)
         self.owed = 0.0
         """Number of updates that are due; fractions add up."""
+        # A transition of the buffer takes two control steps.
+        least = 2 * worlds.count * distributed.processes()
+        self.warm_up = max(self.sac.warm_up, least)
+        """Number of samples before the first update."""
+        self.first_update = self.warm_up
+        """Number of samples at which updates begin, or go on after a start whose buffer is gone."""
         self.online = self.buffer(REPLAY, worlds.count, self.sac.capacity)
         self.shown: ReplayBuffer | None = None
         if session.saved is not None:
@@ -67,8 +73,20 @@ class SacRun(AlgorithmRun):
             restore_optimizer(optimizer, part_of(f"optimizer_{name}", tensors))
         learner.updates = self.session.standing.updates
         self.owed = float(tensors["owed"])
-        if self.session.worlds.device.type == "cpu":
-            self.online.position.copy_(tensors["position"])
+        position = tensors["position"].chunk(distributed.processes())[distributed.rank()]
+        if not self.online.is_new:
+            self.online.position.copy_(position)
+        elif bool(position.any()):
+            self.first_update = self.session.standing.samples + self.warm_up
+            self.session.log.say(
+                f"the replay buffer of the earlier start is gone; {self.warm_up:,} samples fill it again before the "
+                "next update"
+            )
+
+    def save(self) -> None:
+        # The worlds start new episodes, whose observations do not follow the steps stored so far.
+        self.online.cut(self.session.worlds.seen)
+        super().save()
 
     def tensors(self) -> dict[str, Tensor]:
         learner = self.learner
@@ -76,7 +94,8 @@ class SacRun(AlgorithmRun):
         for name, optimizer in learner.optimizers.items():
             kept |= prefixed(f"optimizer_{name}", optimizer_tensors(optimizer))
         kept["owed"] = torch.tensor(self.owed, dtype=torch.float64)
-        kept["position"] = self.online.position
+        # Episodes of other processes end at other steps.
+        kept["position"] = distributed.gathered(self.online.position)
         return kept
 
     def learn(self) -> None:
@@ -91,8 +110,8 @@ class SacRun(AlgorithmRun):
             self._step()
             acted = time.perf_counter()
             numbers: dict[str, float] = {}
-            if standing.samples >= self.sac.warm_up:
-                if before < self.sac.warm_up:
+            if standing.samples >= self.first_update:
+                if before < self.first_update and not self.learner.updates:
                     self._fit_normalizers()
                 self.owed += ratio * worlds.count
                 while self.owed >= 1.0:
@@ -162,7 +181,7 @@ class SacRun(AlgorithmRun):
             return
         sources = [self.shown] if self.shown is not None else []
         rows = [
-            source.draw(self.sac.warm_up // 2, self.learner.random("fit")).seen
+            source.draw(self.warm_up // 2, self.learner.random("fit")).seen
             for source in [*sources, self.online]
         ]
         device = self.session.worlds.device

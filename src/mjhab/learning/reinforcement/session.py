@@ -17,6 +17,7 @@ from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.seeding import stream
 from mjhab.core.version import __version__
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.learning.checkpoint import (
@@ -169,8 +170,7 @@ class ReinforcementSession:
             self.standing = saved_state(checkpoint, self.saved.about, Standing)
         if self.start is not None:
             self.standing.trained = True
-        seed = self.seed + self.standing.checkpoints
-        self.worlds = Worlds(self.env, sight, seed, self._rules())
+        self.worlds = Worlds(self.env, sight, self._episodes_seed(), self._rules())
         self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
         self.judged = Judgement()
         """The latest evaluation; none after `keep_best` has chosen an actor that was evaluated earlier."""
@@ -274,7 +274,12 @@ class ReinforcementSession:
         if distributed.rank() == 0:
             self._write(actor, tensors)
         self.standing.checkpoints += 1
-        self.worlds.begin(self.seed + self.standing.checkpoints)
+        self.worlds.begin(self._episodes_seed())
+
+    def _episodes_seed(self) -> int:
+        """Seed of the episodes after the latest checkpoint; runs of other seeds have none in common."""
+        drawn = stream(self.seed, "episodes", self.standing.checkpoints)
+        return int(drawn.integers(1 << 31))
 
     def _write(self, actor: Student, tensors: dict[str, Tensor]) -> None:
         self.standing.seconds = self.log.seconds

@@ -17,7 +17,9 @@ from torch import Tensor
 def join() -> None:
     """Join the process group if torchrun started more than one process."""
     if int(os.environ.get("WORLD_SIZE", "1")) > 1 and not dist.is_initialized():
-        dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+        # Networks lie on GPUs, while divergences, and worlds of backend cpu, are tensors of the host.
+        on_gpu = torch.cuda.is_available()
+        dist.init_process_group("cpu:gloo,cuda:nccl" if on_gpu else "gloo")
 
 
 def rank() -> int:
@@ -71,13 +73,12 @@ def told_by_first(judged: bool) -> bool:
     """Return the first process's value of ``judged`` in every process."""
     if processes() == 1:
         return judged
-    device = "cuda" if dist.get_backend() == "nccl" else "cpu"
-    flag = torch.tensor(float(judged), device=device)
+    flag = torch.tensor(float(judged))
     dist.broadcast(flag, 0)
     return bool(flag)
 
 
 def wait() -> None:
     """Block until all processes have called this."""
-    if processes() > 1:
-        dist.barrier()
+    # Not dist.barrier, which guesses the GPU of a process from its rank.
+    average([torch.zeros(1)])

@@ -221,6 +221,19 @@ def test_another_policy_acts_without_a_new_episode() -> None:
         assert track.moments[1].actor == "random"
 
 
+def test_an_episode_that_has_ended_cannot_be_ended_again(tmp_path: Path) -> None:
+    shard = tmp_path / "twice.h5"
+    with session(shard=shard, playing=False) as made:
+        until_step(made, 0)
+        made.finish_episode()
+        until(lambda: is_over(made))
+        first = made.track
+        made.finish_episode()
+        made.pace.play(True)
+        until(lambda: made.track is not first and is_over(made), 20.0)
+        assert steps(made) == HORIZON
+
+
 def test_a_policy_that_fails_is_told_and_can_be_replaced(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
     bad.write_text(

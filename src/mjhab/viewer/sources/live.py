@@ -219,8 +219,9 @@ class LiveSession:
             self.pace.play(False)
 
     def finish_episode(self) -> None:
-        """Truncate the watched episode at the next control step."""
-        if self._cuttable is not None:
+        """Truncate the watched episode at the next control step, unless it has ended."""
+        running = self.track is not None and not self.track.over
+        if self._cuttable is not None and running:
             self._cut_done.clear()
             self._cuttable.cut[self.watched] = True
             if not self.pace.playing:

@@ -234,6 +234,17 @@ def test_an_episode_that_has_ended_cannot_be_ended_again(tmp_path: Path) -> None
         assert steps(made) == HORIZON
 
 
+def test_a_single_step_is_one_of_the_watched_world() -> None:
+    with session(worlds=2, playing=False) as made:
+        until_step(made, 0)
+        assert made._cuttable is not None
+        made._cuttable.cut[1] = True
+        for step in (1, 2, 3):
+            made.pace.step_once()
+            until_step(made, step)
+        assert made.tracks[1] is not None and made.tracks[1].index == 2
+
+
 def test_a_policy_that_fails_is_told_and_can_be_replaced(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
     bad.write_text(

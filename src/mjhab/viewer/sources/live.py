@@ -419,7 +419,9 @@ class _Follower(Sink[SequentialTaskEnv]):
         self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray
     ) -> None:
         begin_tracks(self._session.tracks, env, info, mask)
-        self._wait()
+        # The other worlds have waited for this control step already.
+        if mask[self._session.watched]:
+            self._wait()
 
     def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
         session = self._session

@@ -245,6 +245,21 @@ def test_a_single_step_is_one_of_the_watched_world() -> None:
         assert made.tracks[1] is not None and made.tracks[1].index == 2
 
 
+def test_a_policy_that_gives_up_ends_the_episode(tmp_path: Path) -> None:
+    file = tmp_path / "weak.py"
+    file.write_text(
+        "import numpy as np\n"
+        "class Weak:\n"
+        "    name = 'weak'\n"
+        "    def reset(self, mask): pass\n"
+        "    def act(self, obs, info): return np.zeros((1, 13), np.float32)\n"
+        "    def fault(self, world): return 'the server is gone'\n"
+    )
+    with session(f"{file}:Weak") as made:
+        until(lambda: is_over(made) or made.problem, 20.0)
+        assert made.problem == "the server is gone" and steps(made) == 1
+
+
 def test_a_policy_that_fails_is_told_and_can_be_replaced(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
     bad.write_text(

@@ -24,6 +24,7 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.viewer.pages.app import Viewer
+from mjhab.viewer.pages.counting import CountingPage
 from mjhab.viewer.pages.gateway import HAND_PATH
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.timeline import actor_colors
@@ -258,6 +259,35 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     viewer.source.choose(viewer.source.choices[0])
     viewer._fill_panels()
     assert not viewer.panels._problem.visible
+
+
+def test_a_failure_that_has_passed_is_told_no_longer(
+    shard: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Viewer(Replay(shard), port=0)
+    frame = made.frame
+    cameras = made._cameras
+    assert cameras is not None
+    draw = cameras.draw
+    failures = {"frame": 0, "draw": 0}
+
+    def once(name: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        failures[name] += 1
+        if failures[name] == 1:
+            raise RuntimeError(f"no {name} yet")
+        return call(*arguments)
+
+    monkeypatch.setattr(made, "frame", lambda seconds: once("frame", frame, seconds))
+    monkeypatch.setattr(cameras, "draw", lambda *seen: once("draw", draw, *seen))
+    made.start()
+    page = CountingPage(made.port)
+    try:
+        until(lambda: made.panels._problem.visible)
+        until(lambda: cameras.drawn > 1 and not made.panels._problem.visible, 60.0)
+        assert not made.problem and not cameras.problem
+    finally:
+        page.close()
+        made.close()
 
 
 def test_checks_in_a_browser_are_skipped_with_a_reason(

@@ -140,6 +140,7 @@ class Viewer:
                 if now - panels_at > PANEL_SECONDS:
                     panels_at = now
                     self._fill_panels()
+                self.problem = ""
             except Exception as error:
                 self.problem = f"{type(error).__name__}: {error}"
                 self.panels.show_problem(self.problem)

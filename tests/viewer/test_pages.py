@@ -23,6 +23,7 @@ from websockets.sync.client import connect
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.data.store.shard import ShardWriter
+from mjhab.viewer.drawn.glb import home_files
 from mjhab.viewer.pages.app import Viewer
 from mjhab.viewer.pages.counting import CountingPage
 from mjhab.viewer.pages.gateway import HAND_PATH
@@ -259,6 +260,36 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     viewer.source.choose(viewer.source.choices[0])
     viewer._fill_panels()
     assert not viewer.panels._problem.visible
+
+
+def test_another_task_in_the_same_home_shows_its_own_objects(tmp_path: Path) -> None:
+    for task in ("set_table", "tidy_house"):
+        mjhab.generate(
+            "zero",
+            out=tmp_path / task,
+            task=task,
+            subtask="pick",
+            home="builtin_m0_00",
+            episodes=1,
+            horizon=2,
+            threads=1,
+        )
+    made = Viewer(Replay(tmp_path), port=0, cameras=False)
+    try:
+        made.source.start()
+        shown = []
+        for choice in (*made.source.choices, made.source.choices[0]):
+            made.source.choose(choice)
+            assert made.frame(0.02) is not None
+            files = home_files(
+                made.source.sim.layout, "builtin_m0_00", lambda: pytest.fail("kept")
+            )
+            bodies = [placed._bodies for placed in made.stage._placed]
+            assert bodies == [list(bodies) for bodies, _ in files.movable]
+            shown.append(bodies)
+        assert shown[0] == shown[2] != shown[1]
+    finally:
+        made.close()
 
 
 def test_a_failure_that_has_passed_is_told_no_longer(

@@ -48,7 +48,7 @@ def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> Hom
         home: name of the home.
         make: computes the models if the cache lacks them.
     """
-    path = cache_dir() / "viewer" / f"{_digest(layout, home)}.npz"
+    path = cache_dir() / "viewer" / f"{home_digest(layout, home)}.npz"
     found = _read(path)
     if found is None:
         models = make()
@@ -65,7 +65,8 @@ def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> Hom
     return found
 
 
-def _digest(layout: Layout, home: str) -> str:
+def home_digest(layout: Layout, home: str) -> str:
+    """Return a hash of everything that the files of a home of a layout depend on."""
     spec = next(h for h in layout.pack.homes if h.name == home)
     digest = hashlib.sha256(home_hash(layout, spec).encode())
     digest.update(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
+import math
 import re
 from collections import Counter
 from importlib.resources import files
@@ -121,6 +123,23 @@ def test_force_histograms_count_every_subtask(tmp_path: Path) -> None:
         for name in (f"peak-{kind}", f"sum-{kind}"):
             assert sum(sum(trace["y"]) for trace in plots[name]["data"]) == count
     json.dumps(plots, allow_nan=False)
+
+
+def test_forces_that_are_not_finite_are_counted_beside_the_histogram(
+    tmp_path: Path,
+) -> None:
+    records, _ = record(tmp_path / "a.h5", range(6), FakeEnv(subtask="pick"))
+    subtasks = [subtask for r in records for subtask in r.subtasks]
+    bad = [
+        dataclasses.replace(subtasks[0], peak_force=force, cumulative_force=math.nan)
+        for force in (math.nan, math.inf)
+    ]
+    for told, count in ((subtasks + bad, len(subtasks)), (bad, 0)):
+        plots = force_plots(told)
+        for name in ("peak-pick", "sum-pick"):
+            assert sum(sum(trace["y"]) for trace in plots[name]["data"]) == count
+            assert "2 not finite" in plots[name]["layout"]["xaxis"]["title"]["text"]
+        json.dumps(plots, allow_nan=False)
 
 
 def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import json
+import re
 import shutil
 import socket
 import time
@@ -26,7 +27,7 @@ from mjhab.data.store.shard import ShardWriter
 from mjhab.viewer.drawn.glb import home_files
 from mjhab.viewer.pages.app import Viewer
 from mjhab.viewer.pages.counting import CountingPage
-from mjhab.viewer.pages.gateway import HAND_PATH
+from mjhab.viewer.pages.gateway import HAND_PATH, Gateway
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.timeline import actor_colors
 from mjhab.viewer.sources.replay import Replay
@@ -391,6 +392,20 @@ def test_a_port_in_use_gives_way_to_the_next(shard: Path) -> None:
             made.close()
 
 
-def test_a_host_that_is_not_ours_is_refused(shard: Path) -> None:
-    with pytest.raises(UsageError, match=r"192\.0\.2\.1.*Give another"):
-        Viewer(Replay(shard), host="192.0.2.1", port=0, cameras=False)
+@pytest.mark.parametrize("host", ["192.0.2.1", "a..b"])
+def test_a_host_that_is_not_ours_is_refused(shard: Path, host: str) -> None:
+    with pytest.raises(UsageError, match=f"{re.escape(host)}.*Give another"):
+        Viewer(Replay(shard), host=host, port=0, cameras=False)
+
+
+def test_after_the_last_port_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+
+    async def refuse(handler: object, host: str, port: int, **_: object) -> None:
+        tried.append(port)
+        raise OSError("in use")
+
+    monkeypatch.setattr("mjhab.viewer.pages.gateway.serve", refuse)
+    with pytest.raises(UsageError, match="ports 65530 to 65535: in use"):
+        Gateway(1, "localhost", 65530, bool)
+    assert tried == list(range(65530, 65536))

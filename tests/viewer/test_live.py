@@ -279,6 +279,15 @@ def test_a_policy_that_fails_is_told_and_can_be_replaced(tmp_path: Path) -> None
         assert "unknown policy 'nobody'" in made.problem
 
 
+def test_a_viewer_that_cannot_listen_leaves_no_lock(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--subtask", "close", "--record", str(tmp_path / "mine.h5")]
+    assert main(["view", *words, "--host", "192.0.2.1"]) == 2
+    assert "cannot listen" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.h5"]
+
+
 @pytest.mark.parametrize(
     ("words", "code", "why"),
     [

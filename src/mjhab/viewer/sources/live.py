@@ -136,7 +136,9 @@ class LiveSession:
             self._cut_done.wait(CUT_SECONDS)
         self._closing = True
         self.pace.wake()
-        if self._thread.is_alive():
+        if self._thread.ident is None:
+            self._release()
+        elif self._thread.is_alive():
             self._thread.join(timeout=CLOSE_SECONDS)
 
     @property
@@ -289,10 +291,14 @@ class LiveSession:
             while not self._closing:
                 self._run_wish()
         finally:
-            if self._writer is not None:
-                self._writer.close()
-            if self.env is not None:
-                self.env.close()
+            self._release()
+
+    def _release(self) -> None:
+        """Close the shard and the environment."""
+        if self._writer is not None:
+            self._writer.close()
+        if self.env is not None:
+            self.env.close()
 
     def _run_wish(self) -> None:
         """Run the requested rollout until another one is requested, the session is closed, or it fails."""

@@ -263,6 +263,19 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     assert not viewer.panels._problem.visible
 
 
+def test_copies_of_an_episode_have_titles_of_their_own(
+    shard: Path, tmp_path: Path
+) -> None:
+    (found,) = shard.glob("*.h5")
+    for name in "abc":
+        shutil.copy(found, tmp_path / f"{name}.h5")
+    replay = Replay(tmp_path)
+    assert len(replay.choices) == 6
+    shards = [replay._episodes[title].shard.path.name for title in replay.choices]
+    assert shards == ["a.h5", "a.h5", "b.h5", "b.h5", "c.h5", "c.h5"]
+    replay.close()
+
+
 def test_another_task_in_the_same_home_shows_its_own_objects(tmp_path: Path) -> None:
     for task in ("set_table", "tidy_house"):
         mjhab.generate(

@@ -107,7 +107,15 @@ class Replay:
         label = str(episode.attributes.get("label", ""))
         index = int(episode.attributes["index"])
         name = f"{index} (seed {int(episode.attributes['seed'])}) {label}"
-        return name if name not in self._episodes else f"{name}, {episode.name}"
+        if name in self._episodes:
+            name = f"{name}, {episode.name}"
+        # Copies of an episode, as of `mjhab replay`, have the same name in other shards.
+        number = 2
+        title = name
+        while title in self._episodes:
+            title = f"{name} ({number})"
+            number += 1
+        return title
 
     def load(self, title: str) -> Track:
         """Read the track of the episode with a title of ``choices``.

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import socket
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -273,6 +274,37 @@ def test_copies_of_an_episode_have_titles_of_their_own(
     assert len(replay.choices) == 6
     shards = [replay._episodes[title].shard.path.name for title in replay.choices]
     assert shards == ["a.h5", "a.h5", "b.h5", "b.h5", "c.h5", "c.h5"]
+    replay.close()
+
+
+def test_the_episode_that_was_chosen_last_is_shown(
+    shard: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replay = Replay(shard)
+    first, second = replay.choices
+    load = replay.load
+    loads, go = threading.Event(), threading.Event()
+
+    def slow(title: str) -> Any:
+        if title == first:
+            loads.set()
+            go.wait(10.0)
+        return load(title)
+
+    monkeypatch.setattr(replay, "load", slow)
+    threads = [
+        threading.Thread(target=replay.choose, args=(title,)) for title in replay.choices
+    ]
+    threads[0].start()
+    assert loads.wait(5.0)
+    threads[1].start()
+    until(lambda: replay.choice == second)
+    threads[1].join(1.0)
+    go.set()
+    for thread in threads:
+        thread.join(20.0)
+    assert replay.track is not None and replay.choice == second
+    assert replay.track.index == load(second).index != load(first).index
     replay.close()
 
 

@@ -57,6 +57,8 @@ class Replay:
         self._problem = ""
         # Held to read a shard: a page loads episodes while the expert's thread reads others.
         self._reading = threading.Lock()
+        # Held to load an episode: pages call from several threads, and environments are of one at a time.
+        self._loading = threading.Lock()
         self._plans = RecordedPlans(self._reading)
         skipped = 0
         _refuse_evaluations(places)
@@ -157,13 +159,17 @@ class Replay:
     def choose(self, choice: str) -> None:
         """Show the episode with a title; if it cannot be read, set ``problem`` and keep the one that is shown."""
         self.choice = choice
-        try:
-            track = self.load(choice)
-        except MjhabError as error:
-            self._problem = str(error)
-            return
-        self._problem = ""
-        self._shown = (self._episodes[choice], track)
+        with self._loading:
+            if self.choice != choice:
+                # Another one was chosen in the meantime.
+                return
+            try:
+                track = self.load(choice)
+            except MjhabError as error:
+                self._problem = str(error)
+                return
+            self._problem = ""
+            self._shown = (self._episodes[choice], track)
 
     def next_episode(self) -> None:
         """Show the episode after ``choice`` in ``choices``; after the last, the first."""

@@ -18,6 +18,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
+from mjhab.data.store.shard import ShardWriter
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
 from mjhab.reports.dataset_forces import force_plots
@@ -113,6 +114,27 @@ def test_all_targets_come_last_and_chains_have_no_paper_rows(tmp_path: Path) -> 
         "pick", {g: m for g, m in grouped(records).items() if g.kind == "pick"}
     )
     assert "in chains" in table and "paper" not in table
+
+
+def test_labels_of_another_version_come_last(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    env = FakeEnv(subtask="pick", images=True)
+    record(path, range(3), env, images=ImageFormat())
+    told = {
+        episode.name: dataclasses.replace(
+            episode.record,
+            subtasks=tuple(
+                dataclasses.replace(subtask, label="older_failure")
+                for subtask in episode.record.subtasks
+            ),
+        )
+        for episode in episodes(tmp_path)
+    }
+    with ShardWriter(path) as writer:
+        writer.replace_records(told)
+    page = render_data_report(tmp_path, FilmWriter)
+    assert "own rules, older_failure: 3 of 3" in page
+    assert "</b>: older failure <small>(" in page
 
 
 def test_force_histograms_count_every_subtask(tmp_path: Path) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import io
 import json
+import lzma
+import random
 import stat
 import tarfile
 import zipfile
@@ -139,6 +142,22 @@ def test_damaged_archives_are_refused(tmp_path: Path, kind: str) -> None:
     with pytest.raises(UsageError, match=r"damaged|neither a zip nor a tar") as caught:
         install_bundle(SOURCE, path, tmp_path / "root")
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "root" / "replica_cad").exists()
+
+
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, lzma.compress])
+@pytest.mark.parametrize("place", [-6, 0.5])
+def test_a_turned_bit_is_found(
+    tmp_path: Path, compress: Callable[[bytes], bytes], place: float
+) -> None:
+    noise = random.Random(0).randbytes(100_000)
+    whole = make_tar(tmp_path / "whole.tar.gz", {**GOOD, "big": noise}).read_bytes()
+    packed = bytearray(compress(gzip.decompress(whole)))
+    packed[int(place) if place < 0 else int(place * len(packed))] ^= 1
+    path = tmp_path / "turned"
+    path.write_bytes(packed)
+    with pytest.raises(UsageError, match=r"damaged|neither a zip nor a tar"):
+        install_bundle(SOURCE, path, tmp_path / "root")
     assert not (tmp_path / "root" / "replica_cad").exists()
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from mjhab.assets.hub import list_files
 from mjhab.assets.install import RECORD, Progress, fetch, read_record, verify
 from mjhab.assets.sources import SOURCES, hub_endpoint, source_named
 from mjhab.assets.transfer import (
@@ -212,6 +213,16 @@ def test_a_file_of_which_nothing_comes_is_given_up(
         ):
             download(url, tmp_path / "file", Expected(10), sleep=waits.append)
     assert len(waits) == TRIES / SILENCE_COSTS - 1
+
+
+def test_a_full_disk_is_told_at_once(hub: FakeHub, tmp_path: Path) -> None:
+    waits: list[float] = []
+    _, listed = list_files(hub_endpoint(), SOURCE.repo, SOURCE.revision, waits.append)
+    (big,) = [file for file in listed if file.path == BIG_PATH]
+    (tmp_path / "big.part").symlink_to("/dev/full")
+    with pytest.raises(TransferError, match=r"big\.part cannot be written: No space"):
+        download(big.url, tmp_path / "big", big.expected, sleep=waits.append)
+    assert waits == [] and len(ranges(hub)) == 1
 
 
 def test_documents_are_bounded(

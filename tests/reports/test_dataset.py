@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
+import math
 import re
 from collections import Counter
 from importlib.resources import files
@@ -16,6 +18,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
+from mjhab.data.store.shard import ShardWriter
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
 from mjhab.reports.dataset_forces import force_plots
@@ -113,6 +116,27 @@ def test_all_targets_come_last_and_chains_have_no_paper_rows(tmp_path: Path) -> 
     assert "in chains" in table and "paper" not in table
 
 
+def test_labels_of_another_version_come_last(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    env = FakeEnv(subtask="pick", images=True)
+    record(path, range(3), env, images=ImageFormat())
+    told = {
+        episode.name: dataclasses.replace(
+            episode.record,
+            subtasks=tuple(
+                dataclasses.replace(subtask, label="older_failure")
+                for subtask in episode.record.subtasks
+            ),
+        )
+        for episode in episodes(tmp_path)
+    }
+    with ShardWriter(path) as writer:
+        writer.replace_records(told)
+    page = render_data_report(tmp_path, FilmWriter)
+    assert "own rules, older_failure: 3 of 3" in page
+    assert "</b>: older failure <small>(" in page
+
+
 def test_force_histograms_count_every_subtask(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(6), FakeEnv())
     subtasks = [subtask for r in records for subtask in r.subtasks]
@@ -121,6 +145,23 @@ def test_force_histograms_count_every_subtask(tmp_path: Path) -> None:
         for name in (f"peak-{kind}", f"sum-{kind}"):
             assert sum(sum(trace["y"]) for trace in plots[name]["data"]) == count
     json.dumps(plots, allow_nan=False)
+
+
+def test_forces_that_are_not_finite_are_counted_beside_the_histogram(
+    tmp_path: Path,
+) -> None:
+    records, _ = record(tmp_path / "a.h5", range(6), FakeEnv(subtask="pick"))
+    subtasks = [subtask for r in records for subtask in r.subtasks]
+    bad = [
+        dataclasses.replace(subtasks[0], peak_force=force, cumulative_force=math.nan)
+        for force in (math.nan, math.inf)
+    ]
+    for told, count in ((subtasks + bad, len(subtasks)), (bad, 0)):
+        plots = force_plots(told)
+        for name in ("peak-pick", "sum-pick"):
+            assert sum(sum(trace["y"]) for trace in plots[name]["data"]) == count
+            assert "2 not finite" in plots[name]["layout"]["xaxis"]["title"]["text"]
+        json.dumps(plots, allow_nan=False)
 
 
 def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:

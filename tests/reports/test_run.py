@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -104,6 +105,29 @@ def test_all_sections_are_there(records: list[EpisodeRecord]) -> None:
     assert "contact_overflow" in page.text and "Partial" not in page.text
     data = json.loads(page.scripts["page-data"])
     assert len(data["force"]) == 8 and data["progress"]["data"] and data["labels"]["data"]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_forces_that_are_not_finite_are_gaps(
+    records: list[EpisodeRecord], bad: float
+) -> None:
+    first = records[0]
+    tainted = replace(
+        first,
+        force=(*first.force[:3], bad, *first.force[4:]),
+        peak_force=bad,
+        cumulative_force=bad,
+        subtasks=(
+            replace(first.subtasks[0], peak_force=bad, cumulative_force=bad),
+            *first.subtasks[1:],
+        ),
+    )
+    data = json.loads(page_of([tainted, *records[1:]]).scripts["page-data"])
+    own = [trace["y"] for trace in data["force"][0]["data"]]
+    clean = [trace["y"] for trace in force_figure(first)["data"]]
+    assert own[0] == [*clean[0][:3], None, *clean[0][4:]]
+    assert own[1] == [*clean[1][:3], *[None] * (len(clean[1]) - 3)]
+    assert own[2:] == clean[2:]
 
 
 def test_nothing_is_loaded_from_elsewhere(

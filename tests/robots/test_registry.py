@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,6 +28,7 @@ from mjhab.tasks.subtasks.pick import PICK
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, register_subtask
 
 HEAD = ROBOT.cameras[0]
+STIFF = ROBOT.stiff_gains
 SOURCE = Path(mjhab.__file__).parent
 FETCH_WORDS = re.compile(
     r"fetch|gripper_link|_flex_|_roll_joint|_pan_joint|_tilt_joint|torso_lift",
@@ -165,6 +167,65 @@ def test_a_robot_that_cannot_be_is_refused(change: dict, message: str) -> None:
         dataclasses.replace(ROBOT, **change)
 
 
+@pytest.mark.parametrize("value", [None, 5, "x", ["a"]])
+@pytest.mark.parametrize("field", dataclasses.fields(Robot), ids=lambda f: f.name)
+def test_fields_of_another_type_are_told_in_one_line(
+    field: dataclasses.Field[Any], value: object
+) -> None:
+    try:
+        robot = dataclasses.replace(ROBOT, **{field.name: value})
+        _ = robot.body
+    except UsageError as error:
+        assert "\n" not in str(error)
+        return
+    # What is left stands for a default, or is of the type of the field.
+    assert (field.name, value) in (
+        ("name", "x"),
+        ("base_height", 5),
+        ("ee_rest_pos", None),
+        ("limits", None),
+        ("materials", None),
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"joints": 5}, "joints must be a tuple, got 5"),
+        ({"groups": {**ROBOT.groups, "arm": 5}}, "group 'arm' must be a tuple"),
+        ({"load_body": "body"}, "load_body must be a function"),
+        ({"base_height": math.nan}, "base_height must be a finite number"),
+        (
+            {"gains": {**ROBOT.gains, "arm": dataclasses.replace(STIFF, kp="1")}},
+            "gains of 'arm': kp must be a finite number, got '1'",
+        ),
+        (
+            {"cameras": (dataclasses.replace(HEAD, fovy=None),)},
+            r"cameras\[0\]: fovy must be a finite number",
+        ),
+        (
+            {"limits": dataclasses.replace(ROBOT.limits, gripper=0.05)},
+            "limits: gripper must be a tuple",
+        ),
+    ],
+)
+def test_parts_of_another_type_are_named(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=f"robot 'fetch': .*{message}"):
+        dataclasses.replace(ROBOT, **change)
+
+
+def test_lists_stand_for_tuples() -> None:
+    groups = {group: list(joints) for group, joints in ROBOT.groups.items()}
+    robot = dataclasses.replace(
+        ROBOT,
+        joints=list(ROBOT.joints),
+        groups=groups,
+        rest_qpos=list(ROBOT.rest_qpos),
+        cameras=list(ROBOT.cameras),
+    )
+    assert robot.digest == ROBOT.digest
+
+
 def with_tree(
     change: Callable[[tuple[TreeLink, ...]], tuple[TreeLink, ...]],
 ) -> dict[str, Any]:
@@ -209,6 +270,20 @@ def with_tree(
         (
             with_tree(lambda tree: tuple(dataclasses.replace(r, joint="") for r in tree)),
             "joints: unknown joint of load_body",
+        ),
+        (
+            {"load_body": lambda: dataclasses.replace(ROBOT.body, collision=None)},
+            "load_body: Body: collision must be a mapping",
+        ),
+        (
+            with_tree(
+                lambda tree: (dataclasses.replace(tree[0], limits=None), *tree[1:])
+            ),
+            "limits must be a lower and an upper number, got None",
+        ),
+        (
+            with_tree(lambda tree: (dataclasses.replace(tree[0], axis="z"), *tree[1:])),
+            "axis must be a tuple",
         ),
         (
             {"load_body": lambda: dataclasses.replace(ROBOT.body, inertials={})},

@@ -56,6 +56,13 @@ def test_no_message_breaks_it(value: Any) -> None:
     hand.hear(json.dumps({"keys": value, "axes": value, "buttons": [value]}))
 
 
+def test_a_number_without_end_lets_go() -> None:
+    hand = HandControl()
+    hand.hear(keys("KeyW"))
+    hand.hear('{"axes": [1' + "0" * 400 + "]}")
+    assert hand._input == HandInput()
+
+
 @pytest.fixture(scope="module")
 def running() -> Any:
     import mjhab

@@ -221,6 +221,45 @@ def test_another_policy_acts_without_a_new_episode() -> None:
         assert track.moments[1].actor == "random"
 
 
+def test_an_episode_that_has_ended_cannot_be_ended_again(tmp_path: Path) -> None:
+    shard = tmp_path / "twice.h5"
+    with session(shard=shard, playing=False) as made:
+        until_step(made, 0)
+        made.finish_episode()
+        until(lambda: is_over(made))
+        first = made.track
+        made.finish_episode()
+        made.pace.play(True)
+        until(lambda: made.track is not first and is_over(made), 20.0)
+        assert steps(made) == HORIZON
+
+
+def test_a_single_step_is_one_of_the_watched_world() -> None:
+    with session(worlds=2, playing=False) as made:
+        until_step(made, 0)
+        assert made._cuttable is not None
+        made._cuttable.cut[1] = True
+        for step in (1, 2, 3):
+            made.pace.step_once()
+            until_step(made, step)
+        assert made.tracks[1] is not None and made.tracks[1].index == 2
+
+
+def test_a_policy_that_gives_up_ends_the_episode(tmp_path: Path) -> None:
+    file = tmp_path / "weak.py"
+    file.write_text(
+        "import numpy as np\n"
+        "class Weak:\n"
+        "    name = 'weak'\n"
+        "    def reset(self, mask): pass\n"
+        "    def act(self, obs, info): return np.zeros((1, 13), np.float32)\n"
+        "    def fault(self, world): return 'the server is gone'\n"
+    )
+    with session(f"{file}:Weak") as made:
+        until(lambda: is_over(made) or made.problem, 20.0)
+        assert made.problem == "the server is gone" and steps(made) == 1
+
+
 def test_a_policy_that_fails_is_told_and_can_be_replaced(tmp_path: Path) -> None:
     bad = tmp_path / "bad.py"
     bad.write_text(
@@ -238,6 +277,15 @@ def test_a_policy_that_fails_is_told_and_can_be_replaced(tmp_path: Path) -> None
         made.set_policy("nobody")
         until(lambda: made.problem)
         assert "unknown policy 'nobody'" in made.problem
+
+
+def test_a_viewer_that_cannot_listen_leaves_no_lock(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--subtask", "close", "--record", str(tmp_path / "mine.h5")]
+    assert main(["view", *words, "--host", "192.0.2.1"]) == 2
+    assert "cannot listen" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.h5"]
 
 
 @pytest.mark.parametrize(

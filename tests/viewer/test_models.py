@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import io
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,13 @@ import pytest
 import trimesh
 
 from mjhab.core.rotations import mat_from_quat
+from mjhab.layout.layout import Layout
 from mjhab.render.home_scene import build_render_scene
 from mjhab.render.render_scene import RenderScene
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.scenes.builtin.materials import Material
+from mjhab.scenes.builtin.pack import builtin_pack
+from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.viewer.drawn import glb as glb_file
 from mjhab.viewer.drawn.models import MAX_TEXTURE_SIDE, HomeModels, Model, home_models
 from mjhab.viewer.drawn.posing import MAX_JUMP_M, Pose, Poser, between
@@ -112,6 +118,28 @@ def test_files_are_kept_on_disk(
     assert (kept.home, kept.movable) == (made.home, made.movable)
     next((tmp_path / "viewer").glob("*.npz")).write_bytes(b"broken")
     assert glb_file.home_files(env.layout, env.homes[0], lambda: small).home == made.home
+
+
+def test_files_are_made_anew_for_other_looks() -> None:
+    pack = builtin_pack()
+    home = pack.homes[0].name
+    corners = np.zeros((3, 3), np.float32)
+    mesh = Mesh(corners, np.array([[0, 1, 2]], np.int32), face_color=corners[:1])
+    paint = Material((1.0, 0.0, 0.0))
+    visuals = ROBOT.visuals()
+    robots = (
+        ROBOT,
+        dataclasses.replace(ROBOT, materials={**ROBOT.materials, "paint": paint}),
+        dataclasses.replace(ROBOT, visuals=lambda: visuals[:3]),
+    )
+    meshes = (mesh, dataclasses.replace(mesh, face_color=corners[:1] + 1.0))
+    layouts = [Layout(pack, (), robot) for robot in robots]
+    layouts += [
+        Layout(dataclasses.replace(pack, meshes={"sign": look}), ()) for look in meshes
+    ]
+    digests = [glb_file.home_digest(layout, home) for layout in layouts]
+    assert len(set(digests)) == len(digests)
+    assert glb_file.home_digest(Layout(pack, ()), home) == digests[0]
 
 
 def test_poses_are_those_of_the_simulator(env: Any) -> None:

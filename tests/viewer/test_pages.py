@@ -3,8 +3,10 @@ from __future__ import annotations
 import collections
 import dataclasses
 import json
+import re
 import shutil
 import socket
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -23,8 +25,10 @@ from websockets.sync.client import connect
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.data.store.shard import ShardWriter
+from mjhab.viewer.drawn.glb import home_files
 from mjhab.viewer.pages.app import Viewer
-from mjhab.viewer.pages.gateway import HAND_PATH
+from mjhab.viewer.pages.counting import CountingPage
+from mjhab.viewer.pages.gateway import HAND_PATH, Gateway
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.timeline import actor_colors
 from mjhab.viewer.sources.replay import Replay
@@ -260,6 +264,109 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
     assert not viewer.panels._problem.visible
 
 
+def test_copies_of_an_episode_have_titles_of_their_own(
+    shard: Path, tmp_path: Path
+) -> None:
+    (found,) = shard.glob("*.h5")
+    for name in "abc":
+        shutil.copy(found, tmp_path / f"{name}.h5")
+    replay = Replay(tmp_path)
+    assert len(replay.choices) == 6
+    shards = [replay._episodes[title].shard.path.name for title in replay.choices]
+    assert shards == ["a.h5", "a.h5", "b.h5", "b.h5", "c.h5", "c.h5"]
+    replay.close()
+
+
+def test_the_episode_that_was_chosen_last_is_shown(
+    shard: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replay = Replay(shard)
+    first, second = replay.choices
+    load = replay.load
+    loads, go = threading.Event(), threading.Event()
+
+    def slow(title: str) -> Any:
+        if title == first:
+            loads.set()
+            go.wait(10.0)
+        return load(title)
+
+    monkeypatch.setattr(replay, "load", slow)
+    threads = [
+        threading.Thread(target=replay.choose, args=(title,)) for title in replay.choices
+    ]
+    threads[0].start()
+    assert loads.wait(5.0)
+    threads[1].start()
+    until(lambda: replay.choice == second)
+    threads[1].join(1.0)
+    go.set()
+    for thread in threads:
+        thread.join(20.0)
+    assert replay.track is not None and replay.choice == second
+    assert replay.track.index == load(second).index != load(first).index
+    replay.close()
+
+
+def test_another_task_in_the_same_home_shows_its_own_objects(tmp_path: Path) -> None:
+    for task in ("set_table", "tidy_house"):
+        mjhab.generate(
+            "zero",
+            out=tmp_path / task,
+            task=task,
+            subtask="pick",
+            home="builtin_m0_00",
+            episodes=1,
+            horizon=2,
+            threads=1,
+        )
+    made = Viewer(Replay(tmp_path), port=0, cameras=False)
+    try:
+        made.source.start()
+        shown = []
+        for choice in (*made.source.choices, made.source.choices[0]):
+            made.source.choose(choice)
+            assert made.frame(0.02) is not None
+            files = home_files(
+                made.source.sim.layout, "builtin_m0_00", lambda: pytest.fail("kept")
+            )
+            bodies = [placed._bodies for placed in made.stage._placed]
+            assert bodies == [list(bodies) for bodies, _ in files.movable]
+            shown.append(bodies)
+        assert shown[0] == shown[2] != shown[1]
+    finally:
+        made.close()
+
+
+def test_a_failure_that_has_passed_is_told_no_longer(
+    shard: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Viewer(Replay(shard), port=0)
+    frame = made.frame
+    cameras = made._cameras
+    assert cameras is not None
+    draw = cameras.draw
+    failures = {"frame": 0, "draw": 0}
+
+    def once(name: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        failures[name] += 1
+        if failures[name] == 1:
+            raise RuntimeError(f"no {name} yet")
+        return call(*arguments)
+
+    monkeypatch.setattr(made, "frame", lambda seconds: once("frame", frame, seconds))
+    monkeypatch.setattr(cameras, "draw", lambda *seen: once("draw", draw, *seen))
+    made.start()
+    page = CountingPage(made.port)
+    try:
+        until(lambda: made.panels._problem.visible)
+        until(lambda: cameras.drawn > 1 and not made.panels._problem.visible, 60.0)
+        assert not made.problem and not cameras.problem
+    finally:
+        page.close()
+        made.close()
+
+
 def test_checks_in_a_browser_are_skipped_with_a_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -330,6 +437,20 @@ def test_a_port_in_use_gives_way_to_the_next(shard: Path) -> None:
             made.close()
 
 
-def test_a_host_that_is_not_ours_is_refused(shard: Path) -> None:
-    with pytest.raises(UsageError, match=r"192\.0\.2\.1.*Give another"):
-        Viewer(Replay(shard), host="192.0.2.1", port=0, cameras=False)
+@pytest.mark.parametrize("host", ["192.0.2.1", "a..b"])
+def test_a_host_that_is_not_ours_is_refused(shard: Path, host: str) -> None:
+    with pytest.raises(UsageError, match=f"{re.escape(host)}.*Give another"):
+        Viewer(Replay(shard), host=host, port=0, cameras=False)
+
+
+def test_after_the_last_port_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+
+    async def refuse(handler: object, host: str, port: int, **_: object) -> None:
+        tried.append(port)
+        raise OSError("in use")
+
+    monkeypatch.setattr("mjhab.viewer.pages.gateway.serve", refuse)
+    with pytest.raises(UsageError, match="ports 65530 to 65535: in use"):
+        Gateway(1, "localhost", 65530, bool)
+    assert tried == list(range(65530, 65536))

@@ -66,6 +66,14 @@ def unpack(
         else:
             with _plain(archive) as content, _opened_tar(archive, content) as file:
                 _write(_tar_members(file, archive), folder, archive, tell)
+                _read_to_end(content, archive)
+    except gzip.BadGzipFile as error:
+        raise _damaged(archive, error) from error
+    except OSError as error:
+        # That of bz2 for damaged data has no number, those of the system have one.
+        if error.errno is None:
+            raise _damaged(archive, error) from error
+        raise
     except (
         zipfile.BadZipFile,
         tarfile.TarError,
@@ -75,9 +83,25 @@ def unpack(
         NotImplementedError,
         ValueError,
     ) as error:
-        raise UsageError(
-            f"{archive}: damaged ({error}); nothing was installed."
-        ) from error
+        raise _damaged(archive, error) from error
+
+
+def _damaged(archive: Path, error: Exception) -> UsageError:
+    return UsageError(f"{archive}: damaged ({error}); nothing was installed.")
+
+
+def _read_to_end(content: IO[bytes], archive: Path) -> None:
+    """Read what is left of a stream: the checksum of its compression comes last, after the end of the tar archive.
+
+    Raises:
+        UsageError: it is longer than an archive may be.
+        OSError, EOFError, lzma.LZMAError: its bytes are not those that were compressed.
+    """
+    left = _most_bytes(archive)
+    while chunk := content.read(MAX_HEADER_BYTES):
+        left -= len(chunk)
+        if left < 0:
+            raise UsageError(f"{archive}: goes on after its end; nothing was installed.")
 
 
 def _opened_tar(archive: Path, content: IO[bytes]) -> tarfile.TarFile:

@@ -6,6 +6,7 @@ variables (``http_proxy``, ``https_proxy``, ``no_proxy``).
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import http.client
 import re
@@ -42,6 +43,8 @@ CHUNK = 1 << 18
 _SILENT = "the server says nothing"
 _PASSING = (408, 425, 429, 500, 502, 503, 504)
 """HTTP states that pass by themselves."""
+_OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+"""Numbers of errors of the disk, which do not pass."""
 
 
 class TransferError(MjhabError):
@@ -200,6 +203,10 @@ def _append(
     except TimeoutError:
         return _SILENT
     except (OSError, http.client.HTTPException, ValueError) as error:
+        if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
+            raise TransferError(
+                f"{part} cannot be written: {error.strerror}; the same command continues from what has arrived."
+            ) from error
         return _worth_another_try(url, error)
     wanted = (
         expected.size

@@ -74,8 +74,12 @@ def _serve(options: ViewOptions) -> int:
     from mjhab.viewer.pages.app import Viewer
 
     source = _source(options)
-    source.prepare()
-    viewer = Viewer(source, options.host, options.port)
+    try:
+        source.prepare()
+        viewer = Viewer(source, options.host, options.port)
+    except BaseException:
+        source.close()
+        raise
     ended = threading.Event()
     before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
     try:

@@ -150,6 +150,25 @@ def _add_standing(
             builder.add_world_geom(geom, pos, quat, seg, present, meshes)
 
 
+def _sane(body_pos: np.ndarray, body_mat: np.ndarray) -> np.ndarray:
+    """(W,) bool: worlds whose physics has not diverged, for poses (W, B, 3) and (W, B, 3, 3) of their bodies.
+
+    The kernels have no bounds checks, so that poses of the others must not reach them.
+    """
+    # NaN fails the comparisons.
+    near = (np.abs(body_pos) < DIVERGED_BEYOND_M).all((1, 2))
+    return np.asarray(near & (np.abs(body_mat) < 2.0).all((1, 2, 3)))
+
+
+def _placed(images: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Images (W, ...) of all worlds, from those of the worlds ``rows`` (W,) bool; zeros for the others."""
+    if rows.all():
+        return images
+    whole = np.zeros((len(rows), *images.shape[1:]), images.dtype)
+    whole[rows] = images
+    return whole
+
+
 class HomeRenderer:
     """Render the worlds of a simulator with the CPU rasterizer.
 
@@ -197,10 +216,7 @@ class HomeRenderer:
         index = np.array([self._home_index[h] for h in homes])
         fovy = self._mounts_of(cameras).fovy
         pos, mat = self.camera_poses(state, cameras)
-        # NaN fails the comparison. It must not reach the kernels, which have no bounds checks.
-        sane = (np.abs(state.body_pos) < DIVERGED_BEYOND_M).all((1, 2)) & (
-            np.abs(state.body_mat) < 2.0
-        ).all((1, 2, 3))
+        sane = _sane(state.body_pos, state.body_mat)
         rows = slice(None) if sane.all() else sane
         drawn = self.rasterizer.render(
             index[rows],
@@ -209,15 +225,7 @@ class HomeRenderer:
             Cameras(pos[rows], mat[rows], fovy, width, height, ROBOT_LEVEL_ERROR),
             outputs,
         )
-        if sane.all():
-            return drawn
-        images = {
-            name: np.zeros((len(sane), *image.shape[1:]), image.dtype)
-            for name, image in drawn.items()
-        }
-        for name, image in drawn.items():
-            images[name][sane] = image
-        return images
+        return {name: _placed(image, sane) for name, image in drawn.items()}
 
     def camera_poses(
         self, state: BodyPoses, cameras: Sequence[str] | None = None
@@ -272,6 +280,8 @@ class HomeRenderer:
     ) -> np.ndarray:
         """Render the follow camera, which looks from behind the robot over its shoulder, in n worlds.
 
+        A world whose physics has diverged gets an image of zeros, see `robot_views`.
+
         Args:
             state: of all worlds.
             homes: (n,) names of the homes of these worlds.
@@ -281,14 +291,22 @@ class HomeRenderer:
         Returns:
             (n, height, width, 3) uint8 sRGB.
         """
+        sane = _sane(state.body_pos[list(worlds)], state.body_mat[list(worlds)])
+        drawn = [
+            (home, world)
+            for home, world, is_sane in zip(homes, worlds, sane, strict=True)
+            if is_sane
+        ]
+        if not drawn:
+            return np.zeros((len(sane), height, width, 3), np.uint8)
+        rows = [world for _, world in drawn]
         looks = [
-            self._follow.look(home, state.robot_q[world, BASE])
-            for home, world in zip(homes, worlds, strict=True)
+            self._follow.look(home, state.robot_q[world, BASE]) for home, world in drawn
         ]
         images = self.rasterizer.render(
-            np.array([self._home_index[home] for home in homes], np.int64),
-            state.body_pos[list(worlds)],
-            state.body_mat[list(worlds)],
+            np.array([self._home_index[home] for home, _ in drawn], np.int64),
+            state.body_pos[rows],
+            state.body_mat[rows],
             Cameras(
                 np.stack([eye for eye, _ in looks])[:, None],
                 np.stack(
@@ -300,7 +318,7 @@ class HomeRenderer:
             ),
             ("rgb",),
         )
-        return images["rgb"][:, 0]
+        return _placed(images["rgb"][:, 0], sane)
 
     def home_view(self, home: str, view: str, width: int, height: int) -> np.ndarray:
         """Render a furnished home without objects, the robot in its parked pose.

@@ -212,9 +212,12 @@ def _films(
     return f'<div style="{columns}">{"".join(figures)}</div>'
 
 
-def _place_of_label(key: tuple[str, str]) -> tuple[int, int]:
+def _place_of_label(key: tuple[str, str]) -> tuple[int, int, str]:
+    """Sort key of a kind and a label; labels that the kind does not have here come last."""
     kind, label = key
-    return number_of(kind), label_order(kind).index(label)
+    order = label_order(kind)
+    place = order.index(label) if label in order else len(order)
+    return number_of(kind), place, label
 
 
 def _figure(kind: str, label: str, made: Mosaic, what: str) -> str:

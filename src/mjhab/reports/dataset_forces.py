@@ -50,12 +50,18 @@ def _histogram(
     title: str,
     lines: Mapping[str, float],
 ) -> Figure:
-    """Stacked histogram on a logarithmic axis; the first bin holds all values up to 1 N."""
-    values = np.log10(np.maximum([value(member) for member in members], 1.0))
-    good = np.array([member.success_once for member in members])
-    top = (
-        max(float(values.max()), *(np.log10(line) for line in lines.values()), 1.0) * 1.02
-    )
+    """Stacked histogram on a logarithmic axis; the first bin holds all values up to 1 N.
+
+    Values of tainted episodes that are not finite are left out; the title tells their number.
+    """
+    told = np.array([value(member) for member in members])
+    finite = np.isfinite(told)
+    if not finite.all():
+        title += f", {int((~finite).sum())} not finite"
+    values = np.log10(np.maximum(told[finite], 1.0))
+    good = np.array([member.success_once for member in members])[finite]
+    largest = float(values.max(initial=0.0))
+    top = max(largest, *(np.log10(line) for line in lines.values()), 1.0) * 1.02
     edges = np.linspace(0.0, top, _BINS + 1)
     data = []
     for name, mask in (("success", good), ("failure", ~good)):

@@ -81,11 +81,22 @@ def label_order(kind: str) -> tuple[str, ...]:
 def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> str:
     """The labels of a kind as HTML: one table per group, with a row per label.
 
+    Labels that the kind does not have here, as of data of another version, have the last rows.
+
     Columns: this data set by the published rules (``legacy_label``) and by mjhab's rules (``label``), then the paper's
     policies on the same task, split and target by the published rules.
     """
+    known = label_order(kind)
+    found = {
+        label
+        for members in groups.values()
+        for member in members
+        for label in (member.legacy_label, member.label)
+        if label
+    }
+    labels = (*known, *sorted(found - set(known)))
     tables = (
-        _group_table(group, _columns(group, members), label_order(kind))
+        _group_table(group, _columns(group, members), labels)
         for group, members in groups.items()
     )
     columns = "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr));gap:18px 28px"

@@ -158,7 +158,10 @@ def _label_order(label: str) -> tuple[int, str]:
 
 
 def force_figure(record: EpisodeRecord) -> Figure:
-    """Robot force in every control step, and its sum within the subtask with the limit."""
+    """Robot force in every control step, and its sum within the subtask with the limit.
+
+    Forces of a tainted episode that are not finite are gaps, as are the sums from there on.
+    """
     limits = force_limits()
     force = np.asarray(record.force, float)
     data: list[dict[str, Any]] = []
@@ -167,20 +170,20 @@ def force_figure(record: EpisodeRecord) -> Figure:
     for kind, target, start, end in _spans(record):
         steps = list(range(start + 1, end + 1))
         total = np.cumsum(force[start:end])
-        highest = max(highest, float(total[-1]))
+        highest = max(highest, float(total[np.isfinite(total)].max(initial=0.0)))
         name = f"{kind} {target}"
         common = {"type": "scatter", "mode": "lines", "x": steps, "legendgroup": kind}
         color = kind_color(kind)
         fill = {"fill": "tozeroy", "line": {"color": color, "width": 1}}
         top = {
-            "y": force[start:end].tolist(),
+            "y": _with_gaps(force[start:end]),
             "name": kind,
             "showlegend": kind not in drawn,
             **fill,
         }
         top["hovertemplate"] = f"{name}<br>step %{{x}}: %{{y:.1f}} N<extra></extra>"
         low = {
-            "y": np.round(total, 1).tolist(),
+            "y": _with_gaps(np.round(total, 1)),
             "showlegend": False,
             "yaxis": "y2",
             "line": {"color": color, "width": 2},
@@ -196,6 +199,11 @@ def force_figure(record: EpisodeRecord) -> Figure:
             drawn.add("limit")
             highest = max(highest, limit)
     return {"data": data, "layout": _force_layout(record.steps, highest)}
+
+
+def _with_gaps(values: np.ndarray) -> list[float | None]:
+    """Values for a chart; None, which JSON has, for those that are not finite."""
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def _spans(record: EpisodeRecord) -> list[tuple[str, str, int, int]]:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import dataclasses
+import typing
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.robots.parts import Body
+from mjhab.core.typed.options import fitting
+from mjhab.robots.parts import Body, Inertial
+from mjhab.scenes.spec import Geom
 
 REST_TOLERANCE = 1e-6
 """How far a rest position may exceed the joint limits [m or rad], because published numbers are rounded."""
@@ -31,19 +37,38 @@ class BodyNeeds:
     rest: Mapping[str, float]
 
 
+def check_record(record: Any, owner: str, apart: Collection[str] = ()) -> None:
+    """Check the types of the fields of a dataclass.
+
+    Args:
+        record: the dataclass.
+        owner: what it is, for messages.
+        apart: fields that are checked elsewhere.
+
+    Raises:
+        UsageError: a field is of another type than its annotation states.
+    """
+    hints = typing.get_type_hints(type(record))
+    for field in dataclasses.fields(record):
+        if field.name not in apart:
+            value = getattr(record, field.name)
+            fitting(f"{owner}: {field.name}", hints[field.name], value)
+
+
 def check_body(body: Body, needs: BodyNeeds) -> Body:
     """Check that a body has the links and joints that the other fields of a robot name, and return it.
 
     Raises:
-        UsageError: it is not a `Body`; the tree does not list parents before children from the base link on; a link has
-            no mass; a field names a link that does not exist or merges into its parent; a joint is missing, or its rest
-            position is outside of its limits.
+        UsageError: it is not a `Body`; a field of it or of its parts is of another type; the tree does not list parents
+            before children from the base link on; a link has no mass; a field names a link that does not exist or
+            merges into its parent; a joint is missing, or its rest position is outside of its limits.
     """
     robot = f"robot {needs.robot!r}"
     if not isinstance(body, Body):
         raise UsageError(
             f"{robot}: load_body must return a Body, got {type(body).__name__}."
         )
+    _check_types(body, f"{robot}: load_body: Body")
     links = _links(body, needs.base_link, robot)
     _check_names("load_body: Body.collision", body.collision, links, robot)
     for link in links:
@@ -64,6 +89,28 @@ def check_body(body: Body, needs: BodyNeeds) -> Body:
                 )
     _check_rest(body, needs.rest, robot)
     return body
+
+
+def _check_types(body: Body, owner: str) -> None:
+    check_record(body, owner)
+    for row in body.tree:
+        name = f"{owner}.tree: link {row.link!r}"
+        # Limits may be infinite.
+        check_record(row, name, ("limits",))
+        if not _is_range(row.limits):
+            raise UsageError(
+                f"{name}: limits must be a lower and an upper number, got {row.limits!r}."
+            )
+    for link, inertial in body.inertials.items():
+        name = f"{owner}.inertials of {link!r}"
+        check_record(fitting(name, Inertial, inertial), name)
+    for link, geoms in body.collision.items():
+        fitting(f"{owner}.collision of {link!r}", tuple[Geom, ...], geoms)
+
+
+def _is_range(limits: Any) -> bool:
+    pair = isinstance(limits, list | tuple) and len(limits) == 2
+    return pair and all(isinstance(x, Real) for x in limits) and limits[0] <= limits[1]
 
 
 def _links(body: Body, base_link: str, robot: str) -> tuple[str, ...]:

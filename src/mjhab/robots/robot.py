@@ -13,9 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.joints import BASE, GROUPS, JointColumns
-from mjhab.robots.body_check import BodyNeeds, check_body
+from mjhab.core.typed.options import fitting, take_types
+from mjhab.robots.body_check import BodyNeeds, check_body, check_record
 from mjhab.robots.kinematics import Chain, ChainRoot
 from mjhab.robots.parts import (
     ActionColumns,
@@ -80,6 +81,8 @@ class ArmReach:
 class Robot:
     """A mobile manipulator.
 
+    Lists stand for tuples, and numbers of numpy for plain ones.
+
     Attributes:
         name: name in ``mjhab.make(robot=...)``.
         joints: names of the joints in the order of joint positions: base, posture, fingers (`core.joints`).
@@ -110,6 +113,9 @@ class Robot:
             at ``rest_qpos``.
         limits: ranges that actions of ±1 are scaled to.
         materials: materials of the visual meshes, by name.
+
+    Raises:
+        UsageError: a field is of another type or does not fit the others; the message names it.
     """
 
     name: str
@@ -140,6 +146,9 @@ class Robot:
     materials: Mapping[str, Material] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        apart = ("groups", "cameras", "stiff_gains")
+        take_types(self, apart, f"robot {shown(self.name)}")
+        self._take_groups()
         for group in self.groups:
             if group not in GROUPS:
                 raise UsageError(
@@ -171,6 +180,33 @@ class Robot:
             )
         self._check_gains()
         self._check_cameras()
+        self._check_parts()
+
+    def _take_groups(self) -> None:
+        """Take the joints of every group as a tuple of names, and the cameras as a tuple."""
+        owner = f"robot {self.name!r}"
+        given = fitting(f"{owner}: groups", Mapping, self.groups)
+        groups = {
+            group: fitting(f"{owner}: group {group!r}", tuple[str, ...], joints)
+            for group, joints in given.items()
+        }
+        object.__setattr__(self, "groups", groups)
+        if not isinstance(self.cameras, list | tuple):
+            raise UsageError(
+                f"{owner}: cameras must be a tuple of CameraMount, got {type(self.cameras).__name__}."
+            )
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+
+    def _check_parts(self) -> None:
+        """Check the types of the fields of gains, fingers and sizes."""
+        parts = {f"gains of {group!r}": gains for group, gains in self.gains.items()}
+        parts |= {f"finger {finger.link!r}": finger for finger in self.fingers}
+        for name in ("stiff_gains", "gripper", "footprint", "reach", "limits"):
+            parts[name] = getattr(self, name)
+        for name, part in parts.items():
+            check_record(part, f"robot {self.name!r}: {name}")
+        for name, material in self.materials.items():
+            fitting(f"robot {self.name!r}: material {name!r}", Material, material)
 
     def _check_gains(self) -> None:
         lacking = [g for g in GROUPS if self.group(g) and g not in self.gains]
@@ -196,6 +232,7 @@ class Robot:
                 raise UsageError(
                     f"robot {self.name!r}: cameras[{k}] must be a CameraMount, got {type(camera).__name__}."
                 )
+            check_record(camera, f"robot {self.name!r}: cameras[{k}]")
             if camera.name in self.camera_names[:k]:
                 raise UsageError(
                     f"robot {self.name!r}: two cameras are called {camera.name!r}."

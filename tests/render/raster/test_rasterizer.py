@@ -425,6 +425,9 @@ def test_bad_input_is_named():
         raster.render(np.array([2]), eye, mat, cameras)
     with pytest.raises(UsageError, match="cam_pos must have shape"):
         raster.render(home, eye, mat, replace(cameras, pos=np.zeros((1, 3))))
+    for bad in ({"pos": eye + np.nan}, {"mat": mat + np.inf}):
+        with pytest.raises(UsageError, match="cam_mat must be finite"):
+            raster.render(home, eye, mat, replace(cameras, **bad))
     with pytest.raises(UsageError, match="Did you mean 'floor_oak'"):
         SceneBuilder(1).material("flor_oak")
     with pytest.raises(UsageError, match="nothing was added"):

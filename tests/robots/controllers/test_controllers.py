@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.robots.controllers import BASES, CONTROL_MODES, STATIONARY, make_controller
+from mjhab.robots.controllers import (
+    BASES,
+    CONTROL_MODES,
+    STATIONARY,
+    check_actions,
+    make_controller,
+)
 from mjhab.robots.fetch.model import FETCH_JOINTS, REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.model import add_robot, apply_drives
@@ -385,6 +391,15 @@ def test_state_of_another_mode_is_refused():
         make_controller("pd_joint_delta_pos_stiff_body", 2).set_state(
             0, {"body_target": np.zeros(7)}
         )
+
+
+@pytest.mark.parametrize("value", [1e300, -1e39, np.nan])
+def test_actions_that_float32_cannot_hold_are_refused(value: float) -> None:
+    controller = make_controller()
+    actions = np.zeros((2, controller.dim))
+    actions[1, 3] = value
+    with pytest.raises(UsageError, match=r"finite; world 1 has .* in dimension 3"):
+        check_actions(actions, controller.table, 2)
 
 
 def test_unknown_names_say_what_is_nearest():

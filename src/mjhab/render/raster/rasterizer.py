@@ -173,7 +173,8 @@ class Rasterizer:
             background; "seg" (W, C, height, width) int32 ids (names: ``scene.seg_names``), 0 for background.
 
         Raises:
-            UsageError: unknown output or quality; shapes that do not fit together; home index or size out of range.
+            UsageError: unknown output or quality; shapes that do not fit together; a camera that is not finite;
+                home index or size out of range.
         """
         _check_names(outputs, quality)
         home = _read_only(np.asarray(home, np.int64))
@@ -181,6 +182,9 @@ class Rasterizer:
         height = cameras.height
         cam_pos = _array(cameras.pos, (len(home), -1, 3), "cam_pos")
         cam_mat = _array(cameras.mat, (len(home), cam_pos.shape[1], 3, 3), "cam_mat")
+        # The kernels have no bounds checks: a camera at NaN ends the process.
+        if not (np.isfinite(cam_pos).all() and np.isfinite(cam_mat).all()):
+            raise UsageError("cam_pos and cam_mat must be finite.")
         body_pos = _array(body_pos, (len(home), -1, 3), "body_pos")
         body_mat = _array(body_mat, (len(home), body_pos.shape[1], 3, 3), "body_mat")
         self._check(home, body_pos.shape[1], width, height)

@@ -82,7 +82,7 @@ def check_actions(
         num_worlds: W.
 
     Raises:
-        UsageError: wrong shape or type, or a value is not finite; the message names its world and dimension.
+        UsageError: wrong shape or type, or a value is not finite in float32; the message names its world and dimension.
     """
     actions = np.asarray(actions)
     if actions.dtype.kind not in "fiu":
@@ -93,9 +93,12 @@ def check_actions(
         raise UsageError(
             f"actions must have shape ({num_worlds}, {len(table)}), got {actions.shape}"
         )
+    # Numbers beyond float32 become infinite.
+    with np.errstate(over="ignore"):
+        actions = actions.astype(np.float32, copy=False)
     if not np.isfinite(actions).all():
         world, dim = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
         raise UsageError(
             f"actions must be finite; world {world} has {actions[world, dim]} in dimension {dim} ({table[dim].name})"
         )
-    return actions.astype(np.float32, copy=False)
+    return actions

@@ -13,6 +13,7 @@ import numpy as np
 
 from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
 from mjhab.serving.dialects.parts import (
+    described,
     entry_of,
     mapping,
     numbers_of,
@@ -64,9 +65,13 @@ class Behavior:
     def actions(self, answer: Any, batch: int) -> np.ndarray:
         first = entry_of(answer, "action", self.name)
         chunk = mapping(answer).get("action_chunk")
-        if chunk is None:
-            chunk = np.asarray(first)[..., None, :] if np.ndim(first) else first
-        numbers = np.asarray(chunk)
+        try:
+            if chunk is None:
+                chunk = np.asarray(first)[..., None, :] if np.ndim(first) else first
+            numbers = np.asarray(chunk)
+        except ValueError as error:
+            # Rows of unequal lengths.
+            raise ProtocolError(f"actions are numbers, not {described(first)}") from error
         if numbers.ndim == 2:
             numbers = numbers[None]
         numbers = numbers_of(numbers, 3)

@@ -80,6 +80,7 @@ class Cameras:
                     return
                 self._show(drawn)
                 self.drawn += 1
+                self.problem = ""
             except Exception as error:
                 self.problem = f"cameras: {type(error).__name__}: {error}"
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import trimesh
@@ -19,6 +21,8 @@ from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
+from mjhab.robots.robot import Robot
+from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays
 from mjhab.viewer.drawn.models import HomeModels, Look, Model
 
 JPEG = "JPEG"
@@ -48,7 +52,7 @@ def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> Hom
         home: name of the home.
         make: computes the models if the cache lacks them.
     """
-    path = cache_dir() / "viewer" / f"{_digest(layout, home)}.npz"
+    path = cache_dir() / "viewer" / f"{home_digest(layout, home)}.npz"
     found = _read(path)
     if found is None:
         models = make()
@@ -65,16 +69,36 @@ def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> Hom
     return found
 
 
-def _digest(layout: Layout, home: str) -> str:
+def home_digest(layout: Layout, home: str) -> str:
+    """Return a hash of everything that the files of a home of a layout depend on."""
     spec = next(h for h in layout.pack.homes if h.name == home)
     digest = hashlib.sha256(home_hash(layout, spec).encode())
     digest.update(
         code_digest("viewer.drawn.glb", "viewer.drawn.models", "render", "robots")
     )
-    # The hash of the home covers only its physics, not meshes that are only visual.
+    # The hash of the home covers only its physics: no colours, no textures, and not how the robot looks.
+    digest.update(_looks_digest(layout.robot))
     for name, mesh in sorted(layout.pack.meshes.items()):
-        digest.update(name.encode() + mesh.vertices.tobytes())  # type: ignore[attr-defined]
+        digest.update(_mesh_bytes(name, cast(Mesh, mesh)))
     return digest.hexdigest()[:24]
+
+
+@functools.cache
+def _looks_digest(robot: Robot) -> bytes:
+    """Hash of the visual meshes and materials of a robot."""
+    digest = hashlib.sha256(repr(sorted(robot.materials.items())).encode())
+    for link, mesh, material in robot.visuals():
+        digest.update(_mesh_bytes(f"{link} {material}", mesh))
+    return digest.digest()
+
+
+def _mesh_bytes(name: str, mesh: Mesh) -> bytes:
+    arrays = mesh_arrays(name, mesh)
+    parts = (
+        f"{key} {array.shape} {array.dtype}".encode() + array.tobytes()
+        for key, array in arrays.items()
+    )
+    return b"".join(parts)
 
 
 def _arrays(files: HomeFiles) -> dict[str, np.ndarray]:

@@ -8,18 +8,19 @@ import json
 import math
 import threading
 import time
-from typing import Any
 
 import numpy as np
 import viser
 
 from mjhab.data.store.schema import CHECKS
+from mjhab.layout.layout import Layout
 from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
+from mjhab.render.render_scene import RenderScene
 from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import Cameras
-from mjhab.viewer.drawn.glb import HomeFiles, home_files
+from mjhab.viewer.drawn.glb import HomeFiles, home_digest, home_files
 from mjhab.viewer.drawn.models import HomeModels, home_models
 from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
 from mjhab.viewer.drawn.stage import MIN_MOVE, Stage
@@ -92,9 +93,10 @@ class Viewer:
         )
         self._cameras = Cameras(self.panels.show_images) if cameras else None
         self._poses = _PoseCache()
-        self._scenes: dict[int, Any] = {}
+        self._scene: tuple[CpuSimulator, RenderScene] | None = None
         self._shown: Track | None = None
         self._shown_home = ""
+        self._shown_layout: Layout | None = None
         self._told_hand = ""
         self._base = np.zeros(3)
         self._closing = False
@@ -140,6 +142,7 @@ class Viewer:
                 if now - panels_at > PANEL_SECONDS:
                     panels_at = now
                     self._fill_panels()
+                self.problem = ""
             except Exception as error:
                 self.problem = f"{type(error).__name__}: {error}"
                 self.panels.show_problem(self.problem)
@@ -161,10 +164,11 @@ class Viewer:
         sim = self.source.sim
         pose = self._poses.at(sim, track, head.now)
         if track is not self._shown:
-            if track.home != self._shown_home or self._shown is None:
+            if not self._shows(sim.layout, track.home):
                 self.stage.show(self._home(sim, track.home), pose)
                 self._aim(pose, sim, track.home)
-                self._shown_home = track.home
+            self._shown_home = track.home
+            self._shown_layout = sim.layout
             self._shown = track
         self.stage.place(pose)
         self._follow(pose, sim)
@@ -174,13 +178,21 @@ class Viewer:
             self.first_frame_at = time.perf_counter()
         return pose
 
+    def _shows(self, layout: Layout, home: str) -> bool:
+        """Whether the stage shows a home of a layout: other tasks have other objects there, and other bodies."""
+        shown = self._shown_layout
+        if shown is None or home != self._shown_home:
+            return False
+        return shown is layout or home_digest(shown, home) == home_digest(layout, home)
+
     def _home(self, sim: CpuSimulator, home: str) -> HomeFiles:
         names = [h.name for h in sim.layout.pack.homes]
 
         def make() -> HomeModels:
-            if id(sim) not in self._scenes:
-                self._scenes = {id(sim): build_render_scene(sim.layout, sim.model(home))}
-            return home_models(self._scenes[id(sim)], names.index(home))
+            if self._scene is None or self._scene[0] is not sim:
+                scene = build_render_scene(sim.layout, sim.model(home))
+                self._scene = (sim, scene)
+            return home_models(self._scene[1], names.index(home))
 
         return home_files(sim.layout, home, make)
 

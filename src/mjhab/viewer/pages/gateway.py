@@ -105,7 +105,8 @@ class Gateway:
 
     async def _serve(self) -> None:
         wanted = self.port
-        for port in range(wanted, wanted + (PORTS_TO_TRY if wanted else 1)):
+        tried = range(wanted, min(wanted + PORTS_TO_TRY, 1 << 16)) if wanted else [0]
+        for port in tried:
             try:
                 server = await serve(
                     self._accept,
@@ -117,7 +118,8 @@ class Gateway:
                     max_size=MAX_MESSAGE_BYTES,
                     logger=_QUIET,
                 )
-            except OSError as error:
+            except (OSError, UnicodeError) as error:
+                # Names of hosts that cannot be one end in a UnicodeError.
                 problem = error
                 continue
             self.port = next(iter(server.sockets)).getsockname()[1]
@@ -125,9 +127,8 @@ class Gateway:
             async with server:
                 await self._end.wait()
             return
-        last = wanted + PORTS_TO_TRY - 1
         raise UsageError(
-            f"cannot listen on {self._host}, ports {wanted} to {last}: {problem}. Give another --port or --host."
+            f"cannot listen on {self._host}, ports {wanted} to {tried[-1]}: {problem}. Give another --port or --host."
         )
 
     async def _answer(

@@ -173,7 +173,7 @@ class HandControl:
         """Take a message of `hand.js`; an invalid one counts as all keys released."""
         try:
             now = read_input(message)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             now = HandInput()
         if now.gripper and not self._was_pressed:
             self.gripper = -self.gripper

@@ -136,7 +136,9 @@ class LiveSession:
             self._cut_done.wait(CUT_SECONDS)
         self._closing = True
         self.pace.wake()
-        if self._thread.is_alive():
+        if self._thread.ident is None:
+            self._release()
+        elif self._thread.is_alive():
             self._thread.join(timeout=CLOSE_SECONDS)
 
     @property
@@ -219,8 +221,9 @@ class LiveSession:
             self.pace.play(False)
 
     def finish_episode(self) -> None:
-        """Truncate the watched episode at the next control step."""
-        if self._cuttable is not None:
+        """Truncate the watched episode at the next control step, unless it has ended."""
+        running = self.track is not None and not self.track.over
+        if self._cuttable is not None and running:
             self._cut_done.clear()
             self._cuttable.cut[self.watched] = True
             if not self.pace.playing:
@@ -288,10 +291,14 @@ class LiveSession:
             while not self._closing:
                 self._run_wish()
         finally:
-            if self._writer is not None:
-                self._writer.close()
-            if self.env is not None:
-                self.env.close()
+            self._release()
+
+    def _release(self) -> None:
+        """Close the shard and the environment."""
+        if self._writer is not None:
+            self._writer.close()
+        if self.env is not None:
+            self.env.close()
 
     def _run_wish(self) -> None:
         """Run the requested rollout until another one is requested, the session is closed, or it fails."""
@@ -418,7 +425,9 @@ class _Follower(Sink[SequentialTaskEnv]):
         self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray
     ) -> None:
         begin_tracks(self._session.tracks, env, info, mask)
-        self._wait()
+        # The other worlds have waited for this control step already.
+        if mask[self._session.watched]:
+            self._wait()
 
     def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
         session = self._session

@@ -57,6 +57,8 @@ class Replay:
         self._problem = ""
         # Held to read a shard: a page loads episodes while the expert's thread reads others.
         self._reading = threading.Lock()
+        # Held to load an episode: pages call from several threads, and environments are of one at a time.
+        self._loading = threading.Lock()
         self._plans = RecordedPlans(self._reading)
         skipped = 0
         _refuse_evaluations(places)
@@ -107,7 +109,15 @@ class Replay:
         label = str(episode.attributes.get("label", ""))
         index = int(episode.attributes["index"])
         name = f"{index} (seed {int(episode.attributes['seed'])}) {label}"
-        return name if name not in self._episodes else f"{name}, {episode.name}"
+        if name in self._episodes:
+            name = f"{name}, {episode.name}"
+        # Copies of an episode, as of `mjhab replay`, have the same name in other shards.
+        number = 2
+        title = name
+        while title in self._episodes:
+            title = f"{name} ({number})"
+            number += 1
+        return title
 
     def load(self, title: str) -> Track:
         """Read the track of the episode with a title of ``choices``.
@@ -149,13 +159,17 @@ class Replay:
     def choose(self, choice: str) -> None:
         """Show the episode with a title; if it cannot be read, set ``problem`` and keep the one that is shown."""
         self.choice = choice
-        try:
-            track = self.load(choice)
-        except MjhabError as error:
-            self._problem = str(error)
-            return
-        self._problem = ""
-        self._shown = (self._episodes[choice], track)
+        with self._loading:
+            if self.choice != choice:
+                # Another one was chosen in the meantime.
+                return
+            try:
+                track = self.load(choice)
+            except MjhabError as error:
+                self._problem = str(error)
+                return
+            self._problem = ""
+            self._shown = (self._episodes[choice], track)
 
     def next_episode(self) -> None:
         """Show the episode after ``choice`` in ``choices``; after the last, the first."""

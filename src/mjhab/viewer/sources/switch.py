@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.core.action_notes import ActionNotes
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
-from mjhab.rollout.policy import Annotated, Policy
+from mjhab.rollout.policy import Annotated, Fallible, Policy
 from mjhab.viewer.sources.hand import HUMAN, HandControl
 
 
@@ -113,6 +113,13 @@ class Switch:
             actor[world] = self._place(HUMAN)
         self._last = ActionNotes(intended, actor, tuple(self._actors))
         return actions
+
+    def fault(self, world: int) -> str:
+        """Return why the episode in a world cannot go on, "" if it can; a teleoperated one always can."""
+        policy = self.policy(self._chosen)
+        if world == self.hand_world or not isinstance(policy, Fallible):
+            return ""
+        return policy.fault(world)
 
     def notes(self) -> ActionNotes:
         """Return who acted in each world in the last `act`, and which action was intended."""

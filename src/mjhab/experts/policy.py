@@ -119,9 +119,11 @@ class ExpertPolicy:
         self._intended = self._last.copy()
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the scripts of the worlds in ``mask`` (W,)."""
+        """Forget the scripts and the actions of the worlds in ``mask`` (W,)."""
         for w in np.flatnonzero(mask):
             self._scripts[w] = self._tokens[w] = self._manners[w] = None
+        for actions in (self._last, self._wished, self._intended):
+            actions[mask] = 0.0
 
     def style(self, world: int) -> dict[str, Any]:
         """Style of a world's running episode as plain data; empty when the policy was made without styles."""

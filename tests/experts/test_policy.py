@@ -1,0 +1,52 @@
+"""What `ExpertPolicy` keeps: nothing of one episode may show in the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import mjhab
+from mjhab.envs.parts.world_view import WorldView
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.experts import make_expert, policy
+from mjhab.experts.arm import motion
+from mjhab.experts.policy import ExpertPolicy
+
+
+def closes_once(view: WorldView) -> Iterator[np.ndarray]:
+    """A script that closes the hand in episode 0 and has nothing to do in others."""
+    if view.token[1] == 0:
+        yield motion.action(view, gripper=motion.CLOSED)
+
+
+@pytest.fixture
+def env(monkeypatch: pytest.MonkeyPatch) -> Iterator[SequentialTaskEnv]:
+    monkeypatch.setattr(policy, "script_of", lambda subtask: closes_once)
+    made = mjhab.make(
+        task="set_table",
+        subtask="close",
+        home="builtin_m0_00",
+        num_envs=1,
+        autoreset="disabled",
+    )
+    yield made
+    made.close()
+
+
+def first_action(
+    env: SequentialTaskEnv, expert: ExpertPolicy, episode: int
+) -> np.ndarray:
+    obs, info = env.reset(seed=0, options={"episode": [episode]})
+    expert.reset(np.ones(1, bool))
+    return expert.act(obs, info)[0]
+
+
+def test_a_script_that_ends_at_once_acts_as_after_no_other_episode(
+    env: SequentialTaskEnv,
+) -> None:
+    used = make_expert(env)
+    assert first_action(env, used, 0)[env.layout.robot.action.gripper] == motion.CLOSED
+    after = first_action(env, used, 1)
+    np.testing.assert_array_equal(after, first_action(env, make_expert(env), 1))

@@ -13,6 +13,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert, policy
 from mjhab.experts.arm import motion
 from mjhab.experts.policy import ExpertPolicy
+from mjhab.tasks.style import Styles
 
 
 def closes_once(view: WorldView) -> Iterator[np.ndarray]:
@@ -50,3 +51,15 @@ def test_a_script_that_ends_at_once_acts_as_after_no_other_episode(
     assert first_action(env, used, 0)[env.layout.robot.action.gripper] == motion.CLOSED
     after = first_action(env, used, 1)
     np.testing.assert_array_equal(after, first_action(env, make_expert(env), 1))
+
+
+def test_the_style_is_that_of_an_episode_in_which_the_expert_has_not_acted(
+    env: SequentialTaskEnv,
+) -> None:
+    styles = Styles.parse(["speed=0.5..1.0"])
+    expert = make_expert(env, styles)
+    first_action(env, expert, 0)
+    # In the next one another policy acts, as the student of a take-over does.
+    env.reset(seed=0, options={"episode": [1]})
+    assert expert.style(0)["speed"] == styles.draw(0, 1).speed
+    assert expert.style(0)["speed"] != styles.draw(0, 0).speed

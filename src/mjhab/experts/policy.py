@@ -127,7 +127,10 @@ class ExpertPolicy:
 
     def style(self, world: int) -> dict[str, Any]:
         """Style of a world's running episode as plain data; empty when the policy was made without styles."""
-        return {} if self._styles.plain else recorded(self._views[world].style)
+        if self._styles.plain:
+            return {}
+        seed, index, _ = self._views[world].token
+        return recorded(self._styles.draw(seed, index))
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, A) float32 for the present state of all worlds; observations and infos are not read."""

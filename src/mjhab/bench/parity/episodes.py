@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RolloutEnv
@@ -97,9 +98,9 @@ class Log:
             # The last line is half a line if the run before was killed while it wrote.
             for line in lines[:-1] if lines and not lines[-1].endswith("\n") else lines:
                 self._take(line)
-            path.write_text(
-                "".join(json.dumps(row) + "\n" for row in self.rows.values()),
-                encoding="utf-8",
+            kept = "".join(json.dumps(row) + "\n" for row in self.rows.values())
+            write_atomic(
+                path, lambda temporary: temporary.write_text(kept, encoding="utf-8")
             )
 
     def _take(self, line: str) -> None:

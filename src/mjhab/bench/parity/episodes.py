@@ -28,8 +28,8 @@ KINDS = {"robot": "m or rad", "objects": "m", "turns": "rad", "links": "m or rad
 REWARD_TOLERANCE = 0.02
 """Normalised dense rewards this close agree."""
 Row = dict[str, Any]
-KEY = ("acting", "task", "subtask", "seed", "index")
-"""Fields that name a row of the log."""
+KEY = ("acting", "task", "subtask", "seed", "device", "index")
+"""Fields that name a row of the log; ``device`` of the warp backend, None in logs that do not tell it."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Leg:
 
     def key(self, acting: str, index: int) -> tuple[Any, ...]:
         """Names a row of the log."""
-        return (acting, self.task, self.subtask, self.seed, index)
+        return (acting, self.task, self.subtask, self.seed, self.device, index)
 
 
 class Log:
@@ -105,7 +105,7 @@ class Log:
 
     def _take(self, line: str) -> None:
         try:
-            row = json.loads(line)
+            row = {"device": None, **json.loads(line)}
             self.rows[tuple(row[name] for name in KEY)] = row
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError(

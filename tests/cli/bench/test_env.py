@@ -215,3 +215,8 @@ def test_summary_and_figure_of_two_curves():
         trace.get("name") for trace in figure([(True, rising), (False, flat)])["data"]
     ]
     assert names[2] == "success (1 episodes)" and names[5] == "failure (1 episodes)"
+
+
+def test_the_cpu_backend_measures_no_gpu(capsys: pytest.CaptureFixture[str]):
+    assert main(["bench", "env", "--device", "cuda:0", "--worlds", "1"]) == 2
+    assert "backend 'cpu' has no device 'cuda:0'" in capsys.readouterr().err

@@ -220,3 +220,8 @@ def test_summary_and_figure_of_two_curves():
 def test_the_cpu_backend_measures_no_gpu(capsys: pytest.CaptureFixture[str]):
     assert main(["bench", "env", "--device", "cuda:0", "--worlds", "1"]) == 2
     assert "backend 'cpu' has no device 'cuda:0'" in capsys.readouterr().err
+
+
+def test_random_actions_are_of_no_single_subtask(capsys: pytest.CaptureFixture[str]):
+    assert main(["bench", "soak", "--subtask", "pick", "--steps", "1"]) == 2
+    assert "--subtask needs --generate" in capsys.readouterr().err

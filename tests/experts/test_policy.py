@@ -63,3 +63,13 @@ def test_the_style_is_that_of_an_episode_in_which_the_expert_has_not_acted(
     env.reset(seed=0, options={"episode": [1]})
     assert expert.style(0)["speed"] == styles.draw(0, 1).speed
     assert expert.style(0)["speed"] != styles.draw(0, 0).speed
+
+
+def test_who_takes_over_does_not_stand_still_first(env: SequentialTaskEnv) -> None:
+    expert = make_expert(env, Styles.parse(["hold=5"]))
+    gripper = env.layout.robot.action.gripper
+    # At the start the robot stands still with an open hand, and then the script closes it.
+    assert first_action(env, expert, 0)[gripper] == motion.OPEN
+    obs, _, _, _, info = env.step(np.zeros((1, env.layout.robot.action.dim), np.float32))
+    expert.reset(np.ones(1, bool))
+    assert expert.act(obs, info)[0, gripper] == motion.CLOSED

@@ -202,7 +202,10 @@ class ExpertPolicy:
             seed, index, _ = view.token
             view.style = self._styles.draw(seed, index)
             self._manners[w] = manner = Manner(
-                view.style, self._columns, stream(seed, "style", "actions", index)
+                view.style,
+                self._columns,
+                stream(seed, "style", "actions", index),
+                begun=view.steps > 0,
             )
         return manner
 

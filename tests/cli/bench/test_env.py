@@ -225,3 +225,25 @@ def test_the_cpu_backend_measures_no_gpu(capsys: pytest.CaptureFixture[str]):
 def test_random_actions_are_of_no_single_subtask(capsys: pytest.CaptureFixture[str]):
     assert main(["bench", "soak", "--subtask", "pick", "--steps", "1"]) == 2
     assert "--subtask needs --generate" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "work"),
+    [
+        ("soak", "mjhab.cli.bench.soak.soak"),
+        ("interact", "mjhab.cli.bench.interact.measure_interact"),
+        ("reward", "mjhab.cli.bench.reward.measure_rewards"),
+    ],
+)
+def test_a_file_in_place_of_the_folder_is_told_before_the_work(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    work: str,
+):
+    file = tmp_path / "there"
+    file.touch()
+    monkeypatch.setattr(work, lambda options: pytest.fail("it began"))
+    assert main(["bench", command, "--out", str(file)]) == 2
+    assert f"--out {file} is a file; give a folder" in capsys.readouterr().err

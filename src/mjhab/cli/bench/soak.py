@@ -11,6 +11,7 @@ from mjhab.cli.options.env import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.outputs import check_folder
 
 RESULTS = "soak.json"
 PICTURE = "memory.svg"
@@ -30,6 +31,8 @@ def bench_soak(options: BenchSoakOptions) -> int:
         raise UsageError(
             "--subtask needs --generate: random actions step the environments of all subtasks."
         )
+    if options.out is not None:
+        check_folder(options.out)
     found = soak(options)
     if options.out is not None:
         _write(options, found)

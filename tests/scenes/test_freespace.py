@@ -190,3 +190,12 @@ def test_a_map_remembers_a_bounded_number_of_goals() -> None:
     for k in range(MAX_KEPT_FIELDS):
         free.distances_to(np.array([0.4, 0.4 + 0.002 * k]))
     assert free.distances_to(np.array([0.5, 0.5])) is not first
+
+
+def test_the_ways_to_a_goal_do_not_depend_on_goals_before() -> None:
+    # Less than a millimetre apart, in two cells.
+    left, right = np.array([0.4998, 0.5]), np.array([0.5002, 0.5])
+    alone = free_map(_room(size=1.0), _pack(), cell=0.1).distances_to(right)
+    free = free_map(_room(size=1.0), _pack(), cell=0.1)
+    free.distances_to(left)
+    np.testing.assert_array_equal(free.distances_to(right), alone)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -120,6 +122,17 @@ def test_registered_objects_join_every_pack(tmp_path: Path) -> None:
         register_object(model)
     OBJECTS.remove("cube")
     assert open_pack() is builtin_pack()
+
+
+def test_a_pack_that_nobody_holds_is_not_kept_for_its_registered_objects() -> None:
+    ball = Geom("sphere", (0.03, 0.0, 0.0))
+    register_object(ObjectModel(ObjectType("ball", 0.1, (0.03, 0.03, 0.03), (ball,), ())))
+    extended = with_registered_objects(dataclasses.replace(builtin_pack(), name="mine"))
+    assert "ball" in extended.objects
+    held = weakref.ref(extended)
+    del extended
+    gc.collect()
+    assert held() is None
 
 
 def test_a_plugin_with_an_object_of_a_built_in_name_is_left_out_and_the_rest_works(

@@ -16,7 +16,7 @@ from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_folder import load_pack, save_pack
-from mjhab.scenes.spec import Roles
+from mjhab.scenes.spec import Geom, Roles
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +141,24 @@ def test_names(saved: tuple[Path, str], place: str, value: str) -> None:
         UsageError, match=r"pack\.json: .*(is no name|is not in the pack)"
     ):
         load_pack(write(saved, place, value))
+
+
+@pytest.mark.parametrize(
+    "place", ["articulations.0.links.0.geoms", "objects.0.collision"]
+)
+def test_what_moves_has_a_geom_that_collides(saved: tuple[Path, str], place: str) -> None:
+    with pytest.raises(UsageError, match=rf"{place.split('.')[-1]}: none of the 0 geoms"):
+        load_pack(write(saved, place, []))
+
+
+def test_links_collide_as_primitives() -> None:
+    pack = builtin_pack()
+    fridge = pack.articulations["fridge"]
+    shape = Geom("mesh", (1.0, 1.0, 1.0), mesh=next(iter(pack.meshes)))
+    link = replace(fridge.links[0], geoms=(*fridge.links[0].geoms, shape))
+    made = {"fridge": replace(fridge, links=(link, *fridge.links[1:]))}
+    with pytest.raises(UsageError, match=r"links\[0\]\.geoms.*collides as primitives"):
+        check_pack(replace(pack, articulations=made), Path("pack"))
 
 
 @pytest.mark.parametrize("what", ["nan", "far", "index", "shape"])

@@ -119,13 +119,18 @@ class ExpertPolicy:
         self._intended = self._last.copy()
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the scripts of the worlds in ``mask`` (W,)."""
+        """Forget the scripts and the actions of the worlds in ``mask`` (W,)."""
         for w in np.flatnonzero(mask):
             self._scripts[w] = self._tokens[w] = self._manners[w] = None
+        for actions in (self._last, self._wished, self._intended):
+            actions[mask] = 0.0
 
     def style(self, world: int) -> dict[str, Any]:
         """Style of a world's running episode as plain data; empty when the policy was made without styles."""
-        return {} if self._styles.plain else recorded(self._views[world].style)
+        if self._styles.plain:
+            return {}
+        seed, index, _ = self._views[world].token
+        return recorded(self._styles.draw(seed, index))
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, A) float32 for the present state of all worlds; observations and infos are not read."""
@@ -197,7 +202,10 @@ class ExpertPolicy:
             seed, index, _ = view.token
             view.style = self._styles.draw(seed, index)
             self._manners[w] = manner = Manner(
-                view.style, self._columns, stream(seed, "style", "actions", index)
+                view.style,
+                self._columns,
+                stream(seed, "style", "actions", index),
+                begun=view.steps > 0,
             )
         return manner
 

@@ -67,11 +67,19 @@ class Manner:
     """Slows, disturbs and delays the actions of one episode.
 
     Args:
-        style: how. columns: of the robot's actions. random: source of the noise, one stream per episode.
+        style: how.
+        columns: of the robot's actions.
+        random: source of the noise, one stream per episode.
+        begun: the episode has begun before: no standing still at the start.
     """
 
     def __init__(
-        self, style: Style, columns: ActionColumns, random: np.random.Generator
+        self,
+        style: Style,
+        columns: ActionColumns,
+        random: np.random.Generator,
+        *,
+        begun: bool = False,
     ) -> None:
         self.style = style
         self._columns = columns
@@ -82,7 +90,7 @@ class Manner:
         self._in_burst = False
         self._stretch = 0
         """Control steps left of the burst or pause."""
-        self.holds = style.hold
+        self.holds = 0 if begun else style.hold
         """Control steps for which the robot still stands before it begins."""
 
     def due(self) -> bool:

@@ -93,8 +93,7 @@ class FreeMap:
             UsageError: the base fits nowhere.
         """
         goal = np.asarray(xy, float)[:2]
-        key = (round(float(goal[0]), 3), round(float(goal[1]), 3))
-        return self._fields.get(key, lambda: self._field(goal))
+        return self._fields.get(tuple(goal.tolist()), lambda: self._field(goal))
 
     def distance(self, a: np.ndarray, b: np.ndarray) -> float:
         """Compute the length [m] of the shortest path of the base between ``a`` and ``b`` (2,), see `distances_to`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -52,9 +53,9 @@ class ObjectModel:
 
 
 OBJECTS: Registry[ObjectModel] = Registry("object")
-_extended: dict[int, tuple[int, Pack, Pack]] = {}
+_extended: dict[int, tuple[int, Pack]] = {}
 """Cache of packs with the registered objects, so that opening a pack twice returns the same object: (version of the
-registry, pack without them, pack with them) by the id of the pack without them."""
+registry, pack with them) by the id of the pack without them, as long as somebody holds that."""
 
 
 def register_object(model: ObjectModel) -> ObjectModel:
@@ -104,8 +105,8 @@ def with_registered_objects(pack: Pack) -> Pack:
     """
     if not len(OBJECTS):
         return pack
-    version, without, extended = _extended.get(id(pack), (-1, pack, pack))
-    if version == OBJECTS.version and without is pack:
+    version, extended = _extended.get(id(pack), (-1, pack))
+    if version == OBJECTS.version:
         return extended
     objects = dict(pack.objects)
     meshes = dict(pack.meshes)
@@ -120,5 +121,7 @@ def with_registered_objects(pack: Pack) -> Pack:
         objects[model.kind.name] = model.kind
         meshes.update(model.meshes)
     extended = dataclasses.replace(pack, objects=objects, meshes=meshes)
-    _extended[id(pack)] = (OBJECTS.version, pack, extended)
+    if id(pack) not in _extended:
+        weakref.finalize(pack, _extended.pop, id(pack), None)
+    _extended[id(pack)] = (OBJECTS.version, extended)
     return extended

@@ -107,8 +107,8 @@ def check_pack(pack: Pack, source: Path | str) -> Pack:
         source: its file, for messages.
 
     Raises:
-        UsageError: a name is invalid, or a number is not finite or out of its range (`RANGES`, `UNIT_VECTORS`); the
-            message names the field.
+        UsageError: a name is invalid, a number is not finite or out of its range (`RANGES`, `UNIT_VECTORS`), an object
+            or a link has no geom that collides, or a link collides as a mesh; the message names the field.
     """
     try:
         check_name("name of the pack", pack.name)
@@ -149,6 +149,8 @@ def _check(where: str, thing: Any, extents: Mapping[str, float]) -> None:
         _check_size(f"{where}.size", thing, extents.get(thing.mesh, 0.0))
     if isinstance(thing, Link):
         _check_link(where, thing)
+    if isinstance(thing, ObjectType):
+        _check_solid(f"{where}.collision", thing.collision)
     if isinstance(thing, Home):
         _check_home(where, thing)
 
@@ -194,6 +196,19 @@ def _check_link(where: str, link: Link) -> None:
     low, high = link.range
     if not low < high:
         raise ValueError(f"{where}.range: {low:g} to {high:g} is empty.")
+    _check_solid(f"{where}.geoms", link.geoms)
+    for k, geom in enumerate(link.geoms):
+        if geom.shape == "mesh" and geom.collide:
+            raise ValueError(
+                f"{where}.geoms[{k}]: a link collides as primitives, not as the mesh {geom.mesh!r}; set collide to "
+                "false, and add boxes that collide."
+            )
+
+
+def _check_solid(where: str, geoms: tuple[Geom, ...]) -> None:
+    """Refuse a moving body without a colliding geom, over whose volume its mass is spread."""
+    if not any(geom.collide for geom in geoms):
+        raise ValueError(f"{where}: none of the {len(geoms)} geoms collides.")
 
 
 def _check_home(where: str, home: Home) -> None:

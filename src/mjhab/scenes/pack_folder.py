@@ -10,6 +10,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.arrays import open_arrays
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.typed.records import read_record
 from mjhab.scenes.pack_check import check_pack
@@ -28,15 +29,13 @@ MAX_MESHES_MB = 2048
 def save_pack(pack: Pack, folder: Path) -> None:
     """Write a pack into ``folder`` (created if missing), from which `load_pack` reads an equal pack.
 
-    Roles of furniture that the pack does not have are left out. ``pack.json`` is written last and renamed into place,
-    so that a folder that has it is complete.
+    Roles of furniture that the pack does not have are left out. A pack in the folder is replaced; ``pack.json`` is
+    deleted first, written last and renamed into place, so that a folder that has it is complete.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, np.ndarray] = {}
     for name, mesh in pack.meshes.items():
         assert isinstance(mesh, Mesh)
         arrays |= mesh_arrays(name, mesh)
-    np.savez_compressed(folder / _MESHES, **arrays)  # type: ignore[arg-type]
     body = {
         "format": PACK_FORMAT,
         "name": pack.name,
@@ -47,9 +46,17 @@ def save_pack(pack: Pack, folder: Path) -> None:
         "objects": [dataclasses.asdict(o) for o in pack.objects.values()],
         "roles": dataclasses.asdict(present_roles(pack, pack.roles)),
     }
-    partial = folder / (_JSON + ".part")
-    partial.write_text(json.dumps(body))
-    partial.replace(folder / _JSON)
+    text = json.dumps(body)
+    folder.mkdir(parents=True, exist_ok=True)
+    # That of a pack before would not fit the new meshes.
+    (folder / _JSON).unlink(missing_ok=True)
+    write_atomic(
+        folder / _MESHES,
+        lambda temporary: np.savez_compressed(temporary, **arrays),  # type: ignore[arg-type]
+    )
+    write_atomic(
+        folder / _JSON, lambda temporary: temporary.write_text(text, encoding="utf-8")
+    )
 
 
 def load_pack(folder: Path) -> Pack:

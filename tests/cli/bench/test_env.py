@@ -215,3 +215,35 @@ def test_summary_and_figure_of_two_curves():
         trace.get("name") for trace in figure([(True, rising), (False, flat)])["data"]
     ]
     assert names[2] == "success (1 episodes)" and names[5] == "failure (1 episodes)"
+
+
+def test_the_cpu_backend_measures_no_gpu(capsys: pytest.CaptureFixture[str]):
+    assert main(["bench", "env", "--device", "cuda:0", "--worlds", "1"]) == 2
+    assert "backend 'cpu' has no device 'cuda:0'" in capsys.readouterr().err
+
+
+def test_random_actions_are_of_no_single_subtask(capsys: pytest.CaptureFixture[str]):
+    assert main(["bench", "soak", "--subtask", "pick", "--steps", "1"]) == 2
+    assert "--subtask needs --generate" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "work"),
+    [
+        ("soak", "mjhab.cli.bench.soak.soak"),
+        ("interact", "mjhab.cli.bench.interact.measure_interact"),
+        ("reward", "mjhab.cli.bench.reward.measure_rewards"),
+    ],
+)
+def test_a_file_in_place_of_the_folder_is_told_before_the_work(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    work: str,
+):
+    file = tmp_path / "there"
+    file.touch()
+    monkeypatch.setattr(work, lambda options: pytest.fail("it began"))
+    assert main(["bench", command, "--out", str(file)]) == 2
+    assert f"--out {file} is a file; give a folder" in capsys.readouterr().err

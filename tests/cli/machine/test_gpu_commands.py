@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import subprocess
 import sys
@@ -312,6 +313,35 @@ def test_the_log_lets_a_killed_run_go_on(tmp_path: Path) -> None:
     path.write_text("steps,success\n")
     with pytest.raises(UsageError, match="is no log of mjhab bench parity"):
         Log(path)
+
+
+def test_episodes_of_another_device_are_run_on_this_one_too(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    Log(path).add(Leg("set_table", "open", device="cpu"), "own", 0, {"steps": 5})
+    other = Leg("set_table", "open", device="cuda:0")
+    log = Log(path)
+    assert log.missing(other, "own", [0]) == [0] and log.of(other, "own") == []
+    # A log of an older version tells no device.
+    path.write_text(path.read_text().replace('"device": "cpu", ', ""))
+    assert Log(path).missing(other, "own", [0]) == [0]
+
+
+def test_a_log_that_cannot_be_written_anew_stays_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.jsonl"
+    Log(path).add(Leg("set_table", "open"), "equal", 0, {"steps": 5})
+    before = path.read_text()
+
+    def full(self: Path, text: str, encoding: str) -> None:
+        with self.open("w") as file:
+            file.write(text[: len(text) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError, match="No space"):
+        Log(path)
+    assert path.read_text() == before
 
 
 def test_only_what_the_log_lacks_is_run(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import re
 from collections.abc import Iterator, Sequence
@@ -191,6 +192,40 @@ def test_bad_input(
     assert main(["homes", *args]) == 2
     out, err = capsys.readouterr()
     assert out == "" and words in err and "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (("builtin_m0_00",), "home.png"),
+        (("--all",), "homes.png"),
+        (("--all",), "homes.html"),
+    ],
+)
+def test_a_picture_that_cannot_be_written_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], name: str
+) -> None:
+    use(monkeypatch, pack_of((0, 0)))
+    image = np.zeros((16, 16, 3), np.uint8)
+    monkeypatch.setattr("mjhab.render.views.render_home", lambda *_: image)
+    monkeypatch.setattr("mjhab.render.views.render_homes", lambda *_: iter([image]))
+
+    def full(self: Any, path: Path, *_: Any, **options: Any) -> None:
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def full_text(self: Path, *_: Any, **options: Any) -> None:
+        full(None, self)
+
+    out = tmp_path / name
+    out.write_bytes(b"before")
+    monkeypatch.setattr(Image.Image, "save", full)
+    if name.endswith(".html"):
+        monkeypatch.setattr("mjhab.reports.contact_sheet._figure", lambda tile: "")
+        monkeypatch.setattr(Path, "write_text", full_text)
+    assert main(["homes", "render", *words, "--out", str(out)]) == 1
+    assert out.read_bytes() == b"before"
+    assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
 def test_one_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

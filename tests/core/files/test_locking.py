@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import fcntl
+import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -49,3 +51,16 @@ def test_a_file_system_without_locks_goes_without(
     assert not is_written(tmp_path / "data")
     lock.release()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_glance_at_a_lock_refuses_no_writer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process asks whether somebody writes in the very instant in which a writer begins."""
+    file = tmp_path / "data"
+    glance = os.open(lock_path(file), os.O_RDWR | os.O_CREAT)
+    fcntl.flock(glance, fcntl.LOCK_SH)
+    monkeypatch.setattr(time, "sleep", lambda seconds: os.close(glance))
+    lock = WriteLock(file)
+    assert is_written(file)
+    lock.release()

@@ -52,3 +52,19 @@ def test_a_changed_robot_of_the_same_name_has_stances_of_its_own(link: JointedLi
     for robot in (ROBOT, high):
         found = stances.cached(robot, link, "base", base_height)
         assert found.q.item() == robot.base_height
+
+
+def test_stances_are_searched_anew_for_other_code_of_the_shapes_of_links(
+    link: JointedLink, monkeypatch: pytest.MonkeyPatch
+):
+    named: list[str] = []
+
+    def note(*names: str) -> bytes:
+        named.extend(names)
+        return b""
+
+    monkeypatch.setattr(stances, "code_digest", note)
+    stances.cached(ROBOT, link, "height", height)
+    for user in (JointedLink, Robot, Stances):
+        module = user.__module__.removeprefix("mjhab.")
+        assert any(f"{module}.".startswith(f"{name}.") for name in named)

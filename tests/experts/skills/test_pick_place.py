@@ -386,6 +386,26 @@ def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(
     monkeypatch.setattr(pick_module, "_let_go", at_once)
     monkeypatch.setattr(pick_module, "style_of", lambda view: SimpleNamespace(grasp=ANY))
     monkeypatch.setattr(pick_module.motion, "hold", hold)
-    view: Any = SimpleNamespace(steps_left=0)
+    view: Any = SimpleNamespace(steps_left=0, finger_forces=lambda obj: np.zeros(2))
     assert next(pick_module.pick_up(view, "024_bowl_:0000")).shape == (13,)
     assert plans == [0, 0, 1]
+
+
+@pytest.mark.parametrize("task", ["tidy_house", "prepare_groceries"])
+def test_what_another_policy_has_grasped_is_carried_home(task: str):
+    """In the open and in the fridge: the expert takes over ten control steps after the grasp."""
+    env = build(task, "pick", worlds=1)
+    expert = make_expert(env)
+    obs, info = env.reset(seed=0, options={"episode": [0]})
+    expert.reset(np.ones(1, bool))
+    view = env.view(0)
+    since = 0
+    ended = False
+    while not ended:
+        obs, _, terminated, truncated, info = env.step(expert.act(obs, info))
+        ended = bool(terminated[0] or truncated[0])
+        since += bool(since or view.signal("is_grasped"))
+        if since == 10:
+            expert.reset(np.ones(1, bool))
+        assert since <= 10 or view.signal("is_grasped")
+    assert since > 10 and info["success"][0]

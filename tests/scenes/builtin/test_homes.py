@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import hashlib
 import itertools
 import json
@@ -392,6 +393,22 @@ def test_a_pack_survives_the_disk(tmp_path: Path) -> None:
         assert isinstance(mesh, Mesh) and isinstance(other, Mesh)
         np.testing.assert_array_equal(mesh.vertices, other.vertices)
         np.testing.assert_array_equal(mesh.faces, other.faces)
+
+
+def test_a_pack_whose_writing_fails_leaves_none_of_the_pack_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_pack(_pack(), tmp_path)
+
+    def full(*args: object, **arrays: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match="No space"):
+        save_pack(dataclasses.replace(_pack(), name="other"), tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["meshes.npz"]
+    with pytest.raises(UsageError, match=r"has no pack\.json"):
+        load_pack(tmp_path)
 
 
 def test_unknown_packs_are_refused_with_a_hint(tmp_path: Path) -> None:

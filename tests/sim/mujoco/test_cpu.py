@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import mujoco
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from mjhab.layout.contact_sensors import (
     pair_force,
 )
 from mjhab.layout.layout import Layout
+from mjhab.render.home_scene import HomeRenderer
 from mjhab.robots.fetch.model import FINGER_LINKS, REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.packs import open_pack
@@ -219,3 +222,12 @@ def test_bad_arguments(layout: Layout):
         CpuSimulator(layout, 0)
     with pytest.raises(UsageError, match="builtin_m0_00"):
         CpuSimulator(layout, 1, 1).model("builtin_m0_0")
+
+
+def test_no_more_threads_than_cores_that_this_process_may_use(
+    layout: Layout, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0})
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    assert CpuSimulator(layout, 1).num_threads == 1
+    assert HomeRenderer(CpuSimulator(layout, 1)).rasterizer.num_threads == 1

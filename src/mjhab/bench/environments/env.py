@@ -17,7 +17,7 @@ from mjhab.bench.environments.stages import (
 from mjhab.bench.simulation.engine import measure_sps, sway
 from mjhab.bench.specs import EnvBenchSpec
 from mjhab.config.profile_choice import profile_options
-from mjhab.sim.backends import resolve
+from mjhab.sim.backends import check_device, resolve
 
 if TYPE_CHECKING:
     from mjhab.envs.loop import TaskLoop
@@ -29,8 +29,12 @@ def measure(spec: EnvBenchSpec) -> dict[str, Any]:
 
     Returns:
         The fastest point, "backend", and all "points".
+
+    Raises:
+        UsageError: no such backend, or it has no such device.
     """
     backend = resolve(spec.backend)
+    check_device(backend, spec.device)
     if backend == "warp":
         from mjhab.bench.environments.device_env import measure_device_env as work
     else:

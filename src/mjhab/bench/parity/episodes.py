@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RolloutEnv
@@ -27,8 +28,8 @@ KINDS = {"robot": "m or rad", "objects": "m", "turns": "rad", "links": "m or rad
 REWARD_TOLERANCE = 0.02
 """Normalised dense rewards this close agree."""
 Row = dict[str, Any]
-KEY = ("acting", "task", "subtask", "seed", "index")
-"""Fields that name a row of the log."""
+KEY = ("acting", "task", "subtask", "seed", "device", "index")
+"""Fields that name a row of the log; ``device`` of the warp backend, None in logs that do not tell it."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Leg:
 
     def key(self, acting: str, index: int) -> tuple[Any, ...]:
         """Names a row of the log."""
-        return (acting, self.task, self.subtask, self.seed, index)
+        return (acting, self.task, self.subtask, self.seed, self.device, index)
 
 
 class Log:
@@ -97,14 +98,14 @@ class Log:
             # The last line is half a line if the run before was killed while it wrote.
             for line in lines[:-1] if lines and not lines[-1].endswith("\n") else lines:
                 self._take(line)
-            path.write_text(
-                "".join(json.dumps(row) + "\n" for row in self.rows.values()),
-                encoding="utf-8",
+            kept = "".join(json.dumps(row) + "\n" for row in self.rows.values())
+            write_atomic(
+                path, lambda temporary: temporary.write_text(kept, encoding="utf-8")
             )
 
     def _take(self, line: str) -> None:
         try:
-            row = json.loads(line)
+            row = {"device": None, **json.loads(line)}
             self.rows[tuple(row[name] for name in KEY)] = row
         except (ValueError, KeyError, TypeError) as error:
             raise UsageError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mjhab.bench.interact.run import CAMERA_SIZE, measure_interact, write_results
 from mjhab.cli.options.gpu import BenchInteractOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.core.files.outputs import check_folder
 
 _HEADS = {
     "worlds": "worlds",
@@ -25,6 +26,7 @@ def bench_interact(options: BenchInteractOptions) -> int:
         at_least(name, getattr(options, name), 1)
     at_least("worlds", min(options.worlds, default=0), 1)
     at_least("threads", options.threads, 0)
+    check_folder(options.out)
     found, runs, pictures = measure_interact(options)
     write_results(options.out, found, runs, pictures)
     if options.json:

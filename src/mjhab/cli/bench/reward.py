@@ -5,12 +5,14 @@ from __future__ import annotations
 from mjhab.bench.environments.reward import REPORT, measure_rewards
 from mjhab.cli.options.env import BenchRewardOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.core.files.outputs import check_folder
 
 
 def bench_reward(options: BenchRewardOptions) -> int:
     """Print and write the results of `measure_reward`."""
     for name in ("episodes", "worlds"):
         at_least(name, getattr(options, name), 1)
+    check_folder(options.out)
     found = measure_rewards(options)
     report = options.out / REPORT
     if options.json:

@@ -9,18 +9,30 @@ from mjhab.bench.soak.memory_plot import memory_picture
 from mjhab.bench.soak.run import MAX_GROWTH, soak
 from mjhab.cli.options.env import BenchSoakOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.outputs import check_folder
 
 RESULTS = "soak.json"
 PICTURE = "memory.svg"
 
 
 def bench_soak(options: BenchSoakOptions) -> int:
-    """Print the results of `soak`; returns 1 if memory changed by more than 3 % over the second half."""
+    """Print the results of `soak`; returns 1 if memory changed by more than 3 % over the second half.
+
+    Raises:
+        UsageError: a number is out of range, or an option is given that only generation has.
+    """
     for name in ("steps", "worlds"):
         at_least(name, getattr(options, name), 1)
     for name in ("threads", "seed", "generate"):
         at_least(name, getattr(options, name), 0)
+    if options.subtask is not None and not options.generate:
+        raise UsageError(
+            "--subtask needs --generate: random actions step the environments of all subtasks."
+        )
+    if options.out is not None:
+        check_folder(options.out)
     found = soak(options)
     if options.out is not None:
         _write(options, found)

@@ -9,6 +9,7 @@ from mjhab.cli.options.homes import HomesRenderOptions
 from mjhab.cli.output import at_least, print_json
 from mjhab.cli.worlds.home_names import find_home, homes_of_split
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 
 PNG = ".png"
@@ -66,8 +67,7 @@ def render_one(options: HomesRenderOptions, width: int, height: int) -> int:
     from mjhab.scenes.packs import open_pack
 
     image = render_home(open_pack(options.assets), home.name, options.view, width, height)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(image).save(options.out)
+    write_atomic(options.out, Image.fromarray(image).save)
     if options.json:
         height, width = image.shape[:2]
         print_json(
@@ -102,9 +102,9 @@ def render_sheet(options: HomesRenderOptions, width: int, height: int) -> int:
                 Tile(home.name, f"{home.split}, layout {home.macro}", home.note, image)
             )
             advance()
-    options.out.parent.mkdir(parents=True, exist_ok=True)
     save = save_png if options.out.suffix.lower() == PNG else save_html
-    save(options.out, f"{len(tiles)} homes of {pack.name}", tiles)
+    title = f"{len(tiles)} homes of {pack.name}"
+    write_atomic(options.out, lambda temporary: save(temporary, title, tiles))
     if options.json:
         print_json({"homes": len(tiles), "view": options.view, "out": str(options.out)})
     else:

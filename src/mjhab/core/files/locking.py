@@ -5,9 +5,14 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
+import time
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
+
+_TRIES = 10
+"""Times that a writer asks for a lock: whoever looks if somebody writes holds it for an instant."""
+_PAUSE_SECONDS = 0.01
 
 
 def lock_path(path: Path) -> Path:
@@ -30,6 +35,7 @@ class WriteLock:
 
     def __init__(self, path: Path, what: Path | None = None) -> None:
         self._path = lock_path(path)
+        left = _TRIES
         while True:
             self._fd = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
             try:
@@ -37,7 +43,11 @@ class WriteLock:
             except BlockingIOError as error:
                 owner = _owner(self._fd)
                 os.close(self._fd)
-                raise _is_taken(path, what, owner) from error
+                left -= 1
+                if not left:
+                    raise _is_taken(path, what, owner) from error
+                time.sleep(_PAUSE_SECONDS)
+                continue
             except OSError:
                 break
             if self._is_current():

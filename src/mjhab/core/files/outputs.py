@@ -76,6 +76,20 @@ def check_file(path: Path, suffix: str, option: str = "--out") -> None:
         )
 
 
+def check_folder(path: Path, option: str = "--out") -> None:
+    """Refuse a file in place of a folder that a command fills when its work is done.
+
+    Args:
+        path: the folder; it need not exist.
+        option: what the user gave it by, for the message.
+
+    Raises:
+        UsageError: it is a file.
+    """
+    if path.is_file():
+        raise UsageError(f"{option} {_shown(path)} is a file; give a folder.")
+
+
 def _probe(path: Path) -> None:
     """Make and delete a folder in the lowest folder at or above ``path`` that exists.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from rich.progress import track
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import map_record
+from mjhab.core.machine import cores
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.device.landings import find_landings
 from mjhab.envs.parts.plan_tables import PlanTables, Rows
@@ -119,7 +119,7 @@ class StartPool:
     def _make(self) -> list[_Made]:
         console = Console(stderr=True)
         # Settling takes most of the time, and is done by MuJoCo outside of Python.
-        with ThreadPoolExecutor(self._config.threads or os.cpu_count() or 1) as crew:
+        with ThreadPoolExecutor(self._config.threads or cores()) as crew:
             starts = crew.map(self._make_one, range(self.count))
             return list(
                 track(

@@ -140,6 +140,11 @@ class WorldView:
         return int(self._env.progress.steps_left[self.world])
 
     @property
+    def steps(self) -> int:
+        """Control steps since the episode began."""
+        return int(self._env.progress.episode_step[self.world])
+
+    @property
     def home(self) -> HomeShapes:
         """Shapes of the world's home."""
         return home_shapes(self._env.layout, self._env.homes[self.world])

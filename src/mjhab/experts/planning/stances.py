@@ -133,7 +133,8 @@ def cached(
 def _digest(robot: Robot, link: JointedLink, job: str) -> str:
     """Hash of what the stances depend on: robot, link and job, the code of the search and its arithmetic."""
     digest = hashlib.sha256(
-        code_digest("core", "robots", "experts") + np.__version__.encode()
+        code_digest("core", "robots", "envs.parts.world_view", "experts")
+        + np.__version__.encode()
     )
     digest.update(robot.digest)
     digest.update(repr((robot.reach, robot.arm_links)).encode())

@@ -67,6 +67,10 @@ MIN_ALONG_COSINE = 0.995
 """Cosine between the line on which the fingers close and an axis of a box above which they close along the axis."""
 MAX_SHORT_M = 0.025
 """Largest distance of the hand from its grasp at which the fingers close."""
+HELD_N = 0.3
+"""Force on each finger above which the object counts as held."""
+HOME_RAD = 0.1
+"""`motion.joint_gap` to the rest configuration below which the arm counts as home."""
 WAIT_STEPS = (5, 10, 20, 50)
 """Control steps to wait after the first, second, ... attempt without a plan: objects may come to rest meanwhile."""
 MAX_NUDGES = 2
@@ -87,11 +91,15 @@ def pick(view: WorldView) -> Motion:
 def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
     """Pick up an object wherever it lies and bring the arm to rest; repeated until the episode ends.
 
+    An object that is in the hand already, because another policy acted before, is carried on.
+
     Args:
         view: world to act in.
         obj: name of the object.
         keep: hold the object at rest, and start again when it is lost; False: end as soon as it is lifted.
     """
+    if _is_held(view, obj) and (yield from _carry_on(view, obj, keep)):
+        return True
     failed = np.zeros((0, 3))
     attempt = 0
     short = False
@@ -120,21 +128,45 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             inside = inside or bool(depth)
             continue
         if taken:
-            if (depth or inside) and not (keep and (yield from hurry_home(view, obj))):
-                speed = (
-                    HASTY_SPEED_M_S
-                    if inside or view.steps_left < LATE_OUT_STEPS
-                    else OUT_SPEED_M_S
-                )
-                yield from drive_out(
-                    view, SHELF_DEPTH_M, gripper=motion.CLOSED, speed=speed
-                )
-            if not keep and holds(view, obj):
+            shelf = bool(depth) or inside
+            if (yield from _carry(view, obj, shelf=shelf, hasty=inside, keep=keep)):
                 return True
-            yield from go_home(view, obj)
-            yield from _keep(view, obj)
         failed = np.concatenate([failed, stance.at[None, BASE]])
         yield from _draw_back(view, obj, stance, depth)
+
+
+def _is_held(view: WorldView, obj: str) -> bool:
+    """Whether both fingers press an object."""
+    return bool((view.finger_forces(obj) > HELD_N).all())
+
+
+def _carry_on(view: WorldView, obj: str, keep: bool) -> Motion:
+    """Lift and carry an object that another policy has grasped, see `_carry`."""
+    shelf = bool(inside_depth(view, view.object_pose(obj)[:3]))
+    if motion.joint_gap(view, motion.rest_goal(view)) > HOME_RAD:
+        pos, rot = motion.tcp(view)
+        up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if shelf else LIFT_M])
+        yield from _lift(view, obj, up, rot, view.q, shelf)
+    return (yield from _carry(view, obj, shelf=shelf, hasty=False, keep=keep))
+
+
+def _carry(view: WorldView, obj: str, *, shelf: bool, hasty: bool, keep: bool) -> Motion:
+    """Bring a lifted object out of a ``shelf`` and the arm to rest, and hold it there until it is lost.
+
+    Returns whether the object is out and still held where it need not be kept (``keep``, see `pick_up`); else False.
+    """
+    if shelf and not (keep and (yield from hurry_home(view, obj))):
+        speed = (
+            HASTY_SPEED_M_S
+            if hasty or view.steps_left < LATE_OUT_STEPS
+            else OUT_SPEED_M_S
+        )
+        yield from drive_out(view, SHELF_DEPTH_M, gripper=motion.CLOSED, speed=speed)
+    if not keep and holds(view, obj):
+        return True
+    yield from go_home(view, obj)
+    yield from _keep(view, obj)
+    return False
 
 
 def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motion:
@@ -353,7 +385,7 @@ def _lift(
                 max_steps=15,
             ),
         )
-    return bool((view.finger_forces(obj) > 0.3).all())
+    return _is_held(view, obj)
 
 
 def _keep(view: WorldView, obj: str) -> Motion:
@@ -368,7 +400,7 @@ def _keep(view: WorldView, obj: str) -> Motion:
 
 def _let_go(view: WorldView) -> Motion:
     """Open the hand and draw it back and up, unless it is home already."""
-    if motion.joint_gap(view, motion.rest_goal(view)) < 0.1:
+    if motion.joint_gap(view, motion.rest_goal(view)) < HOME_RAD:
         return True
     pos, rot = motion.tcp(view)
     yield from motion.hold(view, 4, gripper=motion.OPEN)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.machine import cores
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
 from mjhab.render.raster.batch import ThreadBuffers, Views, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
@@ -133,7 +133,7 @@ class Rasterizer:
         self._local = threading.local()
         self._lock = threading.Lock()
         self._shadows: OrderedDict[tuple[int, int], np.ndarray] = OrderedDict()
-        self.num_threads = num_threads or os.cpu_count() or 1
+        self.num_threads = num_threads or cores()
         self._pool = (
             ThreadPoolExecutor(self.num_threads, "raster")
             if self.num_threads > 1

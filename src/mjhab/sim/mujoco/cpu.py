@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
@@ -13,6 +12,7 @@ from mujoco.batch import Batch
 
 from mjhab.core.arrays import may_hold, norm3
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import cores
 from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.contact_sensors import (
     FORCE_SENSOR_WIDTH,
@@ -73,7 +73,7 @@ class CpuSimulator:
         mujoco.set_mju_user_warning(_log_warning)
         self.layout = layout
         self.num_worlds = num_worlds
-        self.num_threads = num_threads or os.cpu_count() or 1
+        self.num_threads = num_threads or cores()
         self.drives = drives or Drives()
         self.model: Callable[[str], mujoco.MjModel] = HomeModels(layout, self.drives)
         """Returns the compiled model of a home of the pack, by name."""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
+from mjhab.core.errors import UsageError
+from mjhab.layout.compile import compile_home
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.parts import Drives
 from mjhab.scenes.packs import open_pack
+from mjhab.scenes.spec import Geom
 
 
 def test_robots_with_other_stiff_servos_have_models_of_their_own():
@@ -25,3 +30,12 @@ def test_robots_with_other_stiff_servos_have_models_of_their_own():
     assert gains == [robot.stiff_gains.kp for robot in robots]
     again = HomeModels(Layout(pack, (), ROBOT), drives)(home)
     assert again is HomeModels(Layout(pack, (), ROBOT), drives)(home)
+
+
+def test_a_home_that_mujoco_refuses_is_named() -> None:
+    pack = open_pack("builtin")
+    home = pack.homes[0]
+    flat = replace(home, walls=(Geom("box", (0.0, 1.0, 1.0)), *home.walls))
+    layout = Layout(replace(pack, homes=(flat,)), ())
+    with pytest.raises(UsageError, match=f"home '{home.name}' does not compile"):
+        compile_home(layout, flat)

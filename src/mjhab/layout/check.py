@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import mujoco
 
+from mjhab.core.errors import UsageError
 from mjhab.layout.compile import compile_home, model_path
 from mjhab.layout.home_models import model_bytes
 from mjhab.layout.layout import Layout
@@ -95,7 +96,7 @@ def _compile(layout: Layout, home: Home, report: HomesReport) -> str:
     start = time.perf_counter()
     try:
         model = compile_home(layout, home)
-    except ValueError as error:
+    except UsageError as error:
         return str(error)
     finally:
         report.compile_s += time.perf_counter() - start

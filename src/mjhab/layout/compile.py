@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mujoco
 
+from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.names import below
@@ -50,7 +51,7 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
     """Return the MjModel of a home; reads it from the disk cache, or compiles and caches it.
 
     Raises:
-        ValueError: MuJoCo refuses the home; the message names it.
+        UsageError: MuJoCo refuses the home; the message names it.
     """
     path = model_path(layout, home)
     found = read_cached(path, _load)
@@ -59,7 +60,7 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
             model = build_spec(layout, home).compile()
         except ValueError as error:
             reason = ", ".join(str(error).splitlines())
-            raise ValueError(f"home {home.name!r} does not compile: {reason}") from error
+            raise UsageError(f"home {home.name!r} does not compile: {reason}") from error
         # Saving drops the signature of a freshly compiled model: loading from the file makes all models equal.
         found = _load(
             write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import platform
 import secrets
 import sys
@@ -14,6 +13,7 @@ from typing import Any
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
+from mjhab.core.machine import cores
 from mjhab.core.seeding import stream
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.evaluation.evaluate import (
@@ -246,7 +246,7 @@ def hardware() -> dict[str, Any]:
     """Description of the machine: processor, cores, system, and the GPU if torch is loaded and finds one."""
     found: dict[str, Any] = {
         "processor": _processor(),
-        "cores": os.cpu_count(),
+        "cores": cores(),
         "system": f"{platform.system()} {platform.machine()}",
     }
     torch = sys.modules.get("torch")

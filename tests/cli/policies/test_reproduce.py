@@ -301,3 +301,14 @@ def test_every_choice_changes_the_preset() -> None:
     small = preset_of("bc", "small")
     for name, (_, changes) in CHANGED.items():
         assert (with_changes(small, changes) == small) == (name == "preset")
+
+
+def test_students_of_a_table_are_trained_on_the_device(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    rows = ["--rows", "set_table/close/drawer", "--preset", "quick"]
+    words = ["reproduce", "table1", *rows, "--device", "cuda:77", "--out", str(out)]
+    assert main(words) == 2
+    assert "no device 'cuda:77' to train on" in capsys.readouterr().err
+    assert not out.exists()

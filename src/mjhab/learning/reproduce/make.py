@@ -290,6 +290,7 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
 def _train_student(
     spec: TableSpec, scene: Scene, run: Path, resume: bool
 ) -> TrainingResult:
+    from mjhab.learning.devices import CPU
     from mjhab.learning.runs.collection import Means
     from mjhab.learning.runs.request import Request
     from mjhab.learning.runs.train import train
@@ -303,5 +304,6 @@ def _train_student(
         eval_episodes=0,
         round_episodes=0,
         torch_threads=spec.threads,
+        device=spec.device or CPU,
     )
     return train(request, run, resume=resume)

@@ -54,7 +54,7 @@ class TableSpec(ProfileChoice):
     worlds: parallel worlds of evaluation and of collection. worlds, threads: change the speed, not the results.
     resume: complete the runs that ``out`` already holds. column: one of COLUMNS.
     policies: folder of an earlier reproduction whose policies are evaluated; None trains new ones.
-    backend, device: of the environments of reinforcement learning, see `EnvConfig`; in STUDIES device is that of the
+    backend, device: of the environments of reinforcement learning, see `EnvConfig`; for students device is that of the
     network, see `training_device`. demos: number of episodes that the expert tries for each data set of a study, 0 for
     that of the preset. updates: of each network of a study, 0 for those of the preset. workers: processes of
     the expert in a study; they change the speed, not the results. variants: names of variants of the result, () for

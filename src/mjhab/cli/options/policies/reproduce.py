@@ -56,8 +56,8 @@ class ReproduceOptions(ProfileOptions):
     backend: Name = "cpu"
     """Simulation backend of reinforcement learning: cpu, warp (on a GPU), or auto. Evaluation is on the CPU."""
     device: Name = ""
-    """With backend warp: cuda:0, cuda:1, ...; the first one if absent. In table5, demo_count, filters and choices:
-    where networks are trained, as in `mjhab train bc`."""
+    """With backend warp: cuda:0, cuda:1, ...; the first one if absent. For students: where networks are trained, as in
+    `mjhab train bc`."""
     demos: Number = 0
     """In table5, demo_count, filters and choices: episodes that the expert tries per data set; those of the preset if
     absent."""

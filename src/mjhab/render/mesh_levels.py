@@ -20,6 +20,7 @@ from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.shapes.collapse import collapse, distance_to_faces
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.simplify import Simplified, simplify
+from mjhab.scenes.shapes.winding import reversed_where, turned_outwards
 
 CREASE = np.cos(np.radians(40.0))
 """Cosine of the crease angle: faces whose normals differ by less than 40 deg are shaded as one smooth surface."""
@@ -62,7 +63,8 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
     """Compute the levels of detail of a mesh, or read them from the cache.
 
     Returns:
-        The levels, finest first; the first has the faces of the mesh itself. One level below `MIN_FACES` faces.
+        The levels, finest first; the first has the faces of the mesh itself, closed surfaces turned outwards. One level
+        below `MIN_FACES` faces.
     """
     if len(mesh.faces) < MIN_FACES:
         return _make(mesh)
@@ -85,7 +87,10 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
 def _digest(mesh: Mesh) -> str:
     digest = hashlib.sha256(
         code_digest(
-            "render.mesh_levels", "scenes.shapes.collapse", "scenes.shapes.simplify"
+            "render.mesh_levels",
+            "scenes.shapes.collapse",
+            "scenes.shapes.simplify",
+            "scenes.shapes.winding",
         )
     )
     for part in (mesh.vertices, mesh.faces, mesh.uv):
@@ -116,6 +121,8 @@ def _make(mesh: Mesh) -> list[Level]:
         if mesh.uv is None
         else np.asarray(mesh.uv, np.float64)
     )
+    faces, winding = turned_outwards(vertices, faces)
+    uv = reversed_where(winding.flipped, uv)
     normals = corner_normals(vertices, faces).astype(np.float64)
     levels = [_level(vertices, faces, np.arange(len(faces)), normals, uv, 0.0)]
     for few, error in _coarser(vertices, faces):

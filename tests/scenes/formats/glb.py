@@ -26,6 +26,7 @@ def write_glb(
     uv: np.ndarray | None = None,
     image: np.ndarray | None = None,
     transform: dict[str, Any] | None = None,
+    double_sided: bool = False,
 ) -> Path:
     """Write meshes (vertices, faces) as a file; by default one node for each. ``image`` (H, W, 3) is their texture."""
     blob = b""
@@ -57,7 +58,7 @@ def write_glb(
             "attributes": attributes,
             "indices": add(np.asarray(faces, np.uint16).ravel(), "SCALAR", 5123),
         }
-        if image is not None:
+        if image is not None or double_sided:
             primitive["material"] = 0
         meshes.append({"name": f"part_{k}", "primitives": [primitive]})
     document: dict[str, Any] = {
@@ -84,6 +85,8 @@ def write_glb(
         document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]
         document["textures"] = [{"source": 0}]
         document["images"] = [{"bufferView": len(views) - 1, "mimeType": "image/png"}]
+    if double_sided:
+        document.setdefault("materials", [{}])[0]["doubleSided"] = True
     document |= {
         "bufferViews": views,
         "accessors": accessors,

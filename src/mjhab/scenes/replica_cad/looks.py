@@ -60,7 +60,10 @@ class Looks:
     def _digest(self) -> str:
         """Hash of the inputs: name, size and modification time of the files, poses, and the code of the readers."""
         readers = code_digest(
-            "scenes.formats.gltf", "scenes.shapes.painting", "scenes.shapes.meshes"
+            "scenes.formats.gltf",
+            "scenes.shapes.painting",
+            "scenes.shapes.meshes",
+            "scenes.shapes.winding",
         )
         digest = hashlib.sha256(readers)
         for name, parts in sorted(self.wanted.items()):

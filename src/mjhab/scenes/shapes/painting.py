@@ -1,16 +1,16 @@
-"""Parts of glTF files as one textured mesh, with two-sided sheets and textures of limited resolution."""
+"""Parts of glTF files as one textured mesh: solids turned outwards, sheets on both sides, textures of limited
+resolution."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from mjhab.scenes.formats.gltf import Primitive
 from mjhab.scenes.shapes.colors import linear_to_srgb
 from mjhab.scenes.shapes.meshes import Mesh
+from mjhab.scenes.shapes.winding import turned_outwards
 
 TEXELS_PER_M = 1500.0
 """Largest density of texels on a surface [1/m], 0.7 mm each, as fine as the print on a carton."""
@@ -23,21 +23,23 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
         parts: vertices in the frame of the mesh, textures with sides that are powers of two.
 
     Returns:
-        The mesh; faces of open surfaces, whose back is visible, are duplicated with opposite orientation.
+        The mesh. How the parts are wound does not matter: closed surfaces are turned outwards, and faces of open ones,
+        whose back is visible, are duplicated with opposite orientation. So a material that is double-sided looks the
+        same as one that is not, and a mirrored node the same as its twin.
     """
     columns: list[tuple[np.ndarray, ...]] = []
     images: dict[int, int] = {}
     textures: list[np.ndarray] = []
     start = 0
     for part in parts:
-        faces = part.faces.astype(np.int64)
+        faces, winding = turned_outwards(part.vertices, part.faces.astype(np.int64))
         uv = np.zeros((len(faces), 3, 2)) if part.uv is None else part.uv[faces]
         number = -1
         if part.texture is not None and part.uv is not None:
             number = images.setdefault(id(part.texture), len(images))
             if number == len(textures):
                 textures.append(fit_texture(part.texture, part.vertices[faces], uv))
-        back = _open_faces(part.vertices, faces)
+        back = np.flatnonzero(winding.sheet)
         both = np.concatenate([faces, faces[back][:, ::-1]])
         color = np.broadcast_to(linear_to_srgb(part.color), (len(both), 3))
         uv = np.concatenate([uv, uv[back][:, ::-1]])
@@ -89,28 +91,3 @@ def fit_texture(image: np.ndarray, corners: np.ndarray, uv: np.ndarray) -> np.nd
 def _near_zero(uv: np.ndarray) -> np.ndarray:
     """Texture coordinates (F, 3, 2) shifted per face by whole periods towards 0, for the precision of float32."""
     return uv - np.floor(uv.min(axis=1, keepdims=True))
-
-
-def _open_faces(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Faces (n,) of connected components with a border, whose back is visible."""
-    # Vertices at the same position count as one, because texture seams split them.
-    weld = np.unique(np.round(points, 5), axis=0, return_inverse=True)[1].reshape(-1)
-    ends = np.sort(
-        np.stack([weld[faces], weld[np.roll(faces, -1, axis=1)]], axis=-1), axis=-1
-    )
-    keys = np.unique(ends[..., 0] * len(points) + ends[..., 1], return_inverse=True)[
-        1
-    ].reshape(-1, 3)
-    number = np.repeat(np.arange(len(faces)), 3)
-    order = np.argsort(keys.ravel(), kind="stable")
-    key = keys.ravel()[order]
-    owner = number[order]
-    same = key[1:] == key[:-1]
-    links = coo_matrix(
-        (np.ones(same.sum()), (owner[1:][same], owner[:-1][same])),
-        shape=(len(faces),) * 2,
-    )
-    piece = connected_components(links, directed=False)[1]
-    rim = np.bincount(keys.ravel())[keys] == 1
-    open_pieces = np.unique(piece[rim.any(axis=1)])
-    return np.flatnonzero(np.isin(piece, open_pieces))

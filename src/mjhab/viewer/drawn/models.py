@@ -218,6 +218,9 @@ def _corners(
     # Files have quaternions with few digits, so that their rotation matrices are not quite orthonormal.
     turned = _unit(normals @ turn.T)
     rows = np.concatenate([sized @ turn.T + offset, turned, uv], axis=2)
+    if scale.prod() < 0.0:
+        # A mirrored face has its corners in the opposite order; browsers do not draw the back of a face.
+        rows = rows[:, ::-1]
     found = np.unique(material)
     return [(int(k), rows[material == k].reshape(-1, 8)) for k in found.tolist()]
 

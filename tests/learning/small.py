@@ -23,6 +23,7 @@ from mjhab.learning.configs import (
 )
 from mjhab.learning.demos import Demonstrations
 from mjhab.learning.layout import Layout
+from mjhab.learning.observation.parts import SubtaskTold, code_of
 
 SIZE = 16
 STATE = (("agent/qpos", 4), ("extra/is_grasped", 1))
@@ -34,6 +35,10 @@ TARGETS = ("024_bowl", "kitchen_counter/drawer3")
 
 def layout(inputs: InputConfig = INPUTS) -> Layout:
     return Layout(inputs, STATE, ACTIONS, TARGETS, CONTROL)
+
+
+def condition_of(told: Layout, kind: str, target: str, sentence: str = "") -> np.ndarray:
+    return code_of(SubtaskTold(kind, target, sentence), told)
 
 
 def config(
@@ -84,7 +89,7 @@ def demonstrations(
         vector[:, : told.measured_width] = random.normal(
             size=(length, told.measured_width)
         )
-        vector[:, told.measured_width :] = told.condition(told.kinds[0], TARGETS[0])
+        vector[:, told.measured_width :] = condition_of(told, told.kinds[0], TARGETS[0])
         actions = np.full((length, len(ACTIONS)), 0.5, np.float32)
         actions[:, 0] = np.tanh(vector[:, 0])
         images = random.integers(

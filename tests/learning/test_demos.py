@@ -20,14 +20,14 @@ from mjhab.data.store.places import episodes
 from mjhab.learning.batches import BatchSampler, shift_images, take_chunks
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import (
-    base_velocity,
     layout_of_data,
     load_demonstrations,
-    nearness,
 )
+from mjhab.learning.observation.depth import nearness
+from mjhab.learning.observation.parts import base_velocity
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
-from tests.learning.small import INPUTS, demonstrations
+from tests.learning.small import INPUTS, condition_of, demonstrations
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(-1, 20))
@@ -171,7 +171,7 @@ def test_what_is_read_is_what_was_recorded(source: Path) -> None:
         np.testing.assert_array_equal(state, episode.array("obs/state")[:n])
         np.testing.assert_array_equal(last[1:], actions[:-1])
         assert not last[0].any()
-        assert (data.vector[rows, 18:] == told.condition("pick", "024_bowl")).all()
+        assert (data.vector[rows, 18:] == condition_of(told, "pick", "024_bowl")).all()
         np.testing.assert_array_equal(data.actions[rows], actions)
         frame = episode.frame("fetch_head", "depth", 2)[..., 0]
         np.testing.assert_array_equal(data.images[at + 2, 0], nearness(frame))

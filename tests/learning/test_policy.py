@@ -13,14 +13,23 @@ from mjhab.core import libraries
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
-from mjhab.learning.demos import nearness
-from mjhab.learning.policy import StudentEnsemble, StudentPolicy, pooled
+from mjhab.learning.observation.depth import nearness, pooled
+from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
+from mjhab.learning.policy import StudentEnsemble, StudentPolicy
 from mjhab.learning.policy_kind import joined
 from mjhab.learning.require import require_learn
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.sim.backends import cuda_devices
-from tests.learning.small import INPUTS, SIZE, TARGETS, config, fake_env, layout
+from tests.learning.small import (
+    INPUTS,
+    SIZE,
+    TARGETS,
+    condition_of,
+    config,
+    fake_env,
+    layout,
+)
 
 
 def scene(worlds: int, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -81,7 +90,7 @@ def test_the_first_actions_of_every_chunk_are_executed(
     np.testing.assert_allclose(asked[1][0, previous], 0.2)
 
 
-def test_it_sees_what_the_demonstrations_hold() -> None:
+def test_it_sees_what_the_demonstrations_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     inputs = dataclasses.replace(INPUTS, history=2)
     policy = StudentPolicy(
         make_student(config(inputs=inputs), layout(inputs)), fake_env(2, layout(inputs))
@@ -89,23 +98,34 @@ def test_it_sees_what_the_demonstrations_hold() -> None:
     policy.reset(np.ones(2, bool))
     (first, info) = scene(2, 0)
     (second, _) = scene(2, 1)
+    asked: list[EncodedObs] = []
+    encode = policy._encoder.encode
+
+    def noted(obs: Any, info: Any) -> EncodedObs:
+        asked.append(encode(obs, info))
+        return asked[-1]
+
+    monkeypatch.setattr(policy._encoder, "encode", noted)
     before = policy.act(first, info)
     policy.act(second, info)
-    np.testing.assert_array_equal(policy._vectors[:, 0, :5], first["state"])
-    np.testing.assert_array_equal(policy._vectors[:, 1, :5], second["state"])
-    np.testing.assert_array_equal(policy._vectors[:, 1, 5:18], before)
-    assert (policy._vectors[:, 1, 18:] == layout().condition("pick", TARGETS[0])).all()
+    begun, seen = asked[0], asked[-1]
+    np.testing.assert_array_equal(begun.vector[:, :5], first["state"])
+    np.testing.assert_array_equal(seen.vector[:, :5], first["state"])
+    now = seen.vector[:, layout().width :]
+    np.testing.assert_array_equal(now[:, :5], second["state"])
+    np.testing.assert_array_equal(now[:, 5:18], before)
+    assert (now[:, 18:] == condition_of(layout(), "pick", TARGETS[0])).all()
     depth = second["sensor_data/fetch_head/depth"][..., 0]
-    np.testing.assert_array_equal(policy._images[:, 1, 0], nearness(depth))
+    np.testing.assert_array_equal(seen.images[:, 1], nearness(depth))
 
 
 def test_a_reset_forgets_one_world_alone() -> None:
-    policy = StudentPolicy(make_student(config(), layout()), fake_env(2))
-    policy.reset(np.ones(2, bool))
-    policy.act(*scene(2, 0))
-    policy.reset(np.array([True, False]))
-    assert not policy._last[0].any() and policy._last[1].any()
-    assert policy._step.tolist() == [0, 1]
+    encoder = ObservationEncoder(fake_env(2), layout())
+    encoder.encode(*scene(2, 0))
+    encoder.executed(np.ones((2, 13), np.float32))
+    encoder.begin(np.array([True, False]))
+    previous = encoder.encode(*scene(2, 1)).vector[:, 5:18]
+    assert not previous[0].any() and previous[1].all()
 
 
 def test_an_environment_that_shows_something_else_is_refused_by_name() -> None:
@@ -233,8 +253,10 @@ def test_several_students_execute_the_mean_of_their_actions(tmp_path: Path) -> N
     means = np.mean([policy.act(*scene(2, 0)) for policy in alone], axis=0)
     np.testing.assert_allclose(first, means, atol=1e-6)
     assert isinstance(together, StudentEnsemble)
+    obs, info = scene(2, 1)
     for member in together.members:
-        np.testing.assert_array_equal(member._last, first)
+        previous = member._encoder.encode(obs, info).vector[:, 5:18]
+        np.testing.assert_array_equal(previous, first)
 
 
 def test_small_images_are_means_of_larger_ones() -> None:

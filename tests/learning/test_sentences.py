@@ -20,13 +20,13 @@ from mjhab.learning.checkpoint import load_checkpoint, save_student
 from mjhab.learning.configs import ACT, BC, FLOW, student_from_plain, to_plain
 from mjhab.learning.demos import Demonstrations, layout_of_data, load_demonstrations
 from mjhab.learning.layout import Layout
+from mjhab.learning.observation.sentences import SENTENCE_WIDTH, encode_sentence
 from mjhab.learning.policy import StudentPolicy
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.train import train
 from mjhab.learning.runs.training import Trainer
-from mjhab.learning.sentences import SENTENCE_WIDTH, encode_sentence
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Batch
 from mjhab.tasks.instructions import (
@@ -42,7 +42,15 @@ from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.reinforcement.toy import LAYOUT as LINE
 from tests.learning.reinforcement.toy import Toy
-from tests.learning.small import INPUTS, STATE, config, fake_env, layout, train_config
+from tests.learning.small import (
+    INPUTS,
+    STATE,
+    condition_of,
+    config,
+    fake_env,
+    layout,
+    train_config,
+)
 
 TOLD = dataclasses.replace(
     INPUTS, cameras=(), image_size=0, condition=False, sentence=True
@@ -117,16 +125,16 @@ def test_codes_stay_as_they_are() -> None:
 def test_the_sentence_follows_the_measured_inputs() -> None:
     both = layout(dataclasses.replace(INPUTS, sentence=True))
     alone = layout(dataclasses.replace(INPUTS, sentence=True, condition=False))
-    one_hot = layout().condition("pick", "024_bowl")
+    one_hot = condition_of(layout(), "pick", "024_bowl")
     code = encode_sentence("pick up the bowl")
-    told = both.condition("pick", "024_bowl", "pick up the bowl")
+    told = condition_of(both, "pick", "024_bowl", "pick up the bowl")
     np.testing.assert_array_equal(told, np.concatenate([one_hot, code]))
     # Without the one-hot any subtask may be asked for.
     np.testing.assert_array_equal(
-        alone.condition("wipe", "table", "pick up the bowl"), code
+        condition_of(alone, "wipe", "table", "pick up the bowl"), code
     )
     for one in (both, alone, layout()):
-        assert one.width == one.measured_width + one.condition_width
+        assert one.width == one.measured_width + one.told_width
         assert one.measured_width == layout().measured_width
 
 
@@ -318,10 +326,9 @@ def test_agents_of_reinforcement_learning_see_the_sentence_of_their_episode() ->
     sight = Sight(env, told, privileged=False)
     plan = ({"kind": "close", "target": DRAWER},)
     sentences = WORDINGS["close"]
-    info = {"episode_spec": [{"plan": plan, "instructions": (one,)} for one in sentences]}
+    specs = [{"plan": plan, "instructions": (one,)} for one in sentences]
+    info = {"episode_spec": specs, "pointer": np.zeros(2, int)}
     obs, _ = env.reset(seed=0)
-    fresh = torch.ones(2, dtype=torch.bool)
-    sight.begin(fresh, info)
-    seen = sight.see(obs, info, torch.zeros(2, 1), fresh)
+    seen = sight.see(obs, info)
     codes = np.stack([encode_sentence(one) for one in sentences])
     np.testing.assert_array_equal(seen.vector[:, told.measured_width :].numpy(), codes)

@@ -39,8 +39,10 @@ class InputConfig:
     link_state: of the active subtask's furniture link, the opening [fraction of its range], its speed [rad/s or m/s]
     and the heading of the link's frame in the base frame (cos, sin); zeros without a link. Privileged information:
     only a simulator provides it.
+    target_in_hand: the target of the active subtask relative to the tcp in its axes, on three scales, see
+    `observation.parts.TargetInHand`; a function of the state.
     condition: one-hot of the active subtask and of the type of its target.
-    sentence: the instruction of the active subtask as a bag of words, see `sentences.encode_sentence`.
+    sentence: the instruction of the active subtask as a bag of words, see `observation.sentences.encode_sentence`.
     normalize: normalize to mean 0 and standard deviation 1 with the statistics of the first demonstrations.
     shift: largest random shift of training images [px].
     """
@@ -52,6 +54,7 @@ class InputConfig:
     previous_action: bool = True
     base_velocity: bool = False
     link_state: bool = False
+    target_in_hand: bool = False
     condition: bool = True
     sentence: bool = False
     normalize: bool = True

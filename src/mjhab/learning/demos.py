@@ -14,47 +14,32 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from mjhab.core.arrays import Array, namespace
+from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError
-from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.names import kind_of
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import first_of_targets, select
 from mjhab.data.select.until import Until
-from mjhab.data.store.images import decode
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.layout import Entry, Layout, compare_layouts, profile_of
+from mjhab.learning.layout import Layout, compare_layouts, profile_of
+from mjhab.learning.observation.parts import Entry
+from mjhab.learning.observation.recorded import check_inputs, encode_episode
 from mjhab.learning.runs.take_over import expert_steps
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 SUCCESSES = "success"
 """Default filter on the episodes to learn from."""
-MILLIMETRES_PER_METRE = 1000.0
-BYTE = 255
-
-
-def _nearness_table() -> np.ndarray:
-    metres = np.arange(np.iinfo(np.int16).max + 1) / MILLIMETRES_PER_METRE
-    return np.rint(BYTE * (1.0 - np.tanh(metres))).astype(np.uint8)
-
-
-_NEARNESS = _nearness_table()
-
-
-def nearness(depth: np.ndarray) -> np.ndarray:
-    """Map int16 depth [mm] to uint8 nearness 255 (1 - tanh(depth / 1 m)), 255 at the lens (mshab/agents/bc)."""
-    return _NEARNESS[depth]
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
     """N control steps of several episodes, in sequence; numpy arrays, or after `on` tensors.
 
-    vector (N, D) float32: inputs except images, see `Layout.entries`. images (N, C, H, W) uint8: see `nearness`.
-    actions (N, A) float32: actions to imitate. first, last (N,): first and last row of the step's episode.
-    usable (M,): rows at which a training sample may start, numpy always. episodes: number of episodes.
+    vector (N, D) float32: inputs except images, see `Layout.entries`. images (N, C, H, W) uint8: see
+    `parts.DepthImages`. actions (N, A) float32: actions to imitate. first, last (N,): first and last row of the step's
+    episode. usable (M,): rows at which a training sample may start, numpy always. episodes: number of episodes.
     """
 
     vector: Array
@@ -189,8 +174,7 @@ def layout_of_data(
             kinds=SUBTASKS.names(),
             robot=str(episode.run.config["env"].get("robot", "")),
         )
-        _images(episode, layout, 1)
-        _sentences(episode, layout)
+        check_inputs(episode, layout)
     return layout
 
 
@@ -251,14 +235,12 @@ def read_episode(
         UsageError: the episode lacks images, or its state or actions differ from ``layout``.
     """
     _check_layout(episode, layout)
-    executed = episode.array("actions")
     steps = Until(hold_steps).steps(episode.array("reward/success"))
-    vector = _vectors(episode, layout, executed)[:steps]
-    images = _images(episode, layout, steps)
+    seen = encode_episode(episode, layout, steps)
     usable = np.flatnonzero(expert_steps(episode)[:steps])
     return Demonstrations(
-        vector,
-        images,
+        seen.vector,
+        seen.images,
         episode.array("actions_intended")[:steps],
         np.zeros(steps, np.int64),
         np.full(steps, steps - 1),
@@ -277,135 +259,3 @@ def _check_layout(episode: RecordedEpisode, layout: Layout) -> None:
         raise UsageError(
             f"episode {episode.name} of {episode.shard.path} does not fit the student: {'; '.join(wrong)}."
         )
-
-
-def _vectors(
-    episode: RecordedEpisode, layout: Layout, executed: np.ndarray
-) -> np.ndarray:
-    """The student's inputs except images in every step, (N, D) float32."""
-    steps = len(executed)
-    parts = [episode.array("obs/state")[:steps]]
-    if layout.inputs.base_velocity:
-        parts.append(base_velocity_of(episode)[:steps])
-    if layout.inputs.link_state:
-        raise UsageError(
-            "recorded demonstrations hold no link_state; use a preset with images, or leave out the data: the "
-            "expert then generates demonstrations in the environment."
-        )
-    if layout.inputs.previous_action:
-        parts.append(np.concatenate([np.zeros_like(executed[:1]), executed[:-1]]))
-    if layout.condition_width:
-        plan = episode.record.plan
-        sentences = _sentences(episode, layout)
-        pointers = np.minimum(episode.array("subtasks/active")[:steps], len(plan) - 1)
-        codes = [
-            layout.condition(entry.kind, kind_of(entry.target), sentence)
-            for entry, sentence in zip(plan, sentences, strict=True)
-        ]
-        parts.append(np.stack(codes)[pointers])
-    return np.concatenate(parts, axis=1, dtype=np.float32)
-
-
-def _sentences(episode: RecordedEpisode, layout: Layout) -> Sequence[str]:
-    """The instruction of every subtask of the plan; "" if the student takes none.
-
-    Raises:
-        UsageError: the episode was recorded without instructions.
-    """
-    plan = episode.record.plan
-    if not layout.inputs.sentence:
-        return [""] * len(plan)
-    told = episode.record.instructions
-    if len(told) != len(plan) or not all(told):
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} was recorded without instructions, which a student with "
-            "inputs.sentence=true learns from; leave out this input, or record new episodes: mjhab generate"
-        )
-    return told
-
-
-def base_velocity_of(episode: RecordedEpisode) -> np.ndarray:
-    """Forward speed [m/s] and turning rate [rad/s] of the base (N+1, 2) float32, from the recorded states.
-
-    Raises:
-        UsageError: the episode was imported from data without states.
-    """
-    if lacks_states(episode):
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} was imported from data without states, which the velocity "
-            "of the base is computed from; take a student without it: --preset paper, or --set "
-            "inputs.base_velocity=false."
-        )
-    columns = episode.run.layout["columns"]
-    q = episode.array("states/qpos")[:, columns["robot_q"][BASE]]
-    qd = episode.array("states/qvel")[:, columns["robot_v"][BASE]]
-    return base_velocity(q, qd)
-
-
-def lacks_states(episode: RecordedEpisode) -> bool:
-    """Whether the episode was imported from data without states, from which nothing can be computed anew."""
-    return "states/initial" in episode.run.absent
-
-
-def base_velocity(q: Array, qd: Array) -> Array:
-    """Forward speed [m/s] and turning rate [rad/s] of the base, (N, 2) float32; numpy or torch, like ``q``.
-
-    Args:
-        q: (N, 3+) joint positions that start with x, y [m] and yaw [rad] of the base. qd: their velocities.
-    """
-    yaw = q[:, BASE_YAW]
-    xp = namespace(q)
-    forward = xp.cos(yaw) * qd[:, BASE_X] + xp.sin(yaw) * qd[:, BASE_Y]
-    return xp.astype(xp.stack([forward, qd[:, BASE_YAW]], axis=1), xp.float32)
-
-
-def _images(episode: RecordedEpisode, layout: Layout, steps: int) -> np.ndarray:
-    """Images (N, C, H, W) uint8 of the first ``steps`` states."""
-    size = layout.inputs.image_size
-    if not layout.image_keys:
-        return np.zeros((steps, 0, 0, 0), np.uint8)
-    cameras = []
-    for camera in layout.inputs.cameras:
-        if (camera, "depth") not in episode.images:
-            raise _no_images(episode, layout, f"has no depth images of {camera}", None)
-        files = episode.array(f"images/{camera}/depth/bytes").tobytes()
-        ends = episode.array(f"images/{camera}/depth/ends").tolist()
-        starts = [0, *ends]
-        frames = [
-            decode(files[starts[t] : ends[t]], "depth")[..., 0] for t in range(steps)
-        ]
-        if frames[0].shape != (size, size):
-            height, width = frames[0].shape
-            raise _no_images(
-                episode,
-                layout,
-                f"has depth images of {width}x{height} px",
-                (height, width),
-            )
-        cameras.append(nearness(np.stack(frames)))
-    return np.stack(cameras, axis=1)
-
-
-def _no_images(
-    episode: RecordedEpisode, layout: Layout, found: str, have: tuple[int, int] | None
-) -> UsageError:
-    """Make the error for images that are missing (``have`` None) or of another size (height, width) [px]."""
-    size = layout.inputs.image_size
-    cameras = " ".join(layout.inputs.cameras)
-    told = f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. "
-    if not lacks_states(episode):
-        return UsageError(
-            f"{told}Render them from the recorded states: mjhab replay {episode.shard.path} --render depth "
-            f"--camera-size {size} --cameras {cameras} --out FILE.h5"
-        )
-    told += "It was imported from data without states, so its images cannot be rendered again; "
-    if have and have[0] == have[1]:
-        return UsageError(
-            f"{told}train with images of its size: --set inputs.image_size={have[0]}"
-        )
-    with_depth = sorted(
-        {camera for camera, output in episode.images if output == "depth"}
-    )
-    return UsageError(
-        f"{told}train with the cameras it has depth of ({', '.join(with_depth) or 'none'}): --set inputs.cameras=..."
-    )

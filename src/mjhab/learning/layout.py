@@ -6,32 +6,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
-import numpy as np
-
 from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, shown
 from mjhab.core.typed.records import read_record
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.sentences import SENTENCE_WIDTH, encode_sentence
+from mjhab.learning.observation.parts import (
+    DEPTH_IMAGES,
+    Entry,
+    parts_of,
+    told_parts,
+    width_of,
+)
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 OLDER_KINDS = ("pick", "place", "navigate", "open", "close")
 """Kinds of subtasks in the one-hot condition of older checkpoints, which do not list their kinds."""
-STATE_IMAGE_PREFIX = "sensor_data/"
-BASE_VELOCITY = (("base/forward_speed", 1), ("base/turning_rate", 1))
-LINK_STATE = (
-    ("link/opening", 1),
-    ("link/speed", 1),
-    ("link/heading", 2),
-    ("link/nearly_closed", 1),
-)
-"""Entries of the optional inputs, see `InputConfig`."""
 MAX_STATE_WIDTH = 10_000
 MAX_ACTIONS = 1000
 """Limits of layouts that a file describes; a mobile manipulator has some 40 numbers and 13 actions."""
-Entry = tuple[str, int]
-"""Name and width of a part of a vector."""
 
 
 class ObservationTable(Protocol):
@@ -112,19 +105,9 @@ class Layout:
     @property
     def entries(self) -> tuple[Entry, ...]:
         """All entries of the vector of one observation."""
-        entries = list(self.state)
-        if self.inputs.base_velocity:
-            entries += BASE_VELOCITY
-        if self.inputs.link_state:
-            entries += LINK_STATE
-        if self.inputs.previous_action:
-            entries += [(f"previous_action/{name}", 1) for name in self.actions]
-        if self.inputs.condition:
-            entries += [(f"subtask/{name}", 1) for name in self.kinds]
-            entries += [(f"target/{name}", 1) for name in self.targets]
-        if self.inputs.sentence:
-            entries.append(("sentence", SENTENCE_WIDTH))
-        return tuple(entries)
+        return tuple(
+            entry for part in parts_of(self.inputs) for entry in part.entries(self)
+        )
 
     @property
     def width(self) -> int:
@@ -142,23 +125,18 @@ class Layout:
 
     @property
     def measured_width(self) -> int:
-        """Width of the first part of the vector, which is measured and normalized; the condition follows."""
-        return self.width - self.condition_width
+        """Width of the first sections of the vector, which are normalized; those that are told follow."""
+        return self.width - self.told_width
 
     @property
-    def condition_width(self) -> int:
-        """Width of what the student is told about the active subtask, see `condition`; 0 if it is told nothing."""
-        one_hot = len(self.kinds) + len(self.targets) if self.inputs.condition else 0
-        return one_hot + (SENTENCE_WIDTH if self.inputs.sentence else 0)
+    def told_width(self) -> int:
+        """Width of what the student is told about the active subtask, see `parts.code_of`."""
+        return sum(width_of(part, self) for part in told_parts(self.inputs))
 
     @property
     def image_keys(self) -> tuple[str, ...]:
         """Keys of the images in the observation."""
-        if not self.inputs.image_size:
-            return ()
-        return tuple(
-            f"{STATE_IMAGE_PREFIX}{camera}/depth" for camera in self.inputs.cameras
-        )
+        return DEPTH_IMAGES.keys(self.inputs)
 
     def to_plain(self) -> dict[str, Any]:
         """The layout as JSON data, without the inputs, which are part of the student's config."""
@@ -184,37 +162,6 @@ class Layout:
         if len(layout.control) < 2:
             raise ValueError("layout.control: expected control mode and kind of base.")
         return layout
-
-    def condition(self, subtask: str, target: str, sentence: str = "") -> np.ndarray:
-        """What the student is told about a subtask, (condition_width,) float32.
-
-        Args:
-            subtask: its kind.
-            target: type of its target.
-            sentence: its instruction.
-
-        Returns:
-            The one-hot of kind and target, and the encoded sentence, each if it is among the inputs.
-
-        Raises:
-            UsageError: the student has the one-hot and was not trained on this subtask or target.
-        """
-        parts = [np.zeros(0, np.float32)]
-        if self.inputs.condition:
-            parts.append(self._one_hot(subtask, target))
-        if self.inputs.sentence:
-            parts.append(encode_sentence(sentence))
-        return np.concatenate(parts)
-
-    def _one_hot(self, subtask: str, target: str) -> np.ndarray:
-        if subtask not in self.kinds:
-            raise unknown_name("subtask of this student", subtask, self.kinds)
-        if target not in self.targets:
-            raise unknown_name("target of this student", target, self.targets)
-        one_hot = np.zeros(len(self.kinds) + len(self.targets), np.float32)
-        one_hot[self.kinds.index(subtask)] = 1.0
-        one_hot[len(self.kinds) + self.targets.index(target)] = 1.0
-        return one_hot
 
     def check_env(self, env: StudentEnv, pool: int = 1) -> None:
         """Refuse an environment whose observations or actions differ from those that the student was trained with.

@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.core.names import kind_of
-from mjhab.learning.demos import base_velocity, nearness
 from mjhab.learning.layout import Layout
+from mjhab.learning.observation.encoder import EncodedEnv, ObservationEncoder
 from mjhab.tasks.subtasks.registry import horizons
 
 PRIVILEGED = (
@@ -37,32 +36,20 @@ FORCE_SCALE_N = 1000.0
 """Unit of the force input [N]."""
 CUMULATIVE_FORCE_SCALE = 5000.0
 """Unit of the cumulative force input [N x control steps]."""
-FARTHEST_MM = 32_767
-"""Largest depth that an int16 depth image can hold [mm]."""
 
 
-class SteppedEnv(Protocol):
+class SteppedEnv(EncodedEnv, Protocol):
     """The part of an environment that `Sight` reads; ``state`` is a `sim.protocol.SimState`."""
 
-    num_envs: int
     config: Any
     task_config: Any
-
-    @property
-    def state(self) -> Any:
-        """State of the simulator."""
-        ...
-
-    def link_state(self) -> Any:
-        """(W, 5) float32, see `Sensing.link_state`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
     """Observations of W worlds.
 
-    vector (W, history * V) float32. images (W, history * cameras, height, width) uint8: see `learning.demos.nearness`.
+    vector (W, history * V) float32. images (W, history * cameras, height, width) uint8: see `parts.DepthImages`.
     privileged (W, P) float32: see PRIVILEGED.
     """
 
@@ -94,92 +81,33 @@ class Sight:
         self._env = env
         self._layout = layout
         self._privileged = privileged
-        like = torch.as_tensor(env.state.robot_q)
-        self.device = like.device
-        self._near = torch.from_numpy(
-            nearness(np.arange(FARTHEST_MM + 1, dtype=np.int16))
-        )
-        self._near = self._near.to(self.device)
-        worlds = env.num_envs
-        inputs = layout.inputs
-        size = inputs.image_size if layout.image_keys else 0
-        frames = (len(layout.image_keys), size, size)
-        self._vectors = torch.zeros(
-            worlds, inputs.history, layout.width, device=self.device
-        )
-        self._images = torch.zeros(
-            worlds, inputs.history, *frames, dtype=torch.uint8, device=self.device
-        )
-        self._codes = torch.zeros(worlds, layout.condition_width, device=self.device)
+        self._encoder = ObservationEncoder(env, layout)
+        self._numpy = isinstance(env.state.robot_q, np.ndarray)
+        self.device = torch.as_tensor(env.state.robot_q).device
         self._horizon = float(max(horizons(env.task_config)))
 
-    def begin(self, fresh: Tensor, info: Mapping[str, Any]) -> None:
-        """Set the subtask condition of the worlds in ``fresh`` (W,) bool from their new episodes."""
-        layout = self._layout
-        if not layout.condition_width:
-            return
-        for world in torch.nonzero(fresh).flatten().tolist():
-            episode = self._episode(info, world)
-            first = episode["plan"][0]
-            sentence = episode["instructions"][0] if layout.inputs.sentence else ""
-            code = layout.condition(first["kind"], kind_of(first["target"]), sentence)
-            self._codes[world] = torch.from_numpy(code).to(self.device)
+    def begin(self, fresh: Tensor) -> None:
+        """Episodes begin in the worlds of ``fresh`` (W,) bool."""
+        self._encoder.begin(self._array(fresh))
 
-    def _episode(self, info: Mapping[str, Any], world: int) -> Mapping[str, Any]:
-        described = info.get("episode_spec")
-        if described is None:
-            return self._env.episode_spec(world)  # type: ignore[attr-defined]
-        return described[world]
+    def executed(self, actions: Tensor) -> None:
+        """Tell which actions (W, A) are executed before the next observation."""
+        self._encoder.executed(self._array(actions))
 
     def see(
-        self,
-        obs: Mapping[str, Any],
-        info: Mapping[str, Any],
-        last: Tensor,
-        fresh: Tensor,
-        again: bool = False,
+        self, obs: Mapping[str, Any], info: Mapping[str, Any], again: bool = False
     ) -> Seen:
-        """Convert the observations of one step.
-
-        Args:
-            obs: observations. info: of the same step.
-            last: (W, A) actions of the previous step. fresh: (W,) bool, worlds whose episodes start here.
-            again: only the fresh worlds have changed since the last call; the histories of the others stay.
-        """
-        parts = [torch.as_tensor(obs["state"]).float()]
-        inputs = self._layout.inputs
-        if inputs.base_velocity:
-            state = self._env.state
-            parts.append(torch.as_tensor(base_velocity(state.robot_q, state.robot_qd)))
-        if inputs.link_state:
-            parts.append(torch.as_tensor(self._env.link_state()))
-        if inputs.previous_action:
-            parts.append(last)
-        if self._layout.condition_width:
-            parts.append(self._codes)
-        vector = torch.cat(parts, dim=1)[:, None]
-        images = self._frames(obs)[:, None]
-        if inputs.history == 1:
-            self._vectors = vector
-            self._images = images
-        else:
-            self._vectors = _shifted(self._vectors, vector, fresh, again)
-            self._images = _shifted(self._images, images, fresh, again)
+        """Convert the observations of one step, see `ObservationEncoder.encode`."""
+        encoded = self._encoder.encode(obs, info, again)
         return Seen(
-            self._vectors.flatten(1),
-            self._images.flatten(1, 2),
+            torch.as_tensor(encoded.vector),
+            torch.as_tensor(encoded.images),
             self._privileged_of(info),
         )
 
-    def _frames(self, obs: Mapping[str, Any]) -> Tensor:
-        """Images (W, cameras, height, width) uint8 of one step."""
-        keys = self._layout.image_keys
-        if not keys:
-            return self._images[:, -1]
-        depths = [torch.as_tensor(obs[key])[..., 0] for key in keys]
-        return torch.stack(
-            [self._near[depth.clamp(min=0).long()] for depth in depths], dim=1
-        )
+    def _array(self, values: Tensor) -> Any:
+        """The values in the library of the environment."""
+        return values.numpy() if self._numpy else values
 
     def _privileged_of(self, info: Mapping[str, Any]) -> Tensor:
         worlds = self._env.num_envs
@@ -205,10 +133,3 @@ class Sight:
         parts = (state.robot_q, state.robot_qd, state.link_q, state.link_qd)
         joints = sum(part.shape[1] for part in parts)
         return joints + 3 + len(PRIVILEGED_CHECKS)
-
-
-def _shifted(history: Tensor, now: Tensor, fresh: Tensor, again: bool) -> Tensor:
-    """Append ``now`` (W, 1, ...) to a history (W, H, ...); fresh worlds get a history of ``now`` only."""
-    moved = history if again else torch.cat([history[:, 1:], now], dim=1)
-    mask = fresh.view(-1, *[1] * (now.dim() - 1))
-    return torch.where(mask, now.expand_as(moved), moved)

@@ -117,10 +117,8 @@ class Worlds:
         if longest:
             drawn = stream(seed, "stagger").integers(1, longest + 1, self.count)
             self._left = torch.from_numpy(drawn).to(self.device)
-        self.sight.begin(every, info)
-        width = self.env.single_action_space.shape[0]
-        still = torch.zeros(self.count, width, device=self.device)
-        self.seen = self.sight.see(obs, info, still, every)
+        self.sight.begin(every)
+        self.seen = self.sight.see(obs, info)
         return self.seen
 
     def step(self, actions: Tensor) -> Transition:
@@ -144,13 +142,13 @@ class Worlds:
             ended = ended | (self._left == 0)
         self._count(info)
         succeeded = self._succeeded | torch.as_tensor(info["success"])
-        following = self.sight.see(obs, info, taken, self._none)
+        self.sight.executed(taken)
+        following = self.sight.see(obs, info)
         self.seen = following
         if bool(ended.any()):
             obs, info = self.env.reset(options={"reset_mask": self._mask(ended)})
-            self.sight.begin(ended, info)
-            taken = torch.where(ended[:, None], 0.0, taken)
-            self.seen = self.sight.see(obs, info, taken, ended, again=True)
+            self.sight.begin(ended)
+            self.seen = self.sight.see(obs, info, again=True)
         self._succeeded = succeeded & ~ended
         return Transition(
             reward,

@@ -89,14 +89,14 @@ class _Play:
         """
         device = self._session.worlds.device
         obs, info = self._begin_episodes()
-        still = torch.zeros(self.worlds, len(self._session.layout.actions))
-        seen = self._sight.see(obs, info, still, self._every)
+        seen = self._sight.see(obs, info)
         ended = torch.zeros(self.worlds, dtype=torch.bool)
         while not bool(ended.all()):
             executed = torch.from_numpy(self._expert.act(obs, info))
             intended = torch.from_numpy(self._expert.notes().intended)
             obs, reward, terminated, truncated, info = self._env.step(executed.numpy())
-            following = self._sight.see(obs, info, executed, ~self._every)
+            self._sight.executed(executed)
+            following = self._sight.see(obs, info)
             paid, over = self._session.worlds.rules.apply(
                 torch.from_numpy(reward).float(), torch.from_numpy(terminated), info
             )
@@ -116,5 +116,5 @@ class _Play:
         obs, info = self._env.reset(seed=seed)
         self._begun = True
         self._expert.reset(self._every.numpy())
-        self._sight.begin(self._every, info)
+        self._sight.begin(self._every)
         return obs, info

@@ -20,11 +20,11 @@ from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.learning.demos import (
     SUCCESSES,
-    lacks_states,
     nothing_to_learn,
     recorded_profile,
 )
 from mjhab.learning.layout import image_options
+from mjhab.learning.observation.recorded import lacks_states
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession
 from mjhab.learning.reinforcement.sight import Seen, Sight
@@ -162,17 +162,14 @@ class _Player:
             env.num_envs - count
         )
         indices = np.array([episode.record.index for episode in batch])
-        _, info = env.reset(
-            seed=seeds, options={"episode": indices, "reset_mask": mine.numpy()}
-        )
+        env.reset(seed=seeds, options={"episode": indices, "reset_mask": mine.numpy()})
         for world, episode in enumerate(batch):
             # This version may generate another start state, so the recorded one is set.
             env.set_state(world, episode.initial())
-        self._sight.begin(mine, info)
+        self._sight.begin(mine)
         recorded = [episode.array("actions") for episode in batch]
         longest = max(len(actions) for actions in recorded)
         seen: Seen | None = None
-        fresh = mine
         for t in range(longest):
             actions = np.zeros((env.num_envs, self._width), np.float32)
             for world, rows in enumerate(recorded):
@@ -180,8 +177,8 @@ class _Player:
                     actions[world] = rows[t]
             obs, reward, terminated, _, info = env.step(actions)
             taken = torch.from_numpy(actions)
-            following = self._sight.see(obs, info, taken, fresh)
-            fresh = torch.zeros_like(mine)
+            self._sight.executed(taken)
+            following = self._sight.see(obs, info)
             active = torch.tensor([w for w, rows in enumerate(recorded) if t < len(rows)])
             if seen is not None:
                 paid, ended = self._rules.apply(

@@ -1,0 +1,1 @@
+"""What a learned policy sees: parts, their names and widths, and the one encoder of them."""

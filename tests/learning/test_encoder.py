@@ -1,0 +1,224 @@
+"""Demonstrations, acting policies and agents of reinforcement see the same numbers, whatever they see."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from mjhab.core.errors import UsageError
+from mjhab.core.rotations import quat_rotate
+from mjhab.data.record.recorder import Recorder
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.reading import open_shard
+from mjhab.data.store.shard import ShardWriter
+from mjhab.envs import make
+from mjhab.learning.batches import take_chunks
+from mjhab.learning.checkpoint import load_checkpoint
+from mjhab.learning.configs import PRESETS, InputConfig
+from mjhab.learning.demos import read_episode
+from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
+from mjhab.learning.observation.parts import VECTOR_PARTS
+from mjhab.learning.policy_kind import members
+from mjhab.learning.reinforcement.configs import PRESETS as AGENT_PRESETS
+from mjhab.learning.reinforcement.sight import Sight
+from mjhab.learning.shipped_kind import shipped
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import RandomPolicy
+
+SIZE = 16
+STEPS = 9
+WORLDS = 2
+TARGET = "kitchen_counter/drawer3"
+
+
+def all_inputs() -> dict[str, InputConfig]:
+    """Inputs of every preset and shipped checkpoint, and with every option on, by name; images of 16 px."""
+    found = {
+        f"{algorithm}/{name}": preset.student.inputs
+        for algorithm, presets in PRESETS.items()
+        for name, preset in presets.items()
+    }
+    found |= {
+        f"{algorithm}/{name}": preset.inputs
+        for algorithm, presets in AGENT_PRESETS.items()
+        for name, preset in presets.items()
+    }
+    found |= {
+        f"shipped/{name}": load_checkpoint(members(spec)[0]).config.inputs
+        for name, spec in shipped().items()
+    }
+    found["everything"] = InputConfig(
+        history=3, base_velocity=True, target_in_hand=True, sentence=True
+    )
+    small = {
+        name: dataclasses.replace(inputs, image_size=SIZE if inputs.cameras else 0)
+        for name, inputs in found.items()
+    }
+    return {name: inputs for name, inputs in small.items() if not inputs.link_state}
+
+
+INPUTS = all_inputs()
+
+
+class InTorch:
+    """An environment whose arrays are tensors, as on a device."""
+
+    def __init__(self, env: Any) -> None:
+        self.num_envs = env.num_envs
+        self._env = env
+
+    @property
+    def state(self) -> Any:
+        state = self._env.state
+        return SimpleNamespace(
+            robot_q=torch.as_tensor(state.robot_q),
+            robot_qd=torch.as_tensor(state.robot_qd),
+        )
+
+    def link_state(self) -> torch.Tensor:
+        return torch.as_tensor(self._env.link_state())
+
+
+class Watching(RandomPolicy):
+    """Acts at random, and keeps what encoders of all inputs make of it."""
+
+    def __init__(self, env: Any, specs: Mapping[str, Layout]) -> None:
+        super().__init__(3)
+        self.specs = specs
+        self.numpy = {n: ObservationEncoder(env, spec) for n, spec in specs.items()}
+        self.torch = {
+            n: ObservationEncoder(InTorch(env), spec) for n, spec in specs.items()
+        }
+        self.agents = {n: Sight(env, spec, privileged=False) for n, spec in specs.items()}
+        self.seen: dict[str, list[list[Any]]] = {n: [] for n in specs}
+
+    def reset(self, mask: np.ndarray) -> None:
+        super().reset(mask)
+        for name in self.numpy:
+            self.numpy[name].begin(mask)
+            self.torch[name].begin(torch.from_numpy(mask.copy()))
+            self.agents[name].begin(torch.from_numpy(mask.copy()))
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        tensors = {
+            key: torch.as_tensor(value)
+            for key, value in obs.items()
+            if isinstance(value, np.ndarray)
+        }
+        actions = super().act(obs, info)
+        for name, kept in self.seen.items():
+            kept.append(
+                [
+                    self.numpy[name].encode(obs, info),
+                    self.torch[name].encode(tensors, info),
+                    self.agents[name].see(obs, info),
+                ]
+            )
+            self.numpy[name].executed(actions)
+            self.torch[name].executed(torch.as_tensor(actions))
+            self.agents[name].executed(torch.as_tensor(actions))
+        return actions
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Watching, Path, Any]:
+    env: Any = make(
+        task="set_table",
+        subtask="open",
+        target=TARGET,
+        home="builtin_m0_00",
+        split="train",
+        obs_mode="depth",
+        camera_size=SIZE,
+        num_envs=WORLDS,
+        threads=1,
+        autoreset="disabled",
+    )
+    specs = {name: layout_of(env, inputs, (TARGET,)) for name, inputs in INPUTS.items()}
+    policy = Watching(env, specs)
+    path = tmp_path_factory.mktemp("watched") / "a.h5"
+    with ShardWriter(path) as writer:
+        recorder = Recorder(writer, env, {"name": "random"}, images=ImageFormat())
+        rollout(env, policy, list(range(WORLDS)), 0, [recorder], max_steps=STEPS)
+    return policy, path, env
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_all_ways_to_an_observation_give_the_same_bits(
+    name: str, watched: tuple[Watching, Path, Any]
+) -> None:
+    policy, path, _ = watched
+    spec = policy.specs[name]
+    with open_shard(path) as shard:
+        recorded = sorted(shard, key=lambda episode: episode.record.index)
+        for world, episode in enumerate(recorded):
+            data = read_episode(episode, spec, hold_steps=-1)
+            chunks = take_chunks(data, np.arange(STEPS), 1, spec.inputs.history)
+            for step, ways in enumerate(policy.seen[name]):
+                for seen in ways:
+                    vector = np.asarray(seen.vector[world])
+                    images = np.asarray(seen.images[world])
+                    np.testing.assert_array_equal(vector, chunks.vector[step])
+                    np.testing.assert_array_equal(images, chunks.images[step])
+                    assert vector.dtype == np.float32 and images.dtype == np.uint8
+    assert chunks.vector.shape[1] == spec.inputs.history * spec.width
+
+
+def test_the_presets_use_every_part_but_those_that_a_recording_lacks() -> None:
+    used = {
+        part.name
+        for part in VECTOR_PARTS
+        if any(part.used(inputs) for inputs in INPUTS.values())
+    }
+    assert {part.name for part in VECTOR_PARTS} - used == {"link_state"}
+
+
+def test_told_parts_follow_the_normalized_ones() -> None:
+    """`Normalizer.fit` measures the first columns only."""
+    flags = [part.normalized for part in VECTOR_PARTS]
+    assert flags == sorted(flags, reverse=True)
+
+
+def test_the_target_in_the_hand_is_the_handle_seen_from_the_tcp(
+    watched: tuple[Watching, Path, Any],
+) -> None:
+    policy, _, _ = watched
+    spec = policy.specs["everything"]
+    seen: EncodedObs = policy.seen["everything"][-1][0]
+    now = seen.vector[:, -spec.width :]
+    columns: dict[str, np.ndarray] = {}
+    at = 0
+    for key, width in spec.entries:
+        columns[key] = now[:, at : at + width].astype(np.float64)
+        at += width
+    tcp = columns["extra/tcp_pose_wrt_base"]
+    hand = columns["target_in_hand/position"]
+    goal = columns["extra/goal_pos_wrt_base"]
+    np.testing.assert_allclose(
+        tcp[:, :3] + quat_rotate(tcp[:, 3:], hand), goal, atol=1e-5
+    )
+    np.testing.assert_allclose(
+        columns["target_in_hand/near"], np.tanh(hand / 0.1), atol=1e-5
+    )
+    np.testing.assert_allclose(
+        columns["target_in_hand/close"], np.tanh(hand / 0.02), atol=1e-5
+    )
+
+
+def test_the_target_in_the_hand_needs_the_tasks_state() -> None:
+    inputs = InputConfig(cameras=(), image_size=0, target_in_hand=True)
+    spec = Layout(inputs, (("agent/qpos", 4),), ("a0",), (TARGET,), ("pd", "forward"))
+    env = SimpleNamespace(num_envs=1)
+    obs = {"state": np.zeros((1, 4), np.float32)}
+    plan = ({"kind": "open", "target": TARGET},)
+    info = {"episode_spec": [{"plan": plan}], "pointer": np.zeros(1, int)}
+    with pytest.raises(UsageError, match="extra/tcp_pose_wrt_base"):
+        ObservationEncoder(env, spec).encode(obs, info)  # type: ignore[arg-type]

@@ -187,3 +187,38 @@ def test_object_arrays_hold_the_objects_themselves(items: list[Any]) -> None:
     array = object_array(items)
     assert array.shape == (2,)
     assert all(held is item for held, item in zip(array, items, strict=True))
+
+
+def _turn(axis: int, angle: float) -> np.ndarray:
+    """Rotation about a fixed axis, written out."""
+    c = math.cos(angle)
+    s = math.sin(angle)
+    return {
+        0: np.array([[1, 0, 0], [0, c, -s], [0, s, c]]),
+        1: np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]),
+        2: np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]),
+    }[axis]
+
+
+@pytest.mark.parametrize("library", [np.asarray, torch.as_tensor])
+def test_euler_angles_are_turns_about_fixed_x_then_y_then_z(library: Any) -> None:
+    from scipy.spatial.transform import Rotation
+
+    half = math.pi / 2
+    cases = [RNG.uniform((-3.1, -1.5, -3.1), (3.1, 1.5, 3.1)) for _ in range(200)]
+    # Upside down, pointing straight down and up, and almost so.
+    cases += [np.array(c) for c in ((math.pi, 0, 0.4), (-3.1, 0.2, 3.1), (0, 0, math.pi))]
+    cases += [
+        np.array([0.3, sign * (half - off), -0.8])
+        for sign in (-1, 1)
+        for off in (0, 1e-9, 1e-5)
+    ]
+    mats = np.stack([_turn(2, c) @ _turn(1, b) @ _turn(0, a) for a, b, c in cases])
+    got = to_numpy(rot.euler_xyz(library(mats)))
+    back = np.stack([_turn(2, c) @ _turn(1, b) @ _turn(0, a) for a, b, c in got])
+    np.testing.assert_allclose(back, mats, atol=1e-7)
+    with pytest.warns(UserWarning, match="Gimbal lock"):
+        want = Rotation.from_matrix(mats).as_euler("xyz")
+    apart = np.abs((got - want + math.pi) % (2 * math.pi) - math.pi)
+    assert apart.max() < 1e-5
+    assert (np.abs(got[:, 1]) <= half).all()

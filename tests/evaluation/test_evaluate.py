@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import tracemalloc
 from collections.abc import Mapping
 from pathlib import Path
@@ -213,3 +214,52 @@ def test_default_folders_are_valid_names() -> None:
         library.default_out(spec, "ws://host:80/a b").name
         == "set_table_pick_ws-host-80-a-b_seed0"
     )
+
+
+class Drawing(ZeroPolicy):
+    """Draws from the global generators, as policies of others do."""
+
+    name = "drawing"
+
+    def __init__(self, env: RolloutEnv) -> None:
+        super().__init__()
+        import torch
+
+        self.drawn = [random.random(), np.random.rand(), float(torch.rand(()))]
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        self.drawn.append(np.random.rand())
+        return super().act(obs, info)
+
+
+def test_the_seed_of_the_run_seeds_the_global_generators(tmp_path: Path) -> None:
+    import torch
+
+    def drawn(seed: int, out: str) -> list[float]:
+        made: list[Drawing] = []
+
+        def make(env: RolloutEnv) -> Drawing:
+            made.append(Drawing(env))
+            return made[0]
+
+        mjhab.evaluate(make, episodes=2, seed=seed, films=0, out=tmp_path / out)
+        return made[0].drawn
+
+    def state() -> list[Any]:
+        legacy: Any = np.random.get_state()
+        return [
+            random.getstate(),
+            legacy[1].tolist(),
+            legacy[2:],
+            torch.get_rng_state().tolist(),
+        ]
+
+    before = state()
+    first = drawn(3, "a")
+    # Training goes on drawing as if there had been no evaluation.
+    assert state() == before
+    np.random.rand(5)
+    assert drawn(3, "b") == first and len(first) > 4
+    other = drawn(4, "c")
+    assert all(a != b for a, b in zip(first, other, strict=False))
+    assert drawn(2**40, "d")[0] != first[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from itertools import pairwise
 
@@ -103,6 +104,19 @@ def test_bound_multiplies_the_rates_of_subtasks_alone(
         and bound[3:11] == [0.5] * 8
         and bound[11:] == [0.4] * 5
     )
+
+
+def test_there_is_no_bound_of_what_nobody_tried(records: list[EpisodeRecord]) -> None:
+    stopped = [
+        dataclasses.replace(record, subtasks=(), completed=0, error="no answer")
+        for record in records
+    ]
+    assert progress_curves(stopped)[1] == [None] * len(SET_TABLE)
+    bound = progress_curves(stopped, {("navigate", ""): 0.5})[1]
+    assert bound[0] == 0.5 and bound[1:] == [None] * (len(SET_TABLE) - 1)
+    # What comes after a subtask that always fails is 0, tried or not.
+    assert progress_curves(stopped, {("navigate", ""): 0.0})[1] == [0.0] * len(SET_TABLE)
+    json.dumps(summarize(stopped, 1.0), allow_nan=False)
 
 
 def test_alone_rates_come_from_single_subtask_runs(records: list[EpisodeRecord]) -> None:

@@ -80,7 +80,7 @@ def an_ask(image: bool = True) -> Ask:
         state=np.arange(42, dtype=np.float32),
         arm=np.zeros(7, np.float32),
         gripper=0.25,
-        tcp=np.zeros(6, np.float32),
+        tcp=np.array([0.5, 0.1, 0.8, 1.0, 0.0, 0.0, 0.0]),
         prompt="pick up the bowl",
         session="s1",
         chunk=4,

@@ -59,7 +59,7 @@ def test_an_answer_is_what_was_sent(dialect: str) -> None:
     images = [
         v for v in policy.seen[0].values() if isinstance(v, np.ndarray) and v.ndim == 3
     ]
-    assert len(images) == 2 and all((image == 7).all() for image in images)
+    assert len(images) >= 2 and all((image == 7).all() for image in images)
 
 
 def test_a_batch_holds_all_worlds() -> None:

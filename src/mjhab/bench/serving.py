@@ -178,7 +178,7 @@ def _ask() -> Ask:
         state=np.zeros(42, np.float32),
         arm=np.zeros(7, np.float32),
         gripper=0.0,
-        tcp=np.zeros(6, np.float32),
+        tcp=np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
         prompt="pick up the bowl",
         session="bench",
         chunk=1,

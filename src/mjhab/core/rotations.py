@@ -13,6 +13,8 @@ from mjhab.core.arrays import Array, Table, cast, constant, namespace, norm3
 IDENTITY = Table(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 """The rotation matrix (3, 3) that turns nothing."""
 
+_LOCKED = 1e-7
+"""Cosine of the second of three Euler angles under which the two others turn about one line."""
 _SIGN_WEIGHTS = (8.0, 4.0, 2.0, 1.0)
 """Each is more than the sum of those behind it: the weighted sum of signs has the sign of the first that is not 0."""
 
@@ -205,6 +207,26 @@ def rotation_vector(rot: Array) -> Array:
         sin_half > 1e-9, angle / xp.maximum(sin_half, constant((1e-12,), sin_half)), 2.0
     )
     return quat[..., 1:] * scale[..., None]
+
+
+def euler_xyz(rot: Array) -> Array:
+    """Return the Euler angles (..., 3) [rad] of rotation matrices (..., 3, 3): turns about fixed x, then y, then z.
+
+    So ``rot = Rz(third) @ Ry(second) @ Rx(first)``, the second angle in [-pi/2, pi/2], the others in [-pi, pi]. Where
+    the second is ±pi/2, only a sum of the others is determined; the third is 0 then, as in
+    ``scipy.spatial.transform.Rotation.as_euler("xyz")``.
+    """
+    xp = namespace(rot)
+    level = xp.sqrt(rot[..., 0, 0] ** 2 + rot[..., 1, 0] ** 2)
+    free = level > _LOCKED
+    first = xp.where(
+        free,
+        xp.atan2(rot[..., 2, 1], rot[..., 2, 2]),
+        xp.atan2(-rot[..., 1, 2], rot[..., 1, 1]),
+    )
+    second = xp.atan2(-rot[..., 2, 0], level)
+    third = xp.where(free, xp.atan2(rot[..., 1, 0], rot[..., 0, 0]), 0.0)
+    return xp.stack([first, second, third], axis=-1)
 
 
 def mat_from_rotation_vector(vector: Array) -> Array:

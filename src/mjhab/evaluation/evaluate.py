@@ -19,6 +19,7 @@ import numpy as np
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.global_random import SeededGlobals
 from mjhab.core.typed.options import take_types
 from mjhab.core.version import __version__
 from mjhab.evaluation.own_policy import (
@@ -46,7 +47,7 @@ from mjhab.reports.metrics import (
 from mjhab.reports.run import render_report
 from mjhab.rollout.films import Film, FilmSink
 from mjhab.rollout.loop import plain, rollout
-from mjhab.rollout.policy import Policy, RolloutEnv, Timed
+from mjhab.rollout.policy import Clipped, Policy, RolloutEnv, Timed
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
@@ -62,6 +63,8 @@ PolicyLike = str | Policy | Callable[..., Policy]
 """A specification for `resolve_policy`, a policy object, or a class or function that makes one."""
 Spec = TypeVar("Spec")
 """`EvalSpec`, or another dataclass of options that is used like it."""
+REQUEST_FACTS = ("latency_ms", "out_of_range")
+"""Entries of a summary about the requests of a policy, see `requests_of`."""
 FILM_QUALITY = 27
 """x264 constant rate factor. The film of a whole chain takes a few MB, because the report embeds it."""
 NOT_IN_CONFIG = frozenset(
@@ -89,7 +92,9 @@ class EvalSpec:
     task. target: only this object or furniture link of the subtask; None for all. instruction: sentence that the policy
     is told in all episodes of the subtask, in place of their own; None for these.
     episodes: number of episodes, with indices 0 to N-1. worlds: number of parallel worlds. seed: of the run. Seed and
-    index determine an episode, so it is the same for every policy.
+    index determine an episode, so it is the same for every policy. The global generators of Python, numpy and torch
+    begin from it, too, for policies that draw from them, and are put back afterwards; what such a policy does depends
+    on ``worlds`` and ``resume`` all the same.
     split, home, assets, episodes_file, spawns, navigate, threads: as in `EnvConfig`; None for "".
     env: further fields of `EnvConfig`, e.g. ``{"obs_mode": "depth", "camera_size": 64}``; they take precedence over
     the policy's ``env_options``.
@@ -252,16 +257,18 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     alone = read_alone(spec.alone)
     if not _anything_left(path, spec):
         with RunFolder.open(path, config, resume=spec.resume) as folder:
-            latency_ms = folder.earlier_latency_ms()
-            return finish(folder, folder.earlier_seconds(), None, alone, latency_ms)
+            requests = folder.earlier_requests(REQUEST_FACTS)
+            return finish(folder, folder.earlier_seconds(), None, alone, requests)
     env = make_env(spec, env_options(spec, facts))
     policy = None
     try:
-        policy = make_policy(spec, env)
-        with RunFolder.open(
-            path, config, resume=spec.resume, overwrite=spec.overwrite
-        ) as folder:
-            return _run(spec, env, policy, folder, sinks, alone)
+        with SeededGlobals(spec.seed) as random:
+            policy = make_policy(spec, env)
+            random.take_torch()
+            with RunFolder.open(
+                path, config, resume=spec.resume, overwrite=spec.overwrite
+            ) as folder:
+                return _run(spec, env, policy, folder, sinks, alone)
     finally:
         close_policy(policy)
         env.close()
@@ -295,7 +302,7 @@ def _run(
         earlier + time.perf_counter() - started,
         films.problem,
         alone,
-        latency(policy),
+        requests_of(policy),
     )
     if interrupted:
         raise EvaluationInterrupted(run)
@@ -309,18 +316,25 @@ def close_policy(policy: Policy | None) -> None:
         close()
 
 
-def latency(policy: Policy) -> dict[str, float | None] | None:
-    """Median and 99th percentile of the duration of a policy's requests [ms].
+def requests_of(policy: Policy) -> dict[str, Any]:
+    """What is known of the requests of a policy that is asked elsewhere, as part of a summary; empty for others.
 
     Returns:
-        "p50" and "p99", both None if no request was answered; None for a policy that does not measure.
+        "latency_ms": median "p50" and 99th percentile "p99" of their duration [ms], both None if none was answered.
+        "out_of_range": number of values of its actions that were clipped, by entry of the action.
     """
-    if not isinstance(policy, Timed):
-        return None
-    if not policy.latency_ms:
-        return {"p50": None, "p99": None}
-    p50, p99 = np.percentile(policy.latency_ms, [50, 99])
-    return {"p50": round(float(p50), 3), "p99": round(float(p99), 3)}
+    facts: dict[str, Any] = {}
+    if isinstance(policy, Timed):
+        facts["latency_ms"] = {"p50": None, "p99": None}
+        if policy.latency_ms:
+            p50, p99 = np.percentile(policy.latency_ms, [50, 99])
+            facts["latency_ms"] = {
+                "p50": round(float(p50), 3),
+                "p99": round(float(p99), 3),
+            }
+    if isinstance(policy, Clipped):
+        facts["out_of_range"] = dict(policy.out_of_range)
+    return facts
 
 
 def describe_policy(policy: PolicyLike) -> PolicyFacts:
@@ -453,16 +467,15 @@ def finish(
     seconds: float,
     film_problem: str | None,
     alone: AloneRates | None,
-    latency_ms: Mapping[str, float | None] | None = None,
+    requests: Mapping[str, Any] | None = None,
 ) -> Run:
-    """Write summary.json and report.html from the records in the folder; ``latency_ms``: see `latency`."""
+    """Write summary.json and report.html from the records in the folder; ``requests``: see `requests_of`."""
     records = folder.records
     summary = {
         "profile": folder.config.get("profile"),
         **summarize(records, seconds, alone),
+        **(requests or {}),
     }
-    if latency_ms is not None:
-        summary["latency_ms"] = dict(latency_ms)
     rows = {"along_the_plan": rows_by_position(records), "by_kind": rows_by_kind(records)}
     folder.write_summary(
         {

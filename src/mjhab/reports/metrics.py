@@ -69,12 +69,13 @@ def alone_rates(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float
 
 def progress_curves(
     records: Sequence[EpisodeRecord], alone: AloneRates | None = None
-) -> tuple[list[float], list[float]]:
+) -> tuple[list[float], list[float | None]]:
     """Return progressive completion and its independent upper bound, each with one value per position of the plan.
 
     The bound is the running product of the subtasks' success rates. If ``alone`` has a rate for the kind (preferably
     for the target), it is the rate from a spawned start; else it is the rate in this run among the episodes that
-    reached the subtask. Without any ``alone`` rate the bound equals the curve.
+    reached the subtask. Without any ``alone`` rate the bound equals the curve. It is None from the first subtask on
+    whose rate is unknown, since no episode ended it (the policy failed before, for instance).
     """
     rows = rows_by_position(records)
     if not rows:
@@ -82,13 +83,13 @@ def progress_curves(
     known = alone or {}
     rates = []
     for row in rows:
-        in_chain = row.successes / row.reached if row.reached else 1.0
+        in_chain = row.successes / row.reached if row.reached else math.nan
         rates.append(
             known.get((row.kind, row.target), known.get((row.kind, ""), in_chain))
         )
     curve = progressive([record.completed for record in records], len(rows))
     return [round(float(v), 4) for v in curve], [
-        round(float(v), 4) for v in upper_bound(rates)
+        None if math.isnan(v) else round(float(v), 4) for v in upper_bound(rates)
     ]
 
 
@@ -104,10 +105,10 @@ def summarize(
 
     Returns:
         ``episodes``; ``success_once`` and ``success_at_end`` of whole episodes; ``progressive``: fraction of episodes
-        that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well; ``labels``: count
-        of every trajectory label; ``legacy_labels``: likewise by the rules of the published code; ``tainted``: number
-        of episodes whose simulation raised a flag (they are counted in all rates); ``errors``: number of episodes that
-        the policy could not finish, likewise counted; ``seconds``.
+        that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well, None where
+        nothing is known of it; ``labels``: count of every trajectory label; ``legacy_labels``: likewise by the rules of
+        the published code; ``tainted``: number of episodes whose simulation raised a flag (they are counted in all
+        rates); ``errors``: number of episodes that the policy could not finish, likewise counted; ``seconds``.
     """
     curve, bound = progress_curves(records, alone)
     subtasks = [subtask for record in records for subtask in record.subtasks]

@@ -61,9 +61,9 @@ def force_limits() -> dict[str, float]:
 
 
 def progress_figure(
-    rows: Sequence[SubtaskRow], curve: Sequence[float], bound: Sequence[float]
+    rows: Sequence[SubtaskRow], curve: Sequence[float], bound: Sequence[float | None]
 ) -> Figure:
-    """Progressive completion over the positions of the plan, with its upper bound."""
+    """Progressive completion over the positions of the plan, with its upper bound where it is known."""
     names = [f"{(row.position or 0) + 1} {row.kind}" for row in rows]
     hover = [f"{row.kind} {row.target}" for row in rows]
     common = {"x": names, "type": "scatter", "text": hover}

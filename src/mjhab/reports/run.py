@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -105,6 +106,13 @@ def _header(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> str:
         banner = (
             f'<div class="banner">Partial: {len(records)} of {wanted} episodes are finished. '
             "The same command with --resume continues the run.</div>"
+        )
+    errors = [record.error for record in records if record.error]
+    if errors:
+        reason, count = Counter(errors).most_common(1)[0]
+        banner += (
+            f'<div class="banner">The policy ended {len(errors)} of {len(records)} episodes with an error; they count '
+            f"as what they had reached. {count} of them: {escape(reason)}</div>"
         )
     title = escape(_title(config))
     return (

@@ -116,6 +116,16 @@ class Timed(Protocol):
         ...
 
 
+@runtime_checkable
+class Clipped(Protocol):
+    """A policy that counts the values of its actions that are out of range, which the environment clips."""
+
+    @property
+    def out_of_range(self) -> Mapping[str, int]:
+        """How many values of its actions were clipped so far, by entry of the action; only those that were."""
+        ...
+
+
 class ZeroPolicy:
     """Stands still: the all-zero action keeps every joint target and lets the gripper half open.
 

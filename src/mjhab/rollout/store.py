@@ -142,10 +142,12 @@ class RunFolder:
         except (TypeError, ValueError):
             return 0.0
 
-    def earlier_latency_ms(self) -> dict[str, float | None] | None:
-        """Entry "latency_ms" of the summary that the last start wrote; None without one."""
-        latency_ms = self._earlier_summary().get("latency_ms")
-        return latency_ms if isinstance(latency_ms, dict) else None
+    def earlier_requests(self, names: Sequence[str]) -> dict[str, Any]:
+        """Those of the named entries, all maps, that the summary of the last start has."""
+        summary = self._earlier_summary()
+        return {
+            name: summary[name] for name in names if isinstance(summary.get(name), dict)
+        }
 
     def _earlier_summary(self) -> dict[str, Any]:
         """The summary of the last start; empty if there is none that can be read."""

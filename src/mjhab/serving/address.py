@@ -23,10 +23,10 @@ class Address:
 
     uri: where it is. dialect: see `dialects`. execute: actions of a chunk that are executed before it is asked again.
     prompt: the instruction of the active "subtask", or of the whole "task". actions: name of an action space; "" for
-    the one that the server names. timeout: longest wait for an answer [s]. first_timeout: the same for the first answer
-    over a connection, before which servers compile; never shorter than timeout. reconnect: how long a lost server is
-    looked for [s]. batch: one request for all worlds, where the dialect has that; arrays have the worlds in front, also
-    when one is left.
+    the one that the server names. timeout: longest wait for an answer [s], for each world that is asked about at once.
+    first_timeout: the same for the first answer over a connection, before which servers compile, and for a connection
+    until the server has answered once; never shorter than timeout. reconnect: how long a lost server is looked for [s].
+    batch: one request for all worlds, where the dialect has that; arrays have the worlds in front, also if one is left.
 
     Raises:
         UsageError: an unknown name or a number out of range.

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import os
+import socket as sockets
+import struct
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 from websockets.exceptions import (
@@ -18,21 +23,28 @@ from websockets.sync.client import ClientConnection, connect
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.serving.address import TOKEN_VARIABLE, Address
-from mjhab.serving.dialects.dialect import RESET_DONE, Ask
+from mjhab.serving.dialects.dialect import OWN, RESET_DONE, Ask
 from mjhab.serving.dialects.names import answered_in, dialect_named, greeted_in
 from mjhab.serving.packing import ProtocolError, pack, unpack
+from mjhab.serving.patience import GREETING_TIMEOUT_S, RETRY_S, Patience
 
 MAX_ANSWER_BYTES = 64 << 20
-GREETING_TIMEOUT_S = 10.0
-RETRY_S = 0.2
-"""Time between two attempts to connect to a server [s]."""
+TCP_TIMEOUT_S = 10.0
+"""Longest wait for a TCP connection [s]: the system of a busy server takes it, that of no server refuses it."""
+LOOK_S = 1.0
+"""Time between two looks at how a server does while an answer is waited for [s]."""
 MAX_ATTEMPTS = 3
-"""Number of times that a request is sent before the episode fails, if the connection is lost each time."""
+"""Number of times that a request is sent before the episode fails, if the connection is lost each time and the server
+answers nothing else meanwhile."""
 _MOST_SHOWN = 300
 
 
 class PolicyFault(MjhabError):
     """A served policy gave no answer, or an answer without a valid action. It ends one episode, not the run."""
+
+
+class _NotNow(UsageError):
+    """There is no connection to the server, but there may be one later."""
 
 
 class Connection:
@@ -42,9 +54,10 @@ class Connection:
 
     Args:
         address: which server, and how it is asked.
+        patience: what is known of the server, shared by all connections to it; None for the only one.
     """
 
-    def __init__(self, address: Address) -> None:
+    def __init__(self, address: Address, patience: Patience | None = None) -> None:
         self.address = address
         self.metadata: Mapping[str, Any] = {}
         self.latency_ms: list[float] = []
@@ -52,7 +65,7 @@ class Connection:
         self._socket: ClientConnection | None = None
         self._asked = False
         self._understood = False
-        self._patience = address.reconnect
+        self._patience = patience or Patience(address)
 
     def greet(self) -> Mapping[str, Any]:
         """Connect, and return the metadata of the server.
@@ -76,7 +89,12 @@ class Connection:
                 cannot be made good.
             UsageError: the first answer is in another dialect.
         """
-        for _ in range(MAX_ATTEMPTS):
+        with self._patience.asking(len(asks), first=not self._asked):
+            return self._ask(asks, begins)
+
+    def _ask(self, asks: Sequence[Ask], begins: bool) -> np.ndarray:
+        attempts = 0
+        while attempts < MAX_ATTEMPTS:
             fresh = self._socket is None
             if fresh and not begins and self._dialect.remembers and self._asked:
                 self._asked = False
@@ -84,10 +102,18 @@ class Connection:
                     "the connection was lost in the middle of the episode, and with it what the server knew of it"
                 )
             self._reach()
+            answers = self._patience.answers
             try:
                 return self._exchange(asks, begins)
-            except (ConnectionClosed, OSError):
+            except ConnectionClosed as error:
                 self.close()
+                if _was_too_busy(error) and OWN not in self.metadata:
+                    # The process lives, and what it knows of the episode is not bound to the connection.
+                    self._asked = False
+            except OSError:
+                self.close()
+            # A server that answers other requests meanwhile is busy, not broken.
+            attempts = attempts + 1 if answers == self._patience.answers else 0
         raise PolicyFault(
             f"the server closed the connection {MAX_ATTEMPTS} times when it was asked"
         )
@@ -104,32 +130,51 @@ class Connection:
     def _exchange(self, asks: Sequence[Ask], begins: bool) -> np.ndarray:
         socket = self._socket
         assert socket is not None
-        address = self.address
-        timeout = (
-            address.timeout
-            if self._asked
-            else max(address.timeout, address.first_timeout)
-        )
         beginning = self._dialect.begin(asks[0].session) if begins else None
         if beginning is not None:
             socket.send(pack(beginning))
             if self._dialect.begin_answered:
-                self._check_reset(self._receive(timeout))
+                self._check_reset(self._receive())
         started = time.perf_counter()
-        socket.send(pack(self._dialect.request(asks, self.metadata, address.batch)))
-        message = self._receive(timeout)
+        request = self._dialect.request(asks, self.metadata, self.address.batch)
+        socket.send(pack(request))
+        message = self._receive()
         self._asked = True
+        self._patience.answered()
         self.latency_ms.append(1e3 * (time.perf_counter() - started))
         return self._actions(message, len(asks))
 
-    def _receive(self, timeout: float) -> str | bytes:
-        assert self._socket is not None
-        try:
-            return self._socket.recv(timeout)
-        except TimeoutError:
-            # A late answer must not be taken for that to the next request.
-            self.close()
-            raise PolicyFault(f"no answer within {timeout:g} s") from None
+    def _receive(self) -> str | bytes:
+        """The next message, waited for as long as the server may be at work.
+
+        Raises:
+            PolicyFault: none came.
+        """
+        socket = self._socket
+        assert socket is not None
+        sent = time.monotonic()
+        alive = sent
+        pong: threading.Event | None = None
+        while True:
+            first = not self._asked
+            due = self._patience.answer_due(sent, first)
+            if OWN in self.metadata:
+                # Servers of mjhab answer pings while their policy plans; those of others may hang and answer them.
+                if pong is None or pong.is_set():
+                    alive = time.monotonic()
+                    pong = socket.ping()
+                longest = sent + self._patience.longest()
+                due = max(due, min(alive + self.address.timeout, longest))
+            left = due - time.monotonic()
+            if left <= 0.0:
+                break
+            with suppress(TimeoutError):
+                return socket.recv(min(left, LOOK_S))
+        # A late answer must not be taken for that to the next request.
+        self.close()
+        self._patience.was_in_vain()
+        waited = round(time.monotonic() - sent, 1)
+        raise PolicyFault(f"no answer within {waited:g} s")
 
     def _check_reset(self, answer: str | bytes) -> None:
         if answer not in (RESET_DONE, RESET_DONE.encode(), pack(RESET_DONE)):
@@ -159,62 +204,119 @@ class Connection:
         Raises:
             PolicyFault: it did not come back.
         """
-        until = time.monotonic() + self._patience
+        until = time.monotonic() + self._patience.for_return()
         while self._socket is None:
             try:
                 self._connect()
-            except UsageError as error:
+            except _NotNow as error:
                 if time.monotonic() > until:
                     # One wait was in vain; the episodes to come are not to wait as long again.
-                    self._patience = RETRY_S
+                    self._patience.was_in_vain()
                     raise PolicyFault(str(error)) from error
                 time.sleep(RETRY_S)
-        self._patience = self.address.reconnect
+            except UsageError as error:
+                raise PolicyFault(str(error)) from error
 
     def _connect(self) -> None:
-        token = os.environ.get(TOKEN_VARIABLE)
-        headers = {"Authorization": f"Api-Key {token}"} if token else None
-        try:
-            socket = connect(
-                self.address.uri,
-                compression=None,
-                max_size=MAX_ANSWER_BYTES,
-                additional_headers=headers,
-                open_timeout=GREETING_TIMEOUT_S,
-                proxy=None,
-            )
-        except InvalidStatus as error:
-            raise UsageError(
-                _refusal(self.address.told, error.response.status_code)
-            ) from error
-        except (InvalidHandshake, EOFError) as error:
-            raise UsageError(
-                f"{self.address.told} is no policy server, it speaks no websocket: {error}."
-            ) from error
-        except (OSError, TimeoutError, WebSocketException) as error:
-            raise UsageError(
-                f"no policy server at {self.address.told} ({error}). Start one, as in: mjhab serve expert --port "
-                f"{self.address.port}."
-            ) from error
-        try:
-            self.metadata = self._greeting(socket)
-        except UsageError:
-            socket.close()
-            raise
+        wait = self._patience.for_handshake()
+        with self._told_when_slow(wait):
+            socket = self._shaken_hands(wait)
+            try:
+                self.metadata = self._greeting(socket, wait)
+            except UsageError:
+                socket.close()
+                raise
+        self._patience.greeted()
         self._socket = socket
         self._asked = False
 
-    def _greeting(self, socket: ClientConnection) -> Mapping[str, Any]:
+    def _shaken_hands(self, wait: float) -> ClientConnection:
+        """A websocket to the server.
+
+        Raises:
+            UsageError: there is no server, or it is none of websockets.
+        """
+        told = self.address.told
+        token = os.environ.get(TOKEN_VARIABLE)
+        headers = {"Authorization": f"Api-Key {token}"} if token else None
+        line = self._tcp_connection()
+        try:
+            return connect(
+                self.address.uri,
+                sock=line,
+                compression=None,
+                max_size=MAX_ANSWER_BYTES,
+                additional_headers=headers,
+                open_timeout=wait,
+                # Pings keep the line open. Whether the server is stuck, the wait for its answer decides: one that
+                # computes in its event loop answers no pings.
+                ping_timeout=None,
+                proxy=None,
+            )
+        except InvalidStatus as error:
+            status = error.response.status_code
+            kind = _NotNow if status >= 500 else UsageError
+            raise kind(_refusal(told, status)) from error
+        except TimeoutError as error:
+            raise _NotNow(
+                f"{told} takes connections and says nothing for {wait:g} s: the server is busy or stuck, or it is none "
+                "of policies. --first-timeout is how long it is waited for."
+            ) from error
+        except (InvalidHandshake, EOFError) as error:
+            raise _NotNow(
+                f"{told} is no policy server, it speaks no websocket: {error}."
+            ) from error
+        except (OSError, WebSocketException) as error:
+            raise _NotNow(_absence(self.address, error)) from error
+
+    def _tcp_connection(self) -> sockets.socket:
+        parts = urlsplit(self.address.uri)
+        try:
+            line = sockets.create_connection(
+                (parts.hostname or "", parts.port or 0), TCP_TIMEOUT_S
+            )
+        except TimeoutError as error:
+            raise _NotNow(
+                f"{self.address.told} does not answer on the network within {TCP_TIMEOUT_S:g} s; is the host right, "
+                "and may it be reached from here?"
+            ) from error
+        except OSError as error:
+            raise _NotNow(_absence(self.address, error)) from error
+        line.settimeout(None)
+        _limit_sending(line, self._patience.longest())
+        return line
+
+    @contextmanager
+    def _told_when_slow(self, wait: float) -> Iterator[None]:
+        """Tell the user what is waited for if it takes long."""
+        address = self.address
+        note = threading.Timer(
+            GREETING_TIMEOUT_S,
+            self._patience.tell_once,
+            [
+                f"mjhab: {address.told} takes connections but has not greeted for {GREETING_TIMEOUT_S:g} s; it is "
+                f"waited for up to {wait:g} s, since it may be busy. Servers of vla-eval never greet: they are asked "
+                "by mjhab.integrations.vla_eval."
+            ],
+        )
+        note.daemon = True
+        note.start()
+        try:
+            yield
+        finally:
+            note.cancel()
+
+    def _greeting(self, socket: ClientConnection, wait: float) -> Mapping[str, Any]:
         address = self.address
         try:
-            message = socket.recv(GREETING_TIMEOUT_S)
+            message = socket.recv(wait)
         except TimeoutError:
-            raise UsageError(
-                f"{address.told} sent nothing within {GREETING_TIMEOUT_S:g} s, and servers of openpi, roboarena and "
+            raise _NotNow(
+                f"{address.told} sent nothing within {wait:g} s, and servers of openpi, roboarena and "
                 "behavior greet first; servers of vla-eval are asked by mjhab.integrations.vla_eval."
             ) from None
         except ConnectionClosed as error:
-            raise UsageError(
+            raise _NotNow(
                 f"{address.told} closed the connection at once: {error}."
             ) from error
         if isinstance(message, str):
@@ -242,6 +344,29 @@ def wrong_dialect(address: Address, spoken: str) -> UsageError:
     return UsageError(
         f"{address.told} speaks {spoken}, not {address.dialect}; give --dialect {spoken}."
     )
+
+
+def _was_too_busy(error: ConnectionClosed) -> bool:
+    """Whether the server closed the connection since its own event loop stood still for too long to see our pongs."""
+    return error.rcvd is not None and "ping timeout" in error.rcvd.reason
+
+
+def _absence(address: Address, error: Exception) -> str:
+    return (
+        f"no policy server at {address.told} ({error}). Start one, as in: mjhab serve expert --port "
+        f"{address.port}."
+    )
+
+
+def _limit_sending(line: sockets.socket, seconds: float) -> None:
+    """Let a message that the server does not read for so long end the connection, where the system can do that.
+
+    A timeout of the socket itself would end the thread that listens, too.
+    """
+    if hasattr(sockets, "SO_SNDTIMEO") and os.name == "posix":
+        whole = int(seconds)
+        limit = struct.pack("@ll", whole, int(1e6 * (seconds - whole)))
+        line.setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDTIMEO, limit)
 
 
 def _refusal(uri: str, status: int) -> str:

@@ -29,6 +29,8 @@ PORTS_TRIED = 50
 INTERNAL_ERROR = 1011
 GOING_AWAY = 1001
 """Close codes of the websocket protocol."""
+PONG_TIMEOUT_S = 600.0
+"""Longest wait for the pong of a client [s]: planning, or a client that compiles, may hold up both for long."""
 CLOSE_TIMEOUT_S = 1.0
 """Longest wait for the farewell of a client."""
 
@@ -113,6 +115,7 @@ class PolicyServer:
             process_request=self._admit,
             server_header=None,
             close_timeout=CLOSE_TIMEOUT_S,
+            ping_timeout=PONG_TIMEOUT_S,
             logger=_quiet_logger(),
         )
 

@@ -41,9 +41,11 @@ def upper_bound(success_rates: Sequence[float] | np.ndarray) -> np.ndarray:
     It is reached if every subtask of a plan starts as favourably as in its own evaluation.
 
     Args:
-        success_rates: (S,) success fraction of every subtask evaluated alone, in plan order.
+        success_rates: (S,) success fraction of every subtask evaluated alone, in plan order; NaN where it is unknown.
 
     Returns:
-        (S,) fractions.
+        (S,) fractions; NaN from the first unknown one on, unless a rate of 0 comes before it.
     """
-    return np.cumprod(np.asarray(success_rates, dtype=np.float64))
+    rates = np.asarray(success_rates, dtype=np.float64)
+    products = np.cumprod(rates)
+    return np.where(np.cumprod(np.nan_to_num(rates, nan=1.0)) == 0.0, 0.0, products)

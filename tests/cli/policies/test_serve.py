@@ -125,16 +125,23 @@ def test_json_has_latencies_whether_or_not_something_was_answered(
             "--camera-size",
             "16",
         ]
-        assert main([*command, *words, "--out", str(tmp_path / "run"), "--json"]) == 0
+        code = 1 if error else 0
+        run = main([*command, *words, "--out", str(tmp_path / "run"), "--json"])
+        assert run == code
         told = json.loads(capsys.readouterr().out.splitlines()[-1])
+        # Nothing is known of what the subtask would have been if the policy ended it.
+        assert told["upper_bound"] == ([None] if error else [told["success_once"]])
         assert told["latency_ms"].keys() == {"p50", "p99"}
         assert (told["latency_ms"]["p50"] is None) == ("no answer" in error)
         # Nothing is left to do: the latencies are those of the run.
         assert (
             main([*command, *words, "--out", str(tmp_path / "run"), "--json", "--resume"])
-            == 0
+            == code
         )
         again = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert again["latency_ms"] == told["latency_ms"]
+    assert again["out_of_range"] == told["out_of_range"] == {}
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert ("ended 1 of 1 episodes with an error" in page) == bool(error)
     record = json.loads((tmp_path / "run" / "episodes.jsonl").read_text())
     assert error in record.get("error", "")

@@ -9,11 +9,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.evaluation.evaluate import close_policy
+from mjhab.evaluation.evaluate import close_policy, requests_of
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
+from mjhab.evaluation.served.action_spaces import space_named
 from mjhab.evaluation.served.twin import Place, Twin, TwinResponder, TwinSession
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.configs import InputConfig
@@ -168,6 +170,81 @@ def test_a_policy_sees_images_state_and_the_instruction_and_its_chunks_are_execu
     np.testing.assert_array_equal(request["observation/state"], obs["state"][0])
     assert request["prompt"] == info["episode_spec"][0]["instruction"]
     assert policy.seen[-1]["prompt"] == "shut the drawer"
+
+
+def test_what_roboarena_is_sent_is_what_its_keys_mean() -> None:
+    """docs/serving.md, key by key, each by a formula of its own."""
+    policy = Constant(np.zeros((1, 13)))
+    with serving(policy, "roboarena") as server:
+        address = spec(server.port, "&dialect=roboarena&execute=1")
+        env = world(num_envs=2, obs_mode="rgb", camera_size=16)
+        served = resolve_policy(address, env)
+        obs, info = env.reset(seed=0)
+        served.reset(np.ones(2, bool))
+        served.act(obs, info)
+        close_policy(served)
+    model = env.layout.robot
+    bodies = env.sim.addresses.robot_body
+    order = sorted(policy.seen, key=lambda seen: seen["observation/state"].tolist())
+    worlds = sorted(range(2), key=lambda w: obs["state"][w].tolist())
+    for seen, w in zip(order, worlds, strict=True):
+        base, hand = bodies[model.base_link], bodies[model.tcp]
+        base_turn, hand_turn = (
+            Rotation.from_matrix(env.state.body_mat[w, body]) for body in (base, hand)
+        )
+        way = env.state.body_pos[w, hand] - env.state.body_pos[w, base]
+        place = base_turn.inv().apply(way)
+        turn = base_turn.inv() * hand_turn
+        sent = seen["observation/cartesian_position"].astype(float)
+        np.testing.assert_allclose(sent[:3], place, atol=1e-5)
+        apart = Rotation.from_euler("xyz", sent[3:]) * turn.inv()
+        assert apart.magnitude() < 1e-4
+        q = env.state.robot_q[w]
+        arm = [q[model.joints.index(name)] for name in model.group("arm")]
+        np.testing.assert_allclose(seen["observation/joint_position"], arm, rtol=1e-6)
+        fingers = [q[model.joints.index(name)] for name in model.group("fingers")]
+        closed = 1.0 - np.mean(fingers) / 0.05
+        np.testing.assert_allclose(
+            seen["observation/gripper_position"], [closed], atol=1e-6
+        )
+        assert isinstance(seen["session_id"], str)
+    assert len({seen["session_id"] for seen in policy.seen}) == 2
+
+
+@pytest.mark.parametrize(
+    ("space", "row", "counted", "told"),
+    [
+        (
+            "joint_position",
+            [9.0, 0, 0, 0, 0, 0, 0, 255.0],
+            {"shoulder_pan_joint": 2, "gripper": 2},
+            "255 for gripper, which goes from 0 to 1",
+        ),
+        (
+            "joint",
+            [*[0.0] * 11, 1.5, -1.00001],
+            {"base_forward": 2},
+            "1.5 for base_forward",
+        ),
+    ],
+)
+def test_values_out_of_range_are_told_once_and_counted(
+    space: str,
+    row: list[float],
+    counted: dict[str, int],
+    told: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with serving(Constant(np.array([row] * 3))) as server:
+        address = spec(server.port, f"&execute=1&actions={space}")
+        env = world(num_envs=1, control_mode=space_named(space).control_mode)
+        served = resolve_policy(address, env)
+        (record,) = rollout(env, served, [0], seed=0, max_steps=2)
+        assert requests_of(served)["out_of_range"] == counted
+        close_policy(served)
+    assert not record.error and record.steps == 2
+    said = capsys.readouterr().err
+    assert said.count("Values out of range are clipped") == 1 and told in said
 
 
 def test_the_action_space_of_a_server_is_taken_and_a_wrong_control_mode_refused() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -33,7 +34,10 @@ DISK_ADVICE = "Finished episodes are kept: free some space, then the same comman
 
 
 def run_eval(options: EvalOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (finished episodes are kept and reported)."""
+    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (finished episodes are kept and reported).
+
+    1 if the policy could not finish an episode, as `run_generate`.
+    """
     spec = eval_spec(options)
     interrupted = False
     with sigterm_interrupts(), with_way_on(DISK_ADVICE):
@@ -43,7 +47,9 @@ def run_eval(options: EvalOptions) -> int:
             run = stop.run
             interrupted = True
     _tell(options, run, interrupted)
-    return 130 if interrupted else 0
+    if interrupted:
+        return 130
+    return 1 if run.summary["errors"] else 0
 
 
 def run_demo(options: DemoOptions) -> int:
@@ -181,6 +187,13 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
             f"mjhab: the policy could not finish {summary['errors']} episodes; {count} of them: {reason}",
             file=sys.stderr,
         )
+    clipped: Mapping[str, int] = summary.get("out_of_range", {})
+    if clipped:
+        columns = ", ".join(f"{name} {number}" for name, number in clipped.items())
+        print(
+            f"mjhab: values of the policy's actions out of range, which were clipped: {columns}",
+            file=sys.stderr,
+        )
     if options.json:
         print_json(summary)
         return
@@ -188,16 +201,23 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
         _print_rows("Success per target", rows_by_kind(run.records))
     else:
         _print_rows("Success along the plan", rows_by_position(run.records))
-    print(
-        f"{summary['episodes']} episodes: success once {100 * summary['success_once']:.1f} %, at end "
-        f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
-    )
+    print(_result_line(summary))
     latency = summary.get("latency_ms", {"p50": None})
     if latency["p50"] is not None:
         print(
             f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms"
         )
     print(f"report: {run.report}")
+
+
+def _result_line(summary: Mapping[str, Any]) -> str:
+    episodes = summary["episodes"]
+    if episodes and summary["errors"] == episodes:
+        return f"{episodes} episodes, none of them finished: there is no success rate of this policy"
+    return (
+        f"{episodes} episodes: success once {100 * summary['success_once']:.1f} %, at end "
+        f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
+    )
 
 
 def _print_rows(title: str, rows: Sequence[SubtaskRow]) -> None:

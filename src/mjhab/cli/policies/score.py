@@ -32,7 +32,10 @@ MODES = {
 
 
 def run_score(options: ScoreOptions) -> int:
-    """Run the command; returns 0, 1 if a check finds episodes with another outcome, or 130 after Ctrl-C."""
+    """Run the command; returns 0, or 130 after Ctrl-C.
+
+    1 if a check finds episodes with another outcome, or the policy could not finish an episode.
+    """
     _check_options(options)
     if options.check:
         return _check(options.check, options)
@@ -95,7 +98,8 @@ def _score(options: ScoreOptions) -> int:
         print_json(_facts(result))
     else:
         _tell(result, spec.out)
-    return 0
+    # An episode that the policy could not finish says nothing of how good it is.
+    return 1 if result.summary["errors"] else 0
 
 
 def _default_out(options: ScoreOptions) -> Path:

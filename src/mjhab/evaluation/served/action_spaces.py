@@ -43,6 +43,8 @@ ACTION_SPACES: dict[str, ActionSpace] = {
 """Action spaces by name. joint: joint deltas and base speeds. ee: end effector delta, gripper and base speeds.
 joint_position, joint_velocity: arm and gripper, as in RoboArena."""
 DEFAULT_SPACE = "joint"
+ROUNDING = 1e-4
+"""Part of its range by which a value may be out of it without being called so."""
 
 
 def space_named(name: str) -> ActionSpace:
@@ -80,6 +82,15 @@ class ActionReader:
             )
         self.names = wanted
         self._columns = [names.index(column) for column in wanted]
+        entries = [table[column] for column in self._columns]
+        self._units = ["" if entry.normalized else f" {entry.unit}" for entry in entries]
+        bounds = [
+            (-1.0, 1.0) if entry.normalized else (entry.low, entry.high)
+            for entry in entries
+        ]
+        if self._space.closes:
+            bounds[wanted.index(GRIPPER)] = (0.0, 1.0)
+        self._low, self._high = np.array(bounds, np.float64).T
 
     def problem(self, chunk: np.ndarray) -> str:
         """Describe what is wrong with a policy's actions (H, A); "" if they are valid."""
@@ -90,6 +101,21 @@ class ActionReader:
             step, column = (int(k) for k in bad[0])
             return f"action {step} of the chunk has {chunk[step, column]} for {self.names[column]}"
         return ""
+
+    def outside(self, chunk: np.ndarray) -> np.ndarray:
+        """Which values of valid actions (H, A) the environment clips (H, A) bool, but for rounding."""
+        slack = ROUNDING * (self._high - self._low)
+        return (chunk < self._low - slack) | (chunk > self._high + slack)
+
+    def excess(self, chunk: np.ndarray) -> str:
+        """Describe the value of valid actions (H, A) that is farthest out of its range, one of those of `outside`."""
+        beyond = np.maximum(self._low - chunk, chunk - self._high)
+        farthest = np.argmax(beyond / (self._high - self._low))
+        step, column = (int(k) for k in np.unravel_index(farthest, chunk.shape))
+        return (
+            f"{chunk[step, column]:.4g}{self._units[column]} for {self.names[column]}, which goes from "
+            f"{self._low[column]:.4g} to {self._high[column]:.4g}"
+        )
 
     def read(self, chunk: np.ndarray) -> np.ndarray:
         """Convert valid actions (H, A) of a policy to environment actions (H, width) float32."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 import uuid
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.core.rotations import mat_from_quat, rotation_vector
+from mjhab.core.progress import say
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
@@ -20,6 +22,7 @@ from mjhab.evaluation.served.metadata import own_part, space_of
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection, PolicyFault
 from mjhab.serving.dialects.dialect import Ask
+from mjhab.serving.patience import Patience
 
 MAX_FAULT_CHARACTERS = 300
 """Largest length of the error message stored for an episode."""
@@ -67,7 +70,8 @@ class ServedPolicy:
         self._instruction = instruction
         self._env = env
         count = 1 if address.batch else env.num_envs
-        self._connections = [Connection(address) for _ in range(count)]
+        patience = Patience(address)
+        self._connections = [Connection(address, patience) for _ in range(count)]
         self._pool = ThreadPoolExecutor(count)
         metadata = self._connections[0].greet()
         own = own_part(metadata)
@@ -82,6 +86,8 @@ class ServedPolicy:
         self._needs = set(needs) if isinstance(needs, list) else set()
         self._config = describe_run(env, {}).config if self._needs else {}
         self._worlds = [_new_episode() for _ in range(env.num_envs)]
+        self._counting = threading.Lock()
+        self._outside: Counter[str] = Counter()
 
     @property
     def latency_ms(self) -> list[float]:
@@ -89,6 +95,11 @@ class ServedPolicy:
         return [
             value for connection in self._connections for value in connection.latency_ms
         ]
+
+    @property
+    def out_of_range(self) -> dict[str, int]:
+        """How many values of executed actions were out of range so far, by entry of the action."""
+        return dict(self._outside)
 
     def fault(self, world: int) -> str:
         """Error that ended the episode of a world, or ""."""
@@ -156,8 +167,28 @@ class ServedPolicy:
             if problem:
                 world.fault = _fault_text(problem)
             else:
+                self._count_outside(chunk[: self._address.execute])
                 world.chunk = self._reader.read(chunk)
                 world.place = 0
+
+    def _count_outside(self, chunk: np.ndarray) -> None:
+        """Count the values of a chunk (H, A) that the environment clips, and tell the first of them."""
+        outside = self._reader.outside(chunk)
+        if not outside.any():
+            return
+        found = {
+            name: int(number)
+            for name, number in zip(self._reader.names, outside.sum(0), strict=True)
+            if number
+        }
+        with self._counting:
+            is_first = not self._outside
+            self._outside.update(found)
+        if is_first:
+            say(
+                f"mjhab: {self._address.told} sends {self._reader.excess(chunk)}. Values out of range are clipped; how "
+                "many there were is counted."
+            )
 
     def _ask(self, w: int, obs: Any, info: Mapping[str, Any]) -> Ask:
         spec = info["episode_spec"][w]
@@ -179,7 +210,7 @@ class ServedPolicy:
             state=np.asarray(obs[STATE_KEY][w], np.float32),
             arm=np.asarray(q[list(robot.arm_columns)], np.float32),
             gripper=float(np.clip(1.0 - opened, 0.0, 1.0)),
-            tcp=_position_and_turn(obs[TCP_POSE][w]),
+            tcp=np.asarray(obs[TCP_POSE][w], np.float64),
             prompt=self._instruction or told,
             session=self._worlds[w].session,
             chunk=self._address.execute,
@@ -200,13 +231,6 @@ class ServedPolicy:
 
 def _new_episode() -> _Running:
     return _Running(uuid.uuid4().hex)
-
-
-def _position_and_turn(pose: np.ndarray) -> np.ndarray:
-    """Position [m] and rotation vector [rad] (6,) of a pose (7,)."""
-    pose = np.asarray(pose, np.float64)
-    turn = cast(np.ndarray, rotation_vector(mat_from_quat(pose[None, 3:])))[0]
-    return np.concatenate([pose[:3], turn]).astype(np.float32)
 
 
 def _fault_text(text: str) -> str:

@@ -20,8 +20,8 @@ class Ask:
 
     robot: its name. cameras: of the external and the wrist image, "" for a camera that the robot lacks.
     external, wrist: images (H, W, 3) uint8, None if not rendered. state: (S,) float32 proprioception and goals. arm:
-    (N,) positions of the arm's joints [rad]. gripper: 0 for an open gripper, 1 for a closed one. tcp: (6,) position [m]
-    and rotation vector [rad] in the frame of the base. prompt: the instruction. session: name of the episode's session.
+    (N,) positions of the arm's joints [rad]. gripper: 0 for an open gripper, 1 for a closed one. tcp: (7,) position [m]
+    and quaternion wxyz in the frame of the base. prompt: the instruction. session: name of the episode's session.
     chunk: largest number of actions in the answer. own: additional entries for servers of mjhab.
     """
 

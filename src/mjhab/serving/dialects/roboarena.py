@@ -1,7 +1,7 @@
 """Dialect roboarena (roboarena: roboarena/policy_server.py).
 
 ``endpoint`` says "infer" or "reset", the answer is an array (H, A) or the text `RESET_DONE`. The greeting tells which
-images are wanted. The keys of observations are those of DROID.
+images are wanted. The keys of observations are those of DROID (droid/franka/robot.py, droid/misc/transformations.py).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mjhab.core.rotations import euler_xyz, mat_from_quat
 from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
 from mjhab.serving.dialects.parts import (
     described,
@@ -50,14 +51,16 @@ class RoboArena:
         (ask,) = asks
         images: dict[str, Any] = {}
         if metadata.get("n_external_cameras", 1):
+            # roboarena counts external cameras from 0, DROID and the evaluation clients of roboarena from 1.
             images["observation/exterior_image_0_left"] = ask.external
+            images["observation/exterior_image_1_left"] = ask.external
         if metadata.get("needs_wrist_camera", True):
             images["observation/wrist_image_left"] = ask.wrist
         return present(images) | {
             "endpoint": "infer",
             "session_id": ask.session,
             "observation/joint_position": ask.arm,
-            "observation/cartesian_position": ask.tcp,
+            "observation/cartesian_position": cartesian_position(ask.tcp),
             "observation/gripper_position": np.array([ask.gripper], np.float32),
             "observation/state": ask.state,
             "prompt": ask.prompt,
@@ -82,3 +85,11 @@ class RoboArena:
 
     def answer(self, chunks: np.ndarray, incoming: Incoming, infer_ms: float) -> Any:
         return chunks[0]
+
+
+def cartesian_position(pose: np.ndarray) -> np.ndarray:
+    """DROID's form of a pose (7,), position [m] and quaternion wxyz: position and xyz Euler angles (6,) [m, rad]."""
+    pose = np.asarray(pose, np.float64)
+    turn = pose[3:] / np.linalg.norm(pose[3:])
+    angles = np.asarray(euler_xyz(mat_from_quat(turn)))
+    return np.concatenate([pose[:3], angles]).astype(np.float32)

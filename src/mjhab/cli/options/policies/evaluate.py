@@ -60,7 +60,8 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     worlds: Number = 8
     """Number of parallel episodes. Changes the speed, never the results."""
     seed: Number = 0
-    """Seed of the run; seed and index determine an episode."""
+    """Seed of the run; seed and index determine an episode. The global generators of numpy, torch and Python begin from
+    it, too, for policies that draw from them."""
     split: Name = "train"
     """Which homes: train, val or test."""
     assets: Assets = "builtin"

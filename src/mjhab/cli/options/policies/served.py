@@ -24,10 +24,11 @@ class ServedOptions:
     prompt: Annotated[str | None, tyro.conf.arg(metavar="subtask|task")] = None
     """With --policy ws://host:port: instruction in requests: of the active subtask (default) or of the whole task."""
     timeout: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """With --policy ws://host:port: longest wait for an answer; 30 s if absent."""
+    """With --policy ws://host:port: longest wait for an answer, for each world that is asked about at once; 30 s
+    if absent."""
     first_timeout: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """With --policy ws://host:port: longest wait for the first answer over a connection, before which servers compile;
-    300 s if absent. Never shorter than --timeout."""
+    """With --policy ws://host:port: longest wait for the first answer over a connection, before which servers compile,
+    and for a connection until then; 300 s if absent. Never shorter than --timeout."""
     batch: bool = False
     """With --policy ws://host:port and the dialect behavior: one request for all worlds."""
 

@@ -19,9 +19,9 @@ import numpy as np
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
 from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.global_random import SeededGlobals
 from mjhab.core.typed.options import take_types
 from mjhab.core.version import __version__
+from mjhab.evaluation.global_random import SeededGlobals
 from mjhab.evaluation.own_policy import (
     check_methods,
     check_policy,

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-rsl-rl test-rllib test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-rsl-rl test-rllib test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -158,6 +158,27 @@ $(SB3)/.ready: $(SETUP_FILES) | $(BIN)/python
 test-sb3: $(SB3)/.ready  ## stable-baselines3 trains in our environments
 	$(SB3)/bin/python -m pytest tests/adapters/check_sb3.py $(PYTEST_ARGS)
 
+SKRL := .venv-skrl
+$(SKRL)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing skrl into $(SKRL), once"
+	@"$(PYTHON)" -m venv $(SKRL)
+	@$(SKRL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest skrl==2.1.1
+	@touch $@
+
+test-skrl: $(SKRL)/.ready  ## skrl trains in our environments
+	$(SKRL)/bin/python -m pytest tests/adapters/check_skrl.py $(PYTEST_ARGS)
+
+MANISKILL := .venv-maniskill
+$(MANISKILL)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing mani_skill into $(MANISKILL), once"
+	@"$(PYTHON)" -m venv $(MANISKILL)
+	@$(MANISKILL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn]' pytest \
+	  mani_skill==3.0.1
+	@touch $@
+
+test-maniskill: $(MANISKILL)/.ready  ## ManiSkill's own reader takes exported data sets
+	$(MANISKILL)/bin/python -m pytest tests/adapters/check_maniskill.py $(PYTEST_ARGS)
+
 RSL_RL := .venv-rsl-rl
 $(RSL_RL)/.ready: $(SETUP_FILES) | $(BIN)/python
 	@echo "mjhab: installing rsl_rl into $(RSL_RL), once"
@@ -233,4 +254,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(RSL_RL) $(RLLIB) $(TORCHRL) $(ROBOSUITE) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(SKRL) $(MANISKILL) $(RSL_RL) $(RLLIB) $(TORCHRL) $(ROBOSUITE) src/*.egg-info

@@ -13,20 +13,22 @@ import pytest
 import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.wrappers import NumpyToTorch
+from gymnasium.wrappers import FlattenObservation, NumpyToTorch
 from gymnasium.wrappers.vector import DictInfoToList
+from gymnasium.wrappers.vector import FlattenObservation as VectorFlattenObservation
 from gymnasium.wrappers.vector import NumpyToTorch as VectorNumpyToTorch
 
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.core.typed.frozen import FrozenMap
 from mjhab.data.record.recorder import Recorder
+from mjhab.envs.device.env import DeviceEnv
 from mjhab.envs.observations.modes import STATE_KEY
 from mjhab.envs.observations.state import BASE_VELOCITY_KEY, state_dim
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.envs.single import OF_WORLDS, SingleEnv
 from mjhab.envs.spaces import nested
-from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
+from mjhab.envs.wrappers import FlattenStatePixels, FrameStack, NormalizeImages
 
 ENV_ID = "mjhab/CloseSubtaskTrain-v1"
 TARGET = "kitchen_counter/drawer3"
@@ -221,6 +223,100 @@ def test_keys_are_flat_or_nested() -> None:
     for refuse in (lambda: FrameStack(deep, 2), lambda: Recorder(None, deep, {})):  # type: ignore[arg-type]
         with pytest.raises(UsageError, match="flat"):
             refuse()
+
+
+@pytest.mark.parametrize("keys", ["flat", "nested"])
+@pytest.mark.parametrize("mode", ["state", "proprioception+depth"])
+def test_flattened_observations_hold_the_state_once(keys: str, mode: str) -> None:
+    options = {**OPTIONS, "obs_keys": keys, "obs_mode": mode, "camera_size": 16}
+    env = gymnasium.make(ENV_ID, **options, cameras=("fetch_hand",))
+    obs, _ = env.reset(seed=0)
+    flat = spaces.flatten(env.observation_space, obs)
+    state = obs[STATE_KEY]
+    others = 0 if mode == "state" else 16 * 16 + 9 + 16 + 12
+    assert flat.shape == (len(state) + others,)
+    assert spaces.flatdim(env.observation_space) == len(flat)
+    assert spaces.flatten_space(env.observation_space).contains(flat.astype(np.float32))
+    np.testing.assert_array_equal(flat[len(flat) - len(state) :], state)
+    back = spaces.unflatten(env.observation_space, flat)
+    assert list(back) == list(env.observation_space.spaces)
+    for key, value in leaves(obs).items():
+        np.testing.assert_array_equal(leaves(back)[key], value)
+    seen, _ = FlattenObservation(env).reset(seed=0)
+    np.testing.assert_array_equal(seen, flat)
+    env.close()
+
+
+def leaves(obs: Mapping[str, Any], before: tuple[str, ...] = ()) -> dict[Any, np.ndarray]:
+    """Entries of nested dicts by path."""
+    found: dict[Any, np.ndarray] = {}
+    for key, value in obs.items():
+        path = (*before, key)
+        found |= leaves(value, path) if isinstance(value, Mapping) else {path: value}
+    return found
+
+
+def test_stacked_and_normalised_observations_are_flattened_once_too() -> None:
+    env = build(num_envs=2, obs_mode="depth", camera_size=16, cameras="fetch_hand")
+    width = state_dim(env.layout.robot)
+    plain = spaces.flatdim(env.single_observation_space)
+    stacked = NormalizeImages(FrameStack(env, 3))
+    assert spaces.flatdim(stacked.single_observation_space) == plain + 2 * 16 * 16
+    assert (
+        spaces.flatdim(FrameStack(env, 2, ["state"]).single_observation_space) > 3 * width
+    )
+    other = build(
+        num_envs=2,
+        obs_mode="depth",
+        camera_size=16,
+        cameras="fetch_hand",
+        autoreset="disabled",
+    )
+    flat, _ = VectorFlattenObservation(other).reset(seed=0)
+    assert flat.shape == (2, plain)
+
+
+def test_the_state_as_a_whole_comes_without_its_parts() -> None:
+    env = build(num_envs=2, obs_keys="whole", horizon=1)
+    obs, _ = env.reset(seed=0)
+    assert set(obs) == {STATE_KEY} == set(env.single_observation_space)
+    *_, info = env.step(still(env))
+    assert set(info["final_obs"]) == {STATE_KEY}
+    images = build(num_envs=1, obs_keys="whole", obs_mode="depth", camera_size=16)
+    stacked, _ = FrameStack(images, 2).reset(seed=0)
+    assert "agent/qpos" not in stacked and STATE_KEY in stacked
+    with pytest.raises(UsageError, match="parts of the state"):
+        Recorder(None, env, {})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("env_id", "options", "steps"),
+    [
+        ("mjhab/CloseSubtaskTrain-v1", {}, 200),
+        ("mjhab/CloseSubtaskTrain-v1", {"horizon": 7}, 7),
+        ("mjhab/CloseSubtaskTrain-v1", {"profile": "ms_hab"}, 100),
+        ("mjhab/NavigateSubtaskTrain-v1", {}, 1000),
+        # Each of its two objects: 4 times Navigate, Open, Pick, Place, Close.
+        ("mjhab/SetTable-v1", {}, 2 * (4 * 500 + 4 * 200)),
+    ],
+)
+def test_the_specification_tells_the_longest_episode(
+    env_id: str, options: dict[str, Any], steps: int
+) -> None:
+    env = gymnasium.make(env_id, **options)
+    worlds = gymnasium.make_vec(env_id, **options)
+    assert env.spec is not None and worlds.spec is not None
+    assert env.spec.max_episode_steps == worlds.spec.max_episode_steps == steps
+    # Not by a wrapper, which would end episodes of other horizons.
+    assert "TimeLimit" not in repr(env)
+    again = gymnasium.make(env.spec)
+    assert again.spec is not None and again.spec.max_episode_steps == steps
+
+
+def test_other_libraries_see_that_gymnasium_made_the_classes() -> None:
+    """skrl's wrap_env looks at the direct bases."""
+    for kind in (SequentialTaskEnv, DeviceEnv, SingleEnv):
+        assert any(base.__module__.startswith("gymnasium.") for base in kind.__bases__)
 
 
 def test_proprioception_holds_what_the_robot_measures() -> None:

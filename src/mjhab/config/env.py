@@ -32,7 +32,8 @@ AUTORESET_MODES = ("same_step", "next_step", "disabled")
 RENDER_MODES = ("", "rgb_array")
 FLAT = "flat"
 NESTED = "nested"
-OBS_KEYS = (FLAT, NESTED)
+WHOLE = "whole"
+OBS_KEYS = (FLAT, NESTED, WHOLE)
 DENSE_MODES = ("dense", "normalized_dense")
 REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
@@ -67,8 +68,9 @@ class EnvConfig:
     task's roster; a target that is another object of the pack gets a slot, too. obs_mode: "state", or images too, see
     `observing.OBS_MODES`. cameras: names of the robot's cameras, or one name; camera_size: pixels, one number or
     (height, width).
-    obs_keys: "flat" as in ``obs["extra/is_grasped"]``, or "nested" as in ``obs["extra"]["is_grasped"]``; wrappers and
-    recorders take flat keys. frame_stack: frames that `wrappers.FrameStack` stacks; 1 leaves the number to the
+    obs_keys: "flat" as in ``obs["extra/is_grasped"]``, "nested" as in ``obs["extra"]["is_grasped"]``, or "whole": the
+    state as one vector, ``obs["state"]``, without its parts; recorders take flat keys, wrappers flat or whole.
+    frame_stack: frames that `wrappers.FrameStack` stacks; 1 leaves the number to the
     wrapper's argument. control_mode, base, stationary: see `controllers.make_controller`. reward_mode: one of
     REWARD_MODES; "" is the pointer for a chain,
     sparse for one subtask. reward_scales: changes of the scales of single dense reward terms, as {"pick": {"reach":
@@ -276,7 +278,7 @@ class EnvConfig:
 
     @property
     def has_flat_keys(self) -> bool:
-        """Whether observations have flat keys, as recorders and wrappers take them."""
+        """Whether observations have flat keys and the parts of the state, as recorders take them."""
         return self.obs_keys == FLAT
 
     @property

@@ -18,10 +18,11 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import NESTED, EnvConfig, task_config
 from mjhab.core.arrays import (
     Array,
     as_like,
@@ -32,6 +33,7 @@ from mjhab.core.arrays import (
     where_rows,
 )
 from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.envs.episode_length import with_episode_length
 from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, RewardRules
@@ -89,6 +91,7 @@ class TaskLoop(VectorEnv, ABC):
 
     def __init__(self, config: EnvConfig, like: Array) -> None:
         self.config = config
+        self._spec: EnvSpec | None = None
         self.num_envs = config.num_envs
         robot = robot_named(config.robot)
         self.task_config = task_config(config, robot)
@@ -105,6 +108,15 @@ class TaskLoop(VectorEnv, ABC):
         self._worlds = count(self.num_envs, like)
         self._no = self._worlds < 0
         """(W,) bool, False everywhere: the mask of no world."""
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What ``gymnasium.make_vec`` made it of, with ``max_episode_steps``; None without it."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = with_episode_length(spec, self.config)
 
     def _make_parts(self, nav_distance: GoalDistance) -> None:
         """Make `Sensing` and `Rewarder`; ``sim`` must be set.
@@ -141,6 +153,7 @@ class TaskLoop(VectorEnv, ABC):
         self.autoreset_mode = autoreset
         self.render_mode = self.config.render_mode or None
         self.single_observation_space = keyed_space(observation, self.config)
+        self._keys = tuple(self.single_observation_space.spaces)
         self.observation_space = batched(self.single_observation_space, self.num_envs)
         self.single_action_space = action_space(self.controller)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -287,8 +300,12 @@ class TaskLoop(VectorEnv, ABC):
         return self._keyed(self._observe()), self.info()
 
     def _keyed(self, obs: dict[str, Array]) -> dict[str, Any]:
-        """Observations with the keys of ``config.obs_keys``: flat, or nested dicts."""
-        return obs if self.config.has_flat_keys else nested(obs)
+        """Observations with the keys of ``config.obs_keys``: flat, nested dicts, or the state as a whole."""
+        if self.config.has_flat_keys:
+            return obs
+        if self.config.obs_keys == NESTED:
+            return nested(obs)
+        return {key: obs[key] for key in self._keys}
 
     def _array(self, values: Any) -> Array:
         """Convert values to an array of the backend's library and device; the dtype is kept."""

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.config.ranges import whole_number
@@ -39,7 +40,7 @@ MAX_INDEX = 1 << 62
 """Indices of episodes are below it."""
 
 
-class SequentialTaskEnv(TaskLoop):
+class SequentialTaskEnv(TaskLoop, VectorEnv):
     """HAB tasks on the CPU simulator. Build it with `mjhab.envs.make` or `make_train`.
 
     Observations: the rows of `observer.table`, among them ``state``. Actions: (W, A), see ``action_table``.

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
+from mjhab.envs.episode_length import with_episode_length
 from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.spaces import action_space, keyed_space
 from mjhab.robots.controllers import make_controller
@@ -48,6 +50,7 @@ class SingleEnv(gymnasium.Env):
 
     def __init__(self, config: EnvConfig) -> None:
         self.config = config
+        self._spec: EnvSpec | None = None
         self._opened: SequentialTaskEnv | None = None
         robot = robot_named(config.robot)
         rows = ObservedRows(robot, config.obs_mode, config.cameras, config.camera_size)
@@ -60,6 +63,15 @@ class SingleEnv(gymnasium.Env):
         self.observation_space = keyed_space(rows.single_space, config)
         self.action_space = action_space(controller)
         self.render_mode = config.render_mode or None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What ``gymnasium.make`` made it of, with ``max_episode_steps``; None without it."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = with_episode_length(spec, self.config)
 
     @property
     def worlds(self) -> SequentialTaskEnv:

@@ -9,14 +9,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import pip_install
+from mjhab.integrations.tensors import observation_tensors
 from mjhab.tasks.subtasks.registry import horizons
 
 
 def to_rsl_rl(env: VectorEnv) -> Any:
     """Wrap a vector environment as a ``rsl_rl.env.VecEnv``.
 
-    Observations are TensorDicts: group "state" (W, S), and one group per image ("<camera>/depth" and so on), with the
-    channel first. ``extras["time_outs"]`` marks episodes that ended by time; rsl_rl adds the value of what would have
+    Observations are TensorDicts: group "state" (W, S), and one group per image ("<camera>/depth" and so on), see
+    `observation_tensors`.
+
+    ``extras["time_outs"]`` marks episodes that ended by time; rsl_rl adds the value of what would have
     followed to their last reward.
 
     Args:
@@ -71,7 +74,7 @@ def to_rsl_rl(env: VectorEnv) -> Any:
             return self._obs, torch.as_tensor(reward).float(), done, extras
 
         def _grouped(self, obs: dict[str, Any]) -> Any:
-            groups = observation_groups(obs)
+            groups = observation_tensors(obs)
             return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
     return Worlds()
@@ -83,13 +86,3 @@ def _require_own_resets(env: VectorEnv) -> None:
         raise UsageError(
             "rsl_rl needs an environment that resets itself; make it with autoreset='same_step'."
         )
-
-
-def observation_groups(obs: dict[str, Any]) -> dict[str, torch.Tensor]:
-    """Observations by group, float32: "state" (W, S), and every image as (W, channels, height, width)."""
-    groups = {"state": torch.as_tensor(obs["state"]).float()}
-    for key, value in obs.items():
-        if key.startswith("sensor_data/") and not key.endswith("pointcloud"):
-            image = torch.as_tensor(value).float().movedim(-1, 1)
-            groups[key.removeprefix("sensor_data/")] = image
-    return groups

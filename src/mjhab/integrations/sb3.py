@@ -11,26 +11,47 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import pip_install
+from mjhab.envs.observations.modes import image_output
+from mjhab.envs.wrappers.normalize import normalize_depth
+
+NATURE_CNN_SIDE = 36
+"""Smallest image side [px] of stable-baselines3's own network for images: kernels 8, 4, 3 in strides 4, 2, 1."""
+BYTE = 255
 
 
-def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
-    """Wrap a vector environment as a ``stable_baselines3.common.vec_env.VecEnv``.
+def to_sb3(
+    env: VectorEnv,
+    keys: Sequence[str] = ("state",),
+    *,
+    smallest_side: int = NATURE_CNN_SIDE,
+) -> Any:
+    """Wrap a vector environment as a ``stable_baselines3.common.vec_env.VecMonitor``.
 
     Both reset finished worlds in the step in which they end. The last observation of an episode is in
     ``infos[i]["terminal_observation"]``, and ``infos[i]["TimeLimit.truncated"]`` says that it ended by time, so that
     stable-baselines3 adds the value of what would have followed. ``infos[i]`` holds, besides, "is_success" of ended
-    episodes.
+    episodes, and the monitor "episode", from which come ``rollout/ep_rew_mean`` and ``rollout/ep_len_mean`` of the log.
+
+    Images are uint8 (H, W, C), which stable-baselines3 recognises as images and gives to a CNN. Depth becomes
+    ``255 (1 - tanh(metres))``: 255 at the lens and where nothing is hit, 61 at 1 m. Frames of `FrameStack` become
+    channels, oldest first.
 
     Args:
-        env: of `mjhab.make_train` or `mjhab.make`, backend cpu, with ``autoreset="same_step"``.
-        keys: entries of the observation that the policy sees. One alone is given as it is, several as a dict; images
-            are uint8 or float arrays with the channel last.
+        env: of `mjhab.make_train` or `mjhab.make`, backend cpu, with ``autoreset="same_step"`` and flat keys; it may be
+            in `FrameStack`.
+        keys: entries of the observation that the policy sees. One alone is given as it is, several as a dict.
+        smallest_side: of images [px] that the policy's network takes; that of stable-baselines3's `NatureCNN` by
+            default. Give another one with a ``features_extractor_class`` of your own.
 
     Raises:
-        UsageError: stable-baselines3 is not installed, the environment does not reset itself, or a key is unknown.
+        UsageError: stable-baselines3 is not installed, the environment does not reset itself, a key is unknown, or no
+            network of stable-baselines3 takes what it names.
     """
     try:
-        from stable_baselines3.common.vec_env import VecEnv  # pyright: ignore[reportMissingImports]
+        from stable_baselines3.common.vec_env import (  # pyright: ignore[reportMissingImports]
+            VecEnv,
+            VecMonitor,
+        )
     except ImportError as error:
         raise UsageError(
             f"to_sb3 needs stable-baselines3: {pip_install('stable-baselines3')}"
@@ -43,8 +64,65 @@ def to_sb3(env: VectorEnv, keys: Sequence[str] = ("state",)) -> Any:
     for key in keys:
         if key not in known.spaces:
             raise unknown_name("observation", key, tuple(known.spaces))
+    seen = [_Seen(key, known[key], smallest_side) for key in keys]
     worlds = type("Worlds", (_Worlds, VecEnv), {})
-    return worlds(env, tuple(keys))
+    return VecMonitor(worlds(env, seen))
+
+
+class _Seen:
+    """One entry of the observation as stable-baselines3 takes it: images as bytes, everything else unchanged.
+
+    Raises:
+        UsageError: no network of stable-baselines3 takes it.
+    """
+
+    def __init__(self, key: str, space: spaces.Space, smallest_side: int) -> None:
+        self.key = key
+        self._output = image_output(key)
+        if not isinstance(space, spaces.Box):
+            raise UsageError(
+                f"to_sb3: {key!r} is a group of observations. Leave out obs_keys='nested' and FlattenStatePixels; "
+                "images are named by keys such as 'sensor_data/fetch_hand/depth'."
+            )
+        self.space = space
+        if self._output:
+            self.space = self._image_space(space, smallest_side)
+
+    def _image_space(self, space: spaces.Box, smallest_side: int) -> spaces.Box:
+        if self._output not in ("depth", "rgb"):
+            raise UsageError(
+                f"to_sb3: {self.key!r} holds ids, which stable-baselines3 would take for amounts; "
+                "it has networks for depth and rgb."
+            )
+        if not np.issubdtype(space.dtype, np.integer):
+            raise UsageError(
+                f"to_sb3: {self.key!r} is {space.dtype}, but stable-baselines3 takes bytes and scales them itself: "
+                "leave out NormalizeImages."
+            )
+        *_, height, width, _channels = space.shape
+        if min(height, width) < smallest_side:
+            raise UsageError(
+                f"to_sb3: {self.key!r} is {width} x {height} px, but stable-baselines3's NatureCNN takes "
+                f"{smallest_side} px or more: make the environment with camera_size={smallest_side} or more, or give "
+                "smallest_side with a features_extractor_class of your own."
+            )
+        shape = self.of(np.zeros((1, *space.shape), space.dtype)).shape[1:]
+        return spaces.Box(0, BYTE, shape, np.uint8)
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """What the policy sees of the environment's values (W, ...)."""
+        if not self._output:
+            return values
+        if self._output == "depth":
+            values = np.rint(BYTE * normalize_depth(values)).astype(np.uint8)
+        stacked = values.ndim == 5
+        return _frames_as_channels(values) if stacked else values
+
+
+def _frames_as_channels(frames: np.ndarray) -> np.ndarray:
+    """Stacked images (W, S, H, W, C) as (W, H, W, S * C), oldest frame first."""
+    last = np.moveaxis(frames, 1, -2)
+    return last.reshape(*last.shape[:-2], -1)
 
 
 class _Worlds:
@@ -55,19 +133,18 @@ class _Worlds:
 
     _seeds: list[int | None]
 
-    def __init__(self, env: VectorEnv, keys: tuple[str, ...]) -> None:
-        known: Any = env.single_observation_space
+    def __init__(self, env: VectorEnv, seen: Sequence[_Seen]) -> None:
         self._env = env
-        self._keys = keys
+        self._seen = seen
         self._actions = np.zeros(
             (env.num_envs, *(env.single_action_space.shape or ())), np.float32
         )
         self._succeeded = np.zeros(env.num_envs, bool)
-        several = spaces.Dict({key: known[key] for key in keys})
+        several = spaces.Dict({part.key: part.space for part in seen})
         base: Any = super()
         base.__init__(
             env.num_envs,
-            several if len(keys) > 1 else known[next(iter(keys))],
+            several if len(seen) > 1 else seen[0].space,
             env.single_action_space,
         )
 
@@ -128,9 +205,8 @@ class _Worlds:
 
     def _shown(self, obs: dict[str, np.ndarray]) -> Any:
         """What the policy sees of an observation: the one entry asked for, or a dict of several."""
-        if len(self._keys) == 1:
-            return obs[self._keys[0]]
-        return {key: obs[key] for key in self._keys}
+        shown = {part.key: part.of(obs[part.key]) for part in self._seen}
+        return shown if len(shown) > 1 else shown[self._seen[0].key]
 
 
 def _row(obs: Any, world: int) -> Any:

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import pip_install
+from mjhab.integrations.tensors import observation_tensors
 
 SUCCESS = "success"
 """Entry of the TensorDicts: (W, 1) bool, whether the subtask is achieved now."""
@@ -17,8 +18,10 @@ SUCCESS = "success"
 def to_torchrl(env: VectorEnv) -> Any:
     """Wrap a vector environment as a ``torchrl.envs.EnvBase`` with batch size (W,).
 
-    Observations are entries of the TensorDict: "state" (W, S), one per image, CAMERA/depth and so on, with the
-    channel first, and SUCCESS. torchrl resets finished worlds itself (``rollout(..., break_when_any_done=False)``,
+    Observations are entries of the TensorDict: "state" (W, S), one per image, CAMERA/depth and so on, see
+    `observation_tensors`, and SUCCESS.
+
+    torchrl resets finished worlds itself (``rollout(..., break_when_any_done=False)``,
     collectors), so their last observation stays in "next"; "truncated" without "terminated" means that time was up.
 
     Args:
@@ -121,12 +124,5 @@ def _ends(terminated: torch.Tensor, truncated: torch.Tensor) -> dict[str, torch.
 
 def _shown(obs: dict[str, Any], info: dict[str, Any]) -> dict[str, torch.Tensor]:
     """What a policy sees of all worlds, and SUCCESS."""
-    shown = {
-        "state": torch.as_tensor(obs["state"]).float(),
-        SUCCESS: torch.as_tensor(info["success"])[:, None].bool(),
-    }
-    for key, value in obs.items():
-        if key.startswith("sensor_data/") and not key.endswith("pointcloud"):
-            image = torch.as_tensor(value).float().movedim(-1, 1)
-            shown[key.removeprefix("sensor_data/")] = image
-    return shown
+    success = torch.as_tensor(info["success"])[:, None].bool()
+    return {**observation_tensors(obs), SUCCESS: success}

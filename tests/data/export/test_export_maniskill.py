@@ -23,6 +23,9 @@ from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
 
+FAILED = 8
+"""Index of an episode of the fake environment that fails; the next ones succeed."""
+
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -69,8 +72,29 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
         assert (
             sorted(file) == ["traj_0", "traj_1", "traj_2"] and len(said["episodes"]) == 3
         )
+        by_id = {each["episode_id"]: each for each in said["episodes"]}
         for number, episode in enumerate(episodes(source / "picks.h5")):
-            check(file[f"traj_{number}"], episode, number, said["episodes"][number])
+            check(file[f"traj_{number}"], episode, number, by_id[number])
+
+
+def test_maniskills_reader_can_keep_the_successful_ones(tmp_path: Path) -> None:
+    """It reads "success", and cannot begin with an episode that it leaves out."""
+    source = tmp_path / "picks.h5"
+    record(source, [FAILED, 9, 10], FakeEnv(subtask="pick"))
+    done = to_maniskill(source, tmp_path / "out")
+    told = json.loads(done.files[0].with_suffix(".json").read_text())["episodes"]
+    good = [each["success"] for each in told]
+    assert good == sorted(good, reverse=True) and len(set(good)) == 2
+    assert [each["episode_id"] for each in told] != list(range(len(told)))
+    with h5py.File(done.files[0]) as file:
+        for each in told:
+            success = np.asarray(file[f"traj_{each['episode_id']}/success"])
+            assert each["success"] == each["success_at_end"] == success[-1]
+    imported = import_ms_hab(done.files[0], tmp_path / "imported")
+    pairs = zip(episodes(source), episodes(imported.shard), strict=True)
+    for before, after in pairs:
+        assert before.record.index == after.record.index
+        np.testing.assert_array_equal(before.array("actions"), after.array("actions"))
 
 
 def test_metadata_end_with_the_exported_part(

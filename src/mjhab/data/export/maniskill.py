@@ -5,6 +5,7 @@ them. MS-HAB's scripts concatenate the members of ``obs/agent`` and then ``obs/e
 so these keep the order of mjhab's ``obs/state``. They train on ``actions``, the executed actions. ``actions_intended``
 and ``actor`` (an index into "actors" of the ``.json``) are additional datasets. The pose of the object is in the axes
 of its scan ("object_axes" of the ``.json``: "scan"), except for runs of older versions, which lack them ("object").
+The ``.json`` lists successful episodes first; "episode_id" is the number of the trajectory.
 """
 
 from __future__ import annotations
@@ -195,7 +196,8 @@ class _File:
             "source_desc": "recorded by mjhab (MuJoCo), not by ManiSkill",
             "conventions": CONVENTIONS,
             "runs": self._runs,
-            "episodes": self._episodes,
+            # ManiSkillTrajectoryDataset(success_only=True) cannot begin with an episode that it leaves out.
+            "episodes": sorted(self._episodes, key=lambda each: not each["success"]),
         }
         self._path.with_suffix(".json").write_text(
             json.dumps(value, indent=2), encoding="utf-8"
@@ -264,7 +266,7 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
     record = episode.record
     events = [event for event in record.events if event[0] <= steps]
     link = target_of(record).rpartition("/")[0]
-    return {
+    info = {
         "episode_id": number,
         "episode_seed": [record.seed],
         # Indices into MS-HAB's asset files have no counterpart; home and index identify the episode.
@@ -304,6 +306,8 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
         "fail": record.fail,
         **(_outcome_at(episode, steps) if steps < episode.steps else {}),
     }
+    # ManiSkill's readers filter by it: whether the episode is successful in the end.
+    return {**info, "success": info["success_at_end"]}
 
 
 def _outcome_at(episode: RecordedEpisode, steps: int) -> dict[str, Any]:

@@ -172,6 +172,8 @@ class _Source:
                 check_episode(number, each)
         except ValueError as error:
             raise UsageError(f"{beside}: {error}") from error
+        # The list may have another order than the trajectories.
+        told = sorted(told, key=lambda each: each["episode_id"])
         subtask = _subtask(path, said)
         return cls(
             path,

@@ -61,7 +61,7 @@ class Recorder(Sink[RecordedEnv]):
     ) -> None:
         if not env.config.has_flat_keys:
             raise UsageError(
-                "recording needs flat observation keys: leave out obs_keys='nested'."
+                "recording needs flat observation keys and the parts of the state: leave out obs_keys, or give 'flat'."
             )
         self.run = describe_run(env, policy, licence)
         self.seen = self.kept = self.bytes = 0

@@ -12,6 +12,7 @@ from numbers import Integral
 from typing import Any
 
 import torch
+from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import to_numpy
@@ -39,7 +40,7 @@ from mjhab.tasks.subtasks.registry import event_columns, horizons
 Tensor = torch.Tensor
 
 
-class DeviceEnv(TaskLoop):
+class DeviceEnv(TaskLoop, VectorEnv):
     """HAB tasks on MuJoCo Warp. Build it with `mjhab.envs.make(backend="warp")` or `make_train`.
 
     Spaces, observations, rewards and flags are those of `SequentialTaskEnv`, as tensors (W, ...) on ``device``, float32

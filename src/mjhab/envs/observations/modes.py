@@ -34,6 +34,13 @@ def camera_key(camera: str, output: str) -> str:
     return f"sensor_data/{camera}/{output}"
 
 
+def image_output(key: str) -> str:
+    """What kind of image a flat observation key names: "depth", "rgb" or "seg"; "" for everything else."""
+    folder, _, output = key.rpartition("/")
+    is_image = folder.startswith("sensor_data/") and output in CAMERA_OUTPUTS
+    return output if is_image else ""
+
+
 def param_key(camera: str, param: str) -> str:
     """Key of one parameter of a camera in the observation."""
     return f"sensor_param/{camera}/{param}"

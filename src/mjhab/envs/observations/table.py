@@ -11,17 +11,25 @@ from gymnasium import spaces
 from mjhab.envs.observations.entry import ObsEntry
 from mjhab.envs.observations.modes import STATE_KEY
 from mjhab.envs.observations.state import task_meanings
-from mjhab.envs.spaces import ordered_dict
+from mjhab.envs.spaces import ObservationSpace
 
 
-def table_space(state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]) -> spaces.Dict:
+def table_space(
+    state: Sequence[ObsEntry], cameras: Sequence[ObsEntry]
+) -> ObservationSpace:
     """Observation space of one world: the rows of ``state_table``, of ``camera_table``, and their ``state``."""
     box: dict[str, spaces.Space] = {
         entry.key: entry.space for entry in (*state, *cameras)
     }
     width = sum(entry.shape[0] for entry in state)
     box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (width,), np.float32)
-    return ordered_dict(box)
+    ends = np.cumsum([entry.shape[0] for entry in state]).tolist()
+    starts = (0, *ends[:-1])
+    columns = {
+        (entry.key,): slice(start, end)
+        for entry, start, end in zip(state, starts, ends, strict=True)
+    }
+    return ObservationSpace(box, columns)
 
 
 def describe(

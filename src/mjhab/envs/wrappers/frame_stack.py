@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from mjhab.core.errors import UsageError
-from mjhab.envs.spaces import batched, ordered_dict
+from mjhab.envs.spaces import batched, with_entries
 from mjhab.envs.wrappers.base import check_key, dict_space, map_final, require_images
 
 
@@ -62,7 +62,7 @@ class FrameStack(VectorWrapper):
         self.keys = tuple(keys)
         self._mode = mode
         stacked = {key: _stacked(space[key], num_stack) for key in self.keys}
-        self.single_observation_space = ordered_dict({**space.spaces, **stacked})
+        self.single_observation_space = with_entries(space, stacked)
         self.observation_space = batched(self.single_observation_space, env.num_envs)
         self._frames: dict[str, np.ndarray] = {}
         self._ended = np.zeros(env.num_envs, bool)

@@ -11,7 +11,7 @@ from gymnasium.vector import VectorEnv
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.observations.cameras import DEPTH_MAX, DEPTH_SCALE
-from mjhab.envs.spaces import ordered_dict
+from mjhab.envs.spaces import ordered_dict, with_entries
 from mjhab.envs.wrappers.base import ImageLeaf, ObservationMap, dict_space, require_images
 
 DEPTH_WAYS = ("tanh", "linear", "raw")
@@ -150,6 +150,7 @@ class NormalizeImages(ObservationMap):
             for name in above:
                 inner = inner[name]
             inner[key] = bounds(inner[key].low, leaf)
-        return ordered_dict(
-            {k: ordered_dict(v) if isinstance(v, dict) else v for k, v in boxes.items()}
+        return with_entries(
+            space,
+            {k: ordered_dict(v) if isinstance(v, dict) else v for k, v in boxes.items()},
         )

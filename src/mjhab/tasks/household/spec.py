@@ -177,15 +177,19 @@ class TaskSpec:
     @cached_property
     def subtasks(self) -> tuple[str, ...]:
         """Names of the kinds of subtasks in its plan, in the order of their numbers."""
-        used = {
+        return tuple(name for name in subtask_names() if name in self.kinds)
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """Names of the kinds of the subtasks of its plan, in the order of the plan."""
+        return tuple(
             subtask.name for rule in self.targets for subtask in rule.subtasks(_SAMPLE)
-        }
-        return tuple(name for name in subtask_names() if name in used)
+        )
 
     @cached_property
     def length(self) -> int:
         """Number of subtasks of its plan."""
-        return sum(len(rule.subtasks(_SAMPLE)) for rule in self.targets)
+        return len(self.kinds)
 
     def plan(self, targets: Sequence[Target], home: str = "") -> TaskPlan:
         """Make the plan for the targets of an episode (MS-HAB paper Sec. 3.2, mshab/utils/gen/gen_task_plans.py).

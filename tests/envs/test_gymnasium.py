@@ -229,16 +229,16 @@ def test_keys_are_flat_or_nested() -> None:
 @pytest.mark.parametrize("mode", ["state", "proprioception+depth"])
 def test_flattened_observations_hold_the_state_once(keys: str, mode: str) -> None:
     options = {**OPTIONS, "obs_keys": keys, "obs_mode": mode, "camera_size": 16}
-    env = gymnasium.make(ENV_ID, **options, cameras=("fetch_hand",))
+    env: Any = gymnasium.make(ENV_ID, **options, cameras=("fetch_hand",))
     obs, _ = env.reset(seed=0)
-    flat = spaces.flatten(env.observation_space, obs)
+    flat: Any = spaces.flatten(env.observation_space, obs)
     state = obs[STATE_KEY]
     others = 0 if mode == "state" else 16 * 16 + 9 + 16 + 12
     assert flat.shape == (len(state) + others,)
     assert spaces.flatdim(env.observation_space) == len(flat)
     assert spaces.flatten_space(env.observation_space).contains(flat.astype(np.float32))
     np.testing.assert_array_equal(flat[len(flat) - len(state) :], state)
-    back = spaces.unflatten(env.observation_space, flat)
+    back: Any = spaces.unflatten(env.observation_space, flat)
     assert list(back) == list(env.observation_space.spaces)
     for key, value in leaves(obs).items():
         np.testing.assert_array_equal(leaves(back)[key], value)
@@ -279,7 +279,7 @@ def test_stacked_and_normalised_observations_are_flattened_once_too() -> None:
 def test_the_state_as_a_whole_comes_without_its_parts() -> None:
     env = build(num_envs=2, obs_keys="whole", horizon=1)
     obs, _ = env.reset(seed=0)
-    assert set(obs) == {STATE_KEY} == set(env.single_observation_space)
+    assert set(obs) == {STATE_KEY} == set(env._keys)
     *_, info = env.step(still(env))
     assert set(info["final_obs"]) == {STATE_KEY}
     images = build(num_envs=1, obs_keys="whole", obs_mode="depth", camera_size=16)

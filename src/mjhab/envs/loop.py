@@ -17,7 +17,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -38,7 +37,13 @@ from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, RewardRules
 from mjhab.envs.parts.sensing import Sensing
-from mjhab.envs.spaces import action_space, batched, keyed_space, nested
+from mjhab.envs.spaces import (
+    ObservationSpace,
+    action_space,
+    batched,
+    keyed_space,
+    nested,
+)
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.controllers.controller import Controller
 from mjhab.robots.registry import robot_named
@@ -145,7 +150,7 @@ class TaskLoop(VectorEnv, ABC):
             self.num_envs, rules, self.layout, self.sensing, self._like
         )
 
-    def _set_spaces(self, observation: spaces.Dict, **metadata: Any) -> None:
+    def _set_spaces(self, observation: ObservationSpace, **metadata: Any) -> None:
         """Set the attributes of Gymnasium's interface; ``observation``: space of one world, with flat keys."""
         autoreset = AutoresetMode[self.config.autoreset.upper()]
         self.metadata = {"autoreset_mode": autoreset, "render_fps": 20, **metadata}

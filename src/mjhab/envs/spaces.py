@@ -122,7 +122,7 @@ def _flatdim(space: ObservationSpace) -> int:
 
 
 @flatten_space.register
-def _flatten_space(space: ObservationSpace) -> spaces.Space:
+def _flatten_space(space: ObservationSpace) -> Any:
     return flatten_space(space.once)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -47,7 +48,7 @@ from mjhab.reports.metrics import (
 from mjhab.reports.run import render_report
 from mjhab.rollout.films import Film, FilmSink
 from mjhab.rollout.loop import plain, rollout
-from mjhab.rollout.policy import Clipped, Policy, RolloutEnv, Timed
+from mjhab.rollout.policy import Clipped, Composed, Policy, RolloutEnv, Timed
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
@@ -323,18 +324,25 @@ def requests_of(policy: Policy) -> dict[str, Any]:
         "latency_ms": median "p50" and 99th percentile "p99" of their duration [ms], both None if none was answered.
         "out_of_range": number of values of its actions that were clipped, by entry of the action.
     """
+    parts = policy.acting_policies if isinstance(policy, Composed) else (policy,)
     facts: dict[str, Any] = {}
-    if isinstance(policy, Timed):
-        facts["latency_ms"] = {"p50": None, "p99": None}
-        if policy.latency_ms:
-            p50, p99 = np.percentile(policy.latency_ms, [50, 99])
-            facts["latency_ms"] = {
-                "p50": round(float(p50), 3),
-                "p99": round(float(p99), 3),
-            }
-    if isinstance(policy, Clipped):
-        facts["out_of_range"] = dict(policy.out_of_range)
+    timed = [part.latency_ms for part in parts if isinstance(part, Timed)]
+    if timed:
+        facts["latency_ms"] = _quantiles([value for values in timed for value in values])
+    clipped = [part.out_of_range for part in parts if isinstance(part, Clipped)]
+    if clipped:
+        total: Counter[str] = Counter()
+        for counts in clipped:
+            total.update(counts)
+        facts["out_of_range"] = dict(total)
     return facts
+
+
+def _quantiles(latency_ms: Sequence[float]) -> dict[str, float | None]:
+    if not latency_ms:
+        return {"p50": None, "p99": None}
+    p50, p99 = np.percentile(latency_ms, [50, 99])
+    return {"p50": round(float(p50), 3), "p99": round(float(p99), 3)}
 
 
 def describe_policy(policy: PolicyLike) -> PolicyFacts:

@@ -226,6 +226,11 @@ class PoliciesBySubtask:
         self._chosen = np.full(worlds, -1)
         self._width = width
 
+    @property
+    def acting_policies(self) -> Sequence[Policy]:
+        """The policies, in the order of their entries."""
+        return tuple(self._policies)
+
     def reset(self, mask: np.ndarray) -> None:
         """Forget the worlds in ``mask`` (W,)."""
         self._pointer[mask] = -1

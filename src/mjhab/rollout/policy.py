@@ -126,6 +126,16 @@ class Clipped(Protocol):
         ...
 
 
+@runtime_checkable
+class Composed(Protocol):
+    """A policy that lets others act."""
+
+    @property
+    def acting_policies(self) -> Sequence[Policy]:
+        """All that may act."""
+        ...
+
+
 class ZeroPolicy:
     """Stands still: the all-zero action keeps every joint target and lets the gripper half open.
 

@@ -154,11 +154,12 @@ class Connection:
         assert socket is not None
         sent = time.monotonic()
         alive = sent
+        look = min(LOOK_S, 0.5 * self.address.timeout)
         pong: threading.Event | None = None
         while True:
             first = not self._asked
             due = self._patience.answer_due(sent, first)
-            if OWN in self.metadata:
+            if OWN in self.metadata and time.monotonic() - sent >= look:
                 # Servers of mjhab answer pings while their policy plans; those of others may hang and answer them.
                 if pong is None or pong.is_set():
                     alive = time.monotonic()
@@ -169,7 +170,7 @@ class Connection:
             if left <= 0.0:
                 break
             with suppress(TimeoutError):
-                return socket.recv(min(left, LOOK_S))
+                return socket.recv(min(left, look))
         # A late answer must not be taken for that to the next request.
         self.close()
         self._patience.was_in_vain()
@@ -271,10 +272,9 @@ class Connection:
 
     def _tcp_connection(self) -> sockets.socket:
         parts = urlsplit(self.address.uri)
+        port = parts.port or (443 if parts.scheme == "wss" else 80)
         try:
-            line = sockets.create_connection(
-                (parts.hostname or "", parts.port or 0), TCP_TIMEOUT_S
-            )
+            line = sockets.create_connection((parts.hostname or "", port), TCP_TIMEOUT_S)
         except TimeoutError as error:
             raise _NotNow(
                 f"{self.address.told} does not answer on the network within {TCP_TIMEOUT_S:g} s; is the host right, "

@@ -101,6 +101,8 @@ def test_a_served_policy_of_a_policies_file_fails_alone(tmp_path: Path) -> None:
         env = world()
         policy = resolve_policy(str(path), env)
         records = rollout(env, policy, [0, 1], seed=0, max_steps=STEPS)
+        assert requests_of(policy)["latency_ms"]["p50"] > 0
+        assert requests_of(policy)["out_of_range"] == {}
         close_policy(policy)
     assert [record.steps for record in records] == [STEPS, 3]
     assert not records[0].error and "has nan for" in records[1].error

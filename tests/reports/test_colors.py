@@ -109,6 +109,17 @@ def test_greens_are_clean_successes_alone() -> None:
         assert (a < -10 and b > -10) == (tone(name.replace(" ", "_")) == "good"), name
 
 
+def test_greens_which_lie_on_top_of_each_other_are_far_apart() -> None:
+    """In the chart of a whole task every kind of subtask has its own green, and all stand in one legend."""
+    greens = sorted(
+        marker["color"]
+        for name, marker in label_markers().items()
+        if tone(name.replace(" ", "_")) == "good"
+    )
+    assert len(greens) == 5
+    assert min(distance(*pair) for pair in itertools.combinations(greens, 2)) > 30
+
+
 def test_a_chart_with_one_label_has_a_legend() -> None:
     figure = labels_figure({"pick": Counter(straightforward_success=8)})
     assert len(figure["data"]) == 1 and figure["layout"]["showlegend"] is True

@@ -96,6 +96,16 @@ def test_pictures_are_those_of_both_cameras(page: Page) -> None:
         assert data.startswith(b"\xff\xd8") and sum(place["sizes"]) == len(data)
 
 
+def test_a_phone_has_the_side_panel_and_a_time_line_of_full_width(page: Page) -> None:
+    """`make test-browser` measures them; here the rules of the style are read."""
+    found = re.search(r"@media \(max-width: 760px\) \{(.*?)\n\}", page.text, re.S)
+    assert found is not None
+    assert "display: none" not in found[1]
+    assert re.search(r"#time \{[^}]*flex: 1 0 100%", found[1])
+    assert re.search(r"footer \{[^}]*flex-wrap: wrap", found[1])
+    assert re.search(r"aside \{[^}]*inset: calc\(45vh \+ 112px\) 0 0 0", found[1])
+
+
 def test_the_page_needs_no_network(page: Page) -> None:
     assert not re.findall(
         r"(?:src|href)=|https?://|@import", page.text.split("<script id=")[0]

@@ -55,6 +55,11 @@ def empty(text: str) -> str:
     return f'<p class="empty">{escape(text)}</p>'
 
 
+def scrolled(table: str) -> str:
+    """A table that scrolls where the page is narrower than it."""
+    return f'<div class="scroll">{table}</div>'
+
+
 def percent(value: float) -> str:
     """A rate in 0..1 as text."""
     return f"{100 * value:.0f} %" if value in (0.0, 1.0) else f"{100 * value:.1f} %"
@@ -151,11 +156,14 @@ def success_table(rows: Sequence[SubtaskRow]) -> str:
             ]
         body.append(f"<tr>{''.join(cells)}</tr>")
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-    return f'<div class="scroll">{table}</div>'
+    return scrolled(table)
 
 
 def film(record: EpisodeRecord, path: Path | None) -> str:
-    """One episode: its film if ``path`` exists, its timeline, and the list of its events."""
+    """One episode: its film if ``path`` exists, its timeline, and the list of its events.
+
+    Episodes without a film take no room for one: `mjhab eval --films 0` asks for none.
+    """
     name = f"film-{record.index}"
     if path is not None and path.is_file():
         data = base64.b64encode(path.read_bytes()).decode("ascii")
@@ -163,7 +171,7 @@ def film(record: EpisodeRecord, path: Path | None) -> str:
         view += f'<script type="text/plain" id="{name}">{data}</script>'
         hint = "Click a stretch or a mark of the timeline to jump there."
     else:
-        view = '<div class="nofilm">no film of this episode</div>'
+        view = ""
         hint = "Click a stretch or a mark of the timeline to read what it is."
     outcome = (
         "success"
@@ -252,7 +260,7 @@ def episode_table(records: Sequence[EpisodeRecord]) -> str:
     )
     body = "".join(_episode_row(record) for record in records)
     table = f'<table class="sortable"><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>'
-    return f'<div class="scroll">{table}</div>'
+    return scrolled(table)
 
 
 def _episode_row(record: EpisodeRecord) -> str:

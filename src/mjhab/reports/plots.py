@@ -17,7 +17,7 @@ Figure = dict[str, Any]
 
 OTHER_COLOR = "#57534e"
 _TONES = {
-    "good": ("#15803d", "#a3e635", "#2dd4bf", "#4ade80", "#10b981"),
+    "good": ("#16a34a", "#84cc16", "#0d9488", "#14532d", "#99f6e4"),
     "fair": ("#eab308", "#fde68a", "#a16207", "#fde047", "#d97706", "#713f12"),
     "bad": (
         "#dc2626",
@@ -30,7 +30,8 @@ _TONES = {
         "#d946ef",
     ),
 }
-"""Colours of labels by tone; any two of all tones differ by 19 or more in CIELAB (tests/reports/test_colors.py)."""
+"""Colours of labels by tone; any two of all tones differ by 19 or more in CIELAB, any two greens by 30
+(tests/reports/test_colors.py)."""
 _PATTERNS = ("", "/", "x", ".")
 """Hatching of the labels of a tone that has more labels than colours, one for each round of its colours."""
 LABEL_COLORS = (
@@ -39,6 +40,11 @@ LABEL_COLORS = (
 )
 """What the colours of `labels_figure` mean, for the words beside a chart."""
 _FAIR_STARTS = ("success_then", "dubious", "winding", "dropped_to_goal")
+
+
+def has_values(figure: Figure) -> bool:
+    """Whether a figure has anything to draw."""
+    return any(len(trace.get("y", ())) for trace in figure["data"])
 
 
 def kind_color(kind: str) -> str:

@@ -2,7 +2,36 @@
 const page = JSON.parse(document.getElementById("page-data").textContent);
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
-function themed(layout) {
+const LETTER_PX = 7, TITLE_PX = 9, LINE_PX = 18, MARK_PX = 48;
+
+// Words in lines of at most `most` letters, as plotly breaks them.
+function broken(text, most) {
+  const lines = [""];
+  for (const word of String(text).split(" ").flatMap((part) => part.match(new RegExp(`.{1,${most}}`, "g")) ?? [])) {
+    const longer = `${lines.at(-1)} ${word}`.trim();
+    if (longer.length <= most) lines[lines.length - 1] = longer;
+    else lines.push(word);
+  }
+  return lines.filter((line) => line).join("<br>");
+}
+
+// The legend stands above the plot and has room of its own, however many lines it takes at this width.
+function withLegend(data, layout, width) {
+  const most = Math.max(8, Math.floor((width - MARK_PX) / LETTER_PX));
+  const named = data.map((trace) => (trace.name ? { ...trace, name: broken(trace.name, most) } : trace));
+  const shown = named.filter((trace) => trace.name && trace.showlegend !== false);
+  if (shown.length < 2 && !layout.showlegend) return [named, layout];
+  const lines = shown.map((trace) => trace.name.split("<br>"));
+  const sizes = lines.map((each) => MARK_PX + LETTER_PX * Math.max(...each.map((line) => line.length)));
+  const whole = sizes.reduce((sum, size) => sum + size, 0) <= width;
+  const columns = whole ? shown.length : Math.max(1, Math.floor(width / Math.max(...sizes)));
+  const tall = Math.max(...lines.map((each) => each.length));
+  const room = Math.ceil(shown.length / columns) * tall * LINE_PX + 14;
+  const legend = { ...layout.legend, orientation: "h", x: 0, xanchor: "left", y: 1.0, yanchor: "bottom", maxheight: 4096 };
+  return [named, { ...layout, legend, height: layout.height + room }];
+}
+
+function themed(layout, width) {
   const style = getComputedStyle(document.documentElement);
   const color = (name) => style.getPropertyValue(name).trim();
   const out = structuredClone(layout);
@@ -10,9 +39,11 @@ function themed(layout) {
     if (axis === "yaxis2" && !out.yaxis2) continue;
     out[axis] = { fixedrange: true, automargin: true, gridcolor: color("--grid"), zerolinecolor: color("--grid"), ...out[axis] };
   }
+  if (out.xaxis.title?.text) out.xaxis.title.text = broken(out.xaxis.title.text, Math.max(12, Math.floor((width - 90) / TITLE_PX)));
   return {
     dragmode: false,
-    margin: { l: 10, r: 10, t: 10, b: 10 },
+    // The last number of an axis reaches beyond its end.
+    margin: { l: 10, r: 24, t: 10, b: 10 },
     paper_bgcolor: "rgba(0,0,0,0)",
     plot_bgcolor: "rgba(0,0,0,0)",
     font: { color: color("--text"), family: getComputedStyle(document.body).fontFamily, size: 13 },
@@ -23,7 +54,9 @@ function themed(layout) {
 
 function draw(id, figure) {
   const place = document.getElementById(id);
-  if (place && figure) Plotly.react(place, figure.data, themed(figure.layout), { displayModeBar: false, responsive: true });
+  if (!place || !figure) return;
+  const [data, layout] = withLegend(figure.data, figure.layout, place.clientWidth);
+  Plotly.react(place, data, themed(layout, place.clientWidth), { displayModeBar: false, responsive: true });
 }
 
 function drawAll() {
@@ -36,6 +69,12 @@ function drawAll() {
 
 document.getElementById("force-episode")?.addEventListener("change", drawAll);
 dark.addEventListener("change", drawAll);
+let drawnWidth = innerWidth;
+addEventListener("resize", () => {
+  // A phone that is turned; its bars that come and go change the height alone.
+  if (innerWidth !== drawnWidth) drawAll();
+  drawnWidth = innerWidth;
+});
 drawAll();
 
 function playable(video) {

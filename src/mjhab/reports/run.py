@@ -19,7 +19,13 @@ from mjhab.reports.metrics import (
     rows_by_position,
     summarize,
 )
-from mjhab.reports.plots import LABEL_COLORS, force_figure, labels_figure, progress_figure
+from mjhab.reports.plots import (
+    LABEL_COLORS,
+    force_figure,
+    has_values,
+    labels_figure,
+    progress_figure,
+)
 from mjhab.rollout.records import EpisodeRecord
 
 FORCE_EPISODES = 12
@@ -217,7 +223,10 @@ def _figures(
 
 
 def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
-    """Render a page in the common style: ``body`` is HTML, ``figures["plots"]`` maps element ids to plotly figures."""
+    """Render a page in the common style: ``body`` is HTML, ``figures["plots"]`` maps element ids to plotly figures.
+
+    A figure without a value would show axes of numbers that mean nothing: a sentence takes its place.
+    """
     from plotly.offline import get_plotlyjs
 
     here = files("mjhab.reports")
@@ -225,6 +234,7 @@ def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
         here.joinpath(name).read_text(encoding="utf-8")
         for name in ("report.css", "report.js")
     )
+    body, figures = _without_empty_charts(body, figures)
     data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace(
         "</", "<\\/"
     )
@@ -249,3 +259,14 @@ def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
 </body>
 </html>
 """
+
+
+def _without_empty_charts(
+    body: str, figures: Mapping[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """Put a sentence in the place of every chart that has no value, and drop its figure."""
+    plots = figures.get("plots", {})
+    kept = {name: figure for name, figure in plots.items() if has_values(figure)}
+    for name in plots.keys() - kept.keys():
+        body = body.replace(f'<div id="{name}"></div>', parts.empty("No values yet."))
+    return body, {**figures, "plots": kept}

@@ -245,7 +245,7 @@ def _cells(r: Result) -> dict[str, str]:
         "< 1,400 N": _number(r.gentle, _rate(r.gentle)),
         "no peak of 1,400 N": _number(r.gentle_peak, _rate(r.gentle_peak)),
         "tainted": _number(r.tainted, str(r.tainted)),
-        "failures": f'<td style="white-space:normal;min-width:170px">{_failures(r)}</td>',
+        "failures": f'<td class="words">{_failures(r)}</td>',
     }
 
 

@@ -189,7 +189,8 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
     head = "".join(f"<th>{escape(title)}</th>" for title in titles())
     lines = [
         "<tr>"
-        + "".join(f"<td>{escape(str(value))}</td>" for value in cells(result))
+        + "".join(f"<td>{escape(str(value))}</td>" for value in cells(result)[:-1])
+        + f'<td class="words">{escape(str(cells(result)[-1]))}</td>'
         + "</tr>"
         for result in results
     ]
@@ -209,5 +210,7 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
         "2025, Tables 1 and 5)."
     )
     title = TITLES[config["what"]]
-    body = f"<h1>{escape(title)}</h1>" + parts.section("Success", hint, table)
+    body = f"<h1>{escape(title)}</h1>" + parts.section(
+        "Success", hint, parts.scrolled(table)
+    )
     return render_page(title, body, {"plots": {}})

@@ -110,9 +110,11 @@ def curve(
         if lines
         else {"title": {"text": y_title}, "range": [0, 1]}
     )
+    # Around a single value plotly would draw an axis of its own making.
+    x_axis = {"title": {"text": x_title}, "rangemode": "tozero"}
     return {
         "data": [trace],
-        "layout": {"height": 320, "xaxis": {"title": {"text": x_title}}, "yaxis": y_axis},
+        "layout": {"height": 320, "xaxis": x_axis, "yaxis": y_axis},
     }
 
 
@@ -211,7 +213,8 @@ def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
     )
     head = "<tr><th>round</th><th>demonstrations so far</th><th>episodes that succeeded</th><th>time</th></tr>"
     hint = "Demonstrations that the expert added."
-    return parts.section("Collection", hint, f"<table>{head}{lines}</table>")
+    table = parts.scrolled(f"<table>{head}{lines}</table>")
+    return parts.section("Collection", hint, table)
 
 
 def _films(folder: TrainingFolder) -> str:

@@ -249,6 +249,21 @@ def test_values_out_of_range_are_told_once_and_counted(
     assert said.count("Values out of range are clipped") == 1 and told in said
 
 
+def test_joints_that_turn_without_end_are_sent_within_a_turn() -> None:
+    with serving(Constant()) as server:
+        env = world(num_envs=1)
+        served: Any = resolve_policy(spec(server.port), env)
+        robot = env.layout.robot
+        q = np.zeros(len(robot.joints))
+        for name in ("wrist_roll_joint", "forearm_roll_joint"):
+            q[robot.joints.index(name)] = 0.25 + 4 * np.pi
+        q[robot.joints.index("elbow_flex_joint")] = -2.0
+        sent = dict(zip(robot.group("arm"), served._arm_positions(q), strict=True))
+        close_policy(served)
+    assert sent["wrist_roll_joint"] == sent["forearm_roll_joint"] == np.float32(0.25)
+    assert sent["elbow_flex_joint"] == np.float32(-2.0)
+
+
 def test_the_action_space_of_a_server_is_taken_and_a_wrong_control_mode_refused() -> None:
     with serving(Constant()) as server:
         with pytest.raises(UsageError, match="needs control mode pd_ee_delta_pose"):

@@ -14,6 +14,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.progress import say
+from mjhab.core.rotations import wrap
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
@@ -208,7 +209,7 @@ class ServedPolicy:
             external=None if head is None else head[w],
             wrist=None if hand is None else hand[w],
             state=np.asarray(obs[STATE_KEY][w], np.float32),
-            arm=np.asarray(q[list(robot.arm_columns)], np.float32),
+            arm=self._arm_positions(q),
             gripper=float(np.clip(1.0 - opened, 0.0, 1.0)),
             tcp=np.asarray(obs[TCP_POSE][w], np.float64),
             prompt=self._instruction or told,
@@ -216,6 +217,14 @@ class ServedPolicy:
             chunk=self._address.execute,
             own=self._own_part(w, obs) if self._needs else None,
         )
+
+    def _arm_positions(self, q: np.ndarray) -> np.ndarray:
+        """Positions of the arm's joints [rad] float32; those of joints that turn without end in [-pi, pi)."""
+        robot = self._env.layout.robot
+        columns = list(robot.arm_columns)
+        limits = np.array([robot.joint_limits[column] for column in columns])
+        arm = q[columns]
+        return np.where(np.isfinite(limits[:, 0]), arm, wrap(arm)).astype(np.float32)
 
     def _own_part(self, w: int, obs: Any) -> dict[str, Any]:
         """The part of a request that only mjhab servers need: configuration, step, and state of the world."""

@@ -32,6 +32,8 @@ PUBLISHED = {
     "cameras": ("fetch_head", "fetch_hand"),
     "frame_stack": 3,
     "handle_points": "published",
+    "object_axes": "scan",
+    "joint_angles": "unwrapped",
 }
 USUAL = {
     "stillness": "absolute",
@@ -43,6 +45,8 @@ USUAL = {
     "cameras": ("fetch_head", "fetch_hand"),
     "frame_stack": 1,
     "handle_points": "ours",
+    "object_axes": "object",
+    "joint_angles": "wrapped",
     "horizon": 0,
 }
 
@@ -93,6 +97,8 @@ def test_horizons_are_those_of_training_and_of_evaluation(
         ("reward_normaliser", "attainable"),
         ("cameras", ("fetch_hand", "fetch_head")),
         ("frame_stack", 1),
+        ("object_axes", "object"),
+        ("joint_angles", "wrapped"),
         ("horizon", 150),
         ("overrides", {"pick.force_limit": 1400}),
         ("overrides", {"place.horizon": 300}),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from mjhab.core.conventions.names import Conventions
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import quat_rotate
 from mjhab.data.record.recorder import Recorder
@@ -73,6 +74,7 @@ class InTorch:
 
     def __init__(self, env: Any) -> None:
         self.num_envs = env.num_envs
+        self.config = env.config
         self._env = env
 
     @property
@@ -85,6 +87,9 @@ class InTorch:
 
     def link_state(self) -> torch.Tensor:
         return torch.as_tensor(self._env.link_state())
+
+    def state_as(self, conventions: Conventions) -> torch.Tensor:
+        return torch.as_tensor(self._env.state_as(conventions))
 
 
 class Watching(RandomPolicy):
@@ -216,7 +221,7 @@ def test_the_target_in_the_hand_is_the_handle_seen_from_the_tcp(
 def test_the_target_in_the_hand_needs_the_tasks_state() -> None:
     inputs = InputConfig(cameras=(), image_size=0, target_in_hand=True)
     spec = Layout(inputs, (("agent/qpos", 4),), ("a0",), (TARGET,), ("pd", "forward"))
-    env = SimpleNamespace(num_envs=1)
+    env = SimpleNamespace(num_envs=1, config=SimpleNamespace())
     obs = {"state": np.zeros((1, 4), np.float32)}
     plan = ({"kind": "open", "target": TARGET},)
     info = {"episode_spec": [{"plan": plan}], "pointer": np.zeros(1, int)}

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
+from mjhab.core.conventions.names import Conventions
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.envs import make
@@ -31,13 +31,9 @@ SEED = 7
 
 
 def environment(**options: Any) -> Any:
-    """What a policy reads of an environment; in every world the object is the first, whose scan is not turned."""
+    """What a policy reads of an environment of the profile."""
     return SimpleNamespace(
-        config=SimpleNamespace(**(ENV_OPTIONS | options)),
-        focus=SimpleNamespace(obj=np.zeros(WORLDS, np.int64)),
-        layout=SimpleNamespace(
-            objects=[SimpleNamespace(scan_yaw=0.0), SimpleNamespace(scan_yaw=1.089)]
-        ),
+        config=SimpleNamespace(**(ENV_OPTIONS | {"object_axes": "scan"} | options))
     )
 
 
@@ -168,29 +164,30 @@ def test_actions_are_those_of_a_plain_computation(name: str, tmp_path: Path) -> 
     )
 
 
-def test_objects_are_seen_in_the_axes_of_their_scans(tmp_path: Path) -> None:
+def test_in_an_environment_of_other_conventions_the_state_is_asked_for(
+    tmp_path: Path,
+) -> None:
     path = original.save(tmp_path / "a.pt", original.random_weights(CASES["ppo"].shapes))
-    env = environment()
-    env.focus.obj[:] = (1, -1)
-    policy = ms_hab_policy(path, env)
-    plain = ms_hab_policy(path, ENV)
-    obs = observation(np.random.default_rng(3))
-    pose = obs["state"][:, 31:38]
-    pose[1] = 0.0
-    turn = Rotation.from_rotvec([0.0, 0.0, 1.089])
-    x, y, z, w = (Rotation.from_quat(pose[0, [4, 5, 6, 3]]) * turn).as_quat(
-        canonical=True
-    )
-    pose[0, 3:] /= np.linalg.norm(pose[0, 3:])
-    turned = {key: values.copy() for key, values in obs.items()}
-    turned["state"][0, 34:38] = (w, x, y, z)
-    before = obs["state"].copy()
-    for each in (policy, plain):
-        each.reset(np.ones(WORLDS, bool))
-    np.testing.assert_allclose(
-        policy.act(obs, info(0, 1)), plain.act(turned, info(0, 1)), atol=1e-5
-    )
-    np.testing.assert_array_equal(obs["state"], before)
+    rng = np.random.default_rng(3)
+    obs = observation(rng)
+    published = {**obs, "state": observation(rng)["state"]}
+    asked = []
+
+    def state_as(conventions: Conventions) -> np.ndarray:
+        asked.append(conventions)
+        return published["state"]
+
+    for other in ({"object_axes": "object"}, {"joint_angles": "wrapped"}):
+        env = environment(**other)
+        env.state_as = state_as
+        policy = ms_hab_policy(path, env)
+        plain = ms_hab_policy(path, ENV)
+        for each in (policy, plain):
+            each.reset(np.ones(WORLDS, bool))
+        np.testing.assert_array_equal(
+            policy.act(obs, info(0, 1)), plain.act(published, info(0, 1))
+        )
+    assert asked == [Conventions("scan", "unwrapped")] * 2
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -14,6 +14,7 @@ from mjhab.tasks.household.registry import chain
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, Target, TaskPlan, stack_plans
 from mjhab.tasks.progress import Progress, accumulate, start
+from mjhab.tasks.rewards.table import posture_error
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.thresholds import TaskConfig
 from tests.tasks.build import (
@@ -105,6 +106,27 @@ def test_thresholds_of_the_robot_include_equality_on_both_sides(sign: int) -> No
         OPEN, robot_qd=joints(13, 9.0), robot_q=joints(14, 9.0)
     ).success.shape == (1,)
     assert look(PICK, robot_qd=joints(13, 9.0)).is_static[0], "fingers may move"
+
+
+@pytest.mark.parametrize("turns", [-2, -1, 1, 3])
+def test_whole_turns_of_joints_without_limits_count_only_as_published(
+    turns: int,
+) -> None:
+    """An arm at rest except for a roll joint that was turned round, at rest and 0.1 rad off."""
+    roll, limited = 8, 9
+    free = tuple(joint == roll for joint in range(15))
+    wrapped = replace(ZERO_REST, endless=free)
+    for off in (0.0, 0.1):
+        q = joints(roll, off + turns * 2 * math.pi)
+        assert look(PLACE, wrapped, robot_q=q).robot_rest[0]
+        assert not look(PLACE, ZERO_REST, robot_q=q).robot_rest[0]
+        state = resting(rest=wrapped.rest_qpos, robot_q=q)
+        assert posture_error(state, wrapped)[0] == pytest.approx(off, abs=1e-9)
+        assert posture_error(state, ZERO_REST)[0] > 6.0
+    q = joints(roll, 0.3 + turns * 2 * math.pi)
+    assert not look(PLACE, wrapped, robot_q=q).robot_rest[0]
+    q = joints(limited, turns * 2 * math.pi)
+    assert not look(PLACE, wrapped, robot_q=q).robot_rest[0]
 
 
 def test_end_effector_rest_point_moves_and_turns_with_the_base() -> None:

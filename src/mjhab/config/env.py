@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
 from mjhab.config.ranges import whole_number
+from mjhab.core.conventions.names import AXES, JOINT_ANGLES, WRAPPED, Conventions
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.options import take_types
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
@@ -85,7 +86,10 @@ class EnvConfig:
     of precomputed starts (`mjhab spawns make`). autoreset: what happens after an episode's end. handle_points: what
     observations and rewards of Open and Close take for the handle: "ours", the point at which our collision geometry is
     gripped, or "published", the point that the original's plans name (3 to 4 cm off). Built-in furniture and the
-    fridge's lower door have no published points and keep ours. episodes_file: a file in the HAB format whose i-th
+    fridge's lower door have no published points and keep ours. object_axes: axes of the pose of the observed object:
+    "object", along the sides of a box, or "scan", those of its YCB scan, which the original observes. joint_angles: of
+    joints without limits: "wrapped" to within half a turn, in observations and where the distance from rest is judged,
+    or "unwrapped", counted on over every turn, as the original does. episodes_file: a file in the HAB format whose i-th
     episode is episode i, in the home it names; "" to generate. navigate: of a chain: "teleport" puts the robot near
     every goal, as the paper does; "drive" leaves the way to the policy, and arm and grasp count. Navigate alone is
     always driven. render_mode: "rgb_array" makes ``render()`` give human views. backend: "cpu"; "warp" for the
@@ -131,6 +135,8 @@ class EnvConfig:
     spawn_rule: str = OF_PROFILE
     spawns: str = ""
     handle_points: str = OF_PROFILE
+    object_axes: str = OF_PROFILE
+    joint_angles: str = OF_PROFILE
     autoreset: str = "same_step"
     episodes_file: str = ""
     navigate: str = "teleport"
@@ -160,6 +166,8 @@ class EnvConfig:
         _known("reward mode", self.reward_mode, ("", *REWARD_MODES))
         _known("kind of observation keys", self.obs_keys, OBS_KEYS)
         _known("handle points", self.handle_points, HANDLE_POINTS)
+        _known("axes of objects", self.object_axes, AXES)
+        _known("kind of joint angles", self.joint_angles, JOINT_ANGLES)
         _known("navigate mode", self.navigate, NAVIGATE_MODES)
         _known("render mode", self.render_mode or "", RENDER_MODES)
         _known("backend", self.backend, BACKENDS)
@@ -272,6 +280,11 @@ class EnvConfig:
         )
 
     @property
+    def conventions(self) -> Conventions:
+        """How observations tell poses of objects and angles of joints."""
+        return Conventions(self.object_axes, self.joint_angles)
+
+    @property
     def teleports(self) -> bool:
         """Whether the environment does the navigation of a chain."""
         return not self.subtask and self.navigate == "teleport"
@@ -324,6 +337,7 @@ def task_config(config: EnvConfig, robot: Robot) -> TaskConfig:
         continuous=config.runs_to_horizon,
         ignore_arm=config.teleports,
         stillness=config.stillness,
+        endless=robot.endless if config.joint_angles == WRAPPED else (),
     )
     limits = {name: _limits(config, name) for name in SUBTASKS}
     changes: dict[str, Any] = {}
@@ -355,7 +369,7 @@ def _override(
     """Put one override into ``changes`` or ``limits``, checked against the type of the present value."""
     group, _, part = name.partition(".")
     owner: Any = limits.get(group) if part else base
-    apart = ("limits", "rest_qpos", "joints", "continuous", "stillness")
+    apart = ("limits", "rest_qpos", "joints", "continuous", "stillness", "endless")
     plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
     nested = [f"{kind}.{limit}" for kind in SUBTASKS for limit in _LIMITS]
     if name == "stillness":

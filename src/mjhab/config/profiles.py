@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES, UNWRAPPED, WRAPPED
 from mjhab.core.errors import unknown_name
 
 DEFAULT_PROFILE = "mjhab"
@@ -34,6 +35,8 @@ class Profile:
     cameras: whose images are observed, in this order; None for all of the robot's.
     frame_stack: frames that `wrappers.FrameStack` stacks.
     handle_points: "ours" or "published": which points observations and rewards take for handles.
+    object_axes, joint_angles: how observations tell poses of objects and angles of joints, see
+        `core.conventions`.
     horizon, train_horizon: control steps of a subtask that is evaluated, and that is trained; Navigate has those of
         the paper in both.
     """
@@ -49,6 +52,8 @@ class Profile:
     cameras: tuple[str, ...] | None
     frame_stack: int
     handle_points: str
+    object_axes: str
+    joint_angles: str
     horizon: int
     train_horizon: int
 
@@ -88,6 +93,8 @@ MJHAB = Profile(
     cameras=None,
     frame_stack=1,
     handle_points="ours",
+    object_axes=OBJECT_AXES,
+    joint_angles=WRAPPED,
     horizon=OF_PAPER,
     train_horizon=OF_PAPER,
 )
@@ -103,6 +110,8 @@ MS_HAB = Profile(
     cameras=None,
     frame_stack=3,
     handle_points="published",
+    object_axes=SCAN_AXES,
+    joint_angles=UNWRAPPED,
     horizon=200,
     train_horizon=100,
 )

@@ -31,8 +31,12 @@ from mjhab.core.arrays import (
     namespace,
     where_rows,
 )
+from mjhab.core.conventions.names import Conventions
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.envs.episode_length import with_episode_length
+from mjhab.envs.observations.modes import STATE_KEY
+from mjhab.envs.observations.state import state_observation
+from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, RewardRules
@@ -91,6 +95,7 @@ class TaskLoop(VectorEnv, ABC):
 
     sim: Any
     """Simulator of the worlds: a `sim.protocol.Simulator`, on a device a `WarpSimulator`."""
+    observer: ObservedRows
     tables: Tables
     tracker: SubtaskNotes
 
@@ -137,6 +142,7 @@ class TaskLoop(VectorEnv, ABC):
             self.num_envs,
             self._like,
             config.handle_points,
+            config.conventions,
         )
         alone = config.subtask
         rules = RewardRules(
@@ -476,6 +482,16 @@ class TaskLoop(VectorEnv, ABC):
     def link_state(self) -> Array:
         """(W, 5) state of the active subtask's link, see `Sensing.link_state`; it is not part of observations."""
         return self.sensing.link_state(self.state, self.focus)
+
+    def state_as(self, conventions: Conventions) -> Array:
+        """``obs["state"]`` (W, S) of the present state in other conventions, bit by bit as if they were the options.
+
+        Policies that were trained with other ones than those of ``config`` take it. `reset` must have been called.
+        """
+        signals = self.signals
+        assert signals is not None
+        context = self.sensing.context(self.state, self.focus, signals, conventions)
+        return state_observation(self.observer.state_rows, context)[STATE_KEY]
 
     def info(self) -> dict[str, Any]:
         """`info` of the present state, without events; `reset` must have been called."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.config.env import EnvConfig
+from mjhab.core.conventions.names import UNWRAPPED
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.store.episode_data import RunInfo
@@ -39,6 +40,8 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
     for name in config:
         if name not in known - options.keys() - {"autoreset"}:
             raise unknown_name("environment option of the recorded episodes", name, known)
+    # What older versions had no option for.
+    config.setdefault("joint_angles", UNWRAPPED)
     # All option values of the profile are recorded; its name would only forbid other cameras.
     config.pop("profile", None)
     for name in ("episodes_file", "spawns"):

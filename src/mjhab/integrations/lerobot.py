@@ -27,15 +27,19 @@ MAX_CHAIN_STEPS = 8000
 
 @dataclass(frozen=True)
 class LeRobotOptions:
-    """What to do, and where; see `config.env.EnvConfig`. ``subtask`` "" is the whole task. ``actions``: an action space
-    of `evaluation.served.action_spaces`. ``image_size`` [px]. ``seed``: of the episodes; the seed that a reset is given
-    is the index of its episode."""
+    """What to do, and where; see `config.env.EnvConfig`.
+
+    ``subtask`` "" is the whole task. ``actions``: an action space of `evaluation.served.action_spaces`. ``profile``:
+    that of the exported data ("" for the default), so that axes of objects and joint angles are told as there.
+    ``image_size`` [px]. ``seed``: of the episodes; the seed that a reset is given is the index of its episode.
+    """
 
     task: str = "set_table"
     subtask: str = "pick"
     target: str = ""
     split: str = "val"
     actions: str = "joint"
+    profile: str = ""
     image_size: int = 128
     seed: int = 0
 
@@ -66,6 +70,7 @@ class LeRobotEnv(gymnasium.Env):
             subtask=options.subtask,
             target=options.target,
             split=options.split,
+            profile=options.profile or None,
             num_envs=1,
             threads=1,
             obs_mode="rgb",

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
 from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
+from mjhab.core.conventions.names import OBJECT_AXES, UNWRAPPED, Conventions
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.typed.records import read_record
 from mjhab.learning.configs import InputConfig
@@ -77,6 +78,10 @@ class ActingEnv(StudentEnv, Protocol):
         """(W, 5) float32, see `Sensing.link_state`."""
         ...
 
+    def state_as(self, conventions: Conventions, /) -> Any:
+        """(W, D) float32, the observed state in other conventions, see `TaskLoop.state_as`."""
+        ...
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -85,7 +90,9 @@ class Layout:
     inputs: which inputs it has. state: entries of the state vector, in order. actions: names of the dimensions of an
     action. targets, kinds: types of targets and kinds of subtasks in the one-hot condition. control: of the
     environment, see `control_of`. profile: of the environment, see `profile_of`; it is the default profile for
-    evaluations of the student. robot: its name; "" in older checkpoints, of the default robot.
+    evaluations of the student. robot: its name; "" in older checkpoints, of the default robot. object_axes,
+    joint_angles: conventions of the observations that it was trained with, see `observation.state`; older checkpoints
+    do not say, and are of the defaults here.
     """
 
     inputs: InputConfig
@@ -96,6 +103,17 @@ class Layout:
     profile: str = DEFAULT_PROFILE
     kinds: tuple[str, ...] = OLDER_KINDS
     robot: str = ""
+    object_axes: str = OBJECT_AXES
+    joint_angles: str = UNWRAPPED
+
+    @property
+    def conventions(self) -> Conventions:
+        """Of the observations that it was trained with."""
+        return Conventions(self.object_axes, self.joint_angles)
+
+    def told_in(self, conventions: Conventions) -> Layout:
+        """The same layout with observations of other conventions."""
+        return replace(self, **asdict(conventions))
 
     @property
     def robot_name(self) -> str:
@@ -253,7 +271,7 @@ def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> L
         profile,
         SUBTASKS.names(),
         env.config.robot,
-    )
+    ).told_in(Conventions.of(vars(env.config)))
 
 
 def state_of(env: StudentEnv) -> tuple[Entry, ...]:
@@ -282,13 +300,15 @@ def profile_of(options: Mapping[str, Any]) -> str:
     """Name of the profile of an environment with these options of `EnvConfig`, also after a round trip through JSON.
 
     Options that match a binding profile in everything except the horizon belong to that profile, because episodes of
-    collection may be longer than those of an evaluation, see `collection.longer`.
+    collection may be longer than those of an evaluation, see `collection.longer`. Axes of objects do not count: data
+    of older versions have others, which `observation.state` converts.
     """
+    told = {**asdict(Conventions.of(options)), **options}
     for profile in PROFILES.values():
         values = profile.options(str(options.get("subtask", "")), trains=False)
-        del values["horizon"]
+        del values["horizon"], values["object_axes"]
         if profile.binding and all(
-            _plain(options.get(name)) == _plain(value) for name, value in values.items()
+            _plain(told.get(name)) == _plain(value) for name, value in values.items()
         ):
             return profile.name
     return str(options.get("profile", DEFAULT_PROFILE))

@@ -351,6 +351,14 @@ class Robot:
         return tuple((limits | base)[joint] for joint in self.joints)
 
     @cached_property
+    def endless(self) -> tuple[bool, ...]:
+        """For every joint whether it turns without limits: its angle grows with every turn; False for the base."""
+        return tuple(
+            column >= BASE.stop and not np.isfinite(low)
+            for column, (low, _) in enumerate(self.joint_limits)
+        )
+
+    @cached_property
     def finger_max(self) -> float:
         """Upper limit [m] of a finger joint: the gripper is fully open."""
         return self.joint_limits[self.finger_columns[0]][1]

@@ -25,6 +25,7 @@ from mjhab.core.arrays import (
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.tasks.plan import PlanArrays
+from mjhab.tasks.posture import off_rest
 from mjhab.tasks.signals import (
     CHECKS,
     JOINT_CHECKS,
@@ -183,12 +184,7 @@ def _stillness(
     xp = namespace(tolerance)
     posture = config.joints.posture
     count = posture.stop - posture.start
-    near_rest = (
-        xp.abs(
-            state.robot_q[:, posture] - constant(config.rest_qpos[posture], state.robot_q)
-        )
-        <= tolerance
-    )
+    near_rest = xp.abs(off_rest(state.robot_q, config)) <= tolerance
     limits = constant(
         (config.static_base_speed,) * BASE.stop + (config.static_speed,) * count,
         state.robot_qd,

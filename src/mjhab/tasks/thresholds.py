@@ -39,6 +39,9 @@ class TaskConfig:
     """Rest position of the tcp in the frame of the base link."""
     base_height: float
     """Height of the frame of the base link above the floor (mshab/envs/sequential_task.py: the base floats)."""
+    endless: tuple[bool, ...] = ()
+    """(J,) which joints turn without limits and are as far from rest as the shortest turn leads there. Empty: none, as
+    in the original, where a joint at rest after a whole turn is not at rest."""
     limits: Mapping[str, SubtaskConfig] = field(default_factory=dict)
     """Limits of kinds of subtasks, by name, in place of those of their `SubtaskSpec`; see `registry.limits_of`."""
     continuous: bool = False
@@ -76,6 +79,10 @@ class TaskConfig:
         if len(self.rest_qpos) != self.joints.count:
             raise UsageError(
                 f"rest_qpos needs the {self.joints.count} joint values of the robot, got {len(self.rest_qpos)}."
+            )
+        if self.endless and len(self.endless) != self.joints.count:
+            raise UsageError(
+                f"endless needs a truth value for each of the {self.joints.count} joints, got {len(self.endless)}."
             )
         if self.goal_type not in ("sphere", "cylinder", "zone"):
             raise unknown_name(

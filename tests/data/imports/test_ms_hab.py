@@ -10,10 +10,10 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import mjhab
 from mjhab.cli.main import main
+from mjhab.core.conventions.names import PUBLISHED
 from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.imports.ms_hab_layout import ACTIONS, SCANNED_YAWS
@@ -195,29 +195,31 @@ def test_which_object_a_subtask_observes() -> None:
     assert shown == ("", kind, kind, kind, kind, "")
 
 
-def test_poses_of_boxes_are_turned_into_our_axes_and_back(tmp_path: Path) -> None:
+def test_poses_of_boxes_keep_the_axes_of_their_scans_there_and_back(
+    tmp_path: Path,
+) -> None:
     key = "extra/obj_pose_wrt_base"
     path = original(tmp_path, 1, name="008_pudding_box")
     import_ms_hab(path, tmp_path / "shards")
     (episode,) = episodes(tmp_path / "shards")
     with h5py.File(path) as file:
         seen = np.array(file[f"traj_0/obs/{key}"])
-    ours = episode.observation(key)
-    turn = Rotation.from_rotvec([0.0, 0.0, -SCANNED_YAWS["008_pudding_box"]])
-    for mine, theirs in zip(ours, seen, strict=True):
-        wanted = Rotation.from_quat(theirs[[4, 5, 6, 3]]) * turn
-        got = Rotation.from_quat(mine[[4, 5, 6, 3]])
-        assert (wanted.inv() * got).magnitude() < 1e-5 and mine[3] >= 0
-    np.testing.assert_array_equal(ours[:, :3], seen[:, :3])
+    seen[seen[:, 3] < 0, 3:] *= -1
+    assert episode.conventions == PUBLISHED
+    np.testing.assert_array_equal(episode.observation(key), seen)
+    assert episode.scan_yaws is not None
+    assert set(episode.scan_yaws.tolist()) == {SCANNED_YAWS["008_pudding_box"]}
     (exported,) = to_maniskill(tmp_path / "shards", tmp_path / "exported").files
     told = json.loads(exported.with_suffix(".json").read_text())["episodes"]
-    assert [each["object_axes"] for each in told] == ["scan"]
-    seen[seen[:, 3] < 0, 3:] *= -1
+    assert [(each["object_axes"], each["joint_angles"]) for each in told] == [
+        ("scan", "unwrapped")
+    ]
     with h5py.File(exported) as file:
-        np.testing.assert_allclose(np.array(file[f"traj_0/obs/{key}"]), seen, atol=1e-6)
+        np.testing.assert_array_equal(np.array(file[f"traj_0/obs/{key}"]), seen)
     import_ms_hab(exported, tmp_path / "back")
     (back,) = episodes(tmp_path / "back")
-    np.testing.assert_allclose(back.observation(key), ours, atol=1e-6)
+    assert back.conventions == PUBLISHED
+    np.testing.assert_array_equal(back.observation(key), seen)
 
 
 def test_poses_without_known_headings_stay(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mjhab.core.conventions.changes import to_scan_axes
+from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
@@ -27,8 +29,6 @@ from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.imports.ms_hab_layout import (
-    OBJECT_AXES,
-    SCAN_AXES,
     SOURCE_TYPE,
     TRAJECTORY,
     TRUTHS,
@@ -44,7 +44,6 @@ from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.hdf5 import change_file, make_file
 from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.journal import recover
-from mjhab.data.store.object_axes import scan_yaws, to_scan_axes
 from mjhab.data.store.older import OBJECT_POSE
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.rollout.records import EpisodeRecord
@@ -240,7 +239,7 @@ def _observations(
     episode: RecordedEpisode, rows: int
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Pairs of observation key and array (rows, ...): the parts of the state in order, then camera images."""
-    yaws = scan_yaws(episode)
+    yaws = _yaws_to_turn(episode)
     for key, whole in episode.table("obs/state").items():
         values = whole[:rows]
         if key == OBJECT_POSE and yaws is not None:
@@ -259,6 +258,18 @@ def _observations(
     ):
         frames = [episode.frame(camera, output, t) for t in range(rows)]
         yield f"sensor_data/{camera}/{output}", np.stack(frames)
+
+
+def _yaws_to_turn(episode: RecordedEpisode) -> np.ndarray | None:
+    """(N+1,) headings [rad] by which the pose of the object is still to be turned; None if it is not."""
+    has_ours = episode.conventions.object_axes == OBJECT_AXES
+    return episode.scan_yaws if has_ours else None
+
+
+def _axes_of(episode: RecordedEpisode) -> str:
+    """Axes of the pose of the object in an exported episode."""
+    is_ours = episode.conventions.object_axes == OBJECT_AXES
+    return OBJECT_AXES if is_ours and episode.scan_yaws is None else SCAN_AXES
 
 
 def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str, Any]:
@@ -287,7 +298,8 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
         "navigation": "teleport" if navigates_by_teleport(episode) else "drive",
         "actors": list(episode.actors),
         "lacks": list(episode.lacks),
-        "object_axes": OBJECT_AXES if scan_yaws(episode) is None else SCAN_AXES,
+        "object_axes": _axes_of(episode),
+        "joint_angles": episode.conventions.joint_angles,
         "label": last_label(record),
         "legacy_label": record.subtasks[-1].legacy_label if record.subtasks else None,
         "target": record.subtasks[-1].target

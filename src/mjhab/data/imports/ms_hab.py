@@ -17,13 +17,13 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.data.imports.ms_hab_layout import (
     ACTIONS,
     CONTROL_MODE,
     ENV,
-    SCAN_AXES,
     SCANNED_YAWS,
     SOURCE_TYPE,
     TRAJECTORY,
@@ -35,6 +35,7 @@ from mjhab.data.imports.ms_hab_trajectory import trajectory_arrays, trajectory_e
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import group, read_attributes
 from mjhab.data.store.object_axes import shown_objects
+from mjhab.data.store.older import OLDER_SCANNED
 from mjhab.data.store.reading import UNREADABLE
 from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.data.store.schema import FORMAT
@@ -207,6 +208,7 @@ class _Source:
             options={
                 "source_type": self.said.get("source_type"),
                 "source_desc": self.said.get("source_desc"),
+                "object_axes": self._axes(),
             },
             versions=dict(made.get("versions", {})),
             layout=self._layout(),
@@ -218,6 +220,17 @@ class _Source:
     def _runs(self) -> list[Mapping[str, Any]]:
         """The runs of a file that mjhab exported; empty for a file of MS-HAB."""
         return list(self.said.get("runs", {}).values()) if self.is_ours else []
+
+    def _axes(self) -> str:
+        """Axes of the poses of objects in the shard: those that the environment of the episodes observes."""
+        if not self.is_ours:
+            return SCAN_AXES
+        told = {run.get("options", {}).get("object_axes", "") for run in self._runs()}
+        if len(told) == 1 and told <= {OBJECT_AXES, SCAN_AXES}:
+            return str(told.pop())
+        is_scanned = all(each.get("object_axes") == SCAN_AXES for each in self.told)
+        older = self._env().get("profile") == OLDER_SCANNED
+        return SCAN_AXES if older and is_scanned else OBJECT_AXES
 
     def _control_mode(self) -> str:
         told = (each["control_mode"] for each in self.told if each.get("control_mode"))
@@ -281,7 +294,7 @@ class _Source:
             raise UsageError(
                 f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}."
             )
-        arrays, columns = trajectory_arrays(trajectory, self._scan_yaw(told, run))
+        arrays, columns = trajectory_arrays(trajectory, self._turn(told, run))
         steps = len(arrays["actions"])
         if steps != int(told["elapsed_steps"]) or steps < 1:
             raise UsageError(
@@ -299,12 +312,15 @@ class _Source:
         actors = tuple(str(actor) for actor in told.get("actors", ()))
         return EpisodeData(record, run, "", ending, arrays, columns, actors)
 
-    def _scan_yaw(self, told: Mapping[str, Any], run: RunInfo) -> float:
-        """Heading [rad] of the scan of the observed object, 0 if its pose is in the axes of the object."""
-        if self.is_ours and told.get("object_axes") != SCAN_AXES:
+    def _turn(self, told: Mapping[str, Any], run: RunInfo) -> float:
+        """Yaw [rad] from the axes of the object's pose in the file to those in the shard."""
+        have = str(told.get("object_axes", OBJECT_AXES)) if self.is_ours else SCAN_AXES
+        want = run.options["object_axes"]
+        if have == want:
             return 0.0
         (shown,) = shown_objects((PlanEntry(self.subtask, self._target(told)),))
-        return float(run.layout.get(SCAN_YAWS, {}).get(shown, 0.0))
+        yaw = float(run.layout.get(SCAN_YAWS, {}).get(shown, 0.0))
+        return yaw if want == SCAN_AXES else -yaw
 
     def _record(
         self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]

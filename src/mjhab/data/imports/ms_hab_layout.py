@@ -36,9 +36,6 @@ ACTIONS = (
 )
 """Names of the 13 actions of MS-HAB's Fetch in `CONTROL_MODE`, as in mjhab's action table (mani_skill
 agents/robots/fetch/fetch.py)."""
-SCAN_AXES = "scan"
-OBJECT_AXES = "object"
-"""Values of "object_axes" of an exported episode: the axes of ``obj_pose_wrt_base``, see `data.store.object_axes`."""
 SCANNED_YAWS = {
     "003_cracker_box": 0.00349,
     "004_sugar_box": 0.03142,
@@ -76,6 +73,7 @@ _TEXTS = (
     "home",
     "split",
     "object_axes",
+    "joint_angles",
     "ending",
 )
 

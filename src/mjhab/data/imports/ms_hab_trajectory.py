@@ -7,10 +7,10 @@ import re
 import h5py
 import numpy as np
 
+from mjhab.core.conventions.changes import to_scan_axes
 from mjhab.core.rotations import quat_canonical
 from mjhab.data.store.hdf5 import content, dataset, dataset_paths, group
 from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.object_axes import from_scan_axes
 from mjhab.data.store.older import OBJECT_POSE
 
 POSE = re.compile(r"pose_wrt_base$")
@@ -19,17 +19,17 @@ _PARAMETERS = "sensor_param"
 
 
 def trajectory_arrays(
-    trajectory: h5py.Group, scan_yaw: float
+    trajectory: h5py.Group, turn: float
 ) -> tuple[dict[str, np.ndarray], dict[str, tuple[str, ...]]]:
     """Datasets of an episode by their paths in the shard schema, and the names of their columns.
 
-    scan_yaw: heading [rad] of the scan in whose axes the pose of the object is.
+    turn: yaw [rad] by which the axes of the pose of the object are turned.
     """
     actions = _rows(trajectory, "actions").astype(np.float32)
     steps = len(actions)
     parts = _state_parts(trajectory)
     if OBJECT_POSE in parts:
-        parts[OBJECT_POSE] = from_scan_axes(parts[OBJECT_POSE], scan_yaw)
+        parts[OBJECT_POSE] = to_scan_axes(parts[OBJECT_POSE], turn)
     arrays = {
         "actions": actions,
         "subtasks/active": np.zeros(steps + 1, np.int16),

@@ -46,6 +46,7 @@ _VIEW = frozenset(
         "camera_size",
         "frame_stack",
         "handle_points",
+        "object_axes",
         "reward_mode",
         "reward_scales",
         "reward_formula",

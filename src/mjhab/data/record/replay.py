@@ -427,7 +427,9 @@ def _with_images(
     cameras: Sequence[str],
 ) -> EpisodeData:
     """The episode with new images; its run describes them and the version that rendered them."""
-    arrays = {path: episode.array(path) for path in episode.paths if path != "record"}
+    # As they are stored: the new shard names the schema of the old one.
+    stored, _ = episode.contents()
+    arrays = {path: values for path, values in stored.items() if path != "record"}
     size = tuple(env.observer.size)
     for camera, output in episode.images:
         if camera in cameras and episode.frame(camera, output, 0).shape[:2] != size:

@@ -1,4 +1,4 @@
-"""Poses of objects in the axes of their scans, as MS-HAB's observations give them, and the headings of the scans.
+"""Headings of the scans of the objects that a recorded episode observes, for `core.conventions.to_scan_axes`.
 
 mjhab turns the frame of a boxy object about its z axis until its sides lie along the axes; the heading of the scan's
 axes in that frame is `scenes.spec.ObjectType.scan_yaw`. See docs/assets.md, "Headings of scanned boxes".
@@ -6,41 +6,16 @@ axes in that frame is `scenes.spec.ObjectType.scan_yaw`. See docs/assets.md, "He
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from mjhab.core.names import kind_of
-from mjhab.core.rotations import quat_canonical, quat_from_yaw, quat_mul
-from mjhab.data.store.reading import RecordedEpisode
 from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.rollout.records import PlanEntry
 from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
-
-
-def to_scan_axes(poses: np.ndarray, scan_yaw: np.ndarray | float) -> np.ndarray:
-    """Poses (`OBJECT_POSE`) in the axes of the scans, for poses in mjhab's frames of the objects.
-
-    Args:
-        poses: (..., 7) position [m] and quaternion wxyz; a quaternion of zeros stays one.
-        scan_yaw: (...) or one number, `ObjectType.scan_yaw` [rad] of the objects.
-
-    Returns:
-        New array of the same shape and type; quaternions have w >= 0.
-    """
-    yaw = np.broadcast_to(np.asarray(scan_yaw, np.float64), poses.shape[:-1])
-    turned = poses.copy()
-    # What is not turned keeps its bits.
-    boxy = yaw != 0.0
-    quats = quat_mul(poses[boxy][:, 3:].astype(np.float64), quat_from_yaw(yaw[boxy]))
-    turned[boxy, 3:] = quat_canonical(quats)
-    return turned
-
-
-def from_scan_axes(poses: np.ndarray, scan_yaw: np.ndarray | float) -> np.ndarray:
-    """Inverse of `to_scan_axes`."""
-    return to_scan_axes(poses, -np.asarray(scan_yaw, np.float64))
 
 
 def shown_objects(plan: Sequence[PlanEntry]) -> tuple[str, ...]:
@@ -63,16 +38,22 @@ def shown_objects(plan: Sequence[PlanEntry]) -> tuple[str, ...]:
     return tuple(reversed(shown))
 
 
-def scan_yaws(episode: RecordedEpisode) -> np.ndarray | None:
+def headings(
+    layout: Mapping[str, Any], plan: Sequence[PlanEntry], active: np.ndarray
+) -> np.ndarray | None:
     """Heading [rad] of the scan of the observed object in every state, (N+1,); None if the run does not hold headings.
 
     Runs of older versions do not.
+
+    Args:
+        layout: of the run (`RunInfo.layout`).
+        plan: of the episode.
+        active: (N+1,) index of the active subtask, the length of the plan after its end.
     """
-    known = episode.run.layout.get(SCAN_YAWS)
+    known = layout.get(SCAN_YAWS)
     if known is None:
         return None
-    plan = episode.record.plan
     by_entry = np.array(
         [known.get(name, 0.0) for name in shown_objects(plan)], np.float64
     )
-    return by_entry[np.minimum(episode.array("subtasks/active"), len(plan) - 1)]
+    return by_entry[np.minimum(active, len(plan) - 1)]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from mjhab.core.conventions.changes import to_scan_axes
 from mjhab.core.rotations import quat_canonical
 
 STAND_INS: dict[str, str] = {"actions_intended": "actions", "actor": "actions"}
@@ -14,6 +16,8 @@ OBJECT_POSE = "extra/obj_pose_wrt_base"
 POSES: tuple[str, ...] = ("extra/tcp_pose_wrt_base", OBJECT_POSE)
 """Observations with position and quaternion; in schema 1 the quaternion's sign is arbitrary."""
 _POSE_SIZE = 7
+OLDER_SCANNED = "ms_hab"
+"""Profile whose observations have been in the axes of the scans since schema 3; older ones are in ours."""
 OLDER_ROBOT = "fetch"
 """Robot of shards that do not name theirs. Strings of old data: they stay when the robot's code changes."""
 OLDER_JOINTS: tuple[str, ...] = (
@@ -46,5 +50,37 @@ def canonical_poses(array: np.ndarray, columns: Mapping[str, int]) -> np.ndarray
         if name in POSES and width == _POSE_SIZE:
             quat = slice(column + 3, column + _POSE_SIZE)
             array[:, quat] = quat_canonical(array[:, quat])
+        column += width or 1
+    return array
+
+
+def is_turned(config: Mapping[str, Any], options: Mapping[str, Any]) -> bool:
+    """Whether poses of objects are shown in the axes of the scans, although they were recorded in ours.
+
+    Args:
+        config: of the run (`RunInfo.config`).
+        options: of the run; those of schema 3 tell their axes.
+    """
+    env = config.get("env")
+    profile = env.get("profile") if isinstance(env, Mapping) else None
+    return profile == OLDER_SCANNED and "object_axes" not in options
+
+
+def turned_poses(
+    array: np.ndarray, columns: Mapping[str, int], scan_yaw: np.ndarray
+) -> np.ndarray:
+    """Observations (N+1, D) with the pose of the object in the axes of its scan, for one in ours.
+
+    Args:
+        array: the observations.
+        columns: names and widths of their parts.
+        scan_yaw: (N+1,) headings of the scans [rad].
+    """
+    array = array.copy()
+    column = 0
+    for name, width in columns.items():
+        if name == OBJECT_POSE and width == _POSE_SIZE:
+            pose = slice(column, column + _POSE_SIZE)
+            array[:, pose] = to_scan_axes(array[:, pose], scan_yaw)
         column += width or 1
     return array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import os
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import h5py
 import numpy as np
 from h5py import h5r
 
+from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES, Conventions
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.locking import is_written
 from mjhab.core.files.reading import parse_json, reason
@@ -34,7 +36,15 @@ from mjhab.data.store.hdf5 import (
 from mjhab.data.store.images import MAX_FRAME_BYTES, decode
 from mjhab.data.store.journal import Overlay, committed_length, read_journal
 from mjhab.data.store.locking import quiet
-from mjhab.data.store.older import POSES, STAND_INS, canonical_poses, stand_in
+from mjhab.data.store.object_axes import headings
+from mjhab.data.store.older import (
+    POSES,
+    STAND_INS,
+    canonical_poses,
+    is_turned,
+    stand_in,
+    turned_poses,
+)
 from mjhab.data.store.schema import (
     ATTRIBUTE_TYPES,
     COLUMNS,
@@ -43,6 +53,7 @@ from mjhab.data.store.schema import (
     NEEDED_ATTRIBUTES,
     RUNS,
     TERMINAL,
+    VERSION,
     DamagedError,
     checks_by_name,
 )
@@ -229,12 +240,42 @@ class RecordedEpisode:
 
     def _as_of_now(self, path: str, array: np.ndarray) -> np.ndarray:
         """Convert a dataset to the present schema."""
-        if self.schema >= 2:
+        if self.schema >= VERSION or not path.startswith("obs/"):
             return array
-        if path == "obs/state":
-            return canonical_poses(array, self.columns(path))
         key = path.removeprefix("obs/")
-        return canonical_poses(array, {key: array.shape[1]}) if key in POSES else array
+        if path == "obs/state":
+            columns = self.columns(path)
+        elif key in POSES:
+            columns = {key: array.shape[1]}
+        else:
+            return array
+        if self.schema < 2:
+            array = canonical_poses(array, columns)
+        yaws = self.scan_yaws
+        if yaws is not None and is_turned(self.run.config, self.run.options):
+            array = turned_poses(array, columns, yaws)
+        return array
+
+    @property
+    def conventions(self) -> Conventions:
+        """How its observations tell poses of objects and angles of joints, as ``array`` gives them.
+
+        Poses in our axes that were recorded in profile "ms_hab" before schema 3 are given in those of the scans, which
+        the profile observes now, unless the run does not hold their headings.
+        """
+        run = self.run
+        told = Conventions.of({**run.config.get("env", {}), **run.options})
+        if self.schema < VERSION and is_turned(run.config, run.options):
+            axes = OBJECT_AXES if self.scan_yaws is None else SCAN_AXES
+            return dataclasses.replace(told, object_axes=axes)
+        return told
+
+    @property
+    def scan_yaws(self) -> np.ndarray | None:
+        """(N+1,) heading [rad] of the scan of the observed object in every state; None if its run does not tell."""
+        active = self.array("subtasks/active")
+        with self.reading():
+            return headings(self.run.layout, self.record.plan, active)
 
     def columns(self, path: str) -> dict[str, int]:
         """Column names of a two-dimensional dataset, with the number of columns of each name (0 for a plain column)."""

@@ -12,12 +12,13 @@ from mjhab.core.errors import MjhabError
 
 FORMAT = "mjhab-episodes"
 """Root attribute ``format``, which identifies a shard."""
-VERSION = 2
+VERSION = 3
 """Schema version: root attribute ``schema`` of a file, and attribute of each episode. It increases with every change
 that older readers could not read or would misread. Adding optional datasets, attributes or JSON keys does not increase
 it, because readers ignore unknown names.
 
-1: the first version. 2: adds intended actions and actors; quaternions in observations are canonical."""
+1: the first version. 2: adds intended actions and actors; quaternions in observations are canonical. 3: observations of
+profile "ms_hab" have poses of objects in the axes of their scans; runs tell their `core.conventions.names`."""
 OLDEST = 1
 """Oldest supported schema version; `Episode` converts older content to that of VERSION."""
 EPISODES = "episodes"

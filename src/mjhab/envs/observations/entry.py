@@ -18,10 +18,10 @@ class ObsContext:
     """Inputs of state rows. Poses are xyz [m] + wxyz in the frame of the base link.
 
     Attributes:
-        robot_q: (W, J) joint positions.
+        robot_q: (W, J) joint positions, within half a turn where the conventions wrap them.
         robot_qd: (W, J) joint velocities.
         tcp_pose: (W, 7) pose of the tcp.
-        obj_pose: (W, 7) pose of the active subtask's object, zero if it has none.
+        obj_pose: (W, 7) pose of the active subtask's object in the axes of the conventions, zero if it has none.
         goal_pos: (W, 3) goal of the active subtask, zero if it has none.
         is_grasped: (W,) bool, the target of the active subtask is grasped.
     """

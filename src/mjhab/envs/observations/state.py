@@ -80,7 +80,12 @@ def task_meanings(kinds: Sequence[str]) -> dict[str, str]:
         key: f"{_listed(about, [s for s in specs if part in (*s.shows, '')], specs)} ({numbers}); "
         "zero once the plan is finished"
         for key, numbers, part, about in (
-            (OBJECT_KEY, "position, quaternion with w >= 0", "object", _OBJECT_IN),
+            (
+                OBJECT_KEY,
+                "position, quaternion with w >= 0, in the axes of object_axes",
+                "object",
+                _OBJECT_IN,
+            ),
             (GOAL_KEY, "position", "goal", _GOAL_IN),
             (GRASP_KEY, "1 while both fingers hold it", "", _GRASPED_IN),
         )
@@ -118,7 +123,7 @@ def joint_rows(robot: Robot) -> tuple[ObsEntry, ...]:
             "m, rad",
             frame,
             lambda c: c.robot_q[:, upper],
-            "joint positions without the base",
+            "joint positions without the base; those of joints without limits as joint_angles says",
         ),
         ObsEntry(
             "agent/qvel",

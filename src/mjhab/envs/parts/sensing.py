@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.arrays import Array, as_like, count, may_hold, namespace, zeros
+from mjhab.core.arrays import Array, as_like, cast, count, may_hold, namespace, zeros
+from mjhab.core.conventions.changes import to_scan_axes, within_half_a_turn
+from mjhab.core.conventions.names import SCAN_AXES, WRAPPED, Conventions
 from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.observations.entry import ObsContext
 from mjhab.envs.observations.state import pose_in_base
@@ -16,6 +18,7 @@ from mjhab.tasks.signals import Signals, WorldState
 
 NEARLY_CLOSED = 0.02
 """Resolution of the opening in `Sensing.link_state`, as a fraction of the range."""
+_OWN = Conventions()
 
 
 class Sensing:
@@ -27,6 +30,7 @@ class Sensing:
         num_worlds: W.
         like: an array of the simulator's library, device and dtype; numpy float64 if not given.
         handle_points: definition of the handle points in observations and rewards, one of HANDLE_POINTS.
+        conventions: of observations.
     """
 
     def __init__(
@@ -36,6 +40,7 @@ class Sensing:
         num_worlds: int,
         like: Array | None = None,
         handle_points: str = OWN_POINTS,
+        conventions: Conventions = _OWN,
     ) -> None:
         like = np.zeros(0) if like is None else like
         whole = namespace(like).int64
@@ -51,6 +56,11 @@ class Sensing:
         self._handles = as_like(
             [ref.link.handle.point(handle_points) for ref in layout.links], like
         )
+        self._conventions = conventions
+        self._endless = robot.endless
+        yaws = [kind.scan_yaw for kind in layout.objects]
+        self._has_scans = any(yaws)
+        self._scan_yaw = as_like(yaws or [0.0], like, namespace(like).float64)
         # The last row is for "no link", index -1.
         self._range = as_like(
             [*(ref.link.range for ref in layout.links), (0.0, 0.0)], like
@@ -136,8 +146,18 @@ class Sensing:
         pos = state.body_pos[:, self._tcp]
         return namespace(pos).concat([pos, state.body_quat[:, self._tcp]], axis=1)
 
-    def context(self, state: SimState, focus: Focus, signals: Signals) -> ObsContext:
-        """Gather the input of the observation table; entries that an active subtask does not use are zero."""
+    def context(
+        self,
+        state: SimState,
+        focus: Focus,
+        signals: Signals,
+        conventions: Conventions | None = None,
+    ) -> ObsContext:
+        """Gather the input of the observation table; entries that an active subtask does not use are zero.
+
+        ``conventions``: others than those of the constructor.
+        """
+        conventions = conventions or self._conventions
         rows = self._rows
         goal = focus.active.goal_pos
         jointed = focus.jointed
@@ -154,6 +174,14 @@ class Sensing:
             pose_in_base(state.robot_q[:, BASE], self._base_height, poses) * focus.shown
         )
         grasped = signals.is_grasped & (focus.active.kind >= 0)
+        robot_q = state.robot_q
+        if conventions.joint_angles == WRAPPED:
+            robot_q = within_half_a_turn(robot_q, self._endless)
+        obj = local[1]
+        if conventions.object_axes == SCAN_AXES and self._has_scans:
+            # In float32, as it is observed: data and policies that convert it get the same bits.
+            seen = cast(obj, namespace(obj).float32)
+            obj = cast(to_scan_axes(seen, self._scan_yaw[focus.obj]), obj.dtype)
         return ObsContext(
-            state.robot_q, state.robot_qd, local[0], local[1], local[2, :, :3], grasped
+            robot_q, state.robot_qd, local[0], obj, local[2, :, :3], grasped
         )

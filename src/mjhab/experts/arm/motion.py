@@ -426,11 +426,15 @@ def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
 
 
 def rest_goal(view: WorldView) -> np.ndarray:
-    """Rest configuration (J,) at the present base pose; continuous joints within half a turn of the present."""
+    """Rest configuration (J,) at the present base pose.
+
+    Continuous joints are within half a turn of the present, unless a joint at rest after a whole turn counts as
+    away from rest (`TaskConfig.endless`): then they are turned back.
+    """
     q = view.q
     goal = view.robot.rest.copy()
     goal[BASE] = q[BASE]
-    return ik.unwind(view.robot.chain, goal, q)
+    return ik.unwind(view.robot.chain, goal, q) if any(view.config.endless) else goal
 
 
 def steps_home(robot: Robot, q: np.ndarray) -> np.ndarray:

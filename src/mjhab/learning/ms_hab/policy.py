@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,9 +12,9 @@ import torch
 from torch import Tensor
 
 from mjhab.core.arrays import to_numpy
+from mjhab.core.conventions.names import PUBLISHED, Conventions
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
-from mjhab.data.store.object_axes import to_scan_axes
 from mjhab.learning.ms_hab.checkpoint import load_network
 from mjhab.learning.ms_hab.network import CAMERAS, IMAGE_SIDE_PX, STATE_SIZE, Network
 
@@ -31,8 +30,6 @@ HEAD_ACTIONS = slice(8, 10)
 """Head pan and tilt among the 13 actions; MS-HAB sets them to zero in training and evaluation (``stationary_head``,
 mshab/envs/make.py)."""
 _STATE = "state"
-_OBJECT_POSE = slice(31, 38)
-"""Columns of ``extra/obj_pose_wrt_base`` in the state: behind qpos and qvel (12 each) and the pose of the TCP (7)."""
 _WORLDS_AT_ONCE_ON_CPU = 1
 """Batch size of inference on a CPU. Larger batches are no faster there and round differently, so an episode's result
 would depend on the number of worlds."""
@@ -52,18 +49,11 @@ class Config(Protocol):
 
 
 class Environment(Protocol):
-    """The part of an environment that is read here.
-
-    focus: its ``obj`` (W,) is the object slot of the active subtask, meaningless where it has no object. layout: its
-    ``objects`` are the `scenes.spec.ObjectType` of the slots.
-    """
+    """The part of an environment that is read here."""
 
     @property
     def config(self) -> Config: ...
-    @property
-    def focus(self) -> Any: ...
-    @property
-    def layout(self) -> Any: ...
+    def state_as(self, conventions: Conventions, /) -> Any: ...
 
 
 def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
@@ -76,16 +66,9 @@ def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
     check_environment(env.config)
     name, network = load_network(Path(path))
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    return MsHabPolicy(name, network, device, partial(scan_yaws, env))
-
-
-def scan_yaws(env: Environment) -> np.ndarray:
-    """Heading [rad] of the scan of every world's observed object, (W,); 0 without an object."""
-    slots = to_numpy(env.focus.obj)
-    known = np.array([kind.scan_yaw for kind in env.layout.objects], np.float64)
-    if not len(known):
-        return np.zeros(len(slots))
-    return np.where(slots >= 0, known[np.maximum(slots, 0)], 0.0)
+    is_published = Conventions.of(vars(env.config)) == PUBLISHED
+    state = None if is_published else lambda: to_numpy(env.state_as(PUBLISHED))
+    return MsHabPolicy(name, network, device, state)
 
 
 def check_environment(config: Config) -> None:
@@ -129,8 +112,8 @@ class MsHabPolicy:
         layout: name of the network's layout.
         network: from ``load_network``.
         device: torch device.
-        yaws: returns the heading [rad] of the scan of every world's observed object (W,). MS-HAB's policies see the
-            pose of the object in the axes of its scan. None: observations are in these axes already.
+        state: returns the state (W, 42) of the present observations in MS-HAB's conventions (`PUBLISHED`), for
+            environments that observe others. None: that of the observations is.
     """
 
     def __init__(
@@ -138,12 +121,12 @@ class MsHabPolicy:
         layout: str,
         network: Network,
         device: str = "cpu",
-        yaws: Callable[[], np.ndarray] | None = None,
+        state: Callable[[], np.ndarray] | None = None,
     ) -> None:
         self.name = f"ms_hab:{layout}"
         self._device = torch.device(device)
         self._network = network.to(self._device)
-        self._yaws = yaws
+        self._state = state
         self._frames: dict[str, np.ndarray] = {}
         self._fresh = np.zeros(0, bool)
         self._planned: list[deque[np.ndarray]] = []
@@ -181,10 +164,8 @@ class MsHabPolicy:
     def _see(self, obs: Mapping[str, Any]) -> None:
         """Append observations to the frames of the last steps; in fresh worlds they fill all frames."""
         looked_at = _looked_at(obs, self._network.cameras, len(self._fresh))
-        if self._yaws is not None:
-            state = looked_at[_STATE].copy()
-            state[:, _OBJECT_POSE] = to_scan_axes(state[:, _OBJECT_POSE], self._yaws())
-            looked_at[_STATE] = state
+        if self._state is not None:
+            looked_at[_STATE] = self._state()
         for name, seen in looked_at.items():
             if name not in self._frames:
                 self._frames[name] = np.repeat(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from mjhab.core.arrays import Array, as_like, namespace, zeros
+from mjhab.core.conventions.names import Conventions
 from mjhab.core.names import kind_of
 from mjhab.learning.observation.depth import pooled
 from mjhab.learning.observation.parts import (
@@ -21,6 +22,7 @@ from mjhab.learning.observation.parts import (
     told_parts,
     width_of,
 )
+from mjhab.learning.observation.state import observed_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +62,17 @@ class EncodedEnv(Protocol):
         """State of all worlds, with ``robot_q`` and ``robot_qd`` (W, J); its library and device are the encoder's."""
         ...
 
+    @property
+    def config(self) -> Any:
+        """An `EnvConfig`."""
+        ...
+
     def link_state(self) -> Any:
         """(W, 5) float32, see `Sensing.link_state`."""
+        ...
+
+    def state_as(self, conventions: Conventions, /) -> Any:
+        """(W, S) float32, see `TaskLoop.state_as`."""
         ...
 
 
@@ -120,7 +131,14 @@ class ObservationEncoder:
         if self._told is None:
             self._start(_float32(obs["state"]))
         self._tell(info)
-        source = LiveSource(self._env, obs, self._previous, self._told, self._aims)
+        source = LiveSource(
+            self._env,
+            obs,
+            self._previous,
+            self._told,
+            self._aims,
+            self.spec.conventions,
+        )
         seen = encode(source, self.spec)
         self._vectors = self._remember(self._vectors, seen.vector, again)
         self._images = self._remember(
@@ -215,7 +233,8 @@ class ObservationEncoder:
 class LiveSource:
     """`StepSource` of the worlds of an environment in one control step.
 
-    obs: observations of the step. previous (W, A), told_codes (W, T), aims (W, 1): see `StepSource`.
+    obs: observations of the step. previous (W, A), told_codes (W, T), aims (W, 1): see `StepSource`. conventions: of
+    the state.
     """
 
     env: EncodedEnv
@@ -223,9 +242,11 @@ class LiveSource:
     previous: Array
     told_codes: Array
     aims: Array
+    conventions: Conventions
 
     def state(self) -> Array:
-        return _float32(self.obs["state"])
+        state = observed_state(self.env, self.obs, self.conventions)
+        return _float32(state)
 
     def base_motion(self) -> tuple[Array, Array]:
         state = self.env.state

@@ -17,6 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from mjhab.core.arrays import Array, namespace
+from mjhab.core.conventions.names import Conventions
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.rotations import quat_rotate_inv
@@ -64,12 +65,15 @@ class InputSpec(Protocol):
     @property
     def targets(self) -> Sequence[str]: ...
 
+    @property
+    def conventions(self) -> Conventions: ...
+
 
 class StepSource(Protocol):
     """Where the parts read from; all arrays are of one library and device."""
 
     def state(self) -> Array:
-        """State vector of the environment (N, S) float32, in the axes and order of `ObservationSpec.state`."""
+        """State vector of the environment (N, S) float32, in the order and the conventions of the spec."""
         ...
 
     def base_motion(self) -> tuple[Array, Array]:

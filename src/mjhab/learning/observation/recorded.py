@@ -19,6 +19,7 @@ from mjhab.learning.observation.parts import (
     aims_at_goal,
     code_of,
 )
+from mjhab.learning.observation.state import recorded_state
 
 
 def encode_episode(
@@ -43,7 +44,7 @@ class RecordedSource:
         self._steps = episode.steps if steps is None else steps
 
     def state(self) -> np.ndarray:
-        return self._episode.array("obs/state")[: self._steps]
+        return recorded_state(self._episode, self._spec.conventions)[: self._steps]
 
     def base_motion(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (N, 3) of the joints of the base.

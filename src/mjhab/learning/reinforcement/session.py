@@ -158,16 +158,16 @@ class ReinforcementSession:
             device=request.device,
             **self._episodes(),
         )
-        self.layout = self._layout()
-        check_student(self.config.student, self.layout)
-        sight = Sight(self.env, self.layout, self.config.privileged_critic)
-        self.privileged_width = sight.privileged_width
-        self.scene = dataclasses.replace(request.scene, profile=self.layout.profile)
         self.saved: Checkpoint | None = None
         self.standing = Standing()
         if resume and checkpoint.is_file():
             self.saved = load_checkpoint(checkpoint)
             self.standing = saved_state(checkpoint, self.saved.about, Standing)
+        self.layout = self._layout()
+        check_student(self.config.student, self.layout)
+        sight = Sight(self.env, self.layout, self.config.privileged_critic)
+        self.privileged_width = sight.privileged_width
+        self.scene = dataclasses.replace(request.scene, profile=self.layout.profile)
         if self.start is not None:
             self.standing.trained = True
         self.worlds = Worlds(self.env, sight, self._episodes_seed(), self._rules())
@@ -220,6 +220,9 @@ class ReinforcementSession:
 
         targets = aims_of(self.env.config, self.env.layout)
         layout = layout_of(self.env, self.config.inputs, targets)
+        if self.saved is not None:
+            # An older version began the run with other conventions, perhaps; its weights keep them.
+            layout = layout.told_in(self.saved.layout.conventions)
         # Training episodes may be of another stillness, by which the environment's profile is not recognised.
         return dataclasses.replace(
             layout, profile=self.request.scene.profile or layout.profile

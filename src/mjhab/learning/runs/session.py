@@ -74,7 +74,6 @@ class Session:
         if threads:
             torch.set_num_threads(threads)
         self.request = request
-        self.layout = layout
         self.folder = folder
         self.scenes = [replace(scene, profile=layout.profile) for scene in request.scenes]
         self.config = request.config.student
@@ -89,6 +88,9 @@ class Session:
         )
         if saved is not None:
             self.progress = saved_state(folder.training, saved.about, Progress)
+            # An older version began the run with other conventions, perhaps; its weights keep them.
+            layout = layout.told_in(saved.layout.conventions)
+        self.layout = layout
         self.device = training_device(request.device)
         student = make_student(self.config, layout, request.seed).to(self.device)
         self.trainer = Trainer(student, request.seed, request.config.updates)

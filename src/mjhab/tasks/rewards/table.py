@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from mjhab.core.arrays import Array, constant, namespace, pile
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_X, BASE_YAW
+from mjhab.tasks.posture import off_rest
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -197,11 +198,8 @@ def force_excess(robot_force: Array, per_newton: float) -> Array:
 
 
 def posture_error(world: WorldState, config: TaskConfig) -> Array:
-    """(W,) distance of torso, head and arm from rest, over all joints [m, rad]."""
-    posture = config.joints.posture
-    return length(
-        world.robot_q[:, posture] - constant(config.rest_qpos[posture], world.robot_q)
-    )
+    """(W,) distance of torso, head and arm from rest, over all joints [m, rad], see `off_rest`."""
+    return length(off_rest(world.robot_q, config))
 
 
 def joint_speed(world: WorldState, config: TaskConfig) -> Array:

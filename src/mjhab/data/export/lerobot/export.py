@@ -215,6 +215,9 @@ class _Export:
         }
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
         row["lacks"] = ",".join(episode.lacks)
+        told = episode.conventions
+        row["object_axes"] = told.object_axes
+        row["joint_angles"] = told.joint_angles
         row["navigation"] = "teleport" if navigates_by_teleport(episode) else "drive"
         made = Made(
             row,

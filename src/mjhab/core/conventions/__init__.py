@@ -1,0 +1,1 @@
+"""What observations can tell in two ways: names of the conventions, and the conversions between them."""

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.conventions.changes import within_half_a_turn
+from mjhab.core.conventions.names import WRAPPED, Conventions
 from mjhab.core.errors import UsageError
 from mjhab.core.progress import say
 from mjhab.core.rotations import wrap
@@ -202,6 +204,8 @@ class ServedPolicy:
         external, wrist = (*robot.camera_names, "", "")[:2]
         head, hand = (obs.get(camera_key(camera, "rgb")) for camera in (external, wrist))
         q = self._env.state.robot_q[w]
+        if Conventions.of(vars(self._env.config)).joint_angles == WRAPPED:
+            q = within_half_a_turn(q, robot.endless)
         opened = float(np.mean(q[robot.columns.fingers])) / robot.limits.gripper[1]
         return Ask(
             robot=robot.name,

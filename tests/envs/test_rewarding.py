@@ -206,10 +206,28 @@ def test_the_torso_is_not_clipped_where_published() -> None:
     assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][
         0
     ] == pytest.approx(2 * (1 + 0.01 / top))
-    above[3] = -0.01
-    assert made.step(inputs_of([PLACE], obj=GOAL, robot_q=above))[1]["torso_up"][
-        0
-    ] == pytest.approx(-0.02 / top)
+
+
+@pytest.mark.parametrize(
+    ("kind", "scale"),
+    [(PLACE, 2.0), (OPEN, 1.0), (CLOSE, 1.0)],
+    ids=["place", "open", "close"],
+)
+@pytest.mark.parametrize("below", [0.0, 0.001, 0.0075])
+def test_a_torso_below_its_travel_earns_as_in_the_original(
+    kind: int, scale: float, below: float
+) -> None:
+    """mshab/envs/{place,open,close}.py take the absolute value of the torso's share of its travel."""
+    top = ROBOT.joint_limits[ROBOT.joints.index("torso_lift_joint")][1]
+    sunk = np.array(REST_QPOS)
+    sunk[3] = -below
+    made = rewarder(1, options=RewardOptions(formula="published"))
+    joint = {OPEN: 0.47, CLOSE: 0.0}.get(kind, 0.4)
+    at = inputs_of([kind], obj=GOAL, robot_q=sunk, joint_q=joint, handle=(0.5, 0.2, 1.27))
+    earned = made.step(at)[1]["torso_up"][0]
+    assert earned == pytest.approx(scale * below / top)
+    clipped = rewarder(1).step(at)[1]["torso_up"][0]
+    assert clipped == 0.0
 
 
 def test_closing_at_the_handle_is_remembered_until_the_world_begins_anew() -> None:

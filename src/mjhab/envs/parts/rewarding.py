@@ -104,7 +104,9 @@ class Rewarder:
         robot = layout.robot
         self._torso = robot.columns.torso
         if self._torso is not None:
-            self._torso_top = robot.joint_limits[self._torso][1]
+            low, high = robot.joint_limits[self._torso]
+            self._torso_low = low
+            self._torso_travel = high - low
         like = np.zeros(0) if like is None else like
         self._worlds = count(num_worlds, like)
         # The last entry is for "no link", index -1.
@@ -167,9 +169,13 @@ class Rewarder:
         # For a robot without a torso the torso counts as fully up.
         torso = zero + 1.0
         if self._torso is not None:
-            torso = world.robot_q[:, self._torso] / self._torso_top
+            above = world.robot_q[:, self._torso] - self._torso_low
+            torso = above / self._torso_travel
         if self._bounded:
             torso = xp.minimum(xp.maximum(torso, self._low), self._high)
+        else:
+            # The original takes the absolute value: a torso below its lower limit earns, too.
+            torso = xp.abs(torso)
         return RewardView(
             world=world,
             signals=inputs.signals,

@@ -47,7 +47,8 @@ class RewardOptions:
         scales: scales that replace those of some terms, by kind, as ``{"pick": {"reach": 4.0}}``.
         formula: "bounded": every raw value is between 0 and 1, and ``gentle`` of Open reads the absolute joint speed;
             "published": as in mshab/envs/open.py and close.py, ``gentle`` reads the signed joint velocity, ``progress``
-            is negative where a joint is beyond its limit, and the torso's share of its travel is not clipped.
+            is negative where a joint is beyond its limit, and the torso's share of its travel is its absolute value,
+            not clipped.
         normaliser: divisor of "normalized_dense": "attainable", the largest possible sum of the terms with these
             scales; "published", the constant of the original: 28, 44, 28, 27, 37 (Pick, Place, Navigate, Open, Close).
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.arithmetic import arithmetic_digest
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached
 from mjhab.core.names import below
@@ -404,4 +405,6 @@ class EpisodeMaker:
     def _path(self, seed: int, index: int) -> Path:
         scene = f"{self.task}-{self.target}" if self.target else self.task
         name = f"{scene}-{self.split}-{seed}-{index}.json"
-        return below(cache_dir() / "episodes" / self.digest, name)
+        # Objects are settled by simulation, whose last bits depend on the machine.
+        folder = f"{self.digest}-{arithmetic_digest().hex()[:8]}"
+        return below(cache_dir() / "episodes" / folder, name)

@@ -1,4 +1,4 @@
-"""Compilation of homes to MjModels, with a cache on disk; the key is a hash of all inputs."""
+"""Compilation of homes to MjModels, with a cache on disk; the key is a hash of all inputs and of the arithmetic."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mujoco
 
+from mjhab.core.arithmetic import arithmetic_digest
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
@@ -16,13 +17,15 @@ from mjhab.scenes.spec import Home
 
 
 def home_hash(layout: Layout, home: Home) -> str:
-    """Return a hash of everything that the compiled model of a home depends on; equal hashes mean equal models.
+    """Return a hash of what the compiled model of a home is made of; it names a home on every machine.
 
-    It covers home, layout, robot, assets, MuJoCo's version and the source of the code that builds models.
+    It covers home, layout, robot, assets, MuJoCo's version and the source of the code that builds models. Models of
+    equal hashes are equal on one machine; the last bits may differ where `arithmetic_digest` does.
     """
     pack = layout.pack
     digest = hashlib.sha256(
-        mujoco.__version__.encode() + code_digest("scenes", "robots.model", "layout")
+        mujoco.__version__.encode()
+        + code_digest("core.arithmetic", "scenes", "robots.model", "layout")
     )
     digest.update(layout.robot.digest)
     digest.update(
@@ -44,7 +47,9 @@ def home_hash(layout: Layout, home: Home) -> str:
 
 def model_path(layout: Layout, home: Home) -> Path:
     """Return the path in the disk cache of a home's compiled model, whether it exists or not."""
-    return below(cache_dir() / "models", f"{home.name}-{home_hash(layout, home)}.mjb")
+    made_of = home_hash(layout, home).encode()
+    key = hashlib.sha256(made_of + arithmetic_digest()).hexdigest()[:24]
+    return below(cache_dir() / "models", f"{home.name}-{key}.mjb")
 
 
 def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:

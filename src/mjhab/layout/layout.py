@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import unknown_name
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import copy_names
@@ -348,7 +349,7 @@ def _add_articulation(
             frictionloss=SLIDE_FRICTION if slide else HINGE_FRICTION,
         )
         solid = [g for g in link.geoms if g.collide]
-        density = link.mass / sum(volume(g, None) for g in solid)
+        density = link.mass / ordered_sum(volume(g, None) for g in solid)
         for i, geom in enumerate(solid):
             _add_geom(body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density)
 
@@ -359,7 +360,7 @@ def _add_object(
     body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:])
     body.add_freejoint(name=name)
     affinity = contact_bits.OBJECT_AFFINITY
-    density = kind.mass / sum(volume(g, spec) for g in kind.collision)
+    density = kind.mass / ordered_sum(volume(g, spec) for g in kind.collision)
     for i, geom in enumerate(kind.collision):
         added = _add_geom(
             body,

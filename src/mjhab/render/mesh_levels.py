@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
+from mjhab.core.arithmetic import arithmetic_digest
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.shapes.collapse import collapse, distance_to_faces
@@ -92,6 +93,7 @@ def _digest(mesh: Mesh) -> str:
             "scenes.shapes.simplify",
             "scenes.shapes.winding",
         )
+        + arithmetic_digest()
     )
     for part in (mesh.vertices, mesh.faces, mesh.uv):
         digest.update(b"" if part is None else part.tobytes())

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
@@ -135,11 +136,15 @@ def _digests(runs: Sequence[Path]) -> set[str]:
 
 def _sums(trained: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """What the trainings of students that act together cost in all."""
-    names = ("episodes", "frames", "updates", "samples", "cpu_minutes", "minutes")
+    counts = ("episodes", "frames", "updates", "samples")
     found: dict[str, Any] = {}
-    for name in names:
+    for name in (*counts, "cpu_minutes", "minutes"):
         values = [one[name] for one in trained]
-        found[name] = None if None in values else sum(values)
+        if None in values:
+            found[name] = None
+        else:
+            whole = ordered_sum(values)
+            found[name] = int(whole) if name in counts else whole
     return found
 
 

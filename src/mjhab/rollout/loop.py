@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from mjhab.core.action_notes import ActionNotes
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import Annotated, Fallible, Policy, RolloutEnv, Styled
@@ -287,7 +288,7 @@ class _Trace:
             ),
             events=tuple(self.events),
             peak_force=round(max(self.force, default=0.0), 3),
-            cumulative_force=round(sum(self.force), 3),
+            cumulative_force=round(ordered_sum(self.force), 3),
             force=tuple(round(value, 1) for value in self.force),
             taint=tuple(
                 name for bit, name in enumerate(env.taint_names) if self.taint >> bit & 1

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from mjhab.core.arithmetic import ordered_sum
+
 if TYPE_CHECKING:
     from mjhab.envs.loop import TaskLoop
 
@@ -24,7 +26,7 @@ def stage_seconds(
 ) -> tuple[dict[str, float], float]:
     """Stop a watch: seconds of each of STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
     seconds = watch.stop()
-    seconds["other"] = total - sum(seconds.values())
+    seconds["other"] = total - ordered_sum(seconds.values())
     reset_ms = 1000 * seconds.get("reset", 0.0) / num_envs
     return {stage: round(seconds.get(stage, 0.0), 5) for stage in STAGES}, round(
         reset_ms, 3

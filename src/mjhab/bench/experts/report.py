@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 
 from mjhab.bench.experts.rows import ALL, CHAIN, PAPER_POLICY, Result
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.reports import parts
 from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import beside_the_paper, rules_of
@@ -118,7 +119,7 @@ def _cards(singles: Sequence[Result], chains: Sequence[Result]) -> str:
         count = sum(r.episodes for r in singles)
         once = sum(r.successes for r in singles)
         low, high = wilson(once, count)
-        gentle = sum((r.gentle or 0.0) * r.episodes for r in singles)
+        gentle = ordered_sum((r.gentle or 0.0) * r.episodes for r in singles)
         values += [
             ("single subtasks", f"{count:,}", f"episodes in {len(singles)} rows"),
             (

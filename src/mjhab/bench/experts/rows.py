@@ -10,6 +10,7 @@ from typing import Any
 
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.store.episode_data import last_label
 from mjhab.episodes.rosters import roster
@@ -107,7 +108,7 @@ class MeasuredEpisode:
             last_label(record),
             record.success_once,
             record.success_at_end,
-            round(sum(record.force[:first]), 1) if record.success_once else None,
+            round(ordered_sum(record.force[:first]), 1) if record.success_once else None,
             record.cumulative_force,
             record.peak_force,
             record.steps,
@@ -336,7 +337,7 @@ def _counts(labels: Iterable[str]) -> dict[str, int]:
 
 def _share(values: Iterable[bool]) -> float | None:
     values = list(values)
-    return round(sum(values) / len(values), 4) if values else None
+    return round(ordered_sum(values) / len(values), 4) if values else None
 
 
 def result_dict(result: Result) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_exper
 from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.core.arithmetic import ordered_sum
 
 CHAIN_WEIGHT = 8.0
 """Duration of a whole task in units of a single subtask, for the estimate of the remaining time."""
@@ -72,7 +73,7 @@ def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
 
 def _weight(counts: Mapping[Row, int]) -> float:
     """Work of the given numbers of episodes per row, in units of single subtasks."""
-    return sum(
+    return ordered_sum(
         count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0)
         for row, count in counts.items()
     )

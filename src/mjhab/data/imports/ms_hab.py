@@ -17,6 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json, read_bytes, reason
@@ -330,7 +331,7 @@ class _Source:
         events, force = from_verbose(told["events_verbose"], steps)
         label = told["label"] or None
         peak = round(max(force), 3)
-        total = round(sum(force), 3)
+        total = round(ordered_sum(force), 3)
         target = self._target(told)
         # MS-HAB's labels follow its published rules, which are mjhab's legacy labels.
         legacy = told.get("legacy_label", None if self.is_ours else label)

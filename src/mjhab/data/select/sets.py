@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.names import below, check_name
 from mjhab.data.export.folders import broken
@@ -219,7 +220,7 @@ def split(
         UsageError: shares are not positive or their sum exceeds 1; a part has an invalid name or exists; an episode
             occurs twice; or ``out`` lies in a source.
     """
-    if not parts or min(parts.values()) <= 0 or sum(parts.values()) > 1 + 1e-9:
+    if not parts or min(parts.values()) <= 0 or ordered_sum(parts.values()) > 1 + 1e-9:
         raise UsageError(
             f"shares must be positive and sum to at most 1; got {dict(parts)}."
         )

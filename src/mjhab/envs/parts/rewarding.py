@@ -171,11 +171,9 @@ class Rewarder:
         if self._torso is not None:
             above = world.robot_q[:, self._torso] - self._torso_low
             torso = above / self._torso_travel
-        if self._bounded:
-            torso = xp.minimum(xp.maximum(torso, self._low), self._high)
-        else:
-            # The original takes the absolute value: a torso below its lower limit earns, too.
-            torso = xp.abs(torso)
+        clipped = xp.minimum(xp.maximum(torso, self._low), self._high)
+        # The original takes the absolute value: a torso below its lower limit earns, too.
+        torso = clipped if self._bounded else xp.abs(torso)
         return RewardView(
             world=world,
             signals=inputs.signals,

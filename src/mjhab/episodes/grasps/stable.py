@@ -16,6 +16,7 @@ from threading import RLock
 
 import numpy as np
 
+from mjhab.core.arithmetic import arithmetic_digest
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.names import below
@@ -236,7 +237,8 @@ class StableGrasps:
         # The hash of a home covers what its model is made of, not the sizes that the search goes by.
         hand = (self.robot.gripper, self.robot.limits.gripper)
         name = repr((home_hash(self.layout, self.layout.pack.homes[0]), hand, test))
-        return cache_dir() / "grasps" / hashlib.sha256(name.encode()).hexdigest()[:16]
+        key = hashlib.sha256(name.encode() + arithmetic_digest()).hexdigest()[:16]
+        return cache_dir() / "grasps" / key
 
     def _check(self, kind: str) -> None:
         if kind not in self.layout.roster:

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json
@@ -114,7 +115,7 @@ def _row_summary(row: Row, episodes: Sequence[Scored]) -> dict[str, Any]:
     won = sum(record.success_once for record in clean)
     done = won
     if not row.subtask:
-        done = sum(record.completed / len(record.plan) for record in clean)
+        done = ordered_sum(record.completed / len(record.plan) for record in clean)
     count = len(episodes)
     return {
         **asdict(row),

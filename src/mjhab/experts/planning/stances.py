@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.arithmetic import arithmetic_digest
 from mjhab.core.boxes import Boxes
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
@@ -134,7 +135,7 @@ def _digest(robot: Robot, link: JointedLink, job: str) -> str:
     """Hash of what the stances depend on: robot, link and job, the code of the search and its arithmetic."""
     digest = hashlib.sha256(
         code_digest("core", "robots", "envs.parts.world_view", "experts")
-        + np.__version__.encode()
+        + arithmetic_digest()
     )
     digest.update(robot.digest)
     digest.update(repr((robot.reach, robot.arm_links)).encode())

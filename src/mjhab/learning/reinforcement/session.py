@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.seeding import stream
@@ -239,7 +240,10 @@ class ReinforcementSession:
 
     def report(self, numbers: dict[str, float]) -> None:
         """Log the metrics of an update together with the recent rewards and successes."""
-        told = {"reward": sum(self._rewards) / max(len(self._rewards), 1), **numbers}
+        told = {
+            "reward": ordered_sum(self._rewards) / max(len(self._rewards), 1),
+            **numbers,
+        }
         told |= {f"holds/{name}": share for name, share in self.worlds.held().items()}
         if self._outcomes:
             told["training_success"] = sum(self._outcomes) / len(self._outcomes)
@@ -311,9 +315,9 @@ class ReinforcementSession:
             "learner": self.learner_seconds,
             "evaluation": self.evaluation_seconds,
         }
-        total = max(time.perf_counter() - self._began, sum(parts.values()))
+        total = max(time.perf_counter() - self._began, ordered_sum(parts.values()))
         shares = {name: seconds / total for name, seconds in parts.items()}
-        shares["other"] = 1.0 - sum(shares.values())
+        shares["other"] = 1.0 - ordered_sum(shares.values())
         return {name: round(share, 4) for name, share in shares.items()}
 
     def save_actor(self, actor: Student, path: Path | None = None) -> None:

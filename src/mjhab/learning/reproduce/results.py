@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.files.reading import read_json_object
 from mjhab.data.store.episode_data import last_label
 from mjhab.learning.reproduce.rows import TableRow
@@ -69,7 +70,7 @@ def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
     records = [record for folder in judged for record in read_records(folder)]
     successes = sum(record.success_once for record in records)
     low, high = wilson(successes, len(records))
-    seconds = sum(summary["cpu_seconds"] for summary in summaries)
+    seconds = ordered_sum(summary["cpu_seconds"] for summary in summaries)
     return {
         "success_once": mean(record.success_once for record in records)
         if records

@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json
@@ -267,4 +268,4 @@ class Logbook:
 
 def _cpu_seconds() -> float:
     """CPU time of this process and of its children that have ended [s]."""
-    return sum(os.times()[:4])
+    return ordered_sum(os.times()[:4])

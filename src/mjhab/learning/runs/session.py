@@ -10,6 +10,7 @@ from pathlib import Path
 
 import torch
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
 from mjhab.learning.batches import BatchSampler
@@ -222,7 +223,7 @@ class Session:
             ):
                 seconds = time.perf_counter() - began
                 numbers = {
-                    "loss": sum(losses) / len(losses),
+                    "loss": ordered_sum(losses) / len(losses),
                     "samples_per_second": len(losses) * len(batch.actions) / seconds,
                     LOAD_SHARE: loading / seconds,
                 }

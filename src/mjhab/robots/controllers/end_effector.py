@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.arrays import Array, between, constant, namespace, zeros
 from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector
 from mjhab.robots.controllers.arm import ArmRequest, CommandedArm
@@ -157,6 +158,5 @@ def _rows(
 def _workspace(chain: Chain) -> tuple[tuple[float, ...], float]:
     """Return centre (3,) and radius [m] of a sphere about the first arm joint that contains all tcp positions."""
     origins = [np.array(joint.pos) for joint in chain.joints]
-    return tuple(float(x) for x in origins[0]), float(
-        sum(np.linalg.norm(origin) for origin in origins[1:])
-    )
+    reach = ordered_sum(float(np.linalg.norm(origin)) for origin in origins[1:])
+    return tuple(float(x) for x in origins[0]), reach

@@ -12,9 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import scipy
-
+from mjhab.core.arithmetic import arithmetic_digest
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.spec import Home, Placement
@@ -23,9 +21,8 @@ Key = tuple[int, int]
 
 
 def _code_digest() -> bytes:
-    """Hash of all modules that the furnishing may import, and of the versions of the libraries that it uses."""
-    libraries = f"{np.__version__} {scipy.__version__}".encode()
-    return hashlib.sha256(libraries + code_digest("scenes", "core")).digest()
+    """Hash of all modules that the furnishing may import, and of the arithmetic that it uses."""
+    return hashlib.sha256(arithmetic_digest() + code_digest("scenes", "core")).digest()
 
 
 def cached_homes(

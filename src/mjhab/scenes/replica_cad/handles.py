@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.scenes.formats.urdf import UrdfBox
 
 Range = tuple[float, float]
@@ -235,13 +236,13 @@ def _rib(rib: Rib, inner: float) -> UrdfBox:
     """The box of a rib: its outer face is tilted by about 1 deg, and its inner face is at x = ``inner`` in the door."""
     run = rib.straight[1] - rib.straight[0]
     lean = float(np.arctan2(rib.front[1] - rib.front[0], run))
-    middle = sum(rib.z) / 2
+    middle = ordered_sum(rib.z) / 2
     front = rib.front[0] + np.tan(lean) * (middle - rib.straight[0])
     c = np.cos(lean)
     s = np.sin(lean)
     pose = np.eye(4)
     pose[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
-    pose[:3, 3] = ((front + inner) / 2, sum(rib.y) / 2, middle)
+    pose[:3, 3] = ((front + inner) / 2, ordered_sum(rib.y) / 2, middle)
     return UrdfBox(
         np.array(
             [(front - inner) / 2, (rib.y[1] - rib.y[0]) / 2, (rib.z[1] - rib.z[0]) / 2]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.arithmetic import arithmetic_digest
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.formats.gltf import Primitive, read_glb
@@ -65,7 +66,7 @@ class Looks:
             "scenes.shapes.meshes",
             "scenes.shapes.winding",
         )
-        digest = hashlib.sha256(readers)
+        digest = hashlib.sha256(readers + arithmetic_digest())
         for name, parts in sorted(self.wanted.items()):
             for file, pose in parts:
                 try:

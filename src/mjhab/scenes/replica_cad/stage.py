@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb
 from mjhab.scenes.spec import Geom
 
@@ -178,10 +179,10 @@ def _depth(face: Face, faces: list[Face]) -> float:
 
 def _box(face: Face, depth: float) -> Geom:
     along = np.array([-face.normal[1], face.normal[0]])
-    middle = face.normal * (face.offset - depth / 2) + along * sum(face.u) / 2
+    middle = face.normal * (face.offset - depth / 2) + along * ordered_sum(face.u) / 2
     yaw = float(np.arctan2(face.normal[1], face.normal[0]))
     size = (depth / 2, (face.u[1] - face.u[0]) / 2, (face.z[1] - face.z[0]) / 2)
-    pos = (float(middle[0]), float(middle[1]), sum(face.z) / 2)
+    pos = (float(middle[0]), float(middle[1]), ordered_sum(face.z) / 2)
     return Geom(
         "box",
         size,

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.scenes.builtin.objects import BOWL_WALL_M, MASSES
 from mjhab.scenes.formats.gltf import Primitive, read_glb
@@ -212,7 +213,7 @@ def _face_distance(surface: HullSurface, axis: int) -> float:
         order = np.argsort(height[facing])
         total = np.cumsum(surface.areas[facing][order])
         sides.append(float(height[facing][order][np.searchsorted(total, total[-1] / 2)]))
-    return sum(sides) / 2
+    return ordered_sum(sides) / 2
 
 
 def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.arrays import Array, constant, namespace, pile
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_X, BASE_YAW
@@ -111,7 +112,9 @@ class RewardTable:
     def attainable(self) -> float:
         """Largest possible sum of the terms over ``cases``: raw values are 1, or 0 for terms with a negative scale."""
         return max(
-            sum(max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case))
+            ordered_sum(
+                max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case)
+            )
             for case in self.cases
         )
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from mjhab.core.arithmetic import ordered_sum
 from mjhab.core.seeding import stream
 from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement import distributed
@@ -235,7 +236,9 @@ class PpoLearner:
             if stopped:
                 break
             # The test comes after a whole epoch, so that all processes stop after the same minibatch.
-            divergence = torch.tensor(sum(row[2] for row in told[-config.minibatches :]))
+            divergence = torch.tensor(
+                ordered_sum(row[2] for row in told[-config.minibatches :])
+            )
             divergence /= config.minibatches
             distributed.average([divergence])
             self._adapt(float(divergence))

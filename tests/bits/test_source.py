@@ -1,0 +1,286 @@
+"""The source of mjhab uses nothing whose result depends on the version of Python or on the order of hashes or files."""
+
+from __future__ import annotations
+
+import ast
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mjhab.core.arithmetic import ordered_sum
+
+SOURCE = Path(__file__).parents[2] / "src" / "mjhab"
+COMPUTING = ("config", "core", "envs", "episodes", "experts", "layout", "robots")
+COMPUTING += ("scenes", "sim", "tasks")
+"""Packages that make models, starts and actions."""
+
+INTEGER_FIELDS = frozenset(
+    {
+        "st_size",
+        "size",
+        "nbytes",
+        "bytes",
+        "shape",
+        "itemsize",
+        "count",
+        "steps",
+        "frames",
+        "samples",
+        "episodes",
+        "tries",
+        "passes",
+        "rejected",
+        "fallback",
+        "kept",
+        "finished",
+        "present",
+        "successes",
+        "wanted",
+        "tainted",
+        "success_once",
+        "success_at_end",
+        "completed",
+    }
+)
+"""Attributes, and keys of dicts, that hold integers or truth values everywhere in mjhab."""
+INTEGER_CALLS = frozenset(
+    [
+        "len",
+        "bool",
+        "int",
+        "any",
+        "all",
+        "startswith",
+        "array_equal",
+        "array_bytes",
+        "decoded_bytes",
+    ]
+)
+INTEGER_SUMS = {
+    "assets/install.py": {"file.expected.size or 0"},
+    "bench/experts/report.py": {"asked"},
+    "bench/experts/run.py": {"row.episodes - len(found)"},
+    "bench/parity/run.py": {"row['close']"},
+    "bench/soak/run.py": {"env.nan_resets.sum()"},
+    "cli/bench/experts.py": {"done.values()"},
+    "cli/datasets/data.py": {"count"},
+    "cli/output.py": {"widths"},
+    "data/export/lerobot/features.py": {"widths.values()"},
+    "data/record/quotas.py": {"n"},
+    "data/record/recorder.py": {"parts.values()"},
+    "data/select/sets.py": {"map(len, groups.values())"},
+    "data/store/reading.py": {
+        "dataset(self._group, path).id.get_storage_size()",
+    },
+    "data/store/schema.py": {"_width(name)"},
+    "data/store/shard.py": {"self._adopt(shard, batch)"},
+    "envs/parts/memory.py": {"PIXEL_BYTES[name]", "drawn"},
+    "evaluation/generate.py": {"done.errors.values()"},
+    "evaluation/score/capabilities.py": {"capability.shown(record)"},
+    "evaluation/score/result.py": {"_begins_elsewhere(asked, episode)"},
+    "experts/planning/reach.py": {"map(len, found)"},
+    "layout/contact_sensors.py": {"1 << field"},
+    "learning/layout.py": {"width", "widths"},
+    "learning/ms_hab/sac.py": {
+        "size(shapes, f'{_PIXELS}{camera}.projection.0.weight', 0, 50)",
+    },
+    "learning/reinforcement/session.py": {"self._outcomes"},
+    "learning/reproduce/results.py": {"summary['demonstrations']"},
+    "reports/plots.py": {"counts[kind].values()"},
+}
+"""Further sums of integers or truth values: what is added, by file."""
+ARRAY_SUMS = {
+    "data/select/statistics.py": {
+        "piece.sum(axis=0, dtype=np.float64)",
+        "((piece - mean) ** 2).sum(axis=0)",
+    }
+}
+"""Sums of arrays, which no version of Python compensates."""
+UNORDERED_FILES = {
+    "core/files/cache.py": "links every folder, in any order",
+    "episodes/spawn_factory.py": "deletes every file",
+}
+"""Files of COMPUTING that list a folder without sorting, and why its order does not matter."""
+FORBIDDEN_IN_MATH = {"fsum", "sumprod", "fma"}
+FORBIDDEN_MODULES = {"random", "statistics"}
+
+
+@functools.cache
+def trees() -> dict[str, ast.Module]:
+    return {
+        path.relative_to(SOURCE).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+        for path in sorted(SOURCE.rglob("*.py"))
+    }
+
+
+def summands(tree: ast.AST) -> Iterator[ast.expr]:
+    """What every use of the built-in ``sum`` adds: the element of its comprehension, or its argument."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    called = {id(call.func): call for call in calls}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node.id == "sum":
+            call = called.get(id(node))
+            # Not called here: sum is handed on, and nobody knows what it will add.
+            added = call.args[0] if call else node
+            yield added.elt if isinstance(added, ast.GeneratorExp) else added
+
+
+def is_integer(node: ast.expr) -> bool:
+    """Whether an expression is an integer or a truth value, by its form."""
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, int)
+    if isinstance(node, ast.Compare):
+        return True
+    if isinstance(node, ast.UnaryOp):
+        return isinstance(node.op, ast.Not) or is_integer(node.operand)
+    if isinstance(node, ast.BoolOp):
+        return all(is_integer(value) for value in node.values)
+    if isinstance(node, ast.BinOp):
+        exact = isinstance(node.op, ast.Add | ast.Sub | ast.Mult)
+        return exact and is_integer(node.left) and is_integer(node.right)
+    if isinstance(node, ast.Attribute):
+        return node.attr in INTEGER_FIELDS
+    if isinstance(node, ast.Subscript):
+        key = node.slice
+        named = isinstance(key, ast.Constant) and key.value in INTEGER_FIELDS
+        return named or (isinstance(node.value, ast.Attribute) and is_integer(node.value))
+    if isinstance(node, ast.Call):
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+        name = node.func.id if isinstance(node.func, ast.Name) else name
+        return name in INTEGER_CALLS or name.endswith("_size_in_bytes")
+    return False
+
+
+def test_no_built_in_sum_of_floats() -> None:
+    """Since Python 3.12 it compensates rounding errors: the last bits would depend on the version."""
+    wrong: list[str] = []
+    used: set[tuple[str, str]] = set()
+    listed = {
+        (file, text)
+        for sums in (INTEGER_SUMS, ARRAY_SUMS)
+        for file, texts in sums.items()
+        for text in texts
+    }
+    for file, tree in trees().items():
+        for added in summands(tree):
+            text = ast.unparse(added)
+            if (file, text) in listed:
+                used.add((file, text))
+            elif not is_integer(added):
+                wrong.append(f"{file}:{added.lineno}: sum of {text}")
+    assert not wrong, (
+        "built-in sum of what may be floats; take mjhab.core.arithmetic.ordered_sum, or "
+        f"list it here if it adds integers: {wrong}"
+    )
+    assert used == listed, f"no longer there: {sorted(listed - used)}"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "sum(g.volume for g in geoms)",
+        "sum(sides)",
+        "add = sum",
+        "functools.reduce(sum, rows)",
+        "sum(a * b for a, b in pairs)",
+        "sum(values[1:])",
+        "sum([0.5, x])",
+    ],
+)
+def test_the_rule_finds_sums_of_floats(source: str) -> None:
+    found = list(summands(ast.parse(source)))
+    assert len(found) == 1 and not is_integer(found[0])
+
+
+def test_nothing_else_that_differs_between_versions_or_runs() -> None:
+    wrong: list[str] = []
+    for file, tree in trees().items():
+        # Benches take medians of times.
+        if not file.startswith("bench/"):
+            for node in ast.walk(tree):
+                wrong += [f"{file}:{line}: {what}" for line, what in _faults(node)]
+    assert not wrong, wrong
+
+
+def _faults(node: ast.AST) -> Iterator[tuple[int, str]]:
+    if isinstance(node, ast.Import):
+        names = {alias.name.split(".")[0] for alias in node.names}
+        for name in sorted(names & FORBIDDEN_MODULES):
+            yield node.lineno, f"import {name}"
+    if isinstance(node, ast.ImportFrom) and node.level == 0:
+        named = {alias.name for alias in node.names}
+        if node.module in FORBIDDEN_MODULES:
+            yield node.lineno, f"from {node.module}"
+        if node.module == "math" and named & FORBIDDEN_IN_MATH:
+            yield node.lineno, f"from math import {named & FORBIDDEN_IN_MATH}"
+    spelt = {f"math.{name}" for name in FORBIDDEN_IN_MATH}
+    if isinstance(node, ast.Attribute) and ast.unparse(node) in spelt:
+        yield node.lineno, ast.unparse(node)
+
+
+def test_folders_are_listed_in_order() -> None:
+    wrong: list[str] = []
+    unordered: set[str] = set()
+    for file, tree in trees().items():
+        if file.split("/")[0] not in COMPUTING:
+            continue
+        ordered = {
+            id(inner)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id in ("sorted", "any", "all")
+            for inner in ast.walk(node)
+        }
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Attribute):
+                continue
+            listing = node.attr in (
+                "glob",
+                "rglob",
+                "iterdir",
+                "scandir",
+                "listdir",
+            )
+            if listing and id(node) not in ordered:
+                unordered.add(file)
+                if file not in UNORDERED_FILES:
+                    wrong.append(f"{file}:{node.lineno}")
+    assert not wrong, f"files come in an order that depends on the disk: {wrong}"
+    assert unordered == set(UNORDERED_FILES)
+
+
+def test_sets_are_not_walked_through() -> None:
+    """The order of a set of strings changes from process to process."""
+    wrong = [
+        f"{file}:{node.iter.lineno}"
+        for file, tree in trees().items()
+        if file.split("/")[0] in COMPUTING
+        for node in ast.walk(tree)
+        if isinstance(node, ast.For)
+        and _is_set(node.iter)
+        # Only checks, which raise for any of them.
+        and file != "episodes/spawn_sets.py"
+    ]
+    assert not wrong, f"sort it: {wrong}"
+
+
+def _is_set(node: ast.expr) -> bool:
+    name = (
+        node.func.id
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        else ""
+    )
+    return isinstance(node, ast.Set | ast.SetComp) or name in ("set", "frozenset")
+
+
+def test_ordered_sum_adds_from_left_to_right() -> None:
+    values = [1e16, 1.0, -1e16, 1.0, 0.1, 0.2]
+    total = 0.0
+    for value in values:
+        total = total + value
+    assert ordered_sum(iter(values)) == total != 2.3
+    assert ordered_sum([0.1] * 10) == 0.9999999999999999
+    assert ordered_sum([]) == 0.0 and ordered_sum([3]) == 3.0

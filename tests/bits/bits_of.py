@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import mjhab
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.layout.compile import compile_home, home_hash
 
 SUBTASKS = (("set_table", "close"), ("prepare_groceries", "place"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mjhab.core import arithmetic
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic import digest as arithmetic
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.episodes import generator
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.grasps import stable

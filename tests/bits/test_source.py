@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 
 SOURCE = Path(__file__).parents[2] / "src" / "mjhab"
 COMPUTING = ("config", "core", "envs", "episodes", "experts", "layout", "robots")
@@ -18,6 +18,7 @@ COMPUTING += ("scenes", "sim", "tasks")
 
 INTEGER_FIELDS = frozenset(
     {
+        "horizon",
         "st_size",
         "size",
         "nbytes",
@@ -83,6 +84,7 @@ INTEGER_SUMS = {
     "experts/planning/reach.py": {"map(len, found)"},
     "layout/contact_sensors.py": {"1 << field"},
     "learning/layout.py": {"width", "widths"},
+    "learning/observation/parts.py": {"width"},
     "learning/ms_hab/sac.py": {
         "size(shapes, f'{_PIXELS}{camera}.projection.0.weight', 0, 50)",
     },
@@ -171,7 +173,7 @@ def test_no_built_in_sum_of_floats() -> None:
             elif not is_integer(added):
                 wrong.append(f"{file}:{added.lineno}: sum of {text}")
     assert not wrong, (
-        "built-in sum of what may be floats; take mjhab.core.arithmetic.ordered_sum, or "
+        "built-in sum of what may be floats; take mjhab.core.arithmetic.sums.ordered_sum, or "
         f"list it here if it adds integers: {wrong}"
     )
     assert used == listed, f"no longer there: {sorted(listed - used)}"

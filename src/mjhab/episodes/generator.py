@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached
 from mjhab.core.names import below

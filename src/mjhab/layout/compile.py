@@ -7,7 +7,7 @@ from pathlib import Path
 
 import mujoco
 
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import unknown_name
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import copy_names

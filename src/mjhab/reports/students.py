@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores

@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from mjhab.bench.experts.rows import ALL, CHAIN, PAPER_POLICY, Result
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.reports import parts
 from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import beside_the_paper, rules_of

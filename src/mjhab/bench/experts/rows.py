@@ -10,7 +10,7 @@ from typing import Any
 
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.store.episode_data import last_label
 from mjhab.episodes.rosters import roster

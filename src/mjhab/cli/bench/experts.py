@@ -16,7 +16,7 @@ from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_exper
 from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 
 CHAIN_WEIGHT = 8.0
 """Duration of a whole task in units of a single subtask, for the estimate of the remaining time."""

@@ -17,7 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import parse_json, read_bytes, reason

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.names import below, check_name
 from mjhab.data.export.folders import broken

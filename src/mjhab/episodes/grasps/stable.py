@@ -16,7 +16,7 @@ from threading import RLock
 
 import numpy as np
 
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.names import below

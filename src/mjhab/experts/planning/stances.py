@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.boxes import Boxes
 from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest

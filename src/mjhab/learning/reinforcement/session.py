@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.seeding import stream

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.reading import read_json_object
 from mjhab.data.store.episode_data import last_label
 from mjhab.learning.reproduce.rows import TableRow

@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.data.record.generation import Standing
 from mjhab.data.select.query import Filter
 from mjhab.learning.batches import BatchSampler

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.arrays import Array, between, constant, namespace, zeros
 from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector
 from mjhab.robots.controllers.arm import ArmRequest, CommandedArm

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.spec import Home, Placement

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.scenes.formats.urdf import UrdfBox
 
 Range = tuple[float, float]

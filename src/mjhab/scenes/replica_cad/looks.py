@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.arithmetic import arithmetic_digest
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.formats.gltf import Primitive, read_glb

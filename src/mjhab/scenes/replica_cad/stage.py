@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb
 from mjhab.scenes.spec import Geom
 

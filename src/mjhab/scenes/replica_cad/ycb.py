@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.scenes.builtin.objects import BOWL_WALL_M, MASSES
 from mjhab.scenes.formats.gltf import Primitive, read_glb

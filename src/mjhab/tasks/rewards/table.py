@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.arrays import Array, constant, namespace, pile
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_X, BASE_YAW

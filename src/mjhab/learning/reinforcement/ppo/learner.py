@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from mjhab.core.arithmetic import ordered_sum
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.seeding import stream
 from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement import distributed

@@ -1,20 +1,16 @@
-"""One owner of sums of floats, and a hash of the arithmetic of this machine.
-
-Results are promised to be the same, bit by bit, under every version of Python (docs/reproducibility.md). The built-in
-``sum`` breaks that: since Python 3.12 it compensates rounding errors. ``tests/bits/test_source.py`` forbids it for
-floats.
-"""
+"""A hash of the arithmetic of this machine: two machines with equal hashes compute the same last bits."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 import platform
-from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
+
+from mjhab.core.arithmetic.sums import ordered_sum
 
 LIBRARIES = ("mujoco", "numpy", "scipy", "numba", "trimesh")
 """Libraries whose version may change numbers that lie in the cache."""
@@ -22,23 +18,6 @@ _PROBES = 512
 """Numbers that every elementary function is tried on; two implementations differ in the last bit of some."""
 _SIDE = 24
 """Rows of the matrices of the probe: too small for BLAS to use threads."""
-
-
-def ordered_sum(values: Iterable[float]) -> float:
-    """Sum floats from left to right, every addition rounded to double: what ``sum`` did before Python 3.12.
-
-    >>> ordered_sum([0.1] * 10)
-    0.9999999999999999
-    >>> ordered_sum([])
-    0.0
-
-    Args:
-        values: finite or not; NumPy numbers are taken as doubles.
-    """
-    total = 0.0
-    for value in values:
-        total += float(value)
-    return total
 
 
 @cache

@@ -140,7 +140,7 @@ def test_episodes_are_those_of_the_cpu_backend(task: str, subtask: str) -> None:
     for w, (mine, record) in enumerate(zip(dev.records(), records, strict=True)):
         close = {
             name: pytest.approx(record[name], rel=0.02, abs=0.5)
-            for name in ("peak_force", "cumulative_force")
+            for name in ("peak_force", "peak_finger_force", "cumulative_force")
         }
         assert mine == record | close
         assert SUBTASKS[subtask].labels[int(final["label"][w])] == record["label"]

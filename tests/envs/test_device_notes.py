@@ -25,8 +25,8 @@ def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
     plans = [
         TaskPlan("", (Subtask(SubtaskKind(int(k)), obj="a", link="b"),)) for k in kinds
     ]
-    tracker = Tracker(worlds)
-    notes = DeviceNotes(worlds, 40, torch.device("cpu"))
+    tracker = Tracker(worlds, teleports=True)
+    notes = DeviceNotes(worlds, 40, torch.device("cpu"), teleports=True)
     step = np.zeros(worlds, np.int64)
     within = np.zeros(worlds, np.int64)
     done = np.zeros(worlds, bool)
@@ -81,8 +81,9 @@ def draw_progress(
 ) -> Progress:
     zero = np.zeros_like(step)
     force = rng.random(len(step)).astype(np.float32)
+    fingers = rng.random(len(step)).astype(np.float32)
     return Progress(
-        zero, zero, within.copy(), step.copy(), force, force, done, done.copy()
+        zero, zero, within.copy(), step.copy(), force, force, fingers, done, done.copy()
     )
 
 

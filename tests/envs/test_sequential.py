@@ -68,9 +68,11 @@ def test_teleport_brings_every_world_near_and_facing_without_contact():
     env = build(task="tidy_house", num_envs=6)
     env.reset(seed=3)
     reached = np.zeros(6, bool)
+    ended = []
     for _ in range(60):
         obs, _, _, _, info = env.step(still(env))
         arrived = (info["kind"] == SubtaskKind.PICK) & ~reached
+        ended += [record for record in info["ended"] if record is not None]
         for w in np.flatnonzero(arrived):
             pose = obs["extra/obj_pose_wrt_base"][w]
             assert np.hypot(pose[0], pose[1]) <= 2.0 + 1e-3
@@ -82,6 +84,11 @@ def test_teleport_brings_every_world_near_and_facing_without_contact():
             break
     assert reached.all()
     assert not info["spawn_fallback"].any()
+    # What the environment does itself is marked in the records: it says nothing about a policy.
+    told = {record["kind"]: record["teleported"] for record in ended}
+    assert told["navigate"] is True and not any(
+        told[kind] for kind in {*told} - {"navigate"}
+    )
 
 
 def test_worlds_can_be_in_different_subtasks():

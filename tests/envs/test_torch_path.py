@@ -116,6 +116,7 @@ def _touched(
     return dataclasses.replace(
         state,
         finger_force=rng.normal(0.0, 5.0, state.finger_force.shape),
+        finger_net=rng.exponential(20.0, state.finger_net.shape),
         link_force=rng.exponential(20.0, state.link_force.shape),
         touch=rng.random(state.touch.shape) < 0.5,
         link_q=rng.uniform(low, high, state.link_q.shape),
@@ -170,7 +171,9 @@ class Follower:
     ) -> dict[str, Any]:
         focus = look_up(tables, progress.pointer, self.config)
         world = self.sensing.world_state(state, tables, focus, joint_start)
-        progress = progress_rules.accumulate(progress, world.robot_force)
+        progress = progress_rules.accumulate(
+            progress, world.robot_force, world.fingers_force
+        )
         signals = measure(world, tables.arrays, progress, self.config, focus.active)
         after, outcome = progress_rules.advance(
             progress, signals, tables.arrays, self.config

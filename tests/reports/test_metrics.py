@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from itertools import pairwise
+from statistics import median
 
 import pytest
 from hypothesis import given
@@ -35,7 +37,7 @@ KEYS = [
     "labels",
     "legacy_labels",
 ]
-KEYS += ["tainted", "errors", "seconds"]
+KEYS += ["tainted", "errors", "subtasks", "seconds"]
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +152,47 @@ def test_rows_count_what_was_reached(records: list[EpisodeRecord]) -> None:
     }
 
 
+def test_rows_tell_steps_to_success_and_mark_teleports(
+    records: list[EpisodeRecord],
+) -> None:
+    def judged_over_200_steps(record: EpisodeRecord) -> EpisodeRecord:
+        subtasks = [
+            replace(
+                subtask,
+                teleported=subtask.kind == "navigate",
+                end_step=subtask.start_step + 200,
+            )
+            for subtask in record.subtasks
+        ]
+        return replace(record, subtasks=tuple(subtasks))
+
+    rows = rows_by_kind([judged_over_200_steps(record) for record in records])
+    for row in rows:
+        own = [
+            subtask
+            for record in records
+            for subtask in record.subtasks
+            if (subtask.kind, kind_of(subtask.target)) == (row.kind, row.target)
+        ]
+        assert row.judged == (row.kind != "navigate")
+        # In these episodes success ends a subtask.
+        needed = [s.end_step - s.start_step for s in own if s.success_once]
+        wanted = median(needed) if row.judged else None
+        assert row.steps_to_success == wanted != 200
+        peaks = [s.peak_finger_force or 0.0 for s in own]
+        assert row.peak_finger_force == pytest.approx(median(peaks), abs=0.06)
+    summary = summarize(records, 1.0)
+    assert [row["kind"] for row in summary["subtasks"]] == [kind for kind, _ in SET_TABLE]
+
+
 def test_rows_without_any_episode_reaching_them() -> None:
     rows = rows_by_position(rollout(FakeEnv(1, quality=0.0), ZeroPolicy(), [0], seed=0))
-    assert (rows[1].reached, rows[1].success_once, rows[1].interval, rows[1].steps) == (
+    assert (
+        rows[1].reached,
+        rows[1].success_once,
+        rows[1].interval,
+        rows[1].peak_force,
+    ) == (
         0,
         0.0,
         (0.0, 1.0),

@@ -107,6 +107,31 @@ def test_all_sections_are_there(records: list[EpisodeRecord]) -> None:
     assert len(data["force"]) == 8 and data["progress"]["data"] and data["labels"]["data"]
 
 
+def test_teleports_are_not_judged_and_time_is_that_to_success(
+    records: list[EpisodeRecord],
+) -> None:
+    first = records[0].subtasks[0]
+    assert first.kind == "navigate"
+    done = replace(first, success_once=True, success_at_end=True, end_step=500)
+    done = replace(done, events=((37, "success"),), peak_finger_force=2410.4)
+    alone = replace(
+        records[0],
+        subtask="navigate",
+        plan=records[0].plan[:1],
+        subtasks=(done,),
+        steps=500,
+        completed=1,
+        success_once=True,
+        success_at_end=True,
+    )
+    text = page_of([alone]).text
+    assert "success after 1.9 s" in text and "25.0 s in all" in text
+    assert "2,410 N" in text and "by teleport" not in text
+    driven = replace(alone, subtasks=(replace(done, teleported=True),))
+    text = page_of([driven]).text
+    assert "navigate" in text and "by teleport" in text and "teleports included" in text
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_forces_that_are_not_finite_are_gaps(
     records: list[EpisodeRecord], bad: float

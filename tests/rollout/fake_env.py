@@ -146,6 +146,7 @@ class FakeEnv:
         return {
             "pointer": np.array([world.pointer for world in worlds]),
             "robot_force": np.array([world.force for world in worlds]),
+            "finger_force": np.array([2.0 * world.force for world in worlds]),
             "cumulative_force": np.array([world.cumulative for world in worlds]),
             "success": np.array([world.success for world in worlds]),
             "fail": np.array([world.fail for world in worlds]),
@@ -233,6 +234,7 @@ class _World:
             "start_step": self.start,
             "end_step": self.t,
             "peak_force": np.float64(self.peak),
+            "peak_finger_force": np.float64(2.0 * self.peak),
             "cumulative_force": self.cumulative,
             "events": self.seen,
         }

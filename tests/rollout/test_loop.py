@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
@@ -102,6 +103,10 @@ def test_record_holds_what_happened() -> None:
     assert record.completed == len(record.plan) == len(record.subtasks) == 16
     assert record.steps == len(record.force) == record.subtasks[-1].end_step
     assert record.peak_force == pytest.approx(max(record.force), abs=0.05)
+    assert record.peak_finger_force == pytest.approx(2 * record.peak_force, abs=0.01)
+    assert record.peak_finger_force == max(
+        subtask.peak_finger_force or 0.0 for subtask in record.subtasks
+    )
     assert record.cumulative_force == pytest.approx(
         sum(record.force), abs=0.05 * record.steps
     )
@@ -124,6 +129,47 @@ def test_failed_episode_lists_only_the_subtasks_it_reached() -> None:
 def test_record_survives_json() -> None:
     for record in rollout(FakeEnv(2), RandomPolicy(0), range(4), seed=0):
         assert EpisodeRecord.from_dict(json.loads(json.dumps(record.to_dict()))) == record
+
+
+def test_older_records_lack_finger_forces_and_tell_teleports_by_their_sentences() -> None:
+    (record,) = rollout(FakeEnv(1, quality=1.0), ZeroPolicy(), [0], seed=0)
+    told = json.loads(json.dumps(record.to_dict()))
+    del told["peak_finger_force"]
+    for subtask in told["subtasks"]:
+        del subtask["peak_finger_force"]
+    ways = [entry.kind == "navigate" for entry in record.plan]
+    told["instructions"] = [
+        "go on (by teleport)" if way else "do something" for way in ways
+    ]
+    old = EpisodeRecord.from_dict(told)
+    assert old.peak_finger_force is None
+    assert {subtask.peak_finger_force for subtask in old.subtasks} == {None}
+    assert [subtask.teleported for subtask in old.subtasks] == ways
+    assert "peak_finger_force" not in old.to_dict()
+    assert EpisodeRecord.from_dict(old.to_dict()) == old
+    quiet = dataclasses.replace(record, peak_finger_force=0.0)
+    assert EpisodeRecord.from_dict(quiet.to_dict()) == quiet
+
+
+@pytest.mark.parametrize(
+    ("once", "events", "steps"),
+    [
+        (False, ((7, "contact"),), None),
+        (True, ((7, "contact"), (12, "success"), (15, "lost_success")), 2),
+        (True, ((12, "success"), (13, "lost_success"), (14, "success")), 2),
+        (True, (), 1),
+    ],
+)
+def test_steps_to_the_first_success_count_from_the_start_of_the_subtask(
+    once: bool, events: tuple, steps: int | None
+) -> None:
+    (record,) = rollout(FakeEnv(1, quality=1.0), ZeroPolicy(), [0], seed=0)
+    subtask = dataclasses.replace(
+        record.subtasks[0], success_once=once, events=events, start_step=10, end_step=210
+    )
+    assert subtask.steps_to_success == steps
+    whole = dataclasses.replace(record, subtasks=(subtask,), success_once=once, steps=210)
+    assert whole.steps_to_success == (None if steps is None else 10 + steps)
 
 
 def test_no_episodes_no_reset() -> None:

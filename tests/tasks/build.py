@@ -73,6 +73,7 @@ def resting(
         "finger_force": zeros((worlds, 2, 3)),
         "finger_dir": np.tile([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]], (worlds, 1, 1)),
         "robot_force": zeros(worlds),
+        "fingers_force": zeros(worlds),
         "target_contact": zeros(worlds, dtype=bool),
         "ee_contact": zeros(worlds, dtype=bool),
         "plan_obj_pos": zeros((worlds, subtasks, 3)),

@@ -397,8 +397,10 @@ def test_torch_measures_the_same_in_value_and_dtype(seed: int) -> None:
     assert here.success.any() and not here.success.all()
     assert here.success.dtype == bool and here.kind.dtype == np.int64
     assert_same_record(
-        accumulate(progress, state.robot_force),
-        accumulate(to_torch(progress), to_torch(state).robot_force),
+        accumulate(progress, state.robot_force, state.fingers_force),
+        accumulate(
+            to_torch(progress), to_torch(state).robot_force, to_torch(state).fingers_force
+        ),
     )
 
 
@@ -419,10 +421,10 @@ def test_single_precision_stays_single() -> None:
         == str(here.cumulative_force.dtype)
         == "torch.float32"
     )
-    assert (
-        str(accumulate(single(progress), single(state).robot_force).peak_force.dtype)
-        == "torch.float32"
-    )
+    forces = (single(state).robot_force, single(state).fingers_force)
+    counted = accumulate(single(progress), *forces)
+    for peak in (counted.peak_force, counted.peak_finger_force):
+        assert str(peak.dtype) == "torch.float32"
 
 
 def test_measuring_changes_nothing() -> None:

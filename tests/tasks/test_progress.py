@@ -38,7 +38,10 @@ def step(
 ) -> Any:
     """One control step of one world with hand-made signals."""
     return advance(
-        accumulate(progress, np.array([force])), signals(**holds), plan, config
+        accumulate(progress, np.array([force]), np.zeros(1)),
+        signals(**holds),
+        plan,
+        config,
     )
 
 
@@ -88,8 +91,9 @@ def test_peak_and_cumulative_force_of_the_ended_subtask_are_in_the_progress_befo
 ):
     progress = start(PLAN, CONFIG)
     for force in (3.0, 9.0, 1.0):
-        progress = accumulate(progress, np.array([force]))
+        progress = accumulate(progress, np.array([force]), np.array([4.0 + force]))
     assert progress.cumulative_force[0] == 13.0 and progress.peak_force[0] == 9.0
+    assert progress.peak_finger_force[0] == 13.0, "beside the sum that limits count"
 
 
 def test_horizon_counts_control_steps_and_its_last_step_may_still_succeed() -> None:
@@ -246,9 +250,11 @@ def test_torch_advances_the_same_in_value_and_dtype(config: TaskConfig) -> None:
         }
         force = rng.random(worlds)
         here = signals(worlds, **holds)
-        progress, outcome = advance(accumulate(progress, force), here, plan, config)
+        progress, outcome = advance(
+            accumulate(progress, force, 2 * force), here, plan, config
+        )
         other, torch_outcome = advance(
-            accumulate(other, to_torch(here).robot_force * 0 + to_force(force)),
+            accumulate(other, to_force(force), 2 * to_force(force)),
             to_torch(here),
             torch_plan,
             config,

@@ -395,7 +395,9 @@ class TaskLoop(VectorEnv, ABC):
             )
         broken = self._advance_physics(self._checked(actions))
         world = self._sense()
-        progress = progress_rules.accumulate(self.progress, world.robot_force)
+        progress = progress_rules.accumulate(
+            self.progress, world.robot_force, world.fingers_force
+        )
         signals = self._measure(world, progress)
         if may_hold(broken):
             progress, signals = _give_up(broken, progress, signals)
@@ -500,7 +502,8 @@ class TaskLoop(VectorEnv, ABC):
     def _info(self, told: Told) -> dict[str, Any]:
         """Make the dict `info`: arrays (W,), which later steps do not modify, and the entries of ``told``.
 
-        Keys: "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N], "cumulative_force" [N x steps],
+        Keys: "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N] without the fingers,
+        "finger_force" [N] of both fingers, by whatever they touch, "cumulative_force" [N x steps] of the robot's,
         "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
         "reward_terms" (name to (W,)). The entries of ``told`` belong to the episode that was stepped, which under
         "same_step" may have ended; all others describe the present state.
@@ -513,6 +516,7 @@ class TaskLoop(VectorEnv, ABC):
             "kind": self.focus.kind,
             "steps_left": progress.steps_left,
             "robot_force": signals.robot_force,
+            "finger_force": self.state.finger_net.sum(1),
             "cumulative_force": signals.cumulative_force,
             "success": self.success,
             "fail": self.fail,

@@ -76,7 +76,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         )
         length = self.source.plan_length
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
-        self.tracker = Tracker(self.num_envs)
+        self.tracker = Tracker(self.num_envs, self.config.teleports)
         self.teleports = Teleports(self.starts, self.sensing, self.tables)
         self.reporter = Reporter(self.num_envs, self.layout, config)
         self._set_spaces(self.observer.single_space, render_modes=["rgb_array"])

@@ -38,8 +38,9 @@ _FILM_HINT = (
     "episode that has ended shows its last image."
 )
 _FORCE_HINT = (
-    "Contact force on the robot in every subtask, summed over its links without the fingers. Left: the largest value "
-    "of a control step. Right: the sum over the subtask, to which the force limit applies. Axes are logarithmic."
+    "Contact force on the robot in every subtask, summed over its links without the fingers: the largest value of a "
+    "control step, and the sum over the subtask, to which the force limit applies. Beside it the largest force on both "
+    "fingers, which no limit counts. Axes are logarithmic."
 )
 _NO_IMAGES = "No images are stored with these episodes: mjhab replay --render adds them."
 

@@ -22,7 +22,7 @@ _BINS = 32
 
 
 def force_plots(subtasks: Sequence[SubtaskRecord]) -> dict[str, Figure]:
-    """Figures by element id: peak force and cumulative force of every kind of subtask in the data."""
+    """Figures by element id: peak force, of robot and fingers, and cumulative force of every kind of subtask."""
     limits = force_limits()
     figures: dict[str, Figure] = {}
     for kind in SUBTASKS:
@@ -35,6 +35,14 @@ def force_plots(subtasks: Sequence[SubtaskRecord]) -> dict[str, Figure]:
             f"{kind}: largest force of a step [N]",
             {"1,400 N": SAFE_FORCE_N},
         )
+        with_fingers = [s for s in members if s.peak_finger_force is not None]
+        if with_fingers:
+            figures[f"fingers-{kind}"] = _histogram(
+                with_fingers,
+                lambda s: s.peak_finger_force or 0.0,
+                f"{kind}: largest force of a step on both fingers [N]",
+                {"1,400 N": SAFE_FORCE_N},
+            )
         limit = limits[kind]
         lines = {f"limit {limit:,.0f}": limit} if np.isfinite(limit) else {}
         name = f"{kind}: sum of forces [N x steps]"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,10 @@ class SubtaskRow:
 
     ``position`` in the plan counts from 0 and is None for a group over positions. ``reached`` counts the subtasks that
     ended, ``successes`` those that succeeded. Rates are over ``reached``, in 0..1, and ``interval`` is the Wilson 95 %
-    interval of ``success_once``. ``steps`` and ``peak_force`` [N] are medians over ``reached`` (None if nothing was).
+    interval of ``success_once``. ``steps_to_success`` is the median over the successes (None without any), in control
+    steps from the start of the subtask. ``peak_force`` and ``peak_finger_force`` [N] are medians over ``reached`` (None
+    if nothing was, or if the records do not hold it); limits count the first alone. ``judged`` is False where the
+    environment did every one by teleport, so that success says nothing about the policy.
     """
 
     position: int | None
@@ -35,8 +38,10 @@ class SubtaskRow:
     success_once: float
     success_at_end: float
     interval: tuple[float, float]
-    steps: float | None
+    steps_to_success: float | None
     peak_force: float | None
+    peak_finger_force: float | None
+    judged: bool
 
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
@@ -108,7 +113,8 @@ def summarize(
         that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well, None where
         nothing is known of it; ``labels``: count of every trajectory label; ``legacy_labels``: likewise by the rules of
         the published code; ``tainted``: number of episodes whose simulation raised a flag (they are counted in all
-        rates); ``errors``: number of episodes that the policy could not finish, likewise counted; ``seconds``.
+        rates); ``errors``: number of episodes that the policy could not finish, likewise counted; ``subtasks``: the
+        fields of `SubtaskRow` per position of the plan, of episodes of a single subtask per target; ``seconds``.
     """
     curve, bound = progress_curves(records, alone)
     subtasks = [subtask for record in records for subtask in record.subtasks]
@@ -122,6 +128,7 @@ def summarize(
         "legacy_labels": label_counts(subtask.legacy_label for subtask in subtasks),
         "tainted": sum(bool(record.taint) for record in records),
         "errors": sum(bool(record.error) for record in records),
+        "subtasks": [asdict(row) for row in rows_of(records)],
         "seconds": round(seconds, 2),
     }
 
@@ -136,6 +143,13 @@ def mean(values: Iterable[float]) -> float:
     """Return the mean to 4 digits; 0 for no values."""
     values = list(values)
     return round(float(np.mean(values)), 4) if values else 0.0
+
+
+def rows_of(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
+    """Return the rows that sum up a run: along the plan, or per target in episodes of a single subtask."""
+    if all(record.subtask for record in records):
+        return rows_by_kind(records)
+    return rows_by_position(records)
 
 
 def rows_by_position(records: Sequence[EpisodeRecord]) -> list[SubtaskRow]:
@@ -182,13 +196,19 @@ def _row(
         success_once=mean(subtask.success_once for subtask in ended),
         success_at_end=mean(subtask.success_at_end for subtask in ended),
         interval=wilson(once, len(ended)),
-        steps=float(np.median([s.end_step - s.start_step for s in ended]))
-        if ended
-        else None,
-        peak_force=round(float(np.median([s.peak_force for s in ended])), 1)
-        if ended
-        else None,
+        steps_to_success=_median(
+            subtask.steps_to_success for subtask in ended if not subtask.teleported
+        ),
+        peak_force=_median(subtask.peak_force for subtask in ended),
+        peak_finger_force=_median(subtask.peak_finger_force for subtask in ended),
+        judged=not ended or not all(subtask.teleported for subtask in ended),
     )
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    """Median of the values that there are and that are finite, to a tenth; None without any."""
+    found = [value for value in values if value is not None and math.isfinite(value)]
+    return round(float(np.median(found)), 1) if found else None
 
 
 def labels_by_kind(records: Sequence[EpisodeRecord]) -> dict[str, Counter[str]]:

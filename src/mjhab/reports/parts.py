@@ -65,6 +65,20 @@ def percent(value: float) -> str:
     return f"{100 * value:.0f} %" if value in (0.0, 1.0) else f"{100 * value:.1f} %"
 
 
+NOT_JUDGED = "by teleport"
+"""In place of rates of subtasks that the environment did itself."""
+
+
+def duration(steps: float | None) -> str:
+    """Control steps as seconds; "-" for None."""
+    return "-" if steps is None else f"{steps * STEP_SECONDS:.1f} s"
+
+
+def newtons(force: float | None) -> str:
+    """A force [N] as text; "-" for None."""
+    return "-" if force is None else f"{force:,.0f} N"
+
+
 def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
     """Cards with the main numbers."""
     total = len(records)
@@ -86,7 +100,7 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
             percent(summary["success_at_end"]),
             "still true in the last step",
         ),
-        ("subtasks completed", f"{completed:.1f}", f"of {length}, mean per episode"),
+        ("subtasks completed", f"{completed:.1f}", f"of {length}, {_counted(records)}"),
         ("tainted episodes", f"{summary['tainted']}", "flagged by the simulation"),
         ("wall time", f"{seconds:,.0f} s", speed),
     ]
@@ -104,6 +118,12 @@ def cards(records: Sequence[EpisodeRecord], summary: Mapping[str, Any]) -> str:
         for name, value, more in values
     )
     return f'<div class="cards">{"".join(tiles)}</div>'
+
+
+def _counted(records: Sequence[EpisodeRecord]) -> str:
+    ended = (subtask for record in records for subtask in record.subtasks)
+    teleports = any(subtask.teleported for subtask in ended)
+    return "mean per episode" + (", teleports included" if teleports else "")
 
 
 def _kind(kind: str) -> str:
@@ -131,7 +151,8 @@ def success_table(rows: Sequence[SubtaskRow]) -> str:
         ("success once", "n"),
         ("95 % interval", ""),
     ]
-    heads += [("at end", "n"), ("median steps", "n"), ("median peak force", "n")]
+    heads += [("at end", "n"), ("time to success", "n"), ("peak force", "n")]
+    heads += [("on fingers", "n")]
     head = "".join(f'<th class="{css}">{escape(name)}</th>' for name, css in heads)
     body = []
     for row in rows:
@@ -142,18 +163,17 @@ def success_table(rows: Sequence[SubtaskRow]) -> str:
             f"<td>{_kind(row.kind)}</td><td>{escape(row.target)}</td>",
             f'<td class="n">{row.reached}</td>',
         ]
-        if row.reached:
+        if row.reached and row.judged:
             cells += [
-                f'<td class="n">{percent(row.success_once)}</td><td>{_rate_bar(row)}</td>'
+                f'<td class="n">{percent(row.success_once)}</td><td>{_rate_bar(row)}</td>',
+                f'<td class="n">{percent(row.success_at_end)}</td>',
+                f'<td class="n">{duration(row.steps_to_success)}</td>',
+                f'<td class="n">{newtons(row.peak_force)}</td>',
+                f'<td class="n">{newtons(row.peak_finger_force)}</td>',
             ]
-            cells += [
-                f'<td class="n">{percent(row.success_at_end)}</td><td class="n">{row.steps:.0f}</td>'
-            ]
-            cells += [f'<td class="n">{row.peak_force:.0f} N</td>']
         else:
-            cells += [
-                '<td class="n">-</td><td></td><td class="n">-</td><td class="n">-</td><td class="n">-</td>'
-            ]
+            shown = NOT_JUDGED if row.reached else "-"
+            cells += [f'<td class="n">{shown}</td><td></td>', '<td class="n">-</td>' * 4]
         body.append(f"<tr>{''.join(cells)}</tr>")
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
     return scrolled(table)
@@ -174,7 +194,7 @@ def film(record: EpisodeRecord, path: Path | None) -> str:
         view = ""
         hint = "Click a stretch or a mark of the timeline to read what it is."
     outcome = (
-        "success"
+        f"success after {duration(record.steps_to_success)}"
         if record.success_once
         else f"{record.completed} of {len(record.plan)} subtasks"
     )
@@ -182,7 +202,7 @@ def film(record: EpisodeRecord, path: Path | None) -> str:
     return (
         f'<figure class="film" data-steps="{record.steps}" data-steps-per-second="{FILM_FPS * FILM_EVERY}">'
         f"<h3>Episode {record.index} <small>in {escape(record.home)}: {escape(outcome)}, "
-        f"{record.steps * STEP_SECONDS:.1f} s of robot time{flags}</small></h3>"
+        f"{duration(record.steps)} in all{flags}</small></h3>"
         f'{view}{_timeline(record)}<p class="now">{hint}</p>{_event_list(record)}</figure>'
     )
 
@@ -208,8 +228,13 @@ def _span(subtask: SubtaskRecord, steps: int) -> str:
     label = (
         subtask.label or ("success" if subtask.success_once else "no success")
     ).replace("_", " ")
-    more = (
-        f"{label}; {(subtask.end_step - subtask.start_step) * STEP_SECONDS:.1f} s, peak {subtask.peak_force:.0f} N, "
+    if subtask.teleported:
+        label = NOT_JUDGED
+    more = f"{label}; {duration(subtask.end_step - subtask.start_step)}"
+    if subtask.success_once and not subtask.teleported:
+        more += f", success after {duration(subtask.steps_to_success)}"
+    more += (
+        f", peak {newtons(subtask.peak_force)} (fingers {newtons(subtask.peak_finger_force)}), "
         f"sum {subtask.cumulative_force:,.0f} N x steps"
     )
     css = (
@@ -254,7 +279,9 @@ def episode_table(records: Sequence[EpisodeRecord]) -> str:
             ("last subtask", ""),
             ("its label", ""),
             ("steps", "n"),
+            ("to success", "n"),
             ("peak force", "n"),
+            ("on fingers", "n"),
             ("flags", ""),
         )
     )
@@ -270,6 +297,7 @@ def _episode_row(record: EpisodeRecord) -> str:
         "at end" if record.success_at_end else "once" if record.success_once else "no"
     )
     css = "good" if record.success_at_end else "fair" if record.success_once else "bad"
+    fingers = "" if record.peak_finger_force is None else record.peak_finger_force
     return (
         f'<tr><td class="n">{record.index}</td><td>{escape(record.home)}</td>'
         f'<td class="n" data-value="{record.completed}">{record.completed} / {len(record.plan)}</td>'
@@ -277,7 +305,9 @@ def _episode_row(record: EpisodeRecord) -> str:
         f"<td>{escape(f'{last.kind} {kind_of(last.target)}' if last else '')}</td>"
         f'<td><span class="dot {tone(label)}"></span>{escape(label.replace("_", " "))}</td>'
         f'<td class="n">{record.steps}</td>'
-        f'<td class="n" data-value="{record.peak_force}">{record.peak_force:.0f} N</td>'
+        f'<td class="n" data-value="{record.steps_to_success or ""}">{record.steps_to_success or "-"}</td>'
+        f'<td class="n" data-value="{record.peak_force}">{newtons(record.peak_force)}</td>'
+        f'<td class="n" data-value="{fingers}">{newtons(record.peak_finger_force)}</td>'
         f"<td>{escape(', '.join(filter(None, (*record.taint, record.error))))}</td></tr>"
     )
 

@@ -147,12 +147,16 @@ def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list
                 "Progressive completion", hint, '<div id="progress-plot"></div>'
             )
         )
-        hint = "In plan order. A subtask counts only where an episode reached it; whiskers are Wilson 95 % intervals."
+        hint = (
+            "In plan order. A subtask counts only where an episode reached it; whiskers are Wilson 95 % intervals. "
+            "What the environment does by teleport is not judged."
+        )
         out.append(
             parts.section("Success along the plan", hint, parts.success_table(rows))
         )
     hint = (
-        "All subtasks that ended, by kind and target; whiskers are Wilson 95 % intervals."
+        "All subtasks that ended, by kind and target; whiskers are Wilson 95 % intervals. Time to the first success "
+        "and largest force of a control step are medians. Limits count the force on the robot without its fingers."
     )
     out.append(
         parts.section(

@@ -243,6 +243,7 @@ class _Trace:
         self.episode = episode
         self.started = time.perf_counter()
         self.force: list[float] = []
+        self.finger_force: float | None = None
         self.events: list[Event] = []
         self.subtasks: list[SubtaskRecord] = []
         self.success_once = False
@@ -251,6 +252,9 @@ class _Trace:
     def add(self, world: int, step: int, info: Mapping[str, Any]) -> None:
         """Read one control step of ``world`` from ``info``."""
         self.force.append(float(info["robot_force"][world]))
+        if "finger_force" in info:
+            now = float(info["finger_force"][world])
+            self.finger_force = max(now, self.finger_force or 0.0)
         self.events.extend((step, str(name)) for name in info["events"][world])
         self.success_once |= bool(info["success"][world])
         self.taint |= int(info["taint"][world])
@@ -299,6 +303,9 @@ class _Trace:
             style=dict(style),
             instruction=str(episode.get("instruction", "")),
             instructions=tuple(episode.get("instructions", ())),
+            peak_finger_force=(
+                None if self.finger_force is None else round(self.finger_force, 3)
+            ),
         )
 
 

@@ -10,11 +10,19 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.names import check_name
-from mjhab.tasks.instructions import MAX_INSTRUCTION_CHARACTERS
+from mjhab.tasks.instructions import BY_TELEPORT, MAX_INSTRUCTION_CHARACTERS
 from mjhab.tasks.plan import GOAL_OF
 
-OPTIONAL = ("style", "instruction", "instructions", "error", "config_hash")
-"""Fields of `EpisodeRecord` that are left out of a file where they are empty; older files lack them."""
+OPTIONAL = (
+    "style",
+    "instruction",
+    "instructions",
+    "error",
+    "config_hash",
+    "peak_finger_force",
+    "teleported",
+)
+"""Fields of both records that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
 """Control step (the first step of an episode is 1) and the name of what happened in it."""
 
@@ -35,7 +43,10 @@ class PlanEntry:
 class SubtaskRecord:
     """How one subtask of an episode ended. Forces [N], ``cumulative_force`` [N x control steps].
 
-    ``label`` is None where the kind has no label. Steps count from the start of the episode.
+    ``label`` is None where the kind has no label. Steps count from the start of the episode. The forces are those on
+    the robot without its fingers, which the limits count; ``peak_finger_force`` is the largest on both fingers
+    together, None in records of older versions. ``teleported``: the environment moved the robot to the goal, so that
+    success says nothing about the policy.
     """
 
     index: int
@@ -50,6 +61,19 @@ class SubtaskRecord:
     peak_force: float
     cumulative_force: float
     events: tuple[Event, ...] = ()
+    peak_finger_force: float | None = None
+    teleported: bool = False
+
+    @property
+    def steps_to_success(self) -> int | None:
+        """Control steps from the start of the subtask to its first success, None without success.
+
+        Success that held from the start on has no event; it counts as one step.
+        """
+        if not self.success_once:
+            return None
+        found = (step for step, name in self.events if name == "success")
+        return max(min(found, default=self.start_step + 1) - self.start_step, 1)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SubtaskRecord:
@@ -74,6 +98,8 @@ class SubtaskRecord:
                 _number("cumulative_force", data["cumulative_force"]), 3
             ),
             events=_events(data["events"]),
+            peak_finger_force=_peak(data.get("peak_finger_force")),
+            teleported=_truth("teleported", data.get("teleported", False)),
         )
 
 
@@ -89,9 +115,10 @@ class EpisodeRecord:
     asked to act in this episode (fields of `tasks.style.Style`), empty where nothing was asked. ``instruction``: what
     the episode asks for as a sentence, ``instructions`` the same for each subtask of the plan (`tasks.instructions`);
     empty in records of older versions. ``error``: why the policy could not go on (`rollout.policy.Fallible`) and the
-    episode ended, empty where it could. ``config_hash`` names the configuration of the run folder that the record
-    belongs to (`store.config_hash`); it is empty outside of a run folder and in those of older versions, and takes no
-    part in comparisons.
+    episode ended, empty where it could. ``peak_force`` is that of ``force``, ``peak_finger_force`` [N] that of both
+    fingers together, None in records of older versions. ``config_hash`` names the configuration of the run folder that
+    the record belongs to (`store.config_hash`); it is empty outside of a run folder and in those of older versions, and
+    takes no part in comparisons.
     """
 
     seed: int
@@ -120,14 +147,22 @@ class EpisodeRecord:
     instructions: tuple[str, ...] = ()
     error: str = ""
     config_hash: str = field(default="", compare=False)
+    peak_finger_force: float | None = None
+
+    @property
+    def steps_to_success(self) -> int | None:
+        """Control steps to the first success of the episode (of a whole task: to its end), None without success."""
+        if not self.success_once:
+            return None
+        last = self.subtasks[-1] if self.subtasks else None
+        needed = last.steps_to_success if last else None
+        return self.steps if last is None or needed is None else last.start_step + needed
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for ``json.dumps``; keys are the field names, without the OPTIONAL ones that are empty."""
         values = asdict(self)
-        for name in OPTIONAL:
-            if not values[name]:
-                del values[name]
-        return values
+        subtasks = tuple(_without_empty(subtask) for subtask in values["subtasks"])
+        return _without_empty({**values, "subtasks": subtasks})
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> EpisodeRecord:
@@ -154,6 +189,15 @@ class EpisodeRecord:
         return record
 
 
+def _without_empty(values: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a record without the OPTIONAL ones that are empty; a force of 0.0 is not."""
+    return {
+        name: value
+        for name, value in values.items()
+        if name not in OPTIONAL or value or isinstance(value, float)
+    }
+
+
 def _values(data: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a record by name, each of its type."""
     values = {
@@ -172,17 +216,32 @@ def _values(data: Mapping[str, Any]) -> dict[str, Any]:
     )
     values["error"] = _sentence(data.get("error", ""))
     values["config_hash"] = str(data.get("config_hash", ""))
+    values["peak_finger_force"] = _peak(data.get("peak_finger_force"))
     values["final_state"] = str(data["final_state"])
     for name in ("plan", "subtasks", "events", "force", "taint"):
         _check_list(name, data[name])
     values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
     values["subtasks"] = tuple(
-        SubtaskRecord.from_dict(entry) for entry in data["subtasks"]
+        SubtaskRecord.from_dict(_with_teleport(entry, values["instructions"]))
+        for entry in data["subtasks"]
     )
     values["events"] = _events(data["events"])
     values["force"] = tuple(_number("force", value) for value in data["force"])
     values["taint"] = tuple(data["taint"])
     return values
+
+
+def _with_teleport(
+    entry: Mapping[str, Any], instructions: tuple[str, ...]
+) -> Mapping[str, Any]:
+    """A subtask as it was written. In older files the sentences alone say what was done by teleport."""
+    index = _count("index", entry["index"])
+    told = instructions[index] if index < len(instructions) else ""
+    return {"teleported": told.endswith(BY_TELEPORT), **entry}
+
+
+def _peak(value: Any) -> float | None:
+    return None if value is None else round(_number("peak_finger_force", value), 3)
 
 
 def _count(name: str, value: Any) -> int:

@@ -46,6 +46,7 @@ class SimState:
         tcp_vel: (W, 3) velocity of the tcp in the world frame [m/s].
         link_force: (W, K) norm of the net contact force on each force link [N].
         finger_force: (W, 2, N + L, 3) force of each target on the [left, right] finger, world frame [N].
+        finger_net: (W, 2) norm of the net contact force on the [left, right] finger, by whatever it touches [N].
         touch: (W, N + L) bool: some robot link has a contact with the target.
         ee_contact: (W, N + L) bool: a finger or the hand has one.
         body_pos: (W, B, 3) body positions in the world frame [m].
@@ -62,6 +63,7 @@ class SimState:
     link_qd: Any
     link_force: Any
     finger_force: Any
+    finger_net: Any
     touch: Any
     ee_contact: Any
     body_pos: Any

@@ -40,6 +40,8 @@ class Progress:
     """float [N x control steps] over the active subtask."""
     peak_force: Array
     """float [N], largest force of one control step in the active subtask."""
+    peak_finger_force: Array
+    """float [N], likewise of the two fingers together, which no limit counts."""
     success_once: Array
     """bool: the active subtask has succeeded in some step (used in continuous evaluation)."""
     done: Array
@@ -94,7 +96,8 @@ def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Pr
         else zeros((zero.shape[0],), like)
     )
     no = plan.length < 0
-    return Progress(zero, _horizon(plan, zero, config), zero, zero, force, force, no, no)
+    left = _horizon(plan, zero, config)
+    return Progress(zero, left, zero, zero, force, force, force, no, no)
 
 
 def reset_rows(
@@ -104,11 +107,12 @@ def reset_rows(
     return where_rows(mask, start(plan, config, progress.cumulative_force), progress)
 
 
-def accumulate(progress: Progress, robot_force: Array) -> Progress:
-    """Count one control step: its force (W,) [N] and its time. Worlds that are done do not change."""
+def accumulate(progress: Progress, robot_force: Array, fingers_force: Array) -> Progress:
+    """Count one control step: its forces (W,) [N] and its time. Worlds that are done do not change."""
     xp = namespace(robot_force)
     step = cast(~progress.done, progress.pointer.dtype)
     force = xp.where(progress.done, 0.0, robot_force)
+    fingers = xp.where(progress.done, 0.0, fingers_force)
     return Progress(
         progress.pointer,
         progress.steps_left - step,
@@ -116,6 +120,7 @@ def accumulate(progress: Progress, robot_force: Array) -> Progress:
         progress.episode_step + step,
         progress.cumulative_force + force,
         xp.maximum(progress.peak_force, force),
+        xp.maximum(progress.peak_finger_force, fingers),
         progress.success_once,
         progress.done,
     )
@@ -166,6 +171,7 @@ def advance(
         progress.episode_step,
         progress.cumulative_force,
         progress.peak_force,
+        progress.peak_finger_force,
         progress.success_once | advanced,
         progress.done | done,
     )
@@ -184,6 +190,7 @@ def _begin_next(
         progress.episode_step,
         xp.where(moved, 0.0, progress.cumulative_force),
         xp.where(moved, 0.0, progress.peak_force),
+        xp.where(moved, 0.0, progress.peak_finger_force),
         progress.success_once & ~moved,
         progress.done,
     )

@@ -67,6 +67,8 @@ class WorldState:
     """(W, 2, 3) unit directions in which the [l, r] finger opens."""
     robot_force: Array
     """(W,) contact force [N] summed over robot links without the fingers."""
+    fingers_force: Array
+    """(W,) contact force [N] summed over the two fingers, by whatever they touch; no limit counts it."""
     target_contact: Array
     """(W,) bool: any robot link touches the active target."""
     ee_contact: Array

@@ -51,7 +51,15 @@ GOOD = EpisodeRecord(
     taint=(),
     spawn_fallback=False,
     final_state="",
+    peak_finger_force=2410.0,
 )
+OLD = dataclasses.replace(GOOD, peak_finger_force=None)
+
+
+def test_no_comparison_of_finger_forces_holds_for_older_recordings() -> None:
+    assert ask("max_finger_force > 2400") and not ask("max_finger_force > 2410")
+    for text in ("max_finger_force >= 0", "max_finger_force < 2000"):
+        assert not ask(text, OLD)
 
 
 STYLED = dataclasses.replace(GOOD, style={"speed": 0.7, "release": "drop"})

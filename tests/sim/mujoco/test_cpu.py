@@ -167,7 +167,44 @@ def test_the_end_effector_is_gripper_link_and_fingers(
         state.touch.shape[1] - 1
     )
     # The palm alone counts, too.
-    assert bool(np.any(state.finger_force[0, :, 0])) == (offset == (0.0, 0.0, 0.0))
+    between = offset == (0.0, 0.0, 0.0)
+    assert bool(np.any(state.finger_force[0, :, 0])) == between
+    by_object = np.linalg.norm(state.finger_force[0].sum(axis=1), axis=-1)
+    np.testing.assert_allclose(state.finger_net[0], by_object)
+    assert bool((state.finger_net[0] > 1.0).any()) == between
+
+
+def test_fingers_at_a_wall_bear_a_force_that_the_robot_force_leaves_out(layout: Layout):
+    home = layout.pack.homes[0].name
+    sim = CpuSimulator(layout, 1, 1)
+    model = sim.model(home)
+    a = sim.addresses
+    data = mujoco.MjData(model)
+    qpos = model.qpos0.copy()
+    # The arm straight ahead.
+    qpos[a.robot_q] = 0.0
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    reach = data.body(FINGER_LINKS[0]).xpos[0]
+    wall = next(
+        geom
+        for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0)
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX
+        and model.geom_contype[geom]
+        and model.geom_size[geom, 2] > 1.0
+    )
+    thin = int(np.argmin(model.geom_size[wall, :2]))
+    normal = data.geom_xmat[wall].reshape(3, 3)[:2, thin]
+    surface = data.geom_xpos[wall, :2] + normal * model.geom_size[wall, thin]
+    qpos[a.robot_q[2]] = np.arctan2(-normal[1], -normal[0])
+    for gap in np.arange(0.1, -0.05, -0.005):
+        qpos[a.robot_q[:2]] = surface + normal * (reach + gap)
+        sim.reset([0], [home], qpos[None])
+        state = sim.state()
+        if state.finger_net.any():
+            break
+    assert (state.finger_net[0] > 10.0).all()
+    assert not state.link_force.any() and not state.finger_force.any()
 
 
 def test_reset_of_one_world_keeps_the_bytes_of_the_others(layout: Layout):

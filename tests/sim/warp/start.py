@@ -109,6 +109,12 @@ def rows_of(sim, world: int) -> list[bytes]:
         engine.time_t,
         engine.asleep_t,
     ]
-    arrays += [state.link_force, state.finger_force, state.touch, state.tcp_vel]
+    arrays += [
+        state.link_force,
+        state.finger_force,
+        state.finger_net,
+        state.touch,
+        state.tcp_vel,
+    ]
     arrays += [state.body_pos, state.body_mat, state.body_quat, sim.taint()]
     return [array[world].numpy().tobytes() for array in arrays]

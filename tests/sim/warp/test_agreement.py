@@ -87,6 +87,11 @@ def test_forces_of_a_grasp_agree_with_the_cpu_simulator(
         np.testing.assert_allclose(
             got.link_force, want.link_force, atol=limit * pinch.max()
         )
+        # The can alone is between the fingers: the net force on each is that of the can.
+        np.testing.assert_allclose(want.finger_net[0], pinch, rtol=1e-9)
+        np.testing.assert_allclose(
+            got.finger_net, want.finger_net, atol=limit * pinch.max()
+        )
         np.testing.assert_array_equal(got.touch, want.touch)
         np.testing.assert_array_equal(got.ee_contact, want.ee_contact)
         assert got.touch[0, CAN] and not got.touch[0, BOX]
@@ -109,6 +114,9 @@ def test_forces_agree_where_the_robot_is_in_the_thick_of_things(
     got = shared.state()
     want = cpu.state()
     assert (want.link_force > 1.0).sum() >= WORLDS
+    np.testing.assert_allclose(
+        got.finger_net, want.finger_net, rtol=0.05, atol=0.02 * want.link_force.max()
+    )
     np.testing.assert_allclose(
         got.link_force, want.link_force, rtol=0.05, atol=0.02 * want.link_force.max()
     )

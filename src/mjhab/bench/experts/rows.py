@@ -97,10 +97,7 @@ class MeasuredEpisode:
     @classmethod
     def of(cls, record: EpisodeRecord) -> MeasuredEpisode:
         """Take it from a record."""
-        first = min(
-            (step for step, name in record.events if name == "success"),
-            default=record.steps,
-        )
+        first = record.steps_to_success or record.steps
         return cls(
             record.index,
             record.home,

@@ -97,6 +97,7 @@ def _row(record: EpisodeRecord) -> dict[str, Any]:
         "label": label or "-",
         "steps": record.steps,
         "max_force": record.peak_force,
+        "max_finger_force": record.peak_finger_force,
     }
 
 
@@ -113,6 +114,7 @@ def _stats(options: DataStatsOptions) -> int:
         "success %",
         "median N",
         "largest N",
+        "on fingers",
     )
     print_table(
         "Recorded episodes", columns, [_stats_row(row) for row in numbers["rows"]]
@@ -134,7 +136,14 @@ def _stats_row(row: Mapping[str, Any]) -> tuple[object, ...]:
     force = row["max_force"]
     success = round(100 * row["success_once"], 1)
     head = (row["task"], row["subtask"], row["target"], row["episodes"])
-    return (*head, success, force["median"], force["max"])
+    fingers = row["max_finger_force"]["max"]
+    return (
+        *head,
+        success,
+        force["median"],
+        force["max"],
+        "-" if fingers is None else fingers,
+    )
 
 
 def _report(options: DataReportOptions) -> int:

@@ -33,6 +33,10 @@ EXAMPLES = {
         "a household task of the subtasks that there are",
         "MJHAB_PLUGINS={}/clear_table.py mjhab eval --task clear_table --episodes 4 --out runs/clear",
     ),
+    "reward.py": Example(
+        "a reward: Pick, paid for a soft grip",
+        "MJHAB_PLUGINS={}/reward.py mjhab envs describe mjhab/GentlePickSubtaskTrain-v1",
+    ),
     "robot": Example(
         "a robot in one file",
         "MJHAB_PLUGINS={}/robot/boxy.py mjhab eval --robot boxy --subtask pick --episodes 4 --out runs/boxy",

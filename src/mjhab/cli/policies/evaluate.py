@@ -23,7 +23,8 @@ from mjhab.cli.output import print_json, print_table
 from mjhab.cli.streams import with_way_on
 from mjhab.config.profile_choice import profile_options
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
-from mjhab.reports.metrics import SubtaskRow, rows_by_kind, rows_by_position
+from mjhab.reports.metrics import SubtaskRow, rows_of
+from mjhab.reports.parts import NOT_JUDGED, duration, newtons
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
@@ -197,10 +198,8 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
     if options.json:
         print_json(summary)
         return
-    if options.subtask:
-        _print_rows("Success per target", rows_by_kind(run.records))
-    else:
-        _print_rows("Success along the plan", rows_by_position(run.records))
+    title = "Success per target" if options.subtask else "Success along the plan"
+    _print_rows(title, rows_of(run.records))
     print(_result_line(summary))
     latency = summary.get("latency_ms", {"p50": None})
     if latency["p50"] is not None:
@@ -229,6 +228,9 @@ def _print_rows(title: str, rows: Sequence[SubtaskRow]) -> None:
         "success once",
         "95 % interval",
         "at end",
+        "time to success",
+        "peak force",
+        "on fingers",
     )
     print_table(title, columns, [_cells(row) for row in rows])
 
@@ -241,7 +243,9 @@ def _cells(row: SubtaskRow) -> tuple[object, ...]:
         row.reached,
     )
     if not row.reached:
-        return (*head, "-", "-", "-")
+        return (*head, *["-"] * 6)
+    if not row.judged:
+        return (*head, NOT_JUDGED, *["-"] * 5)
     low, high = row.interval
     interval = f"{100 * low:.0f} to {100 * high:.0f} %"
     return (
@@ -249,4 +253,7 @@ def _cells(row: SubtaskRow) -> tuple[object, ...]:
         f"{100 * row.success_once:.1f} %",
         interval,
         f"{100 * row.success_at_end:.1f} %",
+        duration(row.steps_to_success),
+        newtons(row.peak_force),
+        newtons(row.peak_finger_force),
     )

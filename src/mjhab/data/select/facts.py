@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -172,6 +173,12 @@ def _measured() -> tuple[Fact, ...]:
             NUMBER,
             "largest force of a step on the robot [N]",
             lambda r, _: r.peak_force,
+        ),
+        Fact(
+            "max_finger_force",
+            NUMBER,
+            "largest force of a step on both fingers [N]; nan in older recordings, for which no comparison holds",
+            lambda r, _: math.nan if r.peak_finger_force is None else r.peak_finger_force,
         ),
         Fact(
             "mean_force",

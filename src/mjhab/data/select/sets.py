@@ -128,7 +128,8 @@ def stats(places: Path | Sequence[Path], where: Filter | None = None) -> dict[st
 
 def _numbers(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
     labels = Counter(entry.label or "" for record in records for entry in record.subtasks)
-    forces = np.array([record.peak_force for record in records] or [0.0])
+    forces = [record.peak_force for record in records] or [0.0]
+    fingers = [record.peak_finger_force for record in records]
     count = max(len(records), 1)
     return {
         "episodes": len(records),
@@ -136,11 +137,19 @@ def _numbers(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
         "success_once": sum(record.success_once for record in records) / count,
         "tainted": sum(bool(record.taint) for record in records),
         "labels": dict(labels.most_common()),
-        "max_force": {
-            "median": round(float(np.median(forces)), 1),
-            "p95": round(float(np.percentile(forces, 95)), 1),
-            "max": round(float(forces.max()), 1),
-        },
+        "max_force": _spread(forces),
+        "max_finger_force": _spread([force for force in fingers if force is not None]),
+    }
+
+
+def _spread(forces: Sequence[float]) -> dict[str, float | None]:
+    """Median, 95th percentile and largest of forces [N]; None where there is none (older recordings)."""
+    if not forces:
+        return {"median": None, "p95": None, "max": None}
+    return {
+        "median": round(float(np.median(forces)), 1),
+        "p95": round(float(np.percentile(forces, 95)), 1),
+        "max": round(float(np.max(forces)), 1),
     }
 
 

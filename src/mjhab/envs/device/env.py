@@ -96,7 +96,9 @@ class DeviceEnv(TaskLoop, VectorEnv):
                 config.camera_size,
             )
             longest = max(horizons(self.task_config))
-            self.tracker = DeviceNotes(self.num_envs, longest, self.device)
+            self.tracker = DeviceNotes(
+                self.num_envs, longest, self.device, self.config.teleports
+            )
             self.teleporter = Teleporter(self.sim.addresses, self.device)
             self._narrator = Narrator(self.layout)
             self._source = EpisodeSource(host, config, self.task_config, setting.file)

@@ -67,9 +67,17 @@ class DeviceNotes:
         num_worlds: W.
         longest: largest number of control steps of a subtask.
         device: device of the tensors.
+        teleports: as in `Tracker`.
     """
 
-    def __init__(self, num_worlds: int, longest: int, device: torch.device) -> None:
+    def __init__(
+        self,
+        num_worlds: int,
+        longest: int,
+        device: torch.device,
+        teleports: bool = False,
+    ) -> None:
+        self._teleports = teleports
         self._history = torch.zeros(
             (num_worlds, longest + 2), dtype=torch.int16, device=device
         )
@@ -154,7 +162,7 @@ class DeviceNotes:
         steps = progress.subtask_step
         bits = to_numpy(self._history[rows][:, : int(steps.max()) + 1]).copy()
         bits[:, 0] = first
-        tracker = Tracker(len(worlds))
+        tracker = Tracker(len(worlds), self._teleports)
         for t in range(bits.shape[1]):
             row = _row(bits[:, t], hold, signals.kind)
             now = dataclasses.replace(progress, episode_step=start + t, done=t > steps)

@@ -95,6 +95,7 @@ class Sensing:
                 "wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening
             ),
             robot_force=state.link_force.sum(axis=1),
+            fingers_force=state.finger_net.sum(axis=1),
             target_contact=state.touch[rows, column[:, 0]] & focus.has_columns[:, 0],
             ee_contact=state.ee_contact[rows, column[:, 0]] & focus.has_columns[:, 0],
             plan_obj_pos=obj_pos,

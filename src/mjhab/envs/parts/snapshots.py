@@ -124,7 +124,9 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     env.signals = with_row(
         env.signals, world, {"ee_contact": state["signals"]["touch"], **state["signals"]}
     )
-    env.follow(with_row(env.progress, world, state["progress"]))
+    # Likewise ``peak_finger_force``: what came before the snapshot is not known.
+    progress = {"peak_finger_force": 0.0, **state["progress"]}
+    env.follow(with_row(env.progress, world, progress))
     env.state = env.sim.state()
     for key, part in env.restorable_parts().items():
         part.set_state(world, state[key])

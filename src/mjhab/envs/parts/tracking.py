@@ -12,7 +12,7 @@ from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Outcome, Progress
 from mjhab.tasks.signals import Signals
-from mjhab.tasks.subtasks.registry import name_of
+from mjhab.tasks.subtasks.registry import name_of, spec_of
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,16 @@ class StepNotes:
 
 
 class Tracker:
-    """Collects signals of every world's active subtask and makes its record at the end."""
+    """Collects signals of every world's active subtask and makes its record at the end.
 
-    def __init__(self, num_worlds: int) -> None:
+    Args:
+        num_worlds: W.
+        teleports: the environment does Navigate by teleport, which the records tell.
+    """
+
+    def __init__(self, num_worlds: int, teleports: bool = False) -> None:
         self._num_worlds = num_worlds
+        self._teleports = teleports
         self._notes: SubtaskTracker | None = None
         self._start_step = np.zeros(num_worlds, np.int64)
 
@@ -87,7 +93,9 @@ class Tracker:
                 "start_step": int(self._start_step[w]),
                 "end_step": int(progress.episode_step[w]),
                 "peak_force": round(float(progress.peak_force[w]), 3),
+                "peak_finger_force": round(float(progress.peak_finger_force[w]), 3),
                 "cumulative_force": round(float(progress.cumulative_force[w]), 3),
                 "events": [[step, name] for step, name in self._notes.events(w)],
+                "teleported": self._teleports and spec_of(kind).navigates,
             }
         return records

@@ -224,7 +224,8 @@ class CpuSimulator:
         worlds = self.num_worlds
         found = self._sensors[:, self._counts] > 0
         touch = found[:, : self._hand_counts.start]
-        hand_force, ee_contact = self._hand_forces(found[:, self._hand_counts], touch)
+        pressed = found[:, self._hand_counts]
+        hand_force, ee_contact = self._hand_forces(pressed, touch)
         return SimState(
             robot_q=qpos[:, a.robot_q],
             robot_qd=self._qvel[:, a.robot_v],
@@ -233,8 +234,9 @@ class CpuSimulator:
             tcp_vel=self._sensors[:, a.tcp_velocity : a.tcp_velocity + 3],
             link_q=qpos[:, a.link_q],
             link_qd=self._qvel[:, a.link_v],
-            link_force=self._link_forces(found[:, self._link_counts]),
+            link_force=self._net_forces(found[:, self._link_counts], self._link_starts),
             finger_force=hand_force[:, :2],
+            finger_net=self._net_forces(pressed[:, :2], self._hand_starts),
             touch=touch,
             ee_contact=ee_contact,
             body_pos=self._xpos,
@@ -242,16 +244,18 @@ class CpuSimulator:
             body_quat=self._xquat,
         )
 
-    def _link_forces(self, found: np.ndarray) -> np.ndarray:
-        """Return (W, K): norm of the net normal contact force [N] of each force link on other bodies.
+    def _net_forces(self, found: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Return (W, K): norm of the net normal contact force [N] of each of K links on other bodies.
 
-        ``found`` (W, K) bool: the link has contacts.
+        Args:
+            found: (W, K) bool: the link has contacts.
+            starts: (K or more,) first column of the force sensor of each link.
         """
         force = np.zeros(found.shape)
         # Few sensors have contacts; the others are not read.
         if may_hold(found):
             world, link = found.nonzero()
-            readings = self._read(world, self._link_starts[link], self._force_block)
+            readings = self._read(world, starts[link], self._force_block)
             force[world, link] = norm3(normal_force(readings))
         return force
 

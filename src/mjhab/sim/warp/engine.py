@@ -115,6 +115,8 @@ class Engine:
         self.link_net = wp.zeros((worlds, len(a.robot.force_links)), dtype=wp.vec3)
         self.link_force = wp.zeros((worlds, len(a.robot.force_links)), dtype=wp.float32)
         self.finger_force = wp.zeros((worlds, 2, targets), dtype=wp.vec3)
+        self.hand_net = wp.zeros((worlds, 2), dtype=wp.vec3)
+        self.finger_net = wp.zeros((worlds, 2), dtype=wp.float32)
         self.touch = wp.zeros((worlds, targets), dtype=wp.bool)
         self.ee_contact = wp.zeros((worlds, targets), dtype=wp.bool)
         self.depth = wp.zeros(worlds, dtype=wp.float32)
@@ -401,6 +403,7 @@ class Engine:
         contact = self.data.contact
         forces = [
             self.link_net,
+            self.hand_net,
             self.finger_force,
             self.touch,
             self.ee_contact,
@@ -438,11 +441,12 @@ class Engine:
             inputs=[
                 update,
                 self.link_net,
+                self.hand_net,
                 self._tcp,
                 self._tcp_root,
                 data.xpos,
                 data.subtree_com,
                 data.cvel,
             ],
-            outputs=[self.link_force, self.tcp_vel],
+            outputs=[self.link_force, self.finger_net, self.tcp_vel],
         )

@@ -26,6 +26,7 @@ def record_peak(count: wp.array[int], peak: wp.array[int]):
 def clear_forces(
     update: wp.array[bool],
     link_net: wp.array2d[wp.vec3],
+    hand_net: wp.array2d[wp.vec3],
     finger: wp.array3d[wp.vec3],
     touch: wp.array2d[bool],
     ee_contact: wp.array2d[bool],
@@ -38,6 +39,8 @@ def clear_forces(
     depth[world] = 0.0
     for k in range(link_net.shape[1]):
         link_net[world, k] = wp.vec3(0.0)
+    for k in range(hand_net.shape[1]):
+        hand_net[world, k] = wp.vec3(0.0)
     for t in range(touch.shape[1]):
         touch[world, t] = False
         ee_contact[world, t] = False
@@ -84,12 +87,13 @@ def add_contacts(
     is_end_effector: wp.array[bool],
     update: wp.array[bool],
     link_net: wp.array2d[wp.vec3],
+    hand_net: wp.array2d[wp.vec3],
     finger: wp.array3d[wp.vec3],
     touch: wp.array2d[bool],
     ee_contact: wp.array2d[bool],
     depth: wp.array[float],
 ):
-    """Sum the forces of the robot's contacts per force link and per (finger, target), and mark touched targets.
+    """Sum the forces of the robot's contacts per force link, finger and (finger, target), and mark touched targets.
 
     One thread per contact. ``link_of``, ``finger_of`` and ``target_of`` map body ids to columns, -1 for none;
     ``depth`` becomes the least contact distance [m] of the robot (negative: penetration).
@@ -118,6 +122,10 @@ def add_contacts(
         wp.atomic_add(link_net, world, link_of[first], -force)
     if link_of[second] >= 0:
         wp.atomic_add(link_net, world, link_of[second], force)
+    if finger_of[first] >= 0:
+        wp.atomic_add(hand_net, world, finger_of[first], -force)
+    if finger_of[second] >= 0:
+        wp.atomic_add(hand_net, world, finger_of[second], force)
     if finger_of[first] >= 0 and target_of[second] >= 0:
         wp.atomic_add(finger, world, finger_of[first], target_of[second], -force)
     if finger_of[second] >= 0 and target_of[first] >= 0:
@@ -128,20 +136,24 @@ def add_contacts(
 def finish_state(
     update: wp.array[bool],
     link_net: wp.array2d[wp.vec3],
+    hand_net: wp.array2d[wp.vec3],
     tcp: int,
     tcp_root: int,
     xpos: wp.array2d[wp.vec3],
     subtree_com: wp.array2d[wp.vec3],
     cvel: wp.array2d[wp.spatial_vector],
     link_force: wp.array2d[float],
+    finger_net: wp.array2d[float],
     tcp_vel: wp.array[wp.vec3],
 ):
-    """Compute the norms of the net link forces [N], and the velocity [m/s] of the tcp in the world frame."""
+    """Compute the norms of the net forces on links and fingers [N], and the velocity [m/s] of the tcp in the world."""
     world = wp.tid()
     if not update[world]:
         return
     for k in range(link_net.shape[1]):
         link_force[world, k] = wp.length(link_net[world, k])
+    for k in range(hand_net.shape[1]):
+        finger_net[world, k] = wp.length(hand_net[world, k])
     # ``cvel`` is (angular, linear) at the centre of mass of the whole kinematic tree.
     velocity = cvel[world, tcp]
     arm = xpos[world, tcp] - subtree_com[world, tcp_root]

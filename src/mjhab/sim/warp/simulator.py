@@ -350,6 +350,7 @@ class WarpSimulator:
             tcp_vel=wp.to_torch(engine.tcp_vel),
             link_force=wp.to_torch(engine.link_force),
             finger_force=wp.to_torch(engine.finger_force),
+            finger_net=wp.to_torch(engine.finger_net),
             touch=wp.to_torch(engine.touch),
             ee_contact=wp.to_torch(engine.ee_contact),
             body_pos=wp.to_torch(engine.data.xpos),

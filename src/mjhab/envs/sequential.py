@@ -53,6 +53,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
     key "episode" is left to Gymnasium's RecordEpisodeStatistics).
     """
 
+    observer: Observer
     tables: PlanTables
     tracker: Tracker
 

@@ -57,6 +57,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
       not; those of worlds that begin an episode or teleport are drawn again.
     """
 
+    observer: DeviceObserver
     sim: WarpSimulator
     tables: Rows
     tracker: DeviceNotes

@@ -31,7 +31,7 @@ from mjhab.core.arrays import (
     namespace,
     where_rows,
 )
-from mjhab.core.conventions.names import Conventions
+from mjhab.core.conventions.names import WRAPPED, Conventions
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.envs.episode_length import with_episode_length
 from mjhab.envs.observations.modes import STATE_KEY
@@ -113,6 +113,8 @@ class TaskLoop(VectorEnv, ABC):
             stationary=config.stationary,
             like=like,
         )
+        # Who observes angles within half a turn commands them so, too.
+        self.controller.shortest = config.joint_angles == WRAPPED
         self._like = like
         self._xp = namespace(like)
         self._worlds = count(self.num_envs, like)

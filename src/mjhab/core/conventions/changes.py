@@ -53,7 +53,20 @@ def within_half_a_turn(angles: Array, endless: tuple[bool, ...]) -> Array:
         angles: (..., J) joint positions or their differences [m, rad], numpy or torch.
         endless: for each of the J whether it is the angle of a joint without limits.
     """
+    return nearest_turn(angles, 0.0, endless)
+
+
+def nearest_turn(
+    angles: Array, reference: Array | float, endless: tuple[bool, ...]
+) -> Array:
+    """Angles of joints without limits, shifted by whole turns to within half a turn of ``reference``.
+
+    Args:
+        angles: (..., J) joint positions [m, rad], numpy or torch.
+        reference: (..., J), or one number.
+        endless: for each of the J whether it is the angle of a joint without limits.
+    """
     if not any(endless):
         return angles
     per_turn = constant(tuple(1.0 / _TURN if free else 0.0 for free in endless), angles)
-    return angles - _TURN * namespace(angles).round(angles * per_turn)
+    return angles - _TURN * namespace(angles).round((angles - reference) * per_turn)

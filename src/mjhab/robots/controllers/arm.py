@@ -43,6 +43,7 @@ class Arm:
 
     Attributes:
         remembers: the next command depends on ``target``, which is then part of the controller's state.
+        absolute: actions are joint positions.
         rows: entries of the action that command the arm.
         drives: servos that the arm needs.
         target: (W, A) last commanded joint positions [rad].
@@ -51,6 +52,7 @@ class Arm:
     """
 
     remembers = False
+    absolute = False
 
     def __init__(self, request: ArmRequest, rows: tuple[ActionEntry, ...]) -> None:
         robot = request.robot
@@ -135,6 +137,8 @@ class JointTargetDelta(CommandedArm):
 class JointPosition(CommandedArm):
     """``pd_joint_pos``: absolute joint positions."""
 
+    absolute = True
+
     def __init__(self, request: ArmRequest) -> None:
         super().__init__(
             request, absolute_rows(request.robot, request.robot.group("arm"))
@@ -172,6 +176,7 @@ class JointPositionVelocity(CommandedArm):
             request, first + speed_rows(robot, request.limits, normalized=delta)
         )
         self._delta = delta
+        self.absolute = not delta
         self._count = len(robot.arm_columns)
         # A speed added to a position command by this factor [s] acts as the speed target of the servo:
         # kp (q* + v* kd/kp - q) - kd v = kp (q* - q) + kd (v* - v).

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, device_of, empty, namespace, to_numpy, zeros
+from mjhab.core.conventions.changes import nearest_turn, within_half_a_turn
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.robots.controllers.arm import Arm, CommandedArm, with_row
 from mjhab.robots.controllers.table import (
@@ -69,6 +70,8 @@ class Controller:
         high: (dim,) float32 upper bounds.
         drives: servos that the simulator must have.
         gripper: column of the gripper in an action.
+        shortest: whether positions that are commanded to joints of the arm without limits are reached by the shortest
+            turn; False: by turning back every turn that they have made, as the original does.
     """
 
     def __init__(
@@ -86,6 +89,8 @@ class Controller:
         self._arm = arm
         self._stiff_body = stiff_body
         self._holonomic = options.base == "holonomic"
+        self.shortest = False
+        self._endless = tuple(robot.endless[column] for column in robot.arm_columns)
         body = (
             absolute_rows(robot, robot.body_joints)
             if stiff_body
@@ -174,9 +179,10 @@ class Controller:
         )
         if isinstance(self._arm, CommandedArm):
             arm_q = robot_q[:, self._arm_columns]
-            out[:, self._arm_columns] = self._arm.command(
-                a[:, : self.gripper] * self._arm_units, arm_q
-            )
+            aim = self._arm.command(a[:, : self.gripper] * self._arm_units, arm_q)
+            if self.shortest and self._arm.absolute:
+                aim = nearest_turn(aim, arm_q, self._endless)
+            out[:, self._arm_columns] = aim
         if self._stiff_body:
             out[:, self._body_columns] = xp.where(
                 self._held_body, self._body_target, a[:, self._body]
@@ -209,9 +215,10 @@ class Controller:
         xp = namespace(state.robot_q)
         q = state.robot_q
         actions = xp.zeros((len(q), self.dim), dtype=xp.float32, device=device_of(q))
-        actions[:, : self.gripper] = (
-            self._arm.still(q[:, self._arm_columns]) / self._arm_units
-        )
+        arm_q = q[:, self._arm_columns]
+        if self.shortest and self._arm.absolute:
+            arm_q = within_half_a_turn(arm_q, self._endless)
+        actions[:, : self.gripper] = self._arm.still(arm_q) / self._arm_units
         if self._stiff_body:
             actions[:, self._body] = q[:, self._body_columns]
         return actions

@@ -49,6 +49,12 @@ class Browser:
             "--enable-unsafe-swiftshader",
             "--ignore-gpu-blocklist",
             "--hide-scrollbars",
+            # It asks nobody for anything but the page.
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
             f"--window-size={size[0]},{size[1]}",
             f"--user-data-dir={self._folder.name}",
             "--remote-debugging-port=0",
@@ -108,6 +114,27 @@ class Browser:
         )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
+
+    def resize(self, width: int, height: int) -> None:
+        """Show the page as a screen of this size [px] does; up to 600 px as a phone."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width <= 600,
+        )
+
+    def open(self, url: str) -> None:
+        """Go to another page and wait until it is loaded."""
+        self.call("Page.navigate", url=url)
+        wait_for(
+            lambda: (
+                self.run("location.href") == url
+                and self.run("document.readyState") == "complete"
+            ),
+            START_SECONDS,
+        )
 
     def press(self, code: str, key: str, *, down: bool) -> None:
         """Press or release a key, by its place and its meaning."""

@@ -1,8 +1,9 @@
 """The viewer in a real browser: run by `make test-browser`, not by pytest, since it needs Chromium.
 
-Opens recorded episodes, running worlds and an exported page in headless Chromium; asks for a picture that is not empty,
-a time line that moves the robot, keys that drive it; measures first frame and frame rate. Searches the site of
-`make docs`, where that was built. Prints one line of JSON.
+Opens recorded episodes, running worlds and an exported page in headless Chromium; asks for a picture that is not
+empty, a time line that moves the robot, keys that drive it; measures first frame and frame rate. Looks for faults of
+layout in every report, on a screen and on a phone. Searches the site of `make docs`, where that was built. Prints one
+line of JSON.
 """
 
 from __future__ import annotations
@@ -27,10 +28,16 @@ from mjhab.viewer.sources.live import LiveSession
 from mjhab.viewer.sources.pace import Pace
 from mjhab.viewer.sources.replay import Replay
 from mjhab.viewer.sources.source import Source
+from tests.reports.gallery import pages
 from tests.viewer.browser import Browser, find_browser, wait_for
 
 WORLDS = (1, 4, 16)
 SITE = Path("runs/site")
+WIDTHS = (1300, 390)
+"""Of a screen and of a phone [px]."""
+FAULTS = Path(__file__).with_name("page_faults.js").read_text(encoding="utf-8")
+PLOTS_ARE_DRAWN = """[...document.querySelectorAll("section > div[id]")].every(
+  (place) => place.classList.contains("js-plotly-plot"))"""
 MEASURE_SECONDS = 8.0
 HAND_HORIZON = 4000
 HAND_SECONDS = 60.0
@@ -46,7 +53,15 @@ COUNT_FRAMES = """(() => {
 """Counts what the browser draws: without a GPU the processor draws, which is slow."""
 
 
-PARTS = ("export", "replay", "hand", "site", *(str(worlds) for worlds in WORLDS))
+PARTS = (
+    "pages",
+    "export",
+    "begin",
+    "replay",
+    "hand",
+    "site",
+    *(str(worlds) for worlds in WORLDS),
+)
 
 
 def main(out: Path, parts: Sequence[str] = PARTS) -> int:
@@ -67,7 +82,11 @@ def main(out: Path, parts: Sequence[str] = PARTS) -> int:
         )
     told: dict[str, Any] = {}
     for part in parts:
-        if part == "export":
+        if part == "pages":
+            check_pages(out)
+        elif part == "begin":
+            check_begin(out)
+        elif part == "export":
             told[part] = check_export(shards, out)
         elif part == "replay":
             check_replay(shards, out)
@@ -127,13 +146,61 @@ def check_export(shards: Path, out: Path) -> dict[str, Any]:
         moved = math.dist(before, browser.run("episode.robot()"))
         assert moved > 0.02, f"the time line moved the hand by {moved:.3f} m"
         assert changed(first, shoot(browser, out / "page_middle.png")) > MIN_CHANGED_PX
+        check_phone(browser, out)
     return {"bytes": done.bytes, "frames": done.frames}
 
 
-def opened(source: Source) -> tuple[Viewer, Browser]:
-    viewer = Viewer(source, port=0)
+def check_pages(out: Path) -> None:
+    """No page of the gallery has a fault of its layout on a screen or on a phone."""
+    found = []
+    with Browser("about:blank") as browser:
+        for name, page in pages(out / "gallery").items():
+            file = out / f"{name}.html"
+            file.write_text(page, encoding="utf-8")
+            for width in WIDTHS:
+                browser.resize(width, 900)
+                browser.open(file.resolve().as_uri())
+                wait_for(lambda: browser.run(PLOTS_ARE_DRAWN), PATIENCE_SECONDS)
+                Image.fromarray(browser.picture()).save(out / f"{name}_{width}.png")
+                found += [f"{name}, {width} px: {fault}" for fault in browser.run(FAULTS)]
+    assert not found, "\n".join(found)
+
+
+def check_phone(browser: Browser, out: Path) -> None:
+    """On a phone an exported page has its side panel and a time line over the whole width."""
+    width = min(WIDTHS)
+    browser.resize(width, 844)
+    wait_for(lambda: browser.run("innerWidth") == width, HAND_SECONDS)
+    time.sleep(1.0)
+    shoot(browser, out / "page_phone.png")
+    line, panel, right = browser.run(
+        "[line.getBoundingClientRect().width,"
+        " document.querySelector('aside').getBoundingClientRect().width,"
+        " document.scrollingElement.scrollWidth]"
+    )
+    assert line > 0.9 * width and panel == width and right <= width, (line, panel, right)
+
+
+def check_begin(out: Path) -> None:
+    """An episode does not begin before the browser has drawn it; the time line covers no other panel."""
+    spec = EvalSpec(policy="expert", subtask="pick", worlds=1, episodes=1)
+    session = LiveSession(spec, 0, Pace())
+    viewer, browser = opened(session, hold=True, size=(max(WIDTHS), 860))
+    with browser:
+        wait_for(lambda: session.steps > 0, PATIENCE_SECONDS)
+        colors = len(np.unique(browser.picture().reshape(-1, 3), axis=0))
+        assert colors > COLORS_OF_A_HOME, f"it began with {colors} colours on the screen"
+        assert viewer.clients and not session.problem
+        shoot(browser, out / "begin.png")
+    viewer.close()
+
+
+def opened(
+    source: Source, *, hold: bool = False, size: tuple[int, int] = (960, 640)
+) -> tuple[Viewer, Browser]:
+    viewer = Viewer(source, port=0, hold=hold)
     viewer.start()
-    return viewer, Browser(f"http://localhost:{viewer.port}")
+    return viewer, Browser(f"http://localhost:{viewer.port}", size)
 
 
 def wait_for_picture(viewer: Viewer, browser: Browser) -> None:

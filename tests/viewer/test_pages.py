@@ -13,8 +13,10 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from html import escape
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,10 +28,11 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.viewer.drawn.glb import home_files
-from mjhab.viewer.pages.app import Viewer
+from mjhab.viewer.pages.app import DRAWN, HOLD_SECONDS, Viewer, _HeldStart
 from mjhab.viewer.pages.counting import CountingPage
 from mjhab.viewer.pages.gateway import HAND_PATH, Gateway
 from mjhab.viewer.pages.panels import Panels
+from mjhab.viewer.pages.playhead import Playhead
 from mjhab.viewer.pages.timeline import actor_colors
 from mjhab.viewer.sources.replay import Replay
 from tests.viewer import check_browser
@@ -454,3 +457,53 @@ def test_after_the_last_port_there_is_none(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(UsageError, match="ports 65530 to 65535: in use"):
         Gateway(1, "localhost", 65530, bool)
     assert tried == list(range(65530, 65536))
+
+
+def test_an_episode_waits_for_the_page_that_draws_it(shard: Path) -> None:
+    made = Viewer(Replay(shard), port=0, cameras=False, hold=True)
+    made.source.start()
+    try:
+        for _ in range(3):
+            made.frame(0.1)
+        assert made.playhead.now == 0.0 and not made.playhead.playing
+        made._hear('{"keys": []}')
+        assert not made.playhead.playing
+        made._hear(DRAWN)
+        made.frame(0.1)
+        assert made.playhead.playing and made.playhead.now > 0.0
+        # It says so again when its connection was lost; the pause of a person stays.
+        made.playhead.play(False)
+        made._hear(DRAWN)
+        assert not made.playhead.playing
+    finally:
+        made.close()
+    script = files("mjhab.viewer.pages").joinpath("hand.js").read_text(encoding="utf-8")
+    assert "send({ drawn })" in script
+
+
+@pytest.mark.parametrize("name", ["play", "step", "scrub"])
+def test_who_takes_over_before_the_page_has_drawn_is_not_overruled(name: str) -> None:
+    head = SimpleNamespace(playing=True, calls=[])
+    head.play = head.calls.append
+    start = _HeldStart(cast(Playhead, head), hold=True)
+    assert head.calls == [False]
+    start.letting_go({name: lambda *args: None})[name](0)
+    start.let_go()
+    assert head.calls == [False]
+
+
+def test_a_page_that_never_tells_gets_some_time() -> None:
+    head = SimpleNamespace(playing=True, calls=[])
+    head.play = head.calls.append
+    start = _HeldStart(cast(Playhead, head), hold=True)
+    start.wait(HOLD_SECONDS - 1.0)
+    assert start.held
+    start.wait(2.0)
+    assert head.calls == [False, True] and not start.held
+
+
+def test_a_world_that_a_person_drives_stays_paused() -> None:
+    head = SimpleNamespace(playing=False, calls=[])
+    head.play = head.calls.append
+    _HeldStart(cast(Playhead, head), hold=True).let_go()
+    assert head.calls == []

@@ -76,7 +76,7 @@ def _serve(options: ViewOptions) -> int:
     source = _source(options)
     try:
         source.prepare()
-        viewer = Viewer(source, options.host, options.port)
+        viewer = Viewer(source, options.host, options.port, hold=True)
     except BaseException:
         source.close()
         raise

@@ -8,6 +8,7 @@ import json
 import math
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 import viser
@@ -34,6 +35,10 @@ from mjhab.viewer.sources.track import Track
 FRAME_SECONDS = 1.0 / 40.0
 PANEL_SECONDS = 0.12
 CAMERA_SECONDS = 0.12
+HOLD_SECONDS = 120.0
+"""Longest time that an open page may take to draw the home before the first episode begins all the same [s]."""
+DRAWN = '{"drawn":true}'
+"""Message of `hand.js`: the page shows the home."""
 _GRASPED = CHECKS.index("is_grasped")
 
 
@@ -44,6 +49,8 @@ class Viewer:
         source: running worlds or recorded episodes.
         host, port: see `Gateway`.
         cameras: show the images of the robot's cameras.
+        hold: keep the first episode at its start until a page has drawn the home, so that a slow browser misses
+            nothing; a page that cannot tell gets `HOLD_SECONDS`.
 
     Attributes:
         port: the port that is listened on.
@@ -62,6 +69,7 @@ class Viewer:
         port: int = 8080,
         *,
         cameras: bool = True,
+        hold: bool = False,
     ) -> None:
         self.source = source
         self.frames = 0
@@ -73,7 +81,7 @@ class Viewer:
             self._server = viser.ViserServer("127.0.0.1", 0, "mjhab", verbose=False)
         try:
             self._gateway = Gateway(
-                self._server.get_port(), host, port, source.hear_hand, source.hand_gone
+                self._server.get_port(), host, port, self._hear, source.hand_gone
             )
         except BaseException:
             self._stop_server()
@@ -83,13 +91,14 @@ class Viewer:
             show_logo=False, show_share_button=False, control_width="medium"
         )
         self.playhead = Playhead(source)
+        self._start = _HeldStart(self.playhead, hold)
         self.stage = Stage(self._server)
         self.panels = Panels(
             self._server,
             source.choices,
             source.policies,
             others=host in LOCAL_HOSTS,
-            on=self.playhead.callbacks(),
+            on=self._start.letting_go(self.playhead.callbacks()),
         )
         self._cameras = Cameras(self.panels.show_images) if cameras else None
         self._poses = _PoseCache()
@@ -111,6 +120,13 @@ class Viewer:
         """Start the source and the thread that sends frames."""
         self.source.start()
         self._thread.start()
+
+    def _hear(self, message: str) -> None:
+        """Take a message of `hand.js`."""
+        if message == DRAWN:
+            self._start.let_go()
+        else:
+            self.source.hear_hand(message)
 
     def close(self) -> None:
         """Stop the thread, the source, the cameras and the servers."""
@@ -157,6 +173,7 @@ class Viewer:
             The pose that it shows; None while the source has no state.
         """
         head = self.playhead
+        self._start.wait(seconds if self._start.held and self.clients else 0.0)
         head.advance(seconds)
         track = head.track
         if track is None or track.last < 0:
@@ -244,6 +261,47 @@ class Viewer:
         if told != self._told_hand:
             self._told_hand = told
             self._gateway.tell(told)
+
+
+class _HeldStart:
+    """Hold an episode at its start until a page shows it, or somebody plays it.
+
+    Args:
+        playhead: of the episode. hold: whether to hold it; an episode that is paused anyway stays so.
+    """
+
+    def __init__(self, playhead: Playhead, hold: bool) -> None:
+        self._playhead = playhead
+        self._waited_s = 0.0
+        self.held = hold and playhead.playing
+        if self.held:
+            playhead.play(False)
+
+    def let_go(self) -> None:
+        """Begin the episode, unless somebody else did."""
+        if self.held:
+            self.held = False
+            self._playhead.play(True)
+
+    def wait(self, seconds: float) -> None:
+        """Count the time [s] that a page is open; begin the episode after `HOLD_SECONDS`."""
+        self._waited_s += seconds
+        if self._waited_s > HOLD_SECONDS:
+            self.let_go()
+
+    def letting_go(
+        self, callbacks: dict[str, Callable[..., None]]
+    ) -> dict[str, Callable[..., None]]:
+        """The callbacks of the panels; who plays, steps or scrubs has taken over."""
+
+        def wrapped(name: str) -> Callable[..., None]:
+            def call(*args: object) -> None:
+                self.held = self.held and name not in ("play", "step", "scrub", "live")
+                callbacks[name](*args)
+
+            return call
+
+        return {name: wrapped(name) for name in callbacks}
 
 
 class _PoseCache:

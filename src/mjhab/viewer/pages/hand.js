@@ -1,4 +1,5 @@
-// Sends which keys are held and how the sticks of a gamepad stand, while the server says that the hand drives.
+// Sends which keys are held and how the sticks of a gamepad stand, while the server says that the hand drives; and once
+// that the home is drawn.
 (() => {
   const path = new URL("mjhab/hand", location.href.split("?")[0].replace(/[^/]*$/, ""));
   path.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -10,6 +11,7 @@
   const typing = (event) => /^(INPUT|TEXTAREA|SELECT)$/.test(event.target.tagName) && !menu(event.target);
   const open = () => {
     socket = new WebSocket(path);
+    socket.onopen = () => { if (drawn) send({ drawn }); };
     socket.onmessage = (event) => {
       const drove = state.hand;
       state = JSON.parse(event.data);
@@ -38,6 +40,30 @@
       buttons: now ? now.buttons.map((b) => +b.value.toFixed(3)) : [],
     });
   };
+  // Says once that the page shows a home: an episode waits for it. Browsers without a GPU need half a minute until then.
+  const HOME_CORNERS = 15000, SAME_FRAMES = 3, MOST_FRAMES = 30;
+  let corners = 0, before = 0, same = 0, big = 0, drawn = false;
+  const kinds = [window.WebGL2RenderingContext, window.WebGLRenderingContext].filter((kind) => kind).map((kind) => kind.prototype);
+  const originals = kinds.map((kind) => [kind.drawElements, kind.drawElementsInstanced]);
+  kinds.forEach((kind, k) => {
+    const [one, many] = originals[k];
+    kind.drawElements = function (...args) { corners += args[1]; return one.apply(this, args); };
+    if (many) kind.drawElementsInstanced = function (...args) { corners += args[1] * args[4]; return many.apply(this, args); };
+  });
+  const watch = () => {
+    // Parts of the home arrive one after the other: it is whole when a frame has as many corners as the ones before.
+    if (corners >= HOME_CORNERS) {
+      big += 1;
+      same = corners === before ? same + 1 : 0;
+    }
+    before = corners;
+    corners = 0;
+    if (same < SAME_FRAMES && big < MOST_FRAMES) { requestAnimationFrame(watch); return; }
+    drawn = true;
+    kinds.forEach((kind, k) => { [kind.drawElements, kind.drawElementsInstanced] = originals[k]; });
+    send({ drawn });
+  };
+  requestAnimationFrame(watch);
   window.addEventListener("keydown", (event) => take(event, true), true);
   window.addEventListener("keyup", (event) => take(event, false), true);
   window.addEventListener("blur", () => { held.clear(); if (state.hand) report(); });

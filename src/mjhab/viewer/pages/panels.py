@@ -15,6 +15,7 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.schema import CHECKS
 from mjhab.viewer.pages.timeline import (
     TONE_COLORS,
+    WIDTH,
     about_html,
     actors_html,
     gauge_html,
@@ -34,7 +35,10 @@ SPEEDS = {
 }
 MAX_PLOT_POINTS = 500
 SIDE_WIDTH_PX = 320
-TIMELINE_WIDTH_PX = 720
+TIMELINE_WIDTH_PX = WIDTH
+"""Width of the time line; it fits between the docked panels of a page of 1,280 px."""
+TIMELINE_HEIGHT_PX = 175
+"""A panel that grows after it was placed at the bottom of the page grows out of the page."""
 HELP = """**By hand** (or a gamepad)
 | | |
 |---|---|
@@ -73,6 +77,9 @@ class Panels:
         self._track: Track | None = None
         self._drawn: tuple[Any, ...] = ()
         self._images: dict[str, Any] = {}
+        # Floating, its end, with the keys of "By hand", would lie below the time line.
+        self._gui.main_panel.dock_right()
+        self._gui.main_panel.set_width(SIDE_WIDTH_PX)
         self._build_main(choices, policies, others)
         self._build_side()
         self._build_timeline()
@@ -189,7 +196,7 @@ class Panels:
             )
             self._slider.on_update(self._scrub)
             self._events = self._gui.add_html("")
-        panel.float(x=12, y=-12, width=TIMELINE_WIDTH_PX)
+        panel.float(x=12, y=-12, width=TIMELINE_WIDTH_PX, height=TIMELINE_HEIGHT_PX)
 
     def _scrub(self, event: Any) -> None:
         # Updates by the server itself come without a client.

@@ -12,7 +12,8 @@ from mjhab.reports.parts import event_tone
 from mjhab.reports.plots import kind_color
 from mjhab.viewer.sources.track import Track
 
-WIDTH = 1000
+WIDTH = 600
+"""Width of the drawing, that of its panel [px], so that its letters have their size."""
 BAR_HEIGHT = 22
 EVENT_HEIGHT = 14
 ACTOR_HEIGHT = 6

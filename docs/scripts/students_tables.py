@@ -1,6 +1,7 @@
 """Tables of docs/students.md from docs/results/students.json: ``python docs/scripts/students_tables.py``.
 
-`python -m mjhab.reports.students docs/results/students.json RUN EVALUATION` adds rows to the file.
+`python -m mjhab.reports.students docs/results/students.json RUN EVALUATION` adds rows to the file, and
+`python docs/scripts/judge_students.py` makes docs/results/students-judged.json.
 """
 
 from __future__ import annotations
@@ -9,6 +10,9 @@ import argparse
 from typing import Any
 
 from experts_tables import DOCS, page_with_tables, place_of, read, table
+
+from mjhab.reports.paper import paper_success
+from mjhab.tasks.subtasks.navigate import NAVIGATE
 
 PAGE = DOCS / "students.md"
 
@@ -27,7 +31,7 @@ def minutes(training: dict[str, Any]) -> str:
 def student_table(assets: str) -> str:
     """One line per student of seed 0, trained and judged in the homes of a pack."""
     head = (
-        "task", "subtask", "target", "px", "once %", "95 %", "of", "at end %", "demonstrations",
+        "task", "subtask", "target", "px", "steps", "once %", "95 %", "of", "at end %", "demonstrations",
         "control steps", "samples", "minutes", "paper BC %", "RL-Per %", "commit",
     )  # fmt: skip
     lines = []
@@ -46,6 +50,7 @@ def student_table(assets: str) -> str:
             row["subtask"],
             row["target"] or "all",
             str(row["image_size"] or "states"),
+            str(judged["horizon"] or NAVIGATE.limits.horizon),
         ]
         line += [
             f"**{percent(judged['success_once'])}**",
@@ -96,7 +101,57 @@ def seed_table() -> str:
     return table(head, lines)
 
 
+def share_of(row: dict[str, Any] | None) -> list[str]:
+    """Cells of an evaluation: percent, interval, number of episodes; dashes where it was not made."""
+    if row is None:
+        return ["-", "-", "-"]
+    low, high = row["interval"]
+    interval = f"{100 * low:.0f}-{100 * high:.0f}"
+    return [percent(row["success_once"]), interval, str(row["episodes"])]
+
+
+def judged_table() -> str:
+    """One line per shipped student, val beside test, with the paper's numbers for val."""
+    rows = [row for row in read("students-judged")["rows"] if row["subtask"]]
+    found = {(*place_of(row), row["seed"], row["split"]): row for row in rows}
+    head = ["task", "subtask", "target"]
+    for split in ("val", "test"):
+        head += [f"{split} once %", "95 %", "of"]
+    lines = []
+    for row in sorted(rows, key=place_of):
+        keys = (*place_of(row), row["seed"])
+        line = [row["task"], row["subtask"], row["target"] or "all"]
+        for split in ("val", "test"):
+            line += share_of(found.get((*keys, split)))
+        paper = paper_success(row["task"], row["subtask"], "val", row["target"]) or {}
+        line += [f"{paper[name]:.1f}" if name in paper else "-" for name in PAPER]
+        if line not in lines:
+            lines.append(line)
+    return table((*head, "paper BC % (its val)", "RL-Per %"), lines)
+
+
+def chain_table() -> str:
+    """One line per whole task, split and seed."""
+    rows = [row for row in read("students-judged")["rows"] if not row["subtask"]]
+    head = ("task", "split", "seed", "whole task %", "95 %", "of", "tainted", "commit")
+    lines = []
+    for row in rows:
+        line = [row["task"], row["split"], str(row["seed"]), *share_of(row)]
+        line += [str(row["tainted"]), row["commit"][:7]]
+        counts = [part for part in row["subtasks"] if part["kind"] != "navigate"]
+        told = (
+            f"{part['kind']} {part['successes']}/{part['reached']}" for part in counts
+        )
+        lines.append([*line, ", ".join(told)])
+    return table(
+        (*head, "subtasks that succeeded of those reached, in plan order"), lines
+    )
+
+
+PAPER = ("bc", "rl_per")
 TABLES = {
+    "judged": judged_table,
+    "chains": chain_table,
     "students": lambda: student_table("builtin"),
     "replica_cad": lambda: student_table("replica_cad"),
     "seeds": seed_table,

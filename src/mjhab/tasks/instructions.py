@@ -1,8 +1,10 @@
 """Instructions: sentences for subtasks and tasks, such as "put the soup can on the coffee table".
 
-Wordings of subtasks and tasks are in their specs; names of objects and furniture are here. Each sentence has several
-wordings; an episode draws one from its own random stream, so that seed and index determine it. Sentences are in lower
-case and without a full stop, like the prompts on which vision-language-action models are trained.
+Wordings of subtasks and tasks are in their specs; names of objects and furniture are here; where things are and what
+tells them from others, `episodes.narration` finds out. A sentence is true at the start of its subtask if the subtasks
+before it succeeded, and one thing only fits its words. Each sentence has several wordings; an episode draws one from
+its own random stream, so that seed and index determine it. Sentences are in lower case (but for names) and without a
+full stop, like the prompts on which vision-language-action models are trained.
 """
 
 from __future__ import annotations
@@ -18,8 +20,8 @@ from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
-BY_TELEPORT = " (by teleport)"
-"""Suffix of the sentences of navigation by teleport, and of tasks with such navigation."""
+_TELEPORT_MARK = " (by teleport)"
+"""End of sentences in records of mjhab before 0.9, where the environment did the navigation."""
 MAX_INSTRUCTION_CHARACTERS = 1000
 """Greatest length of an instruction that is read from a file."""
 
@@ -38,15 +40,11 @@ FURNITURE_WORDS: dict[str, str] = {
     "chair_01": "chair",
     "table_01": "dining table",
     "table_02": "coffee table",
+    "tv": "TV",
+    "tv_screen": "TV screen",
     "tvstand": "TV stand",
 }
 """Names of furniture; one that is not here is called by its id, "kitchen_counter" by "kitchen counter"."""
-LINK_WORDS: dict[str, str] = {
-    "fridge/top_door": "fridge",
-    "fridge/bottom_door": "lower door of the fridge",
-}
-"""Names of links that open; another one is called like "drawer 3 of the kitchen counter"."""
-
 CARRY_WORDINGS: tuple[str, ...] = (
     "carry {object} to {destination}",
     "bring {object} to {destination}",
@@ -54,25 +52,23 @@ CARRY_WORDINGS: tuple[str, ...] = (
 """Wordings of a navigation with an object in the hand."""
 Draw = Callable[[int], int]
 """Chooses one of n wordings by its number, 0 to n - 1."""
+_DETERMINERS = frozenset(
+    ["a", "an", "the", "my", "your", "his", "her", "its", "our", "their", "this", "that"]
+)
+_MOST_DIGITS = 3
+"""An id with more digits between its letters is a code, no words."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Where an object lies or belongs: the id of the furniture, "" if unknown, and whether it is inside of it."""
+    """Where an object lies or belongs, in words: "on" "the coffee table"; ``words`` are "" if it is not known."""
 
-    furniture: str = ""
-    inside: bool = False
-
-    @property
-    def words(self) -> str:
-        """The furniture in words: "the coffee table"."""
-        return f"the {furniture_words(self.furniture)}" if self.furniture else ""
+    words: str = ""
+    preposition: str = "on"
 
     def phrase(self, unknown: str = "") -> str:
-        """ "on the coffee table", "in the fridge"; ``unknown`` where the furniture is not known."""
-        if not self.furniture:
-            return unknown
-        return f"{'in' if self.inside else 'on'} {self.words}"
+        """ "on the coffee table", "in the sink of the kitchen counter"; ``unknown`` where it is not known."""
+        return f"{self.preposition} {self.words}" if self.words else unknown
 
 
 @dataclass(frozen=True)
@@ -84,7 +80,10 @@ class Request:
         target: target as in a plan (`Subtask.target`).
         source: where the object lies.
         goal: where the object belongs.
-        names: names of the target's type, such as ("mug", "coffee mug"); () for those of `target_words`.
+        names: names of the target's type, such as ("mug", "coffee mug"); () for those of `target_words`. Of a link its
+            name in words, "top right drawer of the kitchen counter".
+        before, after: what tells the object from others of its name: "left" in "the left bowl", "nearest to the fridge"
+            in "the bowl nearest to the fridge".
     """
 
     kind: str
@@ -92,6 +91,23 @@ class Request:
     source: Spot = Spot()
     goal: Spot = Spot()
     names: tuple[str, ...] = ()
+    before: str = ""
+    after: str = ""
+
+    @property
+    def carries(self) -> bool:
+        """Whether it is a navigation to the goal of the object in the hand."""
+        return self.target.startswith(GOAL_OF)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the object is in the hand, so that its name alone tells which one it is."""
+        return self.carries or SUBTASKS[self.kind].starts_holding
+
+    @property
+    def stays(self) -> bool:
+        """Whether the object's goal is where it lies, as far as the words go."""
+        return bool(self.source.words) and self.source == self.goal
 
 
 @dataclass(frozen=True)
@@ -132,48 +148,39 @@ def instructions(
     )
 
 
-def by_teleport(sentence: str) -> str:
-    """``sentence`` with `BY_TELEPORT` at its end, for a navigation that the environment does."""
-    return sentence if sentence.endswith(BY_TELEPORT) else sentence + BY_TELEPORT
-
-
-def with_teleports(told: Instructions, kinds: Sequence[str]) -> Instructions:
-    """Mark the sentences of an episode in which the environment does the navigation by teleports.
-
-    Args:
-        told: sentences for a robot that drives.
-        kinds: kinds of the subtasks, in order of the plan.
-    """
-    ways = [SUBTASKS[kind].navigates for kind in kinds]
-    if not any(ways):
-        return told
-    subtasks = [
-        by_teleport(sentence) if way else sentence
-        for sentence, way in zip(told.subtasks, ways, strict=True)
-    ]
-    return Instructions(by_teleport(told.task), tuple(subtasks))
+def without_teleport_mark(sentence: str) -> str:
+    """A recorded sentence without "(by teleport)", which is nothing that a robot is asked to do."""
+    return sentence.removesuffix(_TELEPORT_MARK)
 
 
 def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
     """One subtask as a sentence.
 
+    An object that is not in the hand is told by where it lies and by what tells it from others, also where the wording
+    has neither {source} nor {destination}.
+
     Raises:
         UsageError: an unknown kind.
     """
-    carries = request.target.startswith(GOAL_OF)
-    wordings = CARRY_WORDINGS if carries else SUBTASKS[request.kind].words
-    target = request.target.removeprefix(GOAL_OF)
-    thing = target_words(target, draw, request.names)
+    wordings = CARRY_WORDINGS if request.carries else SUBTASKS[request.kind].words
+    thing = _thing(request, draw, plain=request.holds)
+    wording = wordings[draw(len(wordings))]
     destination = f"{thing} {request.source.phrase()}"
-    if carries:
+    goal = request.goal.phrase("at its goal")
+    if request.carries:
         destination = request.goal.words or "its goal"
-    source = f"from {request.source.words}" if request.source.furniture else ""
-    sentence = wordings[draw(len(wordings))].format(
+    elif not request.holds:
+        if "{goal}" in wording:
+            goal = _moved_to(request)
+        told = any(place in wording for place in ("{source}", "{destination}"))
+        if not told and not ("{goal}" in wording and request.stays):
+            thing = destination
+    sentence = wording.format(
         object=thing,
         link=thing,
         destination=destination,
-        source=source,
-        goal=request.goal.phrase("at its goal"),
+        source=f"from {request.source.words}" if request.source.words else "",
+        goal=goal,
     )
     return " ".join(sentence.split())
 
@@ -181,7 +188,8 @@ def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
 def task_instruction(
     task: str, requests: Sequence[Request], draw: Draw = first_wording
 ) -> str:
-    """A whole task as a sentence: "set the table: put the bowl on the dining table, then ...".
+    """A whole task as a sentence: "set the table: put the bowl from the top right drawer of the kitchen counter on the
+    dining table, then ...".
 
     Raises:
         UsageError: an unknown task.
@@ -189,40 +197,85 @@ def task_instruction(
     wordings = TASKS[task].words
     name = wordings[draw(len(wordings))]
     moves = [
-        f"put {target_words(request.target, draw, request.names)} {request.goal.phrase('at its goal')}"
+        _move(request, draw)
         for request in requests
         if SUBTASKS[request.kind].brings_to_goal
     ]
     return f"{name}: {', then '.join(moves)}" if moves else name
 
 
+def _move(request: Request, draw: Draw) -> str:
+    """One object of a task: where it is and where it belongs."""
+    thing = _thing(request, draw)
+    if request.stays:
+        return f"move {thing} {request.source.phrase()} to another place there"
+    source = f"from {request.source.words}" if request.source.words else ""
+    return " ".join(f"put {thing} {source} {request.goal.phrase('at its goal')}".split())
+
+
+def _moved_to(request: Request) -> str:
+    """Goal of an object that is moved without being held."""
+    if request.stays:
+        return f"to another place {request.goal.phrase()}"
+    return f"to {request.goal.words or 'its goal'}"
+
+
+def _thing(request: Request, draw: Draw, plain: bool = False) -> str:
+    """The target with what tells it apart, or without if ``plain``."""
+    target = request.target.removeprefix(GOAL_OF)
+    name = target_name(target, draw, request.names)
+    if plain:
+        return with_article(name)
+    return f"{with_article(name, request.before)} {request.after}".strip()
+
+
 def target_words(target: str, draw: Draw = first_wording, own: Sequence[str] = ()) -> str:
-    """A target in words: "the bowl" for "024_bowl_:0003", "drawer 3 of the kitchen counter" for a link.
+    """A target in words: "the bowl" for "024_bowl_:0003", "the left door of the cabinet" for a link.
 
     ``own``: names of its type, in place of those of `OBJECT_WORDS`.
     """
-    kind = kind_of(target)
-    if "/" in kind:
-        return _link_words(kind)
-    names = tuple(own) or OBJECT_WORDS.get(kind) or (_plain_words(kind),)
-    return f"the {names[draw(len(names))]}"
+    return with_article(target_name(target, draw, own))
+
+
+def target_name(target: str, draw: Draw = first_wording, own: Sequence[str] = ()) -> str:
+    """`target_words` without the article."""
+    names = tuple(own) or names_of(kind_of(target))
+    return names[draw(len(names))]
+
+
+def names_of(kind: str) -> tuple[str, ...]:
+    """Names of an object type, or of a link of which nothing but its id is known."""
+    if kind in OBJECT_WORDS:
+        return OBJECT_WORDS[kind]
+    furniture, _, part = kind.rpartition("/")
+    if furniture:
+        return (f"{plain_words(part)} of the {furniture_words(furniture)}",)
+    return (plain_words(kind, "object"),)
+
+
+def with_article(name: str, before: str = "") -> str:
+    """A name with "the", unless it has an article or an owner: "my mug", "Ada's mug"; ``before``: an adjective."""
+    first, _, rest = name.partition(" ")
+    if rest and (first.lower() in _DETERMINERS or first.endswith(("'s", "’s"))):
+        return " ".join(f"{first} {before} {rest}".split())
+    return " ".join(f"the {before} {name}".split())
 
 
 def furniture_words(furniture: str) -> str:
     """A piece of furniture in words, without an article."""
-    return FURNITURE_WORDS.get(furniture) or _plain_words(furniture)
+    return FURNITURE_WORDS.get(furniture) or plain_words(furniture, "piece of furniture")
 
 
-def _link_words(link: str) -> str:
-    if link in LINK_WORDS:
-        return f"the {LINK_WORDS[link]}"
-    furniture, _, part = link.rpartition("/")
-    words = _plain_words(part)
-    article = "" if words[-1:].isdigit() else "the "
-    return f"{article}{words} of the {furniture_words(furniture)}"
+def plain_words(name: str, code: str = "thing") -> str:
+    """An id as words, without numbers that only tell copies and versions: "drawer3" as "drawer", "024_bowl" as "bowl",
+    "my_mug_2" as "my mug", "chestOfDrawers_01" as "chest of drawers".
 
-
-def _plain_words(name: str) -> str:
-    """An id as words: "drawer3" as "drawer 3", "024_bowl" as "bowl"."""
-    words = re.sub(r"^\d+_", "", name).replace("_", " ")
-    return re.sub(r"(?<=[a-z])(?=\d)", " ", words)
+    ``code``: what to say for an id without words, such as a hash.
+    """
+    words = re.sub(r"^\d+(-[a-z])?_", "", name)
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", words)
+    words = re.sub(r"[_\W]+", " ", words)
+    words = re.sub(r"(?<=[A-Za-z])(?=\d)", " ", words).lower()
+    words = re.sub(r"( \d+)+$", "", words.strip())
+    digits = sum(letter.isdigit() for letter in words)
+    return code if not words or words.isdigit() or digits > _MOST_DIGITS else words

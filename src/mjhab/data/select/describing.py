@@ -15,7 +15,7 @@ from mjhab.tasks.instructions import (
     Request,
     subtask_instruction,
     task_instruction,
-    with_teleports,
+    without_teleport_mark,
 )
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -34,7 +34,7 @@ _OF_JOINTS = ("agent/qpos", "agent/qvel")
 def subtask_words(record: EpisodeRecord) -> list[str]:
     """The instruction of every subtask of an episode; derived from the plan if an old record lacks them."""
     if record.instructions:
-        return list(record.instructions)
+        return [without_teleport_mark(sentence) for sentence in record.instructions]
     return [
         subtask_instruction(Request(entry.kind, entry.target)) for entry in record.plan
     ]
@@ -43,7 +43,7 @@ def subtask_words(record: EpisodeRecord) -> list[str]:
 def task_words(record: EpisodeRecord) -> str:
     """The instruction of an episode: that of its single subtask, or of the whole task."""
     if record.instruction:
-        return record.instruction
+        return without_teleport_mark(record.instruction)
     if record.subtask:
         return subtask_words(record)[0]
     requests = [Request(entry.kind, entry.target) for entry in record.plan]
@@ -74,12 +74,9 @@ def _is_way(kind: str) -> bool:
 
 
 def instructions_of(episode: RecordedEpisode) -> Instructions:
-    """The instructions of an episode; teleported Navigate subtasks are marked as such."""
+    """The instructions of an episode."""
     record = episode.record
-    told = Instructions(task_words(record), tuple(subtask_words(record)))
-    if not navigates_by_teleport(episode):
-        return told
-    return with_teleports(told, [entry.kind for entry in record.plan])
+    return Instructions(task_words(record), tuple(subtask_words(record)))
 
 
 def state_names(columns: Mapping[str, int], layout: Mapping[str, Any]) -> list[str]:

@@ -14,7 +14,6 @@ from mjhab.core.typed.frozen import FrozenMap
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.narration import Narrator
 from mjhab.layout.layout import Layout
-from mjhab.tasks.instructions import with_teleports
 from mjhab.tasks.plan import TaskPlan
 
 CHECKERS = (
@@ -110,15 +109,13 @@ def describe_episode(
     Args:
         episode: the episode.
         plan: its subtasks.
-        config: options of the environment; gives the single subtask and whether navigation is a teleport.
+        config: options of the environment; gives the single subtask.
         narrator: makes "instruction", the sentence for the whole episode, and "instructions", one per subtask.
     """
     entries = (
         {"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
     )
     sentences = narrator.instructions(episode, plan, alone=bool(config.subtask))
-    if config.teleports:
-        sentences = with_teleports(sentences, [s.name for s in plan.subtasks])
     # The same object is in every info until the next episode; it is read-only, so that callers cannot change it.
     return FrozenMap(
         {

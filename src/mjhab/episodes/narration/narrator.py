@@ -1,0 +1,200 @@
+"""Language instructions of an episode: true of its start, and enough to find what they are about."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+
+from mjhab.core.names import kind_of
+from mjhab.core.seeding import stream
+from mjhab.episodes.episode import Episode
+from mjhab.episodes.narration.apart import Landmark, Mark, mark
+from mjhab.episodes.narration.home_words import HomeWords
+from mjhab.episodes.narration.places import TemplateWords
+from mjhab.layout.layout import Layout
+from mjhab.layout.receptacles import PlacedReceptacle
+from mjhab.scenes.objects import object_words
+from mjhab.scenes.spec import Vec3
+from mjhab.tasks.instructions import (
+    Instructions,
+    Request,
+    Spot,
+    instructions,
+    names_of,
+    seeded_draw,
+    with_article,
+)
+from mjhab.tasks.plan import GOAL_OF, Subtask, Target, TaskPlan
+from mjhab.tasks.subtasks.registry import spec_of
+
+_DEEP_M = -5.0
+"""Objects below this height [m] are parked: the episode does not use them."""
+
+
+class Narrator:
+    """Makes the language instructions of episodes of a layout.
+
+    What is said of a subtask in a chain is true, and fits one thing only, at the start of the episode and after the
+    subtasks before it: an object that was brought to its goal counts in both places, and no object of the plan is a
+    landmark.
+
+    Args:
+        layout: gives furniture, receptacles and object names.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._homes = layout.pack.homes_by_name
+        self._words = cache(self._words_of)
+
+    def instructions(self, episode: Episode, plan: TaskPlan, alone: bool) -> Instructions:
+        """Return the instructions of an episode; the same arguments give the same words.
+
+        Args:
+            episode: its seed and index draw the wordings.
+            plan: subtasks to describe.
+            alone: the plan is a single subtask instead of a chain.
+        """
+        tale = _Tale(self._layout, episode, plan, self._words(episode.home))
+        requests = [tale.request(k) for k in range(len(plan.subtasks))]
+        draw = seeded_draw(stream(episode.seed, "instruction", episode.index))
+        return instructions(episode.task, requests, alone, draw)
+
+    def _words_of(self, home: str) -> HomeWords:
+        return HomeWords(self._layout, self._homes[home], self._templates)
+
+    @cached_property
+    def _templates(self) -> dict[str, TemplateWords]:
+        pack = self._layout.pack
+        templates = (*pack.props.values(), *pack.articulations.values())
+        return {each.name: TemplateWords(each, pack.meshes) for each in templates}
+
+
+@dataclass(frozen=True, eq=False)
+class _Tale:
+    """One episode that is told: its objects and plan, and the words of its home."""
+
+    layout: Layout
+    episode: Episode
+    plan: TaskPlan
+    words: HomeWords
+
+    def request(self, position: int) -> Request:
+        """Content of the sentence of the subtask at a position of the plan."""
+        subtask = self.plan.subtasks[position]
+        target = subtask.target
+        goal = self._spot(self._goal_place(subtask))
+        obj = target.removeprefix(GOAL_OF)
+        if obj not in self.layout.object_names:
+            known = obj in self.layout.link_ids
+            names = (self.words.link(obj),) if known else ()
+            return Request(subtask.name, target, Spot(), goal, names)
+        place = self.places.get(obj)
+        found = self._mark(position, obj) if obj in self.points else Mark()
+        return Request(
+            subtask.name,
+            target,
+            self._spot(place),
+            goal,
+            object_words(kind_of(obj)),
+            found.before,
+            found.after,
+        )
+
+    def _spot(self, place: PlacedReceptacle | None) -> Spot:
+        return self.words.spot(place)
+
+    def _goal_place(self, subtask: Subtask) -> PlacedReceptacle | None:
+        spec = spec_of(subtask.kind)
+        if spec.jointed or (spec.navigates and not subtask.must_hold):
+            return None
+        target = self._targets.get(subtask.obj)
+        link = target.goal_link if target is not None else ""
+        return self.words.place(subtask.goal_pos, link)
+
+    # -- objects ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _targets(self) -> dict[str, Target]:
+        return {target.obj: target for target in self.episode.targets}
+
+    @cached_property
+    def points(self) -> dict[str, Vec3]:
+        """Positions [m, world] of the objects at the start of the episode, of those that it uses."""
+        poses = self.episode.object_pose[:, :3].tolist()
+        named = zip(self.layout.object_names, poses, strict=True)
+        return {name: (x, y, z) for name, (x, y, z) in named if z > _DEEP_M}
+
+    @cached_property
+    def places(self) -> dict[str, PlacedReceptacle | None]:
+        """The receptacle of every object."""
+        return {
+            name: self.words.place(
+                point, self._targets[name].start_link if name in self._targets else ""
+            )
+            for name, point in self.points.items()
+        }
+
+    def _mark(self, position: int, obj: str) -> Mark:
+        """What tells an object from others that its name and its place fit."""
+        place = self.places[obj]
+        spot = self._spot(place)
+        names = _names(obj)
+        rivals = [name for name in self.points if name != obj and _fits(names, name)]
+        others = [
+            point[:2]
+            for name in rivals
+            for point, where in self._whereabouts(position, name)
+            if place is None or where is None or self._spot(where) == spot
+        ]
+        if not others:
+            return Mark()
+        here = np.array(self.points[obj][:2])
+        found = mark(
+            here,
+            np.array(others),
+            self.words.left(place),
+            self._landmarks_on(spot, {obj, *rivals}) if place is not None else (),
+            self.words.landmarks_besides(place),
+        )
+        return found or Mark()
+
+    def _whereabouts(
+        self, position: int, obj: str
+    ) -> list[tuple[Vec3, PlacedReceptacle | None]]:
+        """Where an object is at the start of the episode, and where subtasks before ``position`` have brought it."""
+        found = [(self.points[obj], self.places[obj])]
+        for subtask in self.plan.subtasks[:position]:
+            if subtask.obj == obj and spec_of(subtask.kind).brings_to_goal:
+                found.append((subtask.goal_pos, self._goal_place(subtask)))
+        return found
+
+    def _landmarks_on(self, spot: Spot, without: Collection[str]) -> list[Landmark]:
+        """Objects in a place of which there is one of their name there, and which the plan does not move."""
+        moved = {subtask.obj for subtask in self.plan.subtasks if subtask.obj}
+        here = [name for name in self.points if self._spot(self.places[name]) == spot]
+        # What the plan brings here must not be taken for a landmark.
+        here += [name for name in moved if name in self.points and name not in here]
+        return [
+            Landmark(with_article(_names(name)[0]), np.array(self.points[name][:2]))
+            for name in here
+            if name not in moved
+            and name not in without
+            and not any(_fits(_names(name), other) for other in here if other != name)
+        ]
+
+
+def _names(obj: str) -> tuple[str, ...]:
+    """All names of an object's type."""
+    kind = kind_of(obj)
+    return object_words(kind) or names_of(kind)
+
+
+def _fits(names: Collection[str], obj: str) -> bool:
+    """Whether one of some names can be said of an object: "mug" also of a "red mug"."""
+    return any(
+        own == name or own.endswith(f" {name}") for own in _names(obj) for name in names
+    )

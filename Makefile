@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-unit test-generate test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-rsl-rl test-rllib test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-sentences test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-rsl-rl test-rllib test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -60,6 +60,11 @@ GENERATE_OUT := runs/generate
 EPISODES ?= 50
 test-generate: $(VENV)/.dev  ## generate EPISODES=50 with two kills -9, resume; check all, replay all bit by bit
 	$(BIN)/python tests/generate/check_generate.py $(GENERATE_OUT) $(EPISODES)
+
+SENTENCES_OUT := runs/sentences.json
+PACKS ?= builtin
+test-sentences: $(VENV)/.dev  ## read the instructions of EPISODES=50 episodes per task and pack (PACKS=builtin,FOLDER) back against the simulator
+	PYTHONPATH=. $(BIN)/python tests/sentences/check_sentences.py $(EPISODES) $(SENTENCES_OUT) $(PACKS)
 
 # The real lerobot package needs other versions than mjhab and, on Linux, CUDA libraries: 8 GB in a place of its own.
 # The reader of v2.1 (the last lerobot before v3.0) lies beside it with the datasets package it was made for.

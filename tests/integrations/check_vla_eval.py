@@ -63,7 +63,9 @@ def main() -> None:
     assert (
         first["images"]["head"].shape == (32, 32, 3) and first["images"]["head"].std() > 0
     )
-    assert first["states"].shape == (42,) and "drawer 3" in first["task_description"]
+    assert (
+        first["states"].shape == (42,) and "top right drawer" in first["task_description"]
+    )
     assert not np.array_equal(first["states"], second["states"])
     benchmark.cleanup()
     print("vla-eval runs mjhab: 2 episodes")

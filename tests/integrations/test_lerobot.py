@@ -25,7 +25,7 @@ def test_it_gives_what_lerobot_reads() -> None:
     assert obs["agent_pos"].shape == (2, 34) and obs["environment_state"].shape == (2, 11)
     assert not np.array_equal(obs["agent_pos"][0], obs["agent_pos"][1])
     told = worlds.call("task_description")
-    assert all("drawer 3" in text for text in told)
+    assert all("top right drawer" in text for text in told)
     assert worlds.call("_max_episode_steps") == (500, 500)
     _, _, terminated, truncated, info = worlds.step(np.zeros((2, 13), np.float32))
     assert not (terminated | truncated).any() and info["is_success"].tolist() == [

@@ -129,14 +129,15 @@ def seeded_draw(random: np.random.Generator) -> Draw:
 
 
 def instructions(
-    task: str, requests: Sequence[Request], alone: bool, draw: Draw
+    task: str, requests: Sequence[Request], whole: Sequence[Request], draw: Draw
 ) -> Instructions:
     """Make the sentences of an episode.
 
     Args:
         task: name of the household task.
         requests: subtasks of the plan, in order.
-        alone: the episode consists of the first subtask alone.
+        whole: the same for the sentence of the task, which is read at the start; empty where the episode consists of
+            the first subtask alone.
         draw: chooses the wordings.
 
     Raises:
@@ -144,7 +145,7 @@ def instructions(
     """
     subtasks = tuple(subtask_instruction(request, draw) for request in requests)
     return Instructions(
-        subtasks[0] if alone else task_instruction(task, requests, draw), subtasks
+        task_instruction(task, whole, draw) if whole else subtasks[0], subtasks
     )
 
 

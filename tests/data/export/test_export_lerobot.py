@@ -140,7 +140,7 @@ def test_v30_tasks_and_subtasks_are_named(source: Path, exported: Path) -> None:
     names = pq.read_table(exported / "meta/subtasks.parquet")[
         "__index_level_0__"
     ].to_pylist()
-    assert names[:2] == ["open drawer 3 of the kitchen counter", "pick up the bowl"]
+    assert names[:2] == ["open the drawer of the kitchen counter", "pick up the bowl"]
     data = pq.read_table(exported / "data/chunk-000/file-000.parquet")
     said = [names[i] for i in data["subtask_index"].to_pylist()]
     for episode in episodes(source):

@@ -17,6 +17,8 @@ SURE_M = 0.10
 """A difference of distances [m] that words may rest on; a smaller one only where nothing better tells things apart."""
 SURE_SIDE_M = 0.08
 """The same for left and right."""
+LEAST_M = 0.04
+"""The least difference [m] where other words are left to try."""
 _NEAREST = ("nearest to",)
 _FURTHEST = ("furthest from",)
 _BETWEEN = ("", "second nearest to", "third nearest to", "fourth nearest to")
@@ -53,32 +55,31 @@ class Mark:
 
 
 def mark(
-    target: np.ndarray,
-    others: np.ndarray,
+    points: np.ndarray,
     left: np.ndarray | None,
     near: Sequence[Landmark],
     far: Sequence[Landmark],
+    superlatives: bool = False,
 ) -> Mark | None:
     """Find words that fit a thing and none of the others.
 
     Args:
-        target: (2,) its position x, y [m], world frame.
-        others: (N, 2) positions of the others, at least one.
+        points: (1 + N, 2) positions x, y [m], world frame: of the thing, then of the others, at least one.
         left: (2,) unit vector to the left of somebody who faces the front; None where there is no front.
         near: landmarks that lie beside the thing, which are preferred.
         far: other landmarks.
+        superlatives: only words that stay true where some of the others are not there, so not "left".
 
     Returns:
-        The words; None if everything is in one place.
+        The words; None if everything is in one place, or with ``superlatives`` if no such words are safe.
     """
-    points = np.concatenate([target[None], others])
     best = (0.0, Mark())
-    for found, sure in _tiers(points, left, near, far):
+    for found, sure in _tiers(points, left, near, far, superlatives):
         margin, words = max(found, key=lambda each: each[0], default=(0.0, Mark()))
         if margin >= sure:
             return words
         best = max(best, (margin, words), key=lambda each: each[0])
-    return best[1] if best[0] > 0.0 else None
+    return best[1] if best[0] > (LEAST_M if superlatives else 0.0) else None
 
 
 def _tiers(
@@ -86,17 +87,16 @@ def _tiers(
     left: np.ndarray | None,
     near: Sequence[Landmark],
     far: Sequence[Landmark],
+    superlatives: bool,
 ) -> Iterator[tuple[list[tuple[float, Mark]], float]]:
     """Words by preference, each with its margin [m], and the margin that suffices; see `mark`."""
-    if left is not None:
+    if left is not None and not superlatives:
         yield _sides(points @ left), SURE_SIDE_M
-    for landmarks, words in (
-        (near, _NEAREST),
-        (far, _NEAREST),
-        (far, _FURTHEST),
-        (far, _BETWEEN),
-    ):
-        yield _ranked(points, landmarks, words), SURE_M
+    yield _ranked(points, near, _NEAREST), SURE_M
+    yield _ranked(points, far, _NEAREST), SURE_M
+    yield _ranked(points, far, _FURTHEST), SURE_M
+    if not superlatives:
+        yield _ranked(points, far, _BETWEEN), SURE_M
 
 
 def _sides(along: np.ndarray) -> list[tuple[float, Mark]]:

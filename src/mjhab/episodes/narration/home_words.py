@@ -150,8 +150,8 @@ class HomeWords:
         ]
         if not same:
             return f"the {piece.words}"
-        others = np.stack([other.centre for other in same])
-        found = mark(piece.centre, others, None, (), list(self.landmarks.values()))
+        points = np.stack([piece.centre, *(other.centre for other in same)])
+        found = mark(points, None, (), list(self.landmarks.values()))
         return f"the {piece.words} {found.after if found else ''}".strip()
 
     def _all_spots(self) -> dict[str, Spot]:
@@ -168,10 +168,8 @@ class HomeWords:
         self, place: PlacedReceptacle, same: Sequence[PlacedReceptacle], spot: Spot
     ) -> Spot:
         """Words for one of several receptacles that the same words fit."""
-        others = np.array([r.pos[:2] for r in same])
-        found = mark(
-            np.array(place.pos[:2]), others, None, (), self.landmarks_besides(place)
-        )
+        points = np.array([r.pos[:2] for r in (place, *same)])
+        found = mark(points, None, (), self.landmarks_besides(place))
         if found is None:
             return spot
         return replace(spot, words=f"the part of {spot.words} {found.after}")

@@ -37,9 +37,9 @@ _DEEP_M = -5.0
 class Narrator:
     """Makes the language instructions of episodes of a layout.
 
-    What is said of a subtask in a chain is true, and fits one thing only, at the start of the episode and after the
-    subtasks before it: an object that was brought to its goal counts in both places, and no object of the plan is a
-    landmark.
+    What is said of a subtask is true, and fits one thing only, when it starts, after the subtasks before it. What is
+    said of a whole task is so at the start of the episode and, where there are such words, also part by part after the
+    parts before. No object that the plan moves is a landmark.
 
     Args:
         layout: gives furniture, receptacles and object names.
@@ -59,9 +59,11 @@ class Narrator:
             alone: the plan is a single subtask instead of a chain.
         """
         tale = _Tale(self._layout, episode, plan, self._words(episode.home))
-        requests = [tale.request(k) for k in range(len(plan.subtasks))]
+        positions = range(len(plan.subtasks))
+        requests = [tale.request(k) for k in positions]
         draw = seeded_draw(stream(episode.seed, "instruction", episode.index))
-        return instructions(episode.task, requests, alone, draw)
+        whole = [] if alone else [tale.request(k, anytime=True) for k in positions]
+        return instructions(episode.task, requests, whole, draw)
 
     def _words_of(self, home: str) -> HomeWords:
         return HomeWords(self._layout, self._homes[home], self._templates)
@@ -82,8 +84,11 @@ class _Tale:
     plan: TaskPlan
     words: HomeWords
 
-    def request(self, position: int) -> Request:
-        """Content of the sentence of the subtask at a position of the plan."""
+    def request(self, position: int, anytime: bool = False) -> Request:
+        """Content of the sentence of the subtask at a position of the plan.
+
+        ``anytime``: it fits at the start of the episode, too, not only when the subtask starts.
+        """
         subtask = self.plan.subtasks[position]
         target = subtask.target
         goal = self._spot(self._goal_place(subtask))
@@ -93,7 +98,7 @@ class _Tale:
             names = (self.words.link(obj),) if known else ()
             return Request(subtask.name, target, Spot(), goal, names)
         place = self.places.get(obj)
-        found = self._mark(position, obj) if obj in self.points else Mark()
+        found = self._mark(position, obj, anytime) if obj in self.points else Mark()
         return Request(
             subtask.name,
             target,
@@ -138,39 +143,45 @@ class _Tale:
             for name, point in self.points.items()
         }
 
-    def _mark(self, position: int, obj: str) -> Mark:
+    def _mark(self, position: int, obj: str, anytime: bool) -> Mark:
         """What tells an object from others that its name and its place fit."""
         place = self.places[obj]
         spot = self._spot(place)
         names = _names(obj)
         rivals = [name for name in self.points if name != obj and _fits(names, name)]
-        others = [
-            point[:2]
-            for name in rivals
-            for point, where in self._whereabouts(position, name)
-            if place is None or where is None or self._spot(where) == spot
-        ]
+        others: list[tuple[float, float]] = []
+        at_start = []
+        at_times = False
+        for name in rivals:
+            found = self._whereabouts(position, name, anytime)
+            here = [
+                point[:2]
+                for point, where in found
+                if place is None or where is None or self._spot(where) == spot
+            ]
+            others += here
+            at_times |= 0 < len(here) < len(found)
+            at_start += here[: bool(here) and here[0] == self.points[name][:2]]
         if not others:
             return Mark()
-        here = np.array(self.points[obj][:2])
-        found = mark(
-            here,
-            np.array(others),
-            self.words.left(place),
-            self._landmarks_on(spot, {obj, *rivals}) if place is not None else (),
-            self.words.landmarks_besides(place),
-        )
-        return found or Mark()
+        own = self.points[obj][:2]
+        left = self.words.left(place)
+        near = self._landmarks_on(spot, {obj, *rivals}) if place is not None else []
+        far = self.words.landmarks_besides(place)
+        told = mark(np.array([own, *others]), left, near, far, superlatives=at_times)
+        if told is None and at_times and at_start:
+            told = mark(np.array([own, *at_start]), left, near, far)
+        return told or Mark()
 
     def _whereabouts(
-        self, position: int, obj: str
+        self, position: int, obj: str, anytime: bool
     ) -> list[tuple[Vec3, PlacedReceptacle | None]]:
-        """Where an object is at the start of the episode, and where subtasks before ``position`` have brought it."""
+        """Where an object is when the subtask at ``position`` starts; ``anytime``: also at the start of the episode."""
         found = [(self.points[obj], self.places[obj])]
         for subtask in self.plan.subtasks[:position]:
             if subtask.obj == obj and spec_of(subtask.kind).brings_to_goal:
                 found.append((subtask.goal_pos, self._goal_place(subtask)))
-        return found
+        return found if anytime else found[-1:]
 
     def _landmarks_on(self, spot: Spot, without: Collection[str]) -> list[Landmark]:
         """Objects in a place of which there is one of their name there, and which the plan does not move."""

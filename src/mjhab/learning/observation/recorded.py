@@ -20,6 +20,7 @@ from mjhab.learning.observation.parts import (
     code_of,
 )
 from mjhab.learning.observation.state import recorded_state
+from mjhab.tasks.instructions import without_teleport_mark
 
 
 def encode_episode(
@@ -164,7 +165,7 @@ def instructions_of(episode: RecordedEpisode, spec: InputSpec) -> Sequence[str]:
             f"episode {episode.name} of {episode.shard.path} was recorded without instructions, which a student with "
             "inputs.sentence=true learns from; leave out this input, or record new episodes: mjhab generate"
         )
-    return told
+    return [without_teleport_mark(sentence) for sentence in told]
 
 
 def _no_images(

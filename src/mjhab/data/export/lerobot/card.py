@@ -30,7 +30,7 @@ def card(robot: str, made: Sequence[Made], until: Until, notes: str) -> str:
     if teleported:
         about.append(
             f"In {teleported} of {len(made)} episodes the environment teleported the robot to every goal. "
-            f"The frames are marked by `{TELEPORTED}`, their instructions end with (by teleport)."
+            f"The frames are marked by `{TELEPORTED}`."
         )
     if not until.is_whole:
         about.append(

@@ -20,8 +20,8 @@ from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import GOAL_OF
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
-_TELEPORT_MARK = " (by teleport)"
-"""End of sentences in records of mjhab before 0.9, where the environment did the navigation."""
+BY_TELEPORT = " (by teleport)"
+"""End of sentences in older records, where the environment did the navigation."""
 MAX_INSTRUCTION_CHARACTERS = 1000
 """Greatest length of an instruction that is read from a file."""
 
@@ -151,7 +151,7 @@ def instructions(
 
 def without_teleport_mark(sentence: str) -> str:
     """A recorded sentence without "(by teleport)", which is nothing that a robot is asked to do."""
-    return sentence.removesuffix(_TELEPORT_MARK)
+    return sentence.removesuffix(BY_TELEPORT)
 
 
 def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:

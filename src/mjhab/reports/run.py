@@ -197,9 +197,10 @@ def _films(
     ]
     shown = filmed or list(records[:TIMELINES_WITHOUT_FILM])
     figures = "".join(parts.film(record, paths.get(record.index)) for record in shown)
-    hint = (
-        "Films run at twice real time. Below each: the subtasks in the colours of their labels, and events as small "
-        "marks (green: progress, red: setback, grey: other)."
+    hint = "Films run at twice real time. Below each: the " if filmed else "The "
+    hint += (
+        "subtasks in the colours of their labels, and events as small marks (green: progress, red: setback, "
+        "grey: other)."
     )
     note = (
         f'<div class="banner">Films stopped: {escape(problem)}</div><br>'

@@ -16,6 +16,7 @@ from mjhab.config.profiles import MJHAB, MS_HAB, PROFILES
 from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import describe_run
 from mjhab.envs.wrappers import FrameStack
+from mjhab.evaluation.recorded import recorded_env
 from mjhab.experts import make_expert
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.subtasks.registry import force_limits, limits_of, number_of
@@ -34,6 +35,7 @@ PUBLISHED = {
     "handle_points": "published",
     "object_axes": "scan",
     "joint_angles": "unwrapped",
+    "joint_dynamics": "published",
 }
 USUAL = {
     "stillness": "absolute",
@@ -47,6 +49,7 @@ USUAL = {
     "handle_points": "ours",
     "object_axes": "object",
     "joint_angles": "wrapped",
+    "joint_dynamics": "ours",
     "horizon": 0,
 }
 
@@ -99,6 +102,7 @@ def test_horizons_are_those_of_training_and_of_evaluation(
         ("frame_stack", 1),
         ("object_axes", "object"),
         ("joint_angles", "wrapped"),
+        ("joint_dynamics", "ours"),
         ("horizon", 150),
         ("overrides", {"pick.force_limit": 1400}),
         ("overrides", {"place.horizon": 300}),
@@ -146,6 +150,7 @@ def test_what_agrees_or_is_not_fixed_may_be_given() -> None:
         ({"stillness": "absolut"}, "Did you mean 'absolute'"),
         ({"spawn_rule": "frontbox"}, "front_box, published"),
         ({"reward_formula": "unbounded"}, "bounded, published"),
+        ({"joint_dynamics": "0.01"}, "ours, published"),
         ({"reward_normaliser": "28"}, "attainable, published"),
         ({"starts": "published"}, "spawn_rule: front_box, published"),
         ({"frame_stack": 0}, "at least 1"),
@@ -232,5 +237,12 @@ def test_runs_tell_the_profile_and_the_values_in_force() -> None:
     assert {
         name: tuple(v) if isinstance(v := told[name], list) else v for name in PUBLISHED
     } == PUBLISHED
+    # An episode that was recorded before there was a choice of joints had ours, whatever its profile.
+    before = {k: v for k, v in run.config["env"].items() if k != "joint_dynamics"}
+    older = dataclasses.replace(run, config={**run.config, "env": before})
+    for recorded, dynamics in ((run, "published"), (older, "ours")):
+        again = recorded_env(recorded, num_envs=1, threads=1)
+        assert again.config.joint_dynamics == again.layout.joint_dynamics == dynamics
+        again.close()
     # What is only seen or said of an episode is not part of what happened in it.
     assert not {"frame_stack", "cameras", "reward_formula"} & set(run.config["env"])

@@ -19,7 +19,7 @@ from mjhab.core.typed.options import take_types
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
-from mjhab.scenes.spec import HANDLE_POINTS
+from mjhab.scenes.spec import HANDLE_POINTS, JOINT_DYNAMICS
 from mjhab.sim.backends import BACKENDS, check_device
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.household.spec import TaskSpec
@@ -89,7 +89,11 @@ class EnvConfig:
     fridge's lower door have no published points and keep ours. object_axes: axes of the pose of the observed object:
     "object", along the sides of a box, or "scan", those of its YCB scan, which the original observes. joint_angles: of
     joints without limits: "wrapped" to within half a turn, in observations and where the distance from rest is judged,
-    or "unwrapped", counted on over every turn, as the original does. episodes_file: a file in the HAB format whose i-th
+    or "unwrapped", counted on over every turn, as the original does.
+    joint_dynamics: damping, dry friction, stops and range of the joints of furniture: "ours", or "published", those of
+    the URDFs (0.01 and 0.01, stops that do not bounce), which built-in furniture has, too, since it stands in for
+    ReplicaCAD; with "published" a door that a wall stops keeps its range and meets the wall, see `layout.joints`. What
+    was recorded without it had "ours". episodes_file: a file in the HAB format whose i-th
     episode is episode i, in the home it names; "" to generate. navigate: of a chain: "teleport" puts the robot near
     every goal, as the paper does; "drive" leaves the way to the policy, and arm and grasp count. Navigate alone is
     always driven. render_mode: "rgb_array" makes ``render()`` give human views. backend: "cpu"; "warp" for the
@@ -137,6 +141,7 @@ class EnvConfig:
     handle_points: str = OF_PROFILE
     object_axes: str = OF_PROFILE
     joint_angles: str = OF_PROFILE
+    joint_dynamics: str = OF_PROFILE
     autoreset: str = "same_step"
     episodes_file: str = ""
     navigate: str = "teleport"
@@ -168,6 +173,7 @@ class EnvConfig:
         _known("handle points", self.handle_points, HANDLE_POINTS)
         _known("axes of objects", self.object_axes, AXES)
         _known("kind of joint angles", self.joint_angles, JOINT_ANGLES)
+        _known("joint dynamics", self.joint_dynamics, JOINT_DYNAMICS)
         _known("navigate mode", self.navigate, NAVIGATE_MODES)
         _known("render mode", self.render_mode or "", RENDER_MODES)
         _known("backend", self.backend, BACKENDS)

@@ -1,4 +1,4 @@
-"""What ``--profile``, ``--robot``, ``--starts`` and ``--stillness`` make of the environments that a command builds."""
+"""What ``--profile``, ``--robot``, ``--starts``, ... make of the environments that a command builds."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ class ProfileChoice:
 
     profile: name of many values at once, see `profiles.Profile`; "" for that of the policy or the data, if they have
     one. robot: name of the robot, None for the default. starts: the ``spawn_rule`` of the environment, stillness: how
-    joints are judged; None for those of the profile.
+    joints are judged, joint_dynamics: of the furniture; None for those of the profile.
     """
 
     profile: str = DEFAULT_PROFILE
     robot: str | None = None
     starts: str | None = None
     stillness: str | None = None
+    joint_dynamics: str | None = None
 
 
 def profile_options(choice: ProfileChoice) -> dict[str, Any]:
@@ -30,6 +31,7 @@ def profile_options(choice: ProfileChoice) -> dict[str, Any]:
         "robot": choice.robot,
         "spawn_rule": choice.starts,
         "stillness": choice.stillness,
+        "joint_dynamics": choice.joint_dynamics,
     }
     return {name: value for name, value in given.items() if value is not None}
 

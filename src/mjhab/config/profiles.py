@@ -37,6 +37,9 @@ class Profile:
     handle_points: "ours" or "published": which points observations and rewards take for handles.
     object_axes, joint_angles: how observations tell poses of objects and angles of joints, see
         `core.conventions`.
+    joint_dynamics: "ours" or "published": damping, friction, stops and range of the joints of furniture, see
+        `layout.joints`. The default profile has ours: those of drawers and doors that stay where they are left, where
+        the published numbers are one placeholder for all joints; and what was recorded before there was a choice.
     horizon, train_horizon: control steps of a subtask that is evaluated, and that is trained; Navigate has those of
         the paper in both.
     """
@@ -54,6 +57,7 @@ class Profile:
     handle_points: str
     object_axes: str
     joint_angles: str
+    joint_dynamics: str
     horizon: int
     train_horizon: int
 
@@ -95,6 +99,7 @@ MJHAB = Profile(
     handle_points="ours",
     object_axes=OBJECT_AXES,
     joint_angles=WRAPPED,
+    joint_dynamics="ours",
     horizon=OF_PAPER,
     train_horizon=OF_PAPER,
 )
@@ -112,6 +117,7 @@ MS_HAB = Profile(
     handle_points="published",
     object_axes=SCAN_AXES,
     joint_angles=UNWRAPPED,
+    joint_dynamics="published",
     horizon=200,
     train_horizon=100,
 )

@@ -46,7 +46,8 @@ def open_setting(config: EnvConfig) -> Setting:
     pack = open_pack(config.assets)
     file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
     objects = file_roster(file, pack) if file else object_roster(config, pack)
-    layout = Layout(pack, objects, robot_named(config.robot))
+    robot = robot_named(config.robot)
+    layout = Layout(pack, objects, robot, config.joint_dynamics)
     check_target(config, layout)
     return Setting(layout, file)
 

@@ -59,6 +59,7 @@ class SpawnFactory:
             seed=recipe.seed,
             spawn_rule=recipe.spawn_rule,
             robot=recipe.robot,
+            joint_dynamics=recipe.joint_dynamics,
         )
         self.layout = open_setting(config).layout
         self.sim = CpuSimulator(self.layout, 1, 1)

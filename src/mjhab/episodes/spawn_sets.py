@@ -41,7 +41,7 @@ from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.scenes.pack_check import MAX_POSITION_M, check_range
-from mjhab.scenes.spec import Vec3
+from mjhab.scenes.spec import JOINT_DYNAMICS, OWN_DYNAMICS, Vec3
 from mjhab.tasks.plan import Target
 
 FORMAT = "mjhab-spawns-1"
@@ -105,6 +105,7 @@ class SpawnRecipe:
         harvested: starts with a held object also use the grasps that were added on this machine.
         spawn_rule: see `profiles.Profile`.
         robot: name of the robot.
+        joint_dynamics: of the furniture, see `EnvConfig`; sets that do not tell theirs have "ours".
     """
 
     task: str
@@ -119,6 +120,7 @@ class SpawnRecipe:
     harvested: bool = False
     spawn_rule: str = "front_box"
     robot: str = DEFAULT_ROBOT
+    joint_dynamics: str = OWN_DYNAMICS
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,6 +269,11 @@ def _read_header(text: str) -> dict[str, Any]:
     for name in ("subtask", "target"):
         check_name(f"recipe, {name}", recipe[name], empty=True)
     check_name("recipe, robot", recipe.get("robot", DEFAULT_ROBOT))
+    joints = recipe.get("joint_dynamics", OWN_DYNAMICS)
+    if joints not in JOINT_DYNAMICS:
+        raise ValueError(
+            f"header.recipe.joint_dynamics: expected {' or '.join(JOINT_DYNAMICS)}, got {joints!r}."
+        )
     return header
 
 
@@ -445,12 +452,20 @@ class SpawnSet:
         }
 
     def check(self, config: EnvConfig) -> None:
-        """Check that the set was made for the task, subtask, target, split, home and spawn rule of a configuration.
+        """Check that the set was made for task, subtask, target, split, home, spawn rule and joints of a configuration.
 
         Raises:
             UsageError: one differs; the message names it.
         """
-        for name in ("task", "subtask", "target", "split", "home", "spawn_rule"):
+        for name in (
+            "task",
+            "subtask",
+            "target",
+            "split",
+            "home",
+            "spawn_rule",
+            "joint_dynamics",
+        ):
             made = getattr(self.recipe, name)
             wanted = getattr(config, name)
             if made != wanted:

@@ -15,7 +15,7 @@ from mjhab.layout.home_models import model_bytes
 from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M, MIN_CONNECTED_SHARE
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
-from mjhab.scenes.shapes.openings import stuck_links
+from mjhab.scenes.shapes.openings import met_walls, stuck_links
 from mjhab.scenes.spec import Home
 
 
@@ -136,4 +136,4 @@ def remarks(layout: Layout, home: Home) -> list[str]:
             found.append(
                 f"{r.thing}/{r.receptacle} is {r.center:.2f} m from where a robot can stand"
             )
-    return found + stuck_links(home, layout.pack)
+    return found + met_walls(home, layout.pack) + stuck_links(home, layout.pack)

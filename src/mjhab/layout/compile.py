@@ -29,7 +29,16 @@ def home_hash(layout: Layout, home: Home) -> str:
     )
     digest.update(layout.robot.digest)
     digest.update(
-        repr((home, layout.roster, layout.prop_slots, layout.num_walls)).encode()
+        repr(
+            (
+                home,
+                layout.roster,
+                layout.prop_slots,
+                layout.num_walls,
+                layout.joint_dynamics,
+                sorted(layout.stopped_links),
+            )
+        ).encode()
     )
     digest.update(
         repr(

@@ -24,13 +24,23 @@ from mjhab.layout.contact_sensors import (
     add_force_sensor,
     add_touch_sensor,
 )
+from mjhab.layout.joints import (
+    add_joint,
+    meets_walls,
+    spread_mass,
+    stopped_links,
+    wall_bits,
+)
 from mjhab.robots.model import add_robot, physics_options
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes import contact_bits
 from mjhab.scenes.spec import (
     IDENTITY,
+    JOINT_DYNAMICS,
+    OWN_DYNAMICS,
     PARKED,
+    PUBLISHED_DYNAMICS,
     Articulation,
     Geom,
     Home,
@@ -54,16 +64,6 @@ SLIDING_FRICTION = 0.3
 one of a pair, which are equal here."""
 OBJECT_FRICTION = (SLIDING_FRICTION, 0.01, 0.003)
 """Friction of objects: sliding, torsional [m], rolling [m]. Rolling friction lets round objects come to rest."""
-SLIDE_DAMPING = 5.0
-"""Damping of drawers [N s/m]."""
-SLIDE_FRICTION = 1.0
-"""Dry friction of drawers [N]."""
-HINGE_DAMPING = 1.0
-"""Damping of doors [N m s/rad]."""
-HINGE_FRICTION = 0.5
-"""Dry friction of doors [N m]."""
-JOINT_ARMATURE = 0.1
-"""Armature of the joints of furniture [kg or kg m^2]."""
 PARK_ORIGIN = (40.0, 40.0)
 """Position x, y [m] where slot 0 is parked if an episode does not use it; slot i lies 0.5 i m further along x."""
 
@@ -122,9 +122,10 @@ class Layout:
         pack: the asset pack.
         roster: object type of each of the N object slots.
         robot: the robot; None for the default robot.
+        joint_dynamics: of the furniture, one of `spec.JOINT_DYNAMICS`, see `layout.joints`.
 
     Raises:
-        UsageError: the pack lacks an object type of the roster.
+        UsageError: the pack lacks an object type of the roster, or the joint dynamics are unknown.
 
     Attributes:
         prop_slots: slots of the fixed furniture: of each template as many as the home with the most copies has.
@@ -137,9 +138,16 @@ class Layout:
     """
 
     def __init__(
-        self, pack: Pack, roster: tuple[str, ...], robot: Robot | None = None
+        self,
+        pack: Pack,
+        roster: tuple[str, ...],
+        robot: Robot | None = None,
+        joint_dynamics: str = OWN_DYNAMICS,
     ) -> None:
+        if joint_dynamics not in JOINT_DYNAMICS:
+            raise unknown_name("joint dynamics", joint_dynamics, JOINT_DYNAMICS)
         self.pack = pack
+        self.joint_dynamics = joint_dynamics
         self.roster = roster
         self.robot = robot or robot_named()
         copies: Counter[str] = Counter()
@@ -162,6 +170,8 @@ class Layout:
         self.link_ids = tuple(ref.id for ref in self.links)
         self.doors = frozenset(ref.id for ref in self.links if ref.link.joint == "hinge")
         """Ids of the links with a hinge joint; the others have a slide joint."""
+        self.stopped_links = stopped_links(pack.homes)
+        """Ids of the links that a wall stops in one of the homes."""
         self.object_names = copy_names(roster)
         for kind in roster:
             if kind not in pack.objects:
@@ -244,7 +254,8 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
             if k < len(home.walls)
             else Geom("box", (0.01, 0.01, 0.01), PARKED)
         )
-        _add_geom(world, wall, f"wall_{k}", contact_bits.STATIC)
+        bits = wall_bits(layout.joint_dynamics, layout.stopped_links)
+        _add_geom(world, wall, f"wall_{k}", bits)
     for slot, placement in zip(
         layout.prop_slots, layout.slot_placements(home), strict=True
     ):
@@ -253,7 +264,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
         _add_static(world, prop.geoms, slot.name, placement, bit)
     for articulation in layout.articulations:
         at = layout.articulation_placement(home, articulation.name)
-        _add_articulation(spec, articulation, at, dict(home.open_limits))
+        _add_articulation(spec, layout, articulation, at, dict(home.open_limits))
     for name, kind, pose in zip(
         layout.object_names, layout.objects, layout.parked_poses, strict=True
     ):
@@ -325,6 +336,7 @@ def _add_static(
 
 def _add_articulation(
     spec: mujoco.MjSpec,
+    layout: Layout,
     articulation: Articulation,
     at: Placement,
     limits: dict[str, float],
@@ -336,22 +348,18 @@ def _add_articulation(
         pos, quat = compose(at.pos, at.rotation, link.pos)
         name = f"{articulation.name}/{link.name}"
         body = spec.worldbody.add_body(name=name, pos=pos, quat=quat)
-        slide = link.joint == "slide"
-        # Doors do not collide with walls. Where one would hit a wall, the home limits its joint range instead.
-        low, high = link.range
-        body.add_joint(
-            name=name,
-            type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
-            axis=link.axis,
-            range=(low, min(high, limits.get(name, high))),
-            armature=JOINT_ARMATURE,
-            damping=[SLIDE_DAMPING if slide else HINGE_DAMPING, 0, 0],
-            frictionloss=SLIDE_FRICTION if slide else HINGE_FRICTION,
-        )
+        add_joint(body, name, link, layout.joint_dynamics, limits.get(name, np.inf))
+        spread_mass(body, link, layout.joint_dynamics)
+        stopped = name in layout.stopped_links
+        met = layout.joint_dynamics == PUBLISHED_DYNAMICS and stopped
         solid = [g for g in link.geoms if g.collide]
         density = link.mass / ordered_sum(volume(g, None) for g in solid)
         for i, geom in enumerate(solid):
-            _add_geom(body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density)
+            added = _add_geom(
+                body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density
+            )
+            if met:
+                meets_walls(added)
 
 
 def _add_object(

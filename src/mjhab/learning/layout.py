@@ -296,17 +296,24 @@ def control_of(env: StudentEnv) -> tuple[str, ...]:
     return (env.config.control_mode, env.config.base, *env.config.stationary)
 
 
+NEWER_OPTIONS = frozenset({"joint_dynamics"})
+"""Options of profiles that older data and checkpoints do not tell."""
+
+
 def profile_of(options: Mapping[str, Any]) -> str:
     """Name of the profile of an environment with these options of `EnvConfig`, also after a round trip through JSON.
 
     Options that match a binding profile in everything except the horizon belong to that profile, because episodes of
     collection may be longer than those of an evaluation, see `collection.longer`. Axes of objects do not count: data
-    of older versions have others, which `observation.state` converts.
+    of older versions have others, which `observation.state` converts. Options that are younger than the data
+    (`NEWER_OPTIONS`) do not count where the data do not tell them: a profile is more than these.
     """
     told = {**asdict(Conventions.of(options)), **options}
     for profile in PROFILES.values():
         values = profile.options(str(options.get("subtask", "")), trains=False)
         del values["horizon"], values["object_axes"]
+        for name in NEWER_OPTIONS - options.keys():
+            del values[name]
         if profile.binding and all(
             _plain(told.get(name)) == _plain(value) for name, value in values.items()
         ):

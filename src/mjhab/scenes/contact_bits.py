@@ -19,6 +19,8 @@ DISTAL = 16
 """The robot's forearm and hand, which collide with its trunk."""
 RUG = 32
 """Rugs and mats, which support objects but do not collide with the robot; conaffinity 0."""
+WALL = 64
+"""Walls, beside STATIC, where doors meet them: in layouts with the joint dynamics "published" (`layout.joints`)."""
 
 ROBOT_AFFINITY = STATIC | OBJECT | JOINTED
 """conaffinity of robot links; trunk links add DISTAL."""

@@ -22,6 +22,7 @@ from mjhab.scenes.spec import (
     Home,
     Light,
     Link,
+    LinkInertial,
     ObjectType,
     Pack,
     Placement,
@@ -44,6 +45,10 @@ MAX_MASS_KG = 1000.0
 MAX_ANGLE_RAD = 4 * math.pi
 MAX_JOINT_POSITION = 10.0
 """Largest joint position [m or rad]."""
+MAX_INERTIA = 1e4
+"""Largest entry of the inertia of a link [kg m^2]."""
+MAX_RESISTANCE = 1000.0
+"""Largest damping [N s/m or N m s/rad] and dry friction [N or N m] of a joint."""
 MAX_LIGHT = 1000.0
 """Largest intensity or colour component of a light [1]."""
 MAX_LAYOUT = 9999
@@ -56,6 +61,8 @@ _SIZE = (MIN_SIZE_M, MAX_SIZE_M, "m")
 _MASS = (MIN_MASS_KG, MAX_MASS_KG, "kg")
 _ANGLE = (-MAX_ANGLE_RAD, MAX_ANGLE_RAD, "rad")
 _JOINT = (-MAX_JOINT_POSITION, MAX_JOINT_POSITION, "m or rad")
+_INERTIA = (-MAX_INERTIA, MAX_INERTIA, "kg m^2")
+_RESISTANCE = (0.0, MAX_RESISTANCE, "N, N m, or per speed")
 _LIGHT = (0.0, MAX_LIGHT, "1")
 
 RANGES: dict[tuple[type, str], tuple[float, float, str]] = {
@@ -68,7 +75,11 @@ RANGES: dict[tuple[type, str], tuple[float, float, str]] = {
     (Handle, "thickness"): _SIZE,
     (Link, "pos"): _LENGTH,
     (Link, "mass"): _MASS,
+    (Link, "damping"): _RESISTANCE,
+    (Link, "friction"): _RESISTANCE,
     (Link, "range"): _JOINT,
+    (LinkInertial, "com"): _LENGTH,
+    (LinkInertial, "inertia"): _INERTIA,
     (Placement, "pos"): _LENGTH,
     (Placement, "yaw"): _ANGLE,
     (Light, "pos"): _LENGTH,
@@ -149,6 +160,8 @@ def _check(where: str, thing: Any, extents: Mapping[str, float]) -> None:
         _check_size(f"{where}.size", thing, extents.get(thing.mesh, 0.0))
     if isinstance(thing, Link):
         _check_link(where, thing)
+    if isinstance(thing, LinkInertial):
+        _check_inertial(where, thing)
     if isinstance(thing, ObjectType):
         _check_solid(f"{where}.collision", thing.collision)
     if isinstance(thing, Home):
@@ -190,6 +203,17 @@ def _check_size(where: str, geom: Geom, extent: float) -> None:
     used = NUMBERS_OF_SIZE[geom.shape]
     check_range(where, geom.size[:used], *_SIZE)
     check_range(where, geom.size[used:], 0.0, MAX_SIZE_M, "m")
+
+
+def _check_inertial(where: str, inertial: LinkInertial) -> None:
+    """Refuse an inertia that no body has: principal moments are positive, and none is larger than the others' sum."""
+    xx, yy, zz, xy, xz, yz = inertial.inertia
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if moments[0] <= 0.0 or moments[2] > moments[:2].sum() * (1.0 + 1e-9):
+        raise ValueError(
+            f"{where}.inertia: no body has the principal moments {moments.round(6).tolist()} [kg m^2]; they must be "
+            "positive, and none larger than the sum of the others."
+        )
 
 
 def _check_link(where: str, link: Link) -> None:

@@ -23,6 +23,14 @@ OWN_POINTS = "ours"
 PUBLISHED_POINTS = "published"
 HANDLE_POINTS = (OWN_POINTS, PUBLISHED_POINTS)
 """Choices of handle points: the grasp point of our geometry, or the point in the plans of MS-HAB."""
+OWN_DYNAMICS = "ours"
+PUBLISHED_DYNAMICS = "published"
+JOINT_DYNAMICS = (OWN_DYNAMICS, PUBLISHED_DYNAMICS)
+"""Choices of the joints of furniture, see `layout.joints`: constants of mjhab, or what `Link` says."""
+PUBLISHED_DAMPING = 0.01
+"""Damping of every joint of ReplicaCAD [N s/m or N m s/rad]: ``<dynamics damping="0.01" .../>`` in all its URDFs."""
+PUBLISHED_FRICTION = 0.01
+"""Dry friction of every joint of ReplicaCAD [N or N m]: ``<dynamics ... friction="0.01"/>`` in all its URDFs."""
 
 Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
 
@@ -109,6 +117,17 @@ class Handle:
 
 
 @dataclass(frozen=True)
+class LinkInertial:
+    """How the mass of a link is spread, in the axes of the link.
+
+    ``com``: centre of mass in the link's frame [m]; ``inertia``: about it, xx, yy, zz, xy, xz, yz [kg m^2].
+    """
+
+    com: Vec3
+    inertia: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
 class Link:
     """A moving part of an articulation with one joint to the static body.
 
@@ -122,6 +141,11 @@ class Link:
         geoms: in the frame of the link.
         handle: its handle.
         mirrored: episode files count the joint position with the opposite sign.
+        damping: [N s/m or N m s/rad], friction: dry friction [N or N m] of the joint, in force with the joint dynamics
+            "published". Furniture that is read from URDFs has those of its file. All other furniture stands in for
+            ReplicaCAD's, and unless it says otherwise has what all joints of ReplicaCAD have.
+        inertial: centre of mass and inertia that its file gives, in force with the joint dynamics "published"; None to
+            compute them from the shapes, as with "ours".
     """
 
     name: str
@@ -133,6 +157,9 @@ class Link:
     geoms: tuple[Geom, ...]
     handle: Handle
     mirrored: bool = False
+    damping: float = PUBLISHED_DAMPING
+    friction: float = PUBLISHED_FRICTION
+    inertial: LinkInertial | None = None
 
 
 @dataclass(frozen=True)
@@ -231,7 +258,10 @@ class Home:
     note: str = ""
     """Remark for people, such as why the home is a hard case; "" for none."""
     open_limits: tuple[tuple[str, float], ...] = ()
-    """(link id, joint position [m or rad]) of links that a wall stops before the end of their range."""
+    """(link id, joint position [m or rad]) of links that a wall stops before the end of their range.
+
+    No link starts farther open. With the joint dynamics "ours" the joint ends there; with "published" it keeps its
+    range, and the link meets the wall (`layout.joints`)."""
     roles: Roles | None = None
     """Roles of this home, which replace those of its pack; None for those of the pack."""
 

@@ -50,11 +50,17 @@ def test_check_gives_the_keys_and_finds_nothing(
     assert main(["homes", "check", "--json"]) == 0
     first = said(capsys)
     assert list(first)[:7] == KEYS
+    found = first["remarks"]
+    assert [row["name"] for row in found] == ["builtin_m3_20"] * 2
+    assert (
+        "fridge/top_door meets a wall: no episode starts beyond 1.85 of 2.30"
+        in (found[0]["what"])
+    )
     assert (first["homes"], first["ok"], first["failed"], first["remarks"]) == (
         3,
         3,
         [],
-        [],
+        found,
     )
     assert (
         first["compiled_cold"] == 3

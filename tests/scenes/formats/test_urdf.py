@@ -18,7 +18,7 @@ TEXT = """<robot name="box"><link name="root"/>
 <link name="lid"/>
 <joint name="weld" type="fixed"><origin xyz="0 0 1"/><parent link="root"/><child link="body"/></joint>
 <joint name="hinge" type="revolute"><origin xyz="0.5 0 0"/><parent link="body"/><child link="lid"/>
-<axis xyz="0 0 2"/><limit lower="0" upper="1.5"/></joint></robot>"""
+<axis xyz="0 0 2"/><limit lower="0" upper="1.5"/><dynamics damping="0.02" friction="0.3"/></joint></robot>"""
 
 
 def read(tmp_path: Path, text: str):
@@ -47,6 +47,26 @@ def test_links_joints_and_number_lists_with_commas(tmp_path: Path) -> None:
         1.5,
     )
     assert urdf.links["body"].visuals[0].file == tmp_path / "body.glb"
+    assert (urdf.joints["lid"].damping, urdf.joints["lid"].friction) == (0.02, 0.3)
+
+
+def test_joints_without_dynamics_are_free_and_inertias_are_in_the_axes_of_the_link(
+    tmp_path: Path,
+) -> None:
+    free = TEXT.replace('<dynamics damping="0.02" friction="0.3"/>', "")
+    assert read(tmp_path, free).joints["lid"].damping == 0.0
+    assert read(tmp_path, TEXT).links["body"].inertia is None  # it lacks iyy and izz
+    whole = TEXT.replace(
+        '<inertia ixx="1.0"/>',
+        '<origin xyz="1 2 3" rpy="0 0 1.5707963267948966"/>'
+        '<inertia ixx="1.0" iyy="2.0" izz="2.5" ixy="0" ixz="0" iyz="0"/>',
+    )
+    body = read(tmp_path, whole).links["body"]
+    assert body.inertia is not None and np.allclose(body.com, [1, 2, 3])
+    np.testing.assert_allclose(body.inertia, np.diag([2.0, 1.0, 2.5]), atol=1e-12)
+    no_body = whole.replace('izz="2.5"', 'izz="4.0"')
+    with pytest.raises(UsageError, match="link 'body': no body has the inertia"):
+        read(tmp_path, no_body)
 
 
 @pytest.mark.parametrize(
@@ -64,6 +84,8 @@ def test_links_joints_and_number_lists_with_commas(tmp_path: Path) -> None:
         ('xyz="1, 2 3"', 'xyz="1 nan 3"', r"link 'body': origin xyz: expected 3 numbers"),
         ('xyz="0 0 2"', 'xyz="0 0 0"', r"joint 'hinge': needs a <limit> and an axis"),
         ("<limit lower", "<limits lower", r"joint 'hinge': needs a <limit>"),
+        ('"0.02"', '"-0.02"', r"joint 'hinge': damping is -0.02"),
+        ('"0.3"', '"much"', r"joint 'hinge': friction: expected 1 numbers, got 'much'"),
         ("<box size", "<sphere size", r"link 'body': collision shapes must be boxes"),
         (
             '<link name="lid"/>',

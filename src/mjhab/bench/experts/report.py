@@ -14,6 +14,7 @@ from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import beside_the_paper, rules_of
 from mjhab.reports.plots import LABEL_COLORS, Figure, labels_figure
 from mjhab.reports.run import render_page
+from mjhab.scenes.spec import OWN_DYNAMICS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 _COLORS = ("#0f8f80", "#3b82f6", "#f59e0b", "#8b5cf6", "#dc2626", "#64748b")
@@ -95,6 +96,7 @@ def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
         ("seed", config["seed"]),
         ("rules", rules_of(config)),
         ("starts", config["spawn_rule"]),
+        ("joints of furniture", config.get("joint_dynamics", OWN_DYNAMICS)),
     ]
     chips = "".join(
         f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown

@@ -180,7 +180,8 @@ def write_results(
 def _config(spec: ExpertsSpec) -> dict[str, Any]:
     """What rows of one folder have in common."""
     resolved = resolved_profile(spec)
-    shown = {name: resolved[name] for name in ("profile", "stillness", "spawn_rule")}
+    names = ("profile", "stillness", "spawn_rule", "joint_dynamics")
+    shown = {name: resolved[name] for name in names}
     return {"split": spec.split, "seed": spec.seed, "policy": "expert", **shown}
 
 

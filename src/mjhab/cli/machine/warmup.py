@@ -65,7 +65,12 @@ class _Work:
             task=options.task, assets=options.assets, **profile_options(options)
         )
         robot = robot_named(self.config.robot)
-        self.layout = Layout(open_pack(options.assets), roster(options.task), robot)
+        self.layout = Layout(
+            open_pack(options.assets),
+            roster(options.task),
+            robot,
+            self.config.joint_dynamics,
+        )
 
     @functools.cached_property
     def simulator(self) -> CpuSimulator:

@@ -46,6 +46,9 @@ class ProfileOptions(ProfileChoice):
     environment); the profile's if absent."""
     stillness: Annotated[str | None, tyro.conf.arg(metavar="absolute|published")] = None
     """Whether a joint that moves backwards counts as moving (absolute) or as still; the profile's if absent."""
+    joint_dynamics: Annotated[str | None, tyro.conf.arg(metavar="ours|published")] = None
+    """Damping, friction, stops and range of doors and drawers: mjhab's, or those of their files; the profile's if
+    absent."""
 
 
 @dataclass(frozen=True, kw_only=True)

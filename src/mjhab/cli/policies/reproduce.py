@@ -56,6 +56,7 @@ def table_spec(options: ReproduceOptions) -> TableSpec:
         robot=options.robot,
         starts=options.starts,
         stillness=options.stillness,
+        joint_dynamics=options.joint_dynamics,
         split=options.split,
         episodes=options.episodes,
         films=options.films,

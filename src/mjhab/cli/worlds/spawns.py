@@ -48,6 +48,7 @@ def make(options: SpawnsMakeOptions) -> int:
         options.harvested,
         resolved["spawn_rule"],
         options.robot or DEFAULT_ROBOT,
+        resolved["joint_dynamics"],
     )
     begun = time.perf_counter()
     shown = 0
@@ -105,6 +106,7 @@ def listing(options: SpawnsListOptions) -> int:
         "target",
         "split",
         "spawn_rule",
+        "joint_dynamics",
         "seed",
         "count",
         "homes",
@@ -170,6 +172,7 @@ def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
         pool=options.pool,
         spawn_rule=resolved["spawn_rule"],
         robot=options.robot or DEFAULT_ROBOT,
+        joint_dynamics=resolved["joint_dynamics"],
     )
     factory = SpawnFactory(recipe)
     threads = options.threads or cores()

@@ -51,6 +51,7 @@ ENV = {
     "profile": "ms_hab",
     "stillness": "published",
     "spawn_rule": "published",
+    "joint_dynamics": "published",
 }
 """Options of mjhab's environment that stand for the one in which MS-HAB's data were made (mshab/envs/make.py)."""
 _THEIRS = {

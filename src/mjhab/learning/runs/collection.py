@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 class Scene:
     """Environment options of a training run, as on the command line.
 
-    profile, spawn_rule, stillness: as in `EnvConfig`; "" takes those of the given data, or else the defaults. robot:
-    its name, "" for the default.
+    profile, spawn_rule, stillness, joint_dynamics: as in `EnvConfig`; "" takes those of the given data, or else the
+    defaults. robot: its name, "" for the default.
     """
 
     task: str = "set_table"
@@ -42,6 +42,7 @@ class Scene:
     profile: str = ""
     spawn_rule: str = ""
     stillness: str = ""
+    joint_dynamics: str = ""
     robot: str = ""
 
     @property
@@ -58,6 +59,7 @@ class Scene:
         given = {
             "spawn_rule": self.spawn_rule,
             "stillness": self.stillness,
+            "joint_dynamics": self.joint_dynamics,
             "robot": self.robot,
         }
         return {name: value for name, value in given.items() if value}

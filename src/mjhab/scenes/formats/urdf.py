@@ -1,6 +1,6 @@
 """Reader of URDF files of furniture: a tree of links with box collision shapes and mesh visuals.
 
-Lists of numbers may be separated by spaces or commas. Inertias are not read: they are computed from shapes and masses.
+Lists of numbers may be separated by spaces or commas.
 """
 
 from __future__ import annotations
@@ -38,18 +38,25 @@ class UrdfVisual:
 
 @dataclass(frozen=True, eq=False)
 class UrdfLink:
-    """A rigid part; ``mass`` [kg], 0 if the file gives none."""
+    """A rigid part; ``mass`` [kg], 0 if the file gives none.
+
+    ``com`` (3,): centre of mass [m], ``inertia`` (3, 3) about it [kg m^2], both in the link's frame; ``inertia`` is
+    None if the file gives none.
+    """
 
     name: str
     mass: float
     boxes: tuple[UrdfBox, ...]
     visuals: tuple[UrdfVisual, ...]
+    com: np.ndarray
+    inertia: np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
 class UrdfJoint:
     """A joint. ``kind``: one of `JOINT_TYPES`; ``pose`` (4, 4): of the child in the parent's frame at joint position 0;
-    ``axis`` (3,): unit, in the child's frame; ``limits``: (lower, upper) [m or rad], (0, 0) for a fixed joint."""
+    ``axis`` (3,): unit, in the child's frame; ``limits``: (lower, upper) [m or rad], (0, 0) for a fixed joint;
+    ``damping`` [N s/m or N m s/rad] and dry ``friction`` [N or N m] of its <dynamics>, 0 where the file gives none."""
 
     name: str
     kind: str
@@ -58,6 +65,8 @@ class UrdfJoint:
     pose: np.ndarray
     axis: np.ndarray
     limits: tuple[float, float]
+    damping: float = 0.0
+    friction: float = 0.0
 
 
 MAX_URDF_MB = 16
@@ -164,7 +173,38 @@ def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
         if mass is None
         else float(_numbers(path, f"link {name!r}: mass", mass.get("value"), 1)[0])
     )
-    return UrdfLink(name, value, tuple(boxes), tuple(visuals))
+    com, inertia = _inertial(path, element, f"link {name!r}")
+    return UrdfLink(name, value, tuple(boxes), tuple(visuals), com, inertia)
+
+
+def _inertial(
+    path: Path, element: ElementTree.Element, where: str
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Centre of mass (3,) and inertia (3, 3) about it in the link's frame; None without a whole <inertia>.
+
+    Raises:
+        UsageError: a number is missing, or no body has such an inertia.
+    """
+    inertial = element.find("inertial")
+    if inertial is None:
+        return np.zeros(3), None
+    pose = _origin(path, inertial, f"{where}: inertial")
+    given = inertial.find("inertia")
+    if given is None or not {"ixx", "iyy", "izz"} <= given.attrib.keys():
+        return pose[:3, 3], None
+    xx, yy, zz, xy, xz, yz = (
+        float(_numbers(path, f"{where}: {key}", given.get(key, "0"), 1)[0])
+        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    )
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.linalg.eigvalsh(inertia)
+    if moments[0] <= 0.0 or moments[2] > moments[:2].sum() * (1 + 1e-9):
+        raise UsageError(
+            f"{path}: {where}: no body has the inertia {given.attrib}: its principal moments must be positive, and "
+            "none larger than the sum of the others."
+        )
+    turn = pose[:3, :3]
+    return pose[:3, 3], turn @ inertia @ turn.T
 
 
 def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
@@ -182,6 +222,7 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
         ends.append(_need(path, found, "link"))
     axis = np.array([1.0, 0.0, 0.0])
     limits = (0.0, 0.0)
+    damping = friction = 0.0
     if kind != "fixed":
         given = element.find("axis")
         limit = element.find("limit")
@@ -197,6 +238,10 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
             for k in ("lower", "upper")
         )
         limits = (low, high)
+        damping, friction = (
+            _resistance(path, name, element.find("dynamics"), term)
+            for term in ("damping", "friction")
+        )
     return UrdfJoint(
         name,
         kind,
@@ -205,7 +250,22 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
         _origin(path, element, f"joint {name!r}"),
         axis,
         limits,
+        damping,
+        friction,
     )
+
+
+def _resistance(
+    path: Path, joint: str, dynamics: ElementTree.Element | None, term: str
+) -> float:
+    """One number of a joint's <dynamics>; 0, as URDF has it, where there is none."""
+    given = "0" if dynamics is None else dynamics.get(term, "0")
+    value = float(_numbers(path, f"joint {joint!r}: {term}", given, 1)[0])
+    if value < 0.0:
+        raise UsageError(
+            f"{path}: joint {joint!r}: {term} is {value:g}, which would drive the joint; expected 0 or more."
+        )
+    return value
 
 
 def _origin(path: Path, element: ElementTree.Element, where: str) -> np.ndarray:

@@ -43,6 +43,7 @@ from mjhab.scenes.spec import (
     Geom,
     Handle,
     Link,
+    LinkInertial,
     Placement,
     Prop,
     Receptacle,
@@ -289,6 +290,9 @@ class Furniture:
             tuple(geoms),
             handle,
             mirrored,
+            joint.damping,
+            joint.friction,
+            _inertial(link, turn, scale),
         )
 
     @staticmethod
@@ -327,6 +331,19 @@ class Furniture:
             link = space.link if space.link in moved else ""
             places.append(fit(space, pieces, link, moved.get(link)))
         return tuple(p for p in places if p)
+
+
+def _inertial(link: UrdfLink, turn: np.ndarray, scale: float) -> LinkInertial | None:
+    """How the file spreads the mass of a link, in a frame that ``turn`` (3, 3) leads to; None if it does not say.
+
+    Scaling by s scales inertias by s^5 (SAPIEN's convention).
+    """
+    if link.inertia is None:
+        return None
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (
+        turn @ link.inertia @ turn.T * scale**5
+    ).tolist()
+    return LinkInertial(point(turn @ link.com * scale), (xx, yy, zz, xy, xz, yz))
 
 
 def _righted(world: np.ndarray) -> np.ndarray:

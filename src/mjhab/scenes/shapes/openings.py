@@ -38,16 +38,33 @@ def free_travel(home: Home, pack: Pack) -> dict[str, float]:
 def stuck_links(home: Home, pack: Pack) -> list[str]:
     """Describe every link that cannot open to the end of its range, or to the home's limit for it, in one phrase."""
     stated = dict(home.open_limits)
+    full = _ends(pack)
     found = []
     for name, free in free_travel(home, pack).items():
-        thing, link_name = name.split("/")
-        full = next(
-            k.range[1] for k in pack.articulations[thing].links if k.name == link_name
-        )
-        wanted = stated.get(name, full)
+        wanted = stated.get(name, full[name])
         if free < wanted - 1e-6:
             found.append(f"{name} opens to {free:.2f} of {wanted:.2f}")
     return found
+
+
+def met_walls(home: Home, pack: Pack) -> list[str]:
+    """Describe in one phrase every link that, as the home says, a wall stops."""
+    full = _ends(pack)
+    return [
+        f"{name} meets a wall: no episode starts beyond {limit:.2f} of {full[name]:.2f}; joint_dynamics 'ours' ends "
+        "the joint there, 'published' lets the door run against the wall"
+        for name, limit in home.open_limits
+        if name in full
+    ]
+
+
+def _ends(pack: Pack) -> dict[str, float]:
+    """End of the range of every link of a pack [m or rad], by id."""
+    return {
+        f"{thing.name}/{link.name}": link.range[1]
+        for thing in pack.articulations.values()
+        for link in thing.links
+    }
 
 
 def _travel(link: Link, at: Placement, around: list[Footprint]) -> float:

@@ -1,0 +1,100 @@
+"""Joints of furniture in the model: range, stops, damping, dry friction, armature, by ``EnvConfig.joint_dynamics``.
+
+"ours": the constants below, MuJoCo's default stops, and a range that ends where the home says that a wall stops a door.
+
+"published": what the files of the furniture say (`Link.damping`, `Link.friction`, `Link.range`, `Link.inertial`), no
+armature, and stops that do not bounce. All URDFs of ReplicaCAD say 0.01 and 0.01. Built-in furniture stands in for them
+and has the same; how its mass is spread follows from its shapes. The centre of mass matters: the fridge of ReplicaCAD
+leans by 0.33 deg, and with the centre of mass of their shapes its doors, which nothing holds any more, would fall shut;
+its file puts it on the hinge. Where a home says that a wall stops a door, the door keeps its published range and
+collides with the walls. In MS-HAB doors and the stage are in one collision group and never meet (ManiSkill's ReplicaCAD
+scene builder), so that a door may stand in the wall. Homes of ReplicaCAD name no such doors: there a door passes
+through the walls of a stage, as in MS-HAB.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import mujoco
+
+from mjhab.scenes import contact_bits
+from mjhab.scenes.spec import PUBLISHED_DYNAMICS, Home, Link
+
+SLIDE_DAMPING = 5.0
+"""Damping of drawers [N s/m]."""
+SLIDE_FRICTION = 1.0
+"""Dry friction of drawers [N]."""
+HINGE_DAMPING = 1.0
+"""Damping of doors [N m s/rad]."""
+HINGE_FRICTION = 0.5
+"""Dry friction of doors [N m]."""
+JOINT_ARMATURE = 0.1
+"""Armature of the joints of furniture [kg or kg m^2]."""
+STOP_SOLREF = (-25.0, -100.0)
+"""MuJoCo's ``solref`` of stops that do not bounce, in its direct form: negative stiffness [1/s^2] and damping [1/s].
+
+The damping takes the whole speed in one time step of 10 ms; the stiffness brings the joint back to its limit in some
+seconds, too slowly to throw it off: a drawer of 4 kg leaves the stop with at most 0.2 % of its speed. MuJoCo's default
+stop returns up to 16 %, which without damping carries it to the other end."""
+STOP_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)
+"""MuJoCo's ``solimp`` of these stops. A push of 40 N at a shut drawer creeps 0.8 mm in 3 s; with solref (0.02, 20) and
+the default solimp it creeps 14 mm."""
+
+
+def stopped_links(homes: Iterable[Home]) -> frozenset[str]:
+    """Ids of the links that a wall stops in any of the homes before the end of their range."""
+    return frozenset(link for home in homes for link, _ in home.open_limits)
+
+
+def add_joint(
+    body: mujoco.MjsBody, name: str, link: Link, dynamics: str, limit: float
+) -> None:
+    """Add the joint of a link of furniture to its body.
+
+    Args:
+        body: body of the link.
+        name: of the joint.
+        link: the link.
+        dynamics: one of `spec.JOINT_DYNAMICS`.
+        limit: largest joint position before a wall [m or rad], from `Home.open_limits`; infinite for none.
+    """
+    slide = link.joint == "slide"
+    low, high = link.range
+    joint = body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE,
+        axis=link.axis,
+    )
+    if dynamics == PUBLISHED_DYNAMICS:
+        joint.range = (low, high)
+        joint.damping[0] = link.damping
+        joint.frictionloss = link.friction
+        joint.solref_limit = STOP_SOLREF
+        joint.solimp_limit = STOP_SOLIMP
+        return
+    joint.range = (low, min(high, limit))
+    joint.armature = JOINT_ARMATURE
+    joint.damping[0] = SLIDE_DAMPING if slide else HINGE_DAMPING
+    joint.frictionloss = SLIDE_FRICTION if slide else HINGE_FRICTION
+
+
+def spread_mass(body: mujoco.MjsBody, link: Link, dynamics: str) -> None:
+    """Give the body of a link the mass, centre of mass and inertia that its file states, with dynamics "published"."""
+    if dynamics != PUBLISHED_DYNAMICS or link.inertial is None:
+        return
+    body.explicitinertial = True
+    body.mass = link.mass
+    body.ipos = link.inertial.com
+    body.fullinertia = link.inertial.inertia
+
+
+def meets_walls(geom: mujoco.MjsGeom) -> None:
+    """Let a geom of a door collide with the walls of a home, see `wall_bits`."""
+    geom.conaffinity = contact_bits.WALL
+
+
+def wall_bits(dynamics: str, stopped: frozenset[str]) -> int:
+    """The contype of walls, for all homes of a layout: doors meet them where any home of it has a ``stopped`` one."""
+    met = dynamics == PUBLISHED_DYNAMICS and bool(stopped)
+    return contact_bits.STATIC | (contact_bits.WALL if met else 0)

@@ -89,9 +89,17 @@ def spread_mass(body: mujoco.MjsBody, link: Link, dynamics: str) -> None:
     body.fullinertia = link.inertial.inertia
 
 
-def meets_walls(geom: mujoco.MjsGeom) -> None:
-    """Let a geom of a door collide with the walls of a home, see `wall_bits`."""
+def stop_at_walls(geom: mujoco.MjsGeom) -> None:
+    """Turn the massless copy of a geom of a door into one that meets the walls alone (`wall_bits`), as a stop does.
+
+    A copy, because the contact of the door with everything else is to stay as it is; without friction.
+    """
+    geom.contype = 0
     geom.conaffinity = contact_bits.WALL
+    geom.condim = 1
+    geom.priority = 1
+    geom.solref = STOP_SOLREF
+    geom.solimp = STOP_SOLIMP
 
 
 def wall_bits(dynamics: str, stopped: frozenset[str]) -> int:

@@ -26,8 +26,8 @@ from mjhab.layout.contact_sensors import (
 )
 from mjhab.layout.joints import (
     add_joint,
-    meets_walls,
     spread_mass,
+    stop_at_walls,
     stopped_links,
     wall_bits,
 )
@@ -355,11 +355,9 @@ def _add_articulation(
         solid = [g for g in link.geoms if g.collide]
         density = link.mass / ordered_sum(volume(g, None) for g in solid)
         for i, geom in enumerate(solid):
-            added = _add_geom(
-                body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density
-            )
+            _add_geom(body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density)
             if met:
-                meets_walls(added)
+                stop_at_walls(_add_geom(body, geom, f"{name}/{i}/wall", 0, density=0.0))
 
 
 def _add_object(

@@ -200,6 +200,12 @@ class WorldView:
             self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)]
         )
 
+    def link_speed(self, link: str) -> float:
+        """Joint velocity of a link by id [m/s or rad/s]."""
+        return float(
+            self._env.state.link_qd[self.world, self._env.layout.link_ids.index(link)]
+        )
+
     def front_area(self, link: str) -> tuple[float, float, float, float] | None:
         """Floor area in front of a link from which it is opened: x_min, x_max, y_min, y_max [m]; None without one."""
         return self._env.boxes[self.world].get(link)

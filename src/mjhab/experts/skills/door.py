@@ -18,7 +18,7 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning import approach, link_path, stances
 from mjhab.experts.planning.link_path import LinkPath
 from mjhab.experts.planning.stances import Frame, Stances
-from mjhab.experts.skills import door_stances
+from mjhab.experts.skills import door_stances, leaving
 from mjhab.experts.skills.door_stances import (
     HALF_OPEN_SHARE,
     OPEN_TO_SHARE,
@@ -73,7 +73,8 @@ MAX_LAG_STEPS = 12
 """Control steps for which the door may lag behind the end of the path before the motion gives up."""
 COAST_TIME_S = 1.4
 """A released door decelerates by (speed + COAST_STOP_RAD_S) / COAST_TIME_S. Both constants follow from inertia, damping
-and friction of the doors of the built-in homes, and predict how far a released door swings."""
+and friction ("ours") of the doors of the built-in homes, and predict how far a released door swings. With the published
+damping and friction it swings on until it is shut, and is released later than it could be."""
 COAST_STOP_RAD_S = 0.5
 """See `COAST_TIME_S`."""
 COAST_SPARE_RAD = 0.1
@@ -99,7 +100,12 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
     end = (OPEN_TO_SHARE + OPEN_SPARE_SHARE + further) * link.range[1]
     job = f"pull {further}" if further else "pull"
     search = functools.partial(door_stances.pull_stances, further=further)
-    while view.steps_left > 40 and view.link_q(link.id) < enough:
+    while view.steps_left > 40:
+        if view.link_q(link.id) >= enough:
+            if (yield from leaving.fold_beside(view, link, enough, motion.CLOSED)):
+                return True
+            yield from leaving.settle(view, link, motion.CLOSED)
+            continue
         found = stances.cached(view.robot, link, job, search)
         path = _reachable(view, link, found, door_stances.pull_angles(link, further))
         if path is None:
@@ -118,6 +124,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
             yield from _follow_arc(view, link, path, end, motion.CLOSED)
         until = wait_for(view, motion.is_quiet)
         yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED, until=until)
+        yield from leaving.settle(view, link, motion.CLOSED)
         yield from approach.let_go(view, 0.12, gripper=loose)
     return (yield from approach.fold(view, gripper=motion.CLOSED))
 

@@ -14,6 +14,7 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning import approach, link_path, stances
 from mjhab.experts.planning.link_path import LinkPath
 from mjhab.experts.planning.stances import HandPaths, Stances
+from mjhab.experts.skills import leaving
 from mjhab.experts.style import style_of
 from mjhab.robots.robot import Robot
 from mjhab.tasks.style import ARM, GRASP
@@ -35,6 +36,8 @@ OPEN_TO_SHARE = 0.95
 """Share of the range to which a drawer is pulled; 0.9 counts as open."""
 ARM_WAYS_M = (0.4, 0.36)
 """Candidates for the part of the motion that the arm does with the style ``pull=arm``; the base does the rest."""
+OPEN_ENOUGH_SHARE = 0.92
+"""Share of the range from which on a drawer counts as open for the script."""
 PULL_POINTS = 5
 """Way points from the closed to the open drawer."""
 PULL_STEP_M = 0.018
@@ -55,7 +58,14 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Open a drawer: grasp the bar, pull it, release it, return to rest; again after a slip."""
     full = link.range[1]
     pulls = style_of(view).pull == ARM
-    while view.steps_left > 30 and view.link_q(link.id) < 0.92 * full:
+    enough = OPEN_ENOUGH_SHARE * full
+    while view.steps_left > 30:
+        if view.link_q(link.id) >= enough:
+            # Open fingers could catch the handle, and throw the drawer shut.
+            if (yield from leaving.fold_beside(view, link, enough, motion.CLOSED)):
+                return True
+            yield from leaving.settle(view, link, motion.CLOSED)
+            continue
         if pulls and (path := _arm_path(view, link)) is not None:
             if (yield from _take_on(view, link, path)):
                 yield from _pull(view, link, path)
@@ -66,10 +76,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
             continue
         yield from _drive_link(view, link, OPEN_TO_SHARE * full, -SPEED_M_S)
         yield from approach.let_go(view, BACK_OFF_M)
-    # After a pull by the arm the hand is so close that open fingers could catch the handle.
-    return (
-        yield from approach.fold(view, gripper=motion.CLOSED if pulls else motion.OPEN)
-    )
+    return (yield from approach.fold(view, gripper=motion.CLOSED))
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:

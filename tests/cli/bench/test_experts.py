@@ -115,6 +115,7 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
         "profile": "mjhab",
         "stillness": "absolute",
         "spawn_rule": "front_box",
+        "joint_dynamics": "ours",
         "assets": {"builtin": "builtin"},
     }
     assert {row["profile"] for row in rows.values()} == {"mjhab"}

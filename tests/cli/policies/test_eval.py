@@ -136,6 +136,7 @@ def test_the_profile_and_its_values_are_recorded_and_told(
         "profile": "ms_hab",
         "stillness": "published",
         "spawn_rule": "published",
+        "joint_dynamics": "published",
         "frame_stack": 3,
     }
     assert wanted.items() <= config.items() and config["stationary"] == ["head"]

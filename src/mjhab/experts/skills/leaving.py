@@ -12,16 +12,17 @@ from mjhab.experts.planning import approach
 
 Motion = motion.Motion
 STILL_SPEED = 0.01
-"""Largest speed of a link at rest [m/s or rad/s]; until the arm is at rest it moves by 2 % of its range."""
+"""Largest closing speed of a link that may be let go [m/s or rad/s]; until the arm is at rest it moves by 2 % of its
+range. One that still opens a little does no harm."""
 STILL_STEPS = 12
-"""Control steps for which the hand holds a handle until its link is at rest."""
+"""Control steps for which the hand holds a handle until its link closes no more."""
 
 
 def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
-    """Stand still until a link is at rest, or for `STILL_STEPS` control steps."""
+    """Stand still until a link closes no more, or for `STILL_STEPS` control steps."""
 
     def still(view: WorldView) -> bool:
-        return abs(view.link_speed(link.id)) <= STILL_SPEED
+        return view.link_speed(link.id) >= -STILL_SPEED
 
     return (yield from motion.hold(view, STILL_STEPS, gripper=gripper, until=still))
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +21,7 @@ from gymnasium.wrappers.vector import FlattenObservation as VectorFlattenObserva
 from gymnasium.wrappers.vector import NumpyToTorch as VectorNumpyToTorch
 
 import mjhab
+from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
 from mjhab.core.typed.frozen import FrozenMap
 from mjhab.data.record.recorder import Recorder
@@ -33,7 +36,7 @@ from mjhab.envs.wrappers import FlattenStatePixels, FrameStack, NormalizeImages
 ENV_ID = "mjhab/CloseSubtaskTrain-v1"
 TARGET = "kitchen_counter/drawer3"
 OPTIONS: dict[str, Any] = {"target": TARGET, "home": "builtin_m0_00", "threads": 1}
-OBJECTS = ("events", "ended", "instruction", "episode_spec")
+OBJECTS = ("events", "ended", "instruction", "episode_spec", "reward_mode")
 
 
 def build(**options: Any) -> SequentialTaskEnv:
@@ -317,6 +320,70 @@ def test_other_libraries_see_that_gymnasium_made_the_classes() -> None:
     """skrl's wrap_env looks at the direct bases."""
     for kind in (SequentialTaskEnv, DeviceEnv, SingleEnv):
         assert any(base.__module__.startswith("gymnasium.") for base in kind.__bases__)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "here"),
+    [
+        ("obs_mode", "segmentation", "'seg'"),
+        ("obs_mode", "rgb+segmentation", "'seg'"),
+        ("obs_mode", "state_dict", "obs_keys='nested'"),
+        ("shader_dir", "default", "Leave it out"),
+        ("sensor_configs", {"width": 64}, "camera_size=128"),
+        ("max_episode_steps", 200, "horizon=N"),
+        ("task_plans", [], "episodes_file='FILE'"),
+        ("spawn_data_fp", "x.pt", "spawns='FILE'"),
+        ("robot_uids", "fetch", "robot='fetch'"),
+        ("build_config_idxs", [1], "home='...'"),
+    ],
+)
+def test_spellings_of_the_original_get_its_name_here(
+    option: str, value: Any, here: str
+) -> None:
+    for make in (mjhab.make, mjhab.make_train):
+        with pytest.raises(UsageError, match="Valid names: ") as told:
+            make(**{option: value})
+        assert here in str(told.value) and "Did you mean" not in str(told.value)
+
+
+def test_the_options_are_listed_where_they_are_documented() -> None:
+    words = set(re.findall(r"\w+", mjhab.make.__doc__ or ""))
+    assert not {field.name for field in dataclasses.fields(EnvConfig)} - words
+
+
+def test_a_restored_state_can_be_observed() -> None:
+    env = build(num_envs=2, autoreset="disabled")
+    with pytest.raises(UsageError, match=r"call env\.reset"):
+        env.observe()
+    obs, _ = env.reset(seed=0)
+    same = env.observe()
+    assert set(same) == set(obs)
+    np.testing.assert_array_equal(same[STATE_KEY], obs[STATE_KEY])
+    kept = env.get_state(0)
+    moved, *_ = env.step(np.full_like(still(env), 0.5))
+    assert (moved[STATE_KEY][0] != obs[STATE_KEY][0]).any()
+    env.set_state(0, kept)
+    back = env.observe()[STATE_KEY]
+    # A restored world may differ in the last digits.
+    np.testing.assert_allclose(back[0], obs[STATE_KEY][0], atol=1e-6)
+    np.testing.assert_array_equal(back[1], moved[STATE_KEY][1])
+    one: Any = gymnasium.make(ENV_ID, **OPTIONS)
+    first, _ = one.reset(seed=0)
+    np.testing.assert_array_equal(one.unwrapped.observe()[STATE_KEY], first[STATE_KEY])
+
+
+def test_info_tells_which_reward_is_paid() -> None:
+    worlds = (
+        (mjhab.make(subtask="close", **OPTIONS), "sparse"),
+        (build(num_envs=1), "normalized_dense"),
+        (mjhab.make(subtask="close", profile="ms_hab", **OPTIONS), "sparse"),
+    )
+    for env, paid in worlds:
+        _, info = env.reset(seed=0)
+        assert info["reward_mode"].tolist() == [paid]
+        *_, reward, _, _, info = env.step(still(env))
+        assert info["reward_mode"].tolist() == [paid]
+        assert (float(reward[0]) == 0.0) == (paid == "sparse")
 
 
 def test_proprioception_holds_what_the_robot_measures() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from mjhab.core import libraries
 from mjhab.core.errors import UsageError
+from mjhab.evaluation.evaluate import EvalSpec, resolved_config
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
 from mjhab.learning.observation.depth import nearness, pooled
@@ -174,6 +175,28 @@ def test_a_checkpoint_is_a_policy_by_its_path(tmp_path: Path) -> None:
     policy = resolve_policy(str(path), fake_env(2))
     policy.reset(np.ones(2, bool))
     assert policy.act(*scene(2, 0)).shape == (2, 13)
+
+
+@pytest.mark.parametrize(
+    ("about", "warns"),
+    [
+        ({"step": 0}, True),
+        ({"step": 3}, False),
+        ({}, False),
+        # Imitation and --start train an actor before the first update of reinforcement.
+        ({"step": 0, "trained": True}, False),
+        ({"step": 0, "trained": False}, True),
+    ],
+)
+def test_a_checkpoint_that_was_never_trained_is_told(
+    about: dict[str, Any], warns: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.safetensors"
+    save_student(path, make_student(config(), layout()), about)
+    facts = inspect_policy(str(path))
+    assert ("never trained (0 updates)" in facts.caution) == warns
+    told = resolved_config(EvalSpec(policy=str(path), subtask="pick"), facts)
+    assert told.get("policy_caution", "") == facts.caution
 
 
 def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

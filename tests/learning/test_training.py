@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import signal
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import torch
 from safetensors.torch import save_file
 
 from mjhab.core.errors import UsageError
+from mjhab.data.record.generation import Standing
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import compact
 from mjhab.learning.batches import BatchSampler, take_chunks
@@ -34,9 +36,12 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
+from mjhab.learning.runs import session as sessions
+from mjhab.learning.runs.budget import EpisodeClock
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import EvaluationClock
+from mjhab.learning.runs.report import success_curves
 from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Session, open_session
@@ -400,8 +405,65 @@ def test_nan_keeps_the_last_good_checkpoint(
 
 def test_a_spent_budget_ends_training(source: Path, tmp_path: Path) -> None:
     done = train(request(source, budget_seconds=1e-6), tmp_path / "run")
-    assert done.summary["steps"] == 0
-    assert load_student(tmp_path / "run" / "student.safetensors")
+    assert done.summary["steps"] == 0 and done.summary["trained"] is False
+    # Random weights are no policy.
+    assert done.summary["checkpoint"] is None
+    assert not (tmp_path / "run" / "student.safetensors").exists()
+    more = train(request(source), tmp_path / "run", resume=True)
+    assert more.summary["steps"] == 4 and more.summary["checkpoint"]
+
+
+def test_an_episode_is_timed_after_the_first_wave() -> None:
+    clock = EpisodeClock(at_once=4)
+    # 7 episodes are of an earlier start; the first wave fills caches.
+    told = [(7, 0.0), (10, 50.0), (11, 60.0), (15, 62.0), (18, 63.5), (19, 64.0)]
+    assert [clock.seconds(*each) for each in told] == [None] * 5 + [0.5]
+
+
+def test_a_budget_that_covers_no_update_is_told_while_the_round_is_young(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The expert needs 2 s for an episode: 100 of them do not fit into 60 s, nor with 20 of evaluation into 220 s."""
+    now = [0.0]
+    monkeypatch.setattr(Logbook, "seconds", property(lambda log: now[0]))
+    monkeypatch.setattr(sessions, "layout_for", lambda _: layout())
+    tried: list[int] = []
+
+    def collect(collector: Any, wanted: Any, out: Path, tell: Any, stopped: Any) -> Any:
+        for number in range(1, wanted.episodes + 1):
+            now[0] += 2.0
+            tried.append(number)
+            standing = Standing(number, number, number, number, 0, Counter())
+            tell(standing)
+            if stopped():
+                return standing
+        return dataclasses.replace(standing, complete=True)
+
+    monkeypatch.setattr(sessions.Collector, "collect", collect)
+    monkeypatch.setattr(Session, "load_round", lambda session, _: session.load(source))
+    monkeypatch.setattr(Session, "evaluate", lambda *_, **__: 0.0)
+    asked = request(
+        source,
+        data=(),
+        config=train_config(demos=100),
+        means=Means(worlds=4),
+        eval_episodes=20,
+        round_episodes=0,
+    )
+    for budget in (60.0, 220.0):
+        now[0] = 0.0
+        tried.clear()
+        told = dataclasses.replace(asked, budget_seconds=budget)
+        early = train(told, tmp_path / "small", resume=budget > 100.0).summary
+        assert "100 episodes of the expert take 3.3 minutes" in early["shortage"]
+        assert "--budget-minutes 5 or more" in early["shortage"]
+        assert not early["trained"] and early["checkpoint"] is None
+        # A first wave, counted from the first standing, and two that are measured.
+        assert len(tried) == 1 + 3 * 4
+    now[0] = 0.0
+    enough = dataclasses.replace(asked, budget_seconds=60.0 * 6)
+    done = train(enough, tmp_path / "small", resume=True).summary
+    assert done["trained"] and "shortage" not in done
 
 
 def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -> None:
@@ -553,6 +615,31 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(
     assert summary["evaluated_samples"] == (32 if last else 24)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert f"{last or 2} episodes in homes of split {split}" in page
+    rows = TrainingFolder(tmp_path / "run", {}).read_metrics()
+    told_rows = [
+        (row["evaluation"], row["evaluated_split"], row["evaluated_episodes"])
+        for row in rows
+        if "success_once" in row
+    ]
+    assert told_rows == [("on_the_way", "train", 2)] * 3 + [("final", "val", 6)] * bool(
+        last
+    )
+    names = ["on the way, 2 episodes, train homes", "final, 6 episodes, val homes"]
+    for x in ("samples", "seconds"):
+        series = success_curves(rows, x)["data"]
+        assert [trace["name"] for trace in series] == names[: 1 + bool(last)]
+        assert [len(trace["x"]) for trace in series] == [3, 1][: 1 + bool(last)]
+        # A point of other episodes is not joined to the curve.
+        assert [trace["mode"] for trace in series][1:] == ["markers"] * bool(last)
+    assert names[0] in page and (names[1] in page) == bool(last)
+
+
+def test_rows_of_older_versions_make_one_curve() -> None:
+    rows = [
+        {"samples": n, "success_once": 0.1 * n, "evaluated_episodes": 4} for n in (1, 2)
+    ]
+    (trace,) = success_curves([*rows, {"samples": 3, "loss": 1.0}], "samples")["data"]
+    assert (trace["x"], trace["name"]) == ([1, 2], "on the way, 4 episodes")
 
 
 def test_a_resumed_run_makes_the_evaluation_that_was_interrupted(

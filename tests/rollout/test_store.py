@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,20 @@ def test_a_run_is_stored_and_read_back(tmp_path: Path) -> None:
     assert json.loads((folder.path / "config.json").read_text()) == CONFIG
     again = RunFolder.open(folder.path, CONFIG, resume=True)
     assert again.records == records and list(again.missing(8)) == [6, 7]
+
+
+@pytest.mark.parametrize(
+    ("umask", "mode"), [(0o022, 0o644), (0o027, 0o640), (0o002, 0o664)]
+)
+def test_files_of_a_run_keep_the_umask(umask: int, mode: int, tmp_path: Path) -> None:
+    before = os.umask(umask)
+    try:
+        run(RunFolder.open(tmp_path / "run", CONFIG), 1)
+        write_text(tmp_path / "summary.json", "{}")
+        for path in filter(Path.is_file, tmp_path.rglob("*")):
+            assert path.stat().st_mode & 0o777 == mode, path
+    finally:
+        os.umask(before)
 
 
 def test_each_episode_is_on_disk_when_it_ends(tmp_path: Path) -> None:

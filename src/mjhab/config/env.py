@@ -11,7 +11,13 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
-from mjhab.config.profiles import DEFAULT_PROFILE, SPAWN_RULES, Profile, profile_named
+from mjhab.config.profiles import (
+    DEFAULT_PROFILE,
+    FREE,
+    SPAWN_RULES,
+    Profile,
+    profile_named,
+)
 from mjhab.config.ranges import whole_number
 from mjhab.core.conventions.names import AXES, JOINT_ANGLES, WRAPPED, Conventions
 from mjhab.core.errors import UsageError, unknown_name
@@ -61,7 +67,8 @@ class EnvConfig:
 
     profile: name of a `profiles.Profile`. It gives values to the options whose default is OF_PROFILE, and to
     ``horizon`` if that is 0; after construction the fields hold these values. "ms_hab" refuses other values of these
-    options. robot: name of a robot, see `mjhab robots list`. task: HAB task. subtask: "" for the whole chain, or one
+    options but for ``horizon`` and ``frame_stack``.
+    robot: name of a robot, see `mjhab robots list`. task: HAB task. subtask: "" for the whole chain, or one
     kind of it, done alone to its horizon. target: restricts ``subtask`` (or the draw of targets) to an object type or a
     link; "" or "all" for any. split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``),
     or a home file. assets: a pack by name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the
@@ -236,12 +243,14 @@ class EnvConfig:
                 object.__setattr__(self, name, value)
             elif (
                 profile.binding
+                and name not in FREE
                 and (tuple(given) if isinstance(given, list) else given) != value
             ):
                 raise _contradiction(profile, name, value, given)
         if profile.binding:
             for name, value in self.overrides.items():
-                if name.partition(".")[2] in _LIMITS:
+                limit = name.partition(".")[2]
+                if limit in _LIMITS and limit not in FREE:
                     raise _contradiction(profile, name, "that of the paper", value)
 
     def _check_subtask(self, task: TaskSpec, subtask: SubtaskSpec) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 120
@@ -24,19 +24,29 @@ def shown(value: object) -> str:
     return " ".join(_REPR.repr(value).split())
 
 
-def unknown_name(kind: str, given: object, valid: Iterable[str]) -> UsageError:
+def unknown_name(
+    kind: str,
+    given: object,
+    valid: Iterable[str],
+    elsewhere: Mapping[str, str] | None = None,
+) -> UsageError:
     """Build the error for a name that is not in a closed list.
 
     Args:
         kind: what the name names, e.g. ``"task"``.
         given: the name that was asked for; whatever is no text is told as such.
         valid: every accepted name; "" is left out.
+        elsewhere: names that other projects use, and a sentence about what to give here.
     """
     names = sorted(filter(None, valid))
     if not isinstance(given, str):
         told = f"{shown(given)} ({type(given).__name__})"
         return UsageError(
             f"{kind} must be a name, got {told}. Valid names: {', '.join(names)}."
+        )
+    if elsewhere and given in elsewhere:
+        return UsageError(
+            f"unknown {kind} {shown(given)}. {elsewhere[given]} Valid names: {', '.join(names)}."
         )
     near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""

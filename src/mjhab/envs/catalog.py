@@ -32,6 +32,37 @@ class UnexpectedArgument(UsageError, TypeError):
     """Refusal of an argument that other libraries expect to be a TypeError."""
 
 
+_HOMES = (
+    "Homes are named: split='train', home='...' (or a pattern of names), assets=PACK."
+)
+_EPISODES = "Episodes are drawn by seed and index: give task and subtask, or episodes_file='FILE' in the HAB format."
+_VIEWS = "render_mode='rgb_array' gives human views; there is one way of drawing."
+OPTIONS_ELSEWHERE = {
+    "robot_uids": "Here it is robot='fetch'.",
+    "sensor_configs": "Here it is camera_size=128 or (height, width), and cameras=('fetch_head', ...).",
+    "shader_dir": f"Leave it out: {_VIEWS}",
+    "human_render_camera_configs": f"Leave it out: {_VIEWS}",
+    "viewer_camera_configs": f"Leave it out: {_VIEWS}",
+    "max_episode_steps": "Here it is horizon=N, the control steps of every subtask.",
+    "task_plans": _EPISODES,
+    "task_plan_fp": _EPISODES,
+    "spawn_data_fp": "Starts are drawn by spawn_rule; spawns='FILE' of `mjhab spawns make` has precomputed ones.",
+    "scene_builder_cls": _HOMES,
+    "build_config_idxs": _HOMES,
+    "init_config_idxs": _HOMES,
+    "sim_backend": "Here it is backend='cpu' or 'warp'.",
+    "render_backend": "Here it is backend='cpu' or 'warp', for physics and images.",
+    "sim_config": "Physics is the same in all environments; only buffers=... has sizes.",
+    "reconfiguration_freq": "Leave it out: any world takes any home at its reset.",
+    "require_build_configs_repeated_equally_across_envs": "Leave it out: any world takes any home at its reset.",
+    "add_event_tracker_info": "Leave it out: info['events'] and info['ended'] are always there.",
+    "stationary_base": "Here it is stationary=('base',).",
+    "stationary_torso": "Here it is stationary=('torso',).",
+    "stationary_head": "Here it is stationary=('head',).",
+}
+"""Options of ManiSkill's and MS-HAB's environments, and what to give here."""
+
+
 def env_ids() -> dict[str, dict[str, Any]]:
     """List every Gymnasium id with its options: "mjhab/<Task>-v1" and "mjhab/<Subtask>SubtaskTrain-v1".
 
@@ -64,8 +95,21 @@ def _title(name: str) -> str:
 def make(**options: Any) -> Any:
     """Build a vector environment of a household task, or of one of its subtasks for evaluation.
 
+    Its reward is what evaluations count: "sparse" for one subtask, "pointer" for a whole task. A learner wants
+    ``reward_mode="normalized_dense"``, the default of `make_train`; ``info["reward_mode"]`` tells which one is paid.
+
     Args:
-        **options: fields of `EnvConfig`.
+        **options: fields of `EnvConfig`, which explains them.
+
+            - what is done: profile, robot, task, subtask, target
+            - where: split, home, assets, extra_objects, seed, episode_pool, spawns, spawn_rule, open_start,
+              episodes_file
+            - worlds: num_envs, threads, backend, device, starts, buffers, autoreset, joint_dynamics
+            - observations: obs_mode, cameras, camera_size, obs_keys, frame_stack, handle_points, object_axes,
+              joint_angles, render_mode
+            - actions: control_mode, base, stationary
+            - reward: reward_mode, reward_scales, reward_formula, reward_normaliser
+            - how it is judged: horizon, continuous, stillness, force_limits, overrides, navigate
 
     Returns:
         A `SequentialTaskEnv`, with backend warp a `DeviceEnv`.
@@ -80,7 +124,7 @@ def make_train(**options: Any) -> Any:
     """Build a vector environment for the training of one subtask.
 
     Args:
-        **options: fields of `TrainConfig`.
+        **options: fields of `TrainConfig`: those of `make`, with the defaults of training.
 
     Returns:
         A `SequentialTaskEnv`, with backend warp a `DeviceEnv`.
@@ -154,7 +198,7 @@ def _known(options: dict[str, Any], config: type[EnvConfig]) -> dict[str, Any]:
     names = [f.name for f in dataclasses.fields(config)]
     for name in options:
         if name not in names:
-            raise unknown_name("environment option", name, names)
+            raise unknown_name("environment option", name, names, OPTIONS_ELSEWHERE)
     return options
 
 

@@ -312,6 +312,18 @@ class TaskLoop(VectorEnv, ABC):
         self._renew(mask, self._no, episodes)
         return self._keyed(self._observe()), self.info()
 
+    def observe(self) -> dict[str, Any]:
+        """Observations (W, ...) of the present state, for instance after `set_state`, which returns none.
+
+        Raises:
+            UsageError: `reset` was never called.
+        """
+        if self.signals is None:
+            raise UsageError(
+                "there is nothing to observe before the first reset: call env.reset()."
+            )
+        return self._keyed(self._observe())
+
     def _keyed(self, obs: dict[str, Array]) -> dict[str, Any]:
         """Observations with the keys of ``config.obs_keys``: flat, nested dicts, or the state as a whole."""
         if self.config.has_flat_keys:

@@ -125,6 +125,14 @@ class SingleEnv(gymnasium.Env):
             _first(info),
         )
 
+    def observe(self) -> dict[str, Any]:
+        """The observation of the present state, for instance after `set_state`, which returns none.
+
+        Raises:
+            UsageError: ``reset`` was never called.
+        """
+        return _first(self.worlds.observe())
+
     def render(self) -> np.ndarray | None:
         """Human view (H, W, 3) uint8, or None without a render mode."""
         return self.worlds.render_world(0) if self.render_mode else None

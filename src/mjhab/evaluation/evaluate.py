@@ -423,6 +423,8 @@ def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
 def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     """Everything that determines the episodes, including the versions of mjhab and MuJoCo, as JSON data."""
     chosen: dict[str, Any] = {"policy": facts.name, **facts.identity}
+    if facts.caution:
+        chosen["policy_caution"] = facts.caution
     for f in dataclasses.fields(spec):
         if f.name not in NOT_IN_CONFIG:
             chosen[f.name] = getattr(spec, f.name)

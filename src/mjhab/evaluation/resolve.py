@@ -29,7 +29,7 @@ class PolicyFacts:
     of a run's configuration, so that episodes of two policies are never mixed. env_options: fields of `EnvConfig` that
     the policy needs, e.g. ``{"obs_mode": "depth"}``; options of the user take precedence. robot: name of the only robot
     that the policy can act with, "" if it can act with others. reads_instruction: False if the policy certainly makes
-    nothing of instructions.
+    nothing of instructions. caution: what to warn of, a sentence, "" for nothing.
     """
 
     name: str
@@ -37,6 +37,7 @@ class PolicyFacts:
     env_options: Mapping[str, Any] = field(default_factory=dict)
     robot: str = ""
     reads_instruction: bool = True
+    caution: str = ""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,11 @@ class Checkpoint:
     about: Mapping[str, Any]
     tensors: Mapping[str, Tensor]
 
+    @property
+    def is_untrained(self) -> bool:
+        """Whether its network was never updated, as far as the file tells."""
+        return not self.about.get("trained", self.about.get("step", 1))
+
 
 def save_student(path: Path, student: Student, about: Mapping[str, Any]) -> None:
     """Write the weights of a student atomically."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
-from mjhab.config.profiles import DEFAULT_PROFILE, PROFILES, profile_named
+from mjhab.config.profiles import DEFAULT_PROFILE, FREE, PROFILES, profile_named
 from mjhab.core.conventions.names import OBJECT_AXES, UNWRAPPED, Conventions
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.typed.records import read_record
@@ -303,7 +303,7 @@ NEWER_OPTIONS = frozenset({"joint_dynamics"})
 def profile_of(options: Mapping[str, Any]) -> str:
     """Name of the profile of an environment with these options of `EnvConfig`, also after a round trip through JSON.
 
-    Options that match a binding profile in everything except the horizon belong to that profile, because episodes of
+    Options that match a binding profile in everything but what it leaves free belong to that profile: episodes of
     collection may be longer than those of an evaluation, see `collection.longer`. Axes of objects do not count: data
     of older versions have others, which `observation.state` converts. Options that are younger than the data
     (`NEWER_OPTIONS`) do not count where the data do not tell them: a profile is more than these.
@@ -311,9 +311,8 @@ def profile_of(options: Mapping[str, Any]) -> str:
     told = {**asdict(Conventions.of(options)), **options}
     for profile in PROFILES.values():
         values = profile.options(str(options.get("subtask", "")), trains=False)
-        del values["horizon"], values["object_axes"]
-        for name in NEWER_OPTIONS - options.keys():
-            del values[name]
+        apart = {*FREE, "object_axes", *(NEWER_OPTIONS - options.keys())}
+        values = {name: value for name, value in values.items() if name not in apart}
         if profile.binding and all(
             _plain(told.get(name)) == _plain(value) for name, value in values.items()
         ):

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,6 +18,7 @@ from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 if TYPE_CHECKING:
+    from mjhab.learning.checkpoint import Checkpoint
     from mjhab.learning.layout import ActingEnv
 
 AND = "+"
@@ -76,7 +77,8 @@ def inspect_policy(spec: str) -> PolicyFacts:
     from mjhab.learning.checkpoint import load_checkpoint
 
     paths = members(spec)
-    layouts = [load_checkpoint(path).layout for path in paths]
+    checkpoints = [load_checkpoint(path) for path in paths]
+    layouts = [checkpoint.layout for checkpoint in checkpoints]
     reads = any(layout.inputs.sentence for layout in layouts)
     digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
     digest = digests[0]
@@ -87,7 +89,23 @@ def inspect_policy(spec: str) -> PolicyFacts:
     )
     identity = {"policy_sha256": digest, "policy_profile": layouts[0].profile}
     name = AND.join(path.stem for path in paths)
-    return PolicyFacts(name, identity, joined(spec, named), layouts[0].robot_name, reads)
+    return PolicyFacts(
+        name,
+        identity,
+        joined(spec, named),
+        layouts[0].robot_name,
+        reads,
+        _caution(paths, checkpoints),
+    )
+
+
+def _caution(paths: Sequence[Path], checkpoints: Sequence[Checkpoint]) -> str:
+    """What to warn of: networks that were never updated."""
+    pairs = zip(paths, checkpoints, strict=True)
+    random = [str(path) for path, checkpoint in pairs if checkpoint.is_untrained]
+    if not random:
+        return ""
+    return f"{', '.join(random)} has random weights: it was never trained (0 updates)."
 
 
 def build_policy(

@@ -177,7 +177,10 @@ def training(run: Path) -> dict[str, Any]:
         "minutes": round(summary["seconds"] / SECONDS_PER_MINUTE, 1),
         "cores": cores(),
         "success_once_on_the_way": [
-            row["success_once"] for row in metrics if "success_once" in row
+            row["success_once"]
+            for row in metrics
+            # The final evaluation is that of the finished policy, often in other homes.
+            if "success_once" in row and row.get("evaluation") != "final"
         ],
         "commits": sorted(commits) or [summary.get("commit", "")],
     }

@@ -258,13 +258,8 @@ def config_hash(config: Mapping[str, Any]) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` so that a reader sees the old file or the new one, never a part; all users may read it."""
-
-    def fill(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.chmod(0o644)
-
-    write_atomic(path, fill)
+    """Write ``text`` so that a reader sees the old file or the new one, never a part."""
+    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _some(names: list[str]) -> str:

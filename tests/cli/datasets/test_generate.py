@@ -192,6 +192,10 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
     ):
         with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
             make_job(generate_spec(replace(options, **change)))
+    shorter = build_stage(generate_spec(replace(options, horizon=50)))
+    assert shorter.env.config.horizon == 50 and shorter.env.config.profile == "ms_hab"
+    with pytest.raises(UsageError, match="--horizon must be at least 0"):
+        generate_spec(replace(options, horizon=-1))
     one_camera = make_job(
         generate_spec(replace(options, profile="mjhab", cameras=("fetch_hand",)))
     )

@@ -228,6 +228,41 @@ def test_an_interrupted_run_says_what_is_there(
     assert "there is no checkpoint yet" in told.err and "is kept" not in told.err
 
 
+def test_a_run_that_trained_nothing_is_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(
+        tmp_path / "shard.h5",
+        range(4),
+        FakeEnv(subtask="pick", images=True),
+        images=ImageFormat(),
+    )
+    out = tmp_path / "run"
+    words = [
+        "train",
+        "bc",
+        "--data",
+        str(tmp_path / "shard.h5"),
+        "--subtask",
+        "pick",
+        "--out",
+        str(out),
+    ]
+    words += [
+        "--set",
+        "inputs.image_size=16",
+        "inputs.cameras=fetch_head",
+        "--eval-episodes",
+        "0",
+        "--round-episodes",
+        "0",
+    ]
+    assert main([*words, "--budget-minutes", "0.000001"]) == 1
+    told = capsys.readouterr()
+    assert "the network was not trained" in told.err and "--resume" in told.err
+    assert not (out / "student.safetensors").exists()
+
+
 def test_policies_are_judged_in_homes_that_they_have_not_seen(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

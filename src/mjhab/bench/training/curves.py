@@ -16,6 +16,7 @@ from mjhab.learning.reinforcement.configs import PPO, changed, reinforcement_pre
 from mjhab.learning.reinforcement.session import ReinforcementRequest
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.collection import Scene
+from mjhab.learning.runs.run import FINAL
 from mjhab.rollout.store import write_text
 
 SCENE = Scene("set_table", "close", "kitchen_counter/drawer3")
@@ -77,7 +78,10 @@ def train_curve(
     lines = (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
     rows = [json.loads(line) for line in lines]
     return [
-        (row["samples"], row["success_once"]) for row in rows if "success_once" in row
+        (row["samples"], row["success_once"])
+        for row in rows
+        # The final evaluation is of the best actor, in other homes.
+        if "success_once" in row and row.get("evaluation") != FINAL
     ]
 
 

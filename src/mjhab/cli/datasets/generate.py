@@ -41,6 +41,10 @@ def generate_spec(options: GenerateOptions) -> GenerateSpec:
         UsageError: a name is unknown, a number out of range, or a filter invalid.
     """
     at_least("workers", options.workers, 1)
+    at_least("horizon", options.horizon, 0)
+    env = profile_options(options)
+    if options.horizon:
+        env["horizon"] = options.horizon
     return GenerateSpec(
         out=options.out,
         policy=options.policy,
@@ -54,7 +58,7 @@ def generate_spec(options: GenerateOptions) -> GenerateSpec:
         assets=options.assets,
         navigate=options.navigate,
         until=options.until,
-        env=profile_options(options),
+        env=env,
         per_target=options.per_target,
         per_label=options.per_label,
         episodes=options.episodes,

@@ -82,6 +82,7 @@ def eval_spec(options: EvalOptions) -> EvalSpec:
         "obs_mode": options.obs,
         "control_mode": options.control,
         "camera_size": options.camera_size,
+        "horizon": options.horizon or None,
     }
     given = {name: value for name, value in asked.items() if value is not None}
     return EvalSpec(
@@ -195,6 +196,9 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
             f"mjhab: values of the policy's actions out of range, which were clipped: {columns}",
             file=sys.stderr,
         )
+    caution = run.config.get("policy_caution")
+    if caution:
+        print(f"mjhab: {caution}", file=sys.stderr)
     if options.json:
         print_json(summary)
         return

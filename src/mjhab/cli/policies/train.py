@@ -63,17 +63,28 @@ DAGGER_NUMBERS = {
 }
 """Field of `DaggerConfig` that an option sets, and its least value."""
 SECONDS_PER_MINUTE = 60.0
+UNTRAINED = (
+    "the network was not trained: the budget ended before its first update. The same command with --resume and a "
+    "larger --budget-minutes goes on."
+)
 HELD_OUT = "val"
 """Split of the homes that nothing is trained in and policies are judged in."""
 
 
 def run_train(options: RunOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (a checkpoint is kept, if training had begun)."""
+    """Run the command.
+
+    Returns:
+        0; 130 after Ctrl-C or SIGTERM (a checkpoint is kept, if training had begun); 1 if the network was never
+        updated.
+    """
     require_learn()
     with sigterm_interrupts():
         result = _train(options)
     _tell(options, result)
-    return 130 if result.interrupted else 0
+    if result.interrupted:
+        return 130
+    return 0 if result.summary["trained"] else 1
 
 
 def _train(options: RunOptions) -> TrainingResult:
@@ -303,6 +314,8 @@ def _tell(options: RunOptions, result: TrainingResult) -> None:
     summary = result.summary
     if result.interrupted:
         print(f"mjhab: interrupted; {_kept(options.out, summary)}", file=sys.stderr)
+    elif not summary["trained"]:
+        print(f"mjhab: {summary.get('shortage', UNTRAINED)}", file=sys.stderr)
     if options.json:
         print_json(summary)
         return
@@ -315,11 +328,6 @@ def _tell(options: RunOptions, result: TrainingResult) -> None:
             f"success once {100 * success:.1f} % of {summary['episodes']} episodes in homes of split "
             f"{summary['split']} ({interval}), at end {100 * summary['success_at_end']:.1f} %, "
             f"{minutes:.1f} minutes"
-        )
-    if not summary["trained"]:
-        print(
-            "mjhab: the network was not trained: the run ended before its first update.",
-            file=sys.stderr,
         )
     print(f"student: {summary['checkpoint'] or 'no checkpoint yet'}")
     print(f"report: {result.report}")

@@ -25,6 +25,13 @@ OBS_MODES: dict[str, tuple[str, ...]] = {
 }
 """Observation modes and the images that each adds to the state. Modes can be combined by "+", as in "rgbd+seg".
 "proprioception" reduces the state to what the robot's own sensors measure, as in "proprioception+rgbd"."""
+MODES_ELSEWHERE = {
+    "segmentation": "Here it is 'seg', as in 'rgbd+seg'.",
+    "state_dict": "Here 'state' has the state and its parts; obs_keys='nested' makes nested dicts of them.",
+    "sensor_data": "Here images are named: 'rgbd', or several joined by '+'.",
+    "none": "Here the smallest one is 'proprioception'.",
+}
+"""Observation modes of ManiSkill and MS-HAB, and what they are here."""
 MIN_SIZE = 8
 """Smallest image side [px]."""
 
@@ -59,7 +66,7 @@ def mode_outputs(mode: str) -> tuple[str, ...]:
     wanted = set[str]()
     for part in mode.split("+"):
         if part not in OBS_MODES:
-            raise unknown_name("observation mode", part, OBS_MODES)
+            raise unknown_name("observation mode", part, OBS_MODES, MODES_ELSEWHERE)
         wanted.update(OBS_MODES[part])
     return tuple(name for name in (*CAMERA_OUTPUTS, POINTCLOUD) if name in wanted)
 

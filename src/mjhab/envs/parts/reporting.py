@@ -53,6 +53,9 @@ class Reporter:
         self._pointer = np.full(num_worlds, -1, np.int64)
         self._specs = np.full(num_worlds, None, object)
         self._sentences = np.full(num_worlds, "", object)
+        self._paid = np.full(num_worlds, config.reward, object)
+        # The same array is in every info.
+        self._paid.setflags(write=False)
 
     def describe(
         self, world: int, episode: Episode | None, plan: TaskPlan
@@ -73,7 +76,7 @@ class Reporter:
         plans: Sequence[TaskPlan],
         pointer: np.ndarray,
     ) -> dict[str, np.ndarray]:
-        """Make the entries "episode_spec" and "instruction" of `info`.
+        """Make the entries "episode_spec", "instruction" and "reward_mode" of `info`.
 
         Args:
             episodes: (W,) episodes.
@@ -81,7 +84,8 @@ class Reporter:
             pointer: (W,) int64 index of the active subtask.
 
         Returns:
-            New (W,) arrays of objects: descriptions of the episodes, and sentences of the active subtasks.
+            (W,) arrays of objects: descriptions of the episodes, sentences of the active subtasks, and the mode of the
+            reward that is paid.
         """
         moved = pointer != self._pointer
         if may_hold(moved) or not all(map(operator.is_, plans, self._told)):
@@ -89,7 +93,11 @@ class Reporter:
                 if moved[world] or self._told[world] is not plan:
                     self._tell(world, episodes[world], plan, int(pointer[world]))
             self._pointer = pointer.copy()
-        return {"instruction": self._sentences.copy(), "episode_spec": self._specs.copy()}
+        return {
+            "instruction": self._sentences.copy(),
+            "episode_spec": self._specs.copy(),
+            "reward_mode": self._paid,
+        }
 
     def _tell(
         self, world: int, episode: Episode | None, plan: TaskPlan, pointer: int

@@ -155,10 +155,9 @@ def _frames_of(env: VectorEnv, wanted: int | None) -> int:
     configured = getattr(config, "frame_stack", 1)
     if wanted is None or configured in (1, wanted):
         return configured if wanted is None else wanted
-    profile = getattr(config, "profile", "")
     raise UsageError(
-        f"FrameStack: the environment (profile {profile!r}) has frame_stack {configured}, which num_stack={wanted} "
-        "contradicts. Leave out num_stack, or make the environment with another profile."
+        f"FrameStack: the environment has frame_stack {configured}, which num_stack={wanted} contradicts. "
+        f"Leave out num_stack, or make the environment with frame_stack={wanted}."
     )
 
 

@@ -38,7 +38,12 @@ from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.collection import Means, Scene
 from mjhab.learning.runs.defaults import FILMED_EPISODES
-from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
+from mjhab.learning.runs.evaluation import (
+    EvaluationClock,
+    Evaluations,
+    Judgement,
+    judgement_row,
+)
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
 from mjhab.learning.students.bc import BehaviourCloning
@@ -308,6 +313,11 @@ class ReinforcementSession:
         if self.standing.trained and not distributed.rank():
             self.save_actor(actor)
 
+    def drop_untrained(self) -> None:
+        """Delete the student checkpoint if it holds random weights: they are no policy."""
+        if not self.standing.trained and not distributed.rank():
+            self.folder.student.unlink(missing_ok=True)
+
     def time_shares(self) -> dict[str, float]:
         """Fractions of the wall time since this process started: env, learner, evaluation, other (acting, files)."""
         parts = {
@@ -326,6 +336,7 @@ class ReinforcementSession:
             "algorithm": self.config.algorithm,
             "step": self.standing.updates,
             "samples": self.standing.samples,
+            "trained": self.standing.trained,
             "scene": vars(self.scene),
             "seed": self.request.seed,
         }
@@ -401,9 +412,8 @@ class ReinforcementSession:
             self.standing.updates,
             self.standing.samples,
             {
-                "success_once": once,
+                **judgement_row(once, episodes, split, last),
                 "success_at_end": at_end,
-                "evaluated_episodes": episodes,
             },
         )
         return once if self.config.keep_best_by == ONCE else at_end

@@ -56,6 +56,7 @@ def train_reinforcement(
             session.keep_last(run.actor)
             interrupted = True
         finally:
+            session.drop_untrained()
             summary = summarize(session)
             session.folder.write_summary(summary)
             page = render_training_report(

@@ -94,6 +94,11 @@ class Means:
     workers: int = 1
     threads: int = 0
 
+    @property
+    def at_once(self) -> int:
+        """Number of episodes that run at the same time."""
+        return self.worlds * self.workers
+
 
 def make_env(
     scene: Scene, view: dict[str, Any], means: Means, collected: Round | None = None

@@ -9,6 +9,7 @@ from typing import Any
 
 from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
 from mjhab.learning.runs.collection import Means, Scene
+from mjhab.learning.runs.run import FINAL, ON_THE_WAY
 from mjhab.reports.metrics import mean, wilson
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
@@ -102,6 +103,25 @@ class Judgement:
             "episodes": len(records),
             "evaluated_samples": self.samples,
         }
+
+
+def judgement_row(
+    success_once: float, episodes: int, split: str, last: bool
+) -> dict[str, Any]:
+    """What metrics.jsonl tells of an evaluation: success, and of what it is the success.
+
+    Args:
+        success_once: share of the episodes.
+        episodes: their number, of all scenes.
+        split: of their homes.
+        last: whether it is the final evaluation.
+    """
+    return {
+        "success_once": success_once,
+        "evaluated_episodes": episodes,
+        "evaluated_split": split,
+        "evaluation": FINAL if last else ON_THE_WAY,
+    }
 
 
 @dataclass(frozen=True)

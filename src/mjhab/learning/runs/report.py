@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mjhab.learning.runs.run import EVALUATIONS, TrainingFolder
+from mjhab.learning.runs.run import EVALUATIONS, FINAL, ON_THE_WAY, TrainingFolder
 from mjhab.reports import parts
 from mjhab.reports.metrics import labels_by_kind, rows_by_kind
 from mjhab.reports.plots import labels_figure
@@ -19,7 +19,8 @@ from mjhab.rollout.store import FILMS
 Figure = dict[str, Any]
 LINE = "#14b8a6"
 POINTS = "#f59e0b"
-"""Colours of the loss curve and of the success curves."""
+FINAL_POINTS = "#6366f1"
+"""Colours of the loss curve, of the success on the way, and of the final evaluation."""
 
 
 def render_training_report(
@@ -35,15 +36,9 @@ def render_training_report(
     """
     body = [_header(folder, summary), _cards(summary)]
     plots = {
-        "loss-plot": curve(rows, "samples", "loss", "samples", "loss", lines=True),
-        "samples-plot": curve(rows, "samples", "success_once", "samples", "success once"),
-        "time-plot": curve(
-            [_minutes(row) for row in rows],
-            "minutes",
-            "success_once",
-            "minutes",
-            "success once",
-        ),
+        "loss-plot": loss_curve(rows),
+        "samples-plot": success_curves(rows, "samples"),
+        "time-plot": success_curves([_minutes(row) for row in rows], "minutes"),
     }
     body.append(
         parts.section(
@@ -52,7 +47,10 @@ def render_training_report(
             '<div id="loss-plot"></div>',
         )
     )
-    hint = "Fraction of the evaluated episodes that succeed at least once."
+    hint = (
+        "Fraction of the evaluated episodes that succeed at least once: of the evaluations on the way, and of the "
+        "final one, which has other episodes."
+    )
     body.append(
         parts.section("Success over samples", hint, '<div id="samples-plot"></div>')
     )
@@ -88,34 +86,67 @@ def render_training_report(
     return render_page(_title(folder), "\n".join(filter(None, body)), {"plots": plots})
 
 
-def curve(
-    rows: Sequence[Mapping[str, Any]],
-    x: str,
-    y: str,
-    x_title: str,
-    y_title: str,
-    lines: bool = False,
-) -> Figure:
-    """Plot key ``y`` over key ``x`` of the rows that have both; without ``lines`` it is a rate from 0 to 1."""
-    points = [(row[x], row[y]) for row in rows if x in row and y in row]
+def loss_curve(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """The loss over the samples."""
+    told = [row for row in rows if "loss" in row]
     trace = {
-        "x": [point[0] for point in points],
-        "y": [point[1] for point in points],
+        "x": [row["samples"] for row in told],
+        "y": [row["loss"] for row in told],
         "type": "scatter",
-        "mode": "lines" if lines else "lines+markers",
-        "line": {"color": LINE if lines else POINTS, "width": 2},
+        "mode": "lines",
+        "line": {"color": LINE, "width": 2},
     }
-    y_axis = (
-        {"title": {"text": y_title}}
-        if lines
-        else {"title": {"text": y_title}, "range": [0, 1]}
-    )
-    # Around a single value plotly would draw an axis of its own making.
-    x_axis = {"title": {"text": x_title}, "rangemode": "tozero"}
+    return _figure([trace], "samples", {"title": {"text": "loss"}})
+
+
+def success_curves(rows: Sequence[Mapping[str, Any]], x: str) -> Figure:
+    """Success once over key ``x``: a series for each kind of evaluation, in homes of one split, of as many episodes.
+
+    Evaluations of other episodes make no curve together.
+    """
+    series: dict[tuple[str, str, int], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        if "success_once" in row and x in row:
+            # Runs of older versions do not tell which evaluation it was, and where.
+            kind = row.get("evaluation", ON_THE_WAY)
+            split = row.get("evaluated_split", "")
+            episodes = int(row.get("evaluated_episodes", 0))
+            series.setdefault((kind, split, episodes), []).append(row)
+    traces = [_success_series(name, points, x) for name, points in series.items()]
+    axis = {"title": {"text": "success once"}, "range": [0, 1]}
+    figure = _figure(traces, x, axis)
+    figure["layout"] |= {"showlegend": True, "legend": {"orientation": "h", "y": 1.16}}
+    return figure
+
+
+def _success_series(
+    name: tuple[str, str, int], points: Sequence[Mapping[str, Any]], x: str
+) -> dict[str, Any]:
+    kind, split, episodes = name
+    words = [
+        kind.replace("_", " "),
+        f"{episodes} episodes" if episodes else "",
+        f"{split} homes" if split else "",
+    ]
+    final = kind == FINAL
+    color = FINAL_POINTS if final else POINTS
     return {
-        "data": [trace],
-        "layout": {"height": 320, "xaxis": x_axis, "yaxis": y_axis},
+        "x": [row[x] for row in points],
+        "y": [row["success_once"] for row in points],
+        "name": ", ".join(filter(None, words)),
+        "type": "scatter",
+        "mode": "markers" if final else "lines+markers",
+        "line": {"color": color, "width": 2},
+        "marker": {"color": color, "size": 11 if final else 6}
+        | ({"symbol": "diamond"} if final else {}),
     }
+
+
+def _figure(traces: list[dict[str, Any]], x: str, y_axis: dict[str, Any]) -> Figure:
+    # Around a single value plotly would draw an axis of its own making.
+    x_axis = {"title": {"text": x}, "rangemode": "tozero"}
+    layout = {"height": 320, "xaxis": x_axis, "yaxis": y_axis}
+    return {"data": traces, "layout": layout}
 
 
 def flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:

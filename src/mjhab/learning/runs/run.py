@@ -49,6 +49,10 @@ REFRESH_SECONDS = 0.5
 """Shortest time between two updates of the table in the terminal [s]."""
 
 
+ON_THE_WAY = "on_the_way"
+FINAL = "final"
+"""Which evaluation a row of metrics.jsonl tells of ("evaluation"): one during training, or that of the finished policy.
+"""
 WORK = (f"*{SUFFIX}", "*.h5", "*.jsonl", "complete.json", "row.json")
 """Files of a run that cost time to make, below its folder; metrics.jsonl counts if it has a line."""
 
@@ -214,19 +218,23 @@ class Logbook:
         """CPU time of the run in this process and in workers that have ended, earlier starts included [s]."""
         return _cpu_seconds() - self._cpu_began
 
-    def report(self, step: int, samples: int, numbers: Mapping[str, float]) -> None:
-        """Log metrics after ``step`` updates and ``samples`` samples."""
+    def report(self, step: int, samples: int, numbers: Mapping[str, float | str]) -> None:
+        """Log metrics after ``step`` updates and ``samples`` samples; texts go into metrics.jsonl alone."""
         row = {"step": step, "samples": samples, "seconds": round(self.seconds, 2)}
         row |= {"cpu_seconds": round(self.cpu_seconds, 2), **numbers}
         self.rows.append(row)
         self._file.write(json.dumps(row) + "\n")
         self._file.flush()
+        shown = {"updates": f"{step:,}", "samples": f"{samples:,}"}
+        # The final evaluation has curves of its own: its episodes are others.
+        group = "final/" if numbers.get("evaluation") == FINAL else ""
         for name, value in numbers.items():
-            self._board.add_scalar(name, value, step)
-        self.show(
-            {"updates": f"{step:,}", "samples": f"{samples:,}"}
-            | {k: f"{v:.4g}" for k, v in numbers.items()}
-        )
+            if isinstance(value, str):
+                shown[name] = value
+            else:
+                self._board.add_scalar(f"{group}{name}", value, step)
+                shown[name] = f"{value:.4g}"
+        self.show(shown)
 
     def show(self, words: Mapping[str, str]) -> None:
         """Set rows of the table in the terminal, by name."""

@@ -24,8 +24,14 @@ from mjhab.learning.checkpoint import (
 from mjhab.learning.demos import Demonstrations, load_demonstrations
 from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.layout import Layout
+from mjhab.learning.runs.budget import EpisodeClock, RoundNeeds
 from mjhab.learning.runs.collection import Collector, Round, Scene
-from mjhab.learning.runs.evaluation import EvaluationClock, Evaluations, Judgement
+from mjhab.learning.runs.evaluation import (
+    EvaluationClock,
+    Evaluations,
+    Judgement,
+    judgement_row,
+)
 from mjhab.learning.runs.interrupts import held_interrupts
 from mjhab.learning.runs.request import Request, layout_for, resolved_config
 from mjhab.learning.runs.run import Logbook, TrainingFolder
@@ -107,6 +113,9 @@ class Session:
         ]
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
         self._saved_at = time.perf_counter()
+        self.shortage = ""
+        """What the run needs, if its time budget ends before its first update; "" while it does not."""
+        self._collecting_since = 0.0
         self._clock = EvaluationClock(request.budget_seconds)
 
     # -- data --------------------------------------------------------------------------------------------------------
@@ -143,8 +152,10 @@ class Session:
 
         Raises:
             OutOfTime: the time budget ended before they were complete.
+            BudgetTooSmallError: it will end before the first update.
         """
         began = time.perf_counter()
+        self._collecting_since = self.log.seconds
         tried = 0
         kept = 0
         for scene, collector in zip(self.scenes, self.collectors, strict=True):
@@ -152,8 +163,13 @@ class Session:
             if len(self.scenes) > 1:
                 phase += f", {scene.name}"
 
-            def tell(now: Standing, phase: str = phase) -> None:
+            pace = EpisodeClock(self.request.means.at_once)
+
+            def tell(
+                now: Standing, phase: str = phase, pace: EpisodeClock = pace
+            ) -> None:
                 self.log.show({"phase": f"{phase}: {now.tried}/{wanted.episodes}"})
+                self._check_budget(wanted, pace.seconds(now.tried, self.log.seconds))
 
             self.log.show({"phase": phase})
             out = self.place(self.folder.data(wanted.number), scene)
@@ -173,6 +189,26 @@ class Session:
             "collection_seconds": round(time.perf_counter() - began, 2),
         }
         self.log.report(self.trainer.step, self.progress.samples, numbers)
+
+    def _check_budget(self, wanted: Round, seconds: float | None) -> None:
+        """Refuse a budget in which the first round would end without an update.
+
+        Args:
+            wanted: the round that is being collected.
+            seconds: wall time of one of its episodes [s], None while it is not known.
+
+        Raises:
+            BudgetTooSmallError: it tells what is needed.
+        """
+        if seconds is None or self.trainer.step:
+            return
+        episodes = len(self.scenes) * wanted.episodes
+        judged = self._episodes_to_judge()
+        self._clock.guess(len(self.scenes) * seconds)
+        reserved = self._clock.reserve(judged)
+        evaluated = len(self.scenes) * judged
+        needs = RoundNeeds(episodes, seconds, self._collecting_since, evaluated, reserved)
+        needs.check(self.request.budget_seconds)
 
     def sampler(self, new_share: float) -> BatchSampler:
         """Sampler of batches from the loaded data; ``new_share`` is the fraction from the newest demonstrations."""
@@ -246,11 +282,13 @@ class Session:
     def _out_of_time(self) -> bool:
         """Whether the rest of the time budget is needed for the final evaluation."""
         budget = self.request.budget_seconds
-        episodes = self.request.eval_episodes
-        if not self.progress.evaluated:
-            episodes += self.request.round_episodes
-        reserve = self._clock.reserve(episodes)
+        reserve = self._clock.reserve(self._episodes_to_judge())
         return bool(budget) and self.log.seconds + reserve > budget
+
+    def _episodes_to_judge(self) -> int:
+        """Number of episodes of every scene whose evaluation the time budget must still cover."""
+        first = 0 if self.progress.evaluated else self.request.round_episodes
+        return self.request.eval_episodes + first
 
     def next_round(self) -> None:
         """Begin the next round."""
@@ -268,7 +306,9 @@ class Session:
             "fitted": self.fitted,
         }
         save_training(self.folder.training, self.trainer, about)
-        self.save_student(self.folder.student)
+        # Random weights are no policy.
+        if self.trainer.step:
+            self.save_student(self.folder.student)
         self._saved_at = time.perf_counter()
 
     def save_student(self, path: Path) -> None:
@@ -308,11 +348,8 @@ class Session:
         success = float(self.judged.summary()["success_once"])
         self.progress.evaluated.append(self.trainer.step)
         self.save()
-        numbers: dict[str, float] = {
-            "success_once": success,
-            "evaluated_episodes": len(self.judged.records),
-            "round": self.progress.round,
-        }
+        numbers = judgement_row(success, len(self.judged.records), split, last)
+        numbers["round"] = self.progress.round
         if len(found) > 1:
             numbers |= {f"success_once/{row}": rate for row, rate in by_row.items()}
         self.log.report(self.trainer.step, self.progress.samples, numbers)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.data.record.provenance import source_commit
+from mjhab.learning.runs.budget import BudgetTooSmallError
 from mjhab.learning.runs.dagger import train_dagger
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.request import Request
@@ -73,7 +74,7 @@ def summarize(session: Session) -> dict[str, Any]:
 
     ``split``, ``success_once``, ``interval``, ``success_at_end``, ``episodes`` and ``rows`` come from one evaluation,
     the latest complete one. ``checkpoint`` is None while there is none; ``trained`` tells whether the network was ever
-    updated.
+    updated, and ``shortage`` what a budget lacks that ends before the first update.
     """
     dagger = session.request.config.dagger
     judged = session.judged
@@ -86,6 +87,7 @@ def summarize(session: Session) -> dict[str, Any]:
         "cpu_seconds": round(session.log.cpu_seconds, 1),
         "checkpoint": session.folder.kept_student,
         "trained": session.trainer.step > 0,
+        **({"shortage": session.shortage} if session.shortage else {}),
         **judged.summary(),
         "rows": [
             {"row": row, "success_once": rate, "episodes": len(judged.rows[row])}
@@ -109,3 +111,6 @@ def _learn(session: Session) -> None:
             train_supervised(session)
     except OutOfTime:
         session.log.show({"phase": "the budget is spent"})
+    except BudgetTooSmallError as error:
+        session.log.show({"phase": "the budget is too small"})
+        session.shortage = str(error)

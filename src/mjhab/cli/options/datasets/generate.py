@@ -69,6 +69,8 @@ class GenerateOptions(MemoryOptions, PolicyProfileOptions):
     """Format of colour images; png is lossless."""
     no_states: bool = False
     """Leave out positions and velocities: files are smaller, but images cannot be rendered later."""
+    horizon: Number = 0
+    """Control steps of 50 ms after which a subtask ends; 0 for those of the task."""
     reward: Annotated[str, tyro.conf.arg(metavar="MODE")] = ""
     """Reward to store, e.g. dense with all its terms; that of an evaluation if absent."""
     workers: Number = 1

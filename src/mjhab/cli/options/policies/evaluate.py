@@ -59,6 +59,8 @@ class EvalOptions(ServedOptions, MemoryOptions, PolicyProfileOptions):
     """Number of episodes, with indices 0 to N-1. The same index is the same episode for every policy."""
     worlds: Number = 8
     """Number of parallel episodes. Changes the speed, never the results."""
+    horizon: Number = 0
+    """Control steps of 50 ms after which a subtask ends; 0 for those of the task."""
     seed: Number = 0
     """Seed of the run; seed and index determine an episode. The global generators of numpy, torch and Python begin from
     it, too, for policies that draw from them."""

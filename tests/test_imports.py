@@ -56,6 +56,9 @@ HEAVY: dict[str, frozenset[str]] = {
     ),
     "safetensors": frozenset({"learning"}),
     "h5py": frozenset({"data"}),
+    "filelock": frozenset({"core"}),
+    "platformdirs": frozenset({"core"}),
+    "huggingface_hub": frozenset({"assets"}),
     "msgpack": frozenset({"serving"}),
     "vla_eval": frozenset({"integrations"}),
     "websockets": frozenset({"serving", "viewer"}),
@@ -123,6 +126,27 @@ def test_file_imports_only_what_its_package_may(path: Path) -> None:
             assert (
                 parts[0] != "torch" or package != "envs" or path.parent.name == "device"
             ), f"torch in {path}"
+
+
+LINUX_ONLY = {
+    "core/files/locking.py": {"fcntl"},
+    "core/machine.py": {"/proc", "sched_getaffinity"},
+}
+"""What other systems lack, and the one file that names it; that file does without where it is missing."""
+LINUX_MODULES = {"fcntl", "grp", "pwd", "resource", "termios"}
+
+
+def test_what_only_linux_has_is_named_in_one_file_each() -> None:
+    for path in FILES:
+        tree = syntax_of(path.read_text(encoding="utf-8"))
+        named = LINUX_MODULES.intersection(imported(path))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and node.attr == "sched_getaffinity":
+                named.add(node.attr)
+            elif isinstance(node, ast.Constant) and str(node.value).startswith("/proc/"):
+                named.add("/proc")
+        allowed = LINUX_ONLY.get(path.relative_to(SOURCE).as_posix(), set())
+        assert named <= allowed, f"{path} names {sorted(named - allowed)}"
 
 
 def module_of(path: Path) -> str:

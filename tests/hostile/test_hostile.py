@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import os
+import pwd
 import random
 import subprocess
 import sys
@@ -147,10 +148,11 @@ def test_a_cache_that_cannot_be_written_is_replaced_with_one_warning(
 def test_a_user_without_a_home_has_a_temporary_cache_and_is_told_where_data_sets_go(
     own_cache: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    def unknown() -> Path:
-        raise RuntimeError("Could not determine home directory.")
+    def unknown(user: int) -> None:
+        raise KeyError(f"getpwuid(): uid not found: {user}")
 
-    monkeypatch.setattr(Path, "home", unknown)
+    monkeypatch.setenv("HOME", "")
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
     for variable in ("MJHAB_ASSETS", "XDG_DATA_HOME"):
         monkeypatch.delenv(variable, raising=False)
     assert cache_dir() == cache_dir() and cache_dir().is_dir()

@@ -1,13 +1,15 @@
-"""What the machine offers."""
+"""What the machine offers; the one module that reads what Linux alone tells."""
 
 from __future__ import annotations
 
 import importlib.util
 import os
+import platform
 import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -84,19 +86,36 @@ def gpu_name() -> str | None:
     return names[0].strip() if names else None
 
 
+def resident_mb() -> float:
+    """Memory of this process that is in RAM [MB]; 0 where the system does not tell."""
+    return round(next(_fields("/proc/self/status", "VmRSS"), 0.0), 1)
+
+
+def processor() -> str:
+    """Name of the processor as reported by the system."""
+    lines = _read("/proc/cpuinfo").splitlines()
+    names = (
+        line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+    )
+    return next(names, platform.processor())
+
+
 def available_mb() -> float | None:
     """Memory [MB] this process may still take: free memory, less if a container allows less; None if unknown."""
-    found = [
-        int(line.split()[1]) / 1024
-        for line in _read("/proc/meminfo").splitlines()
-        if line.startswith("MemAvailable:")
-    ]
+    found = list(_fields("/proc/meminfo", "MemAvailable"))
     for limit, used in _CGROUP:
         top = _read(limit).strip()
         now = _read(used).strip()
         if top.isdigit() and now.isdigit():
             found.append((int(top) - int(now)) / 2**20)
     return min(found, default=None)
+
+
+def _fields(path: str, name: str) -> Iterator[float]:
+    """Values [MB] of the lines ``name: 123 kB`` of a file of the system."""
+    for line in _read(path).splitlines():
+        if line.startswith(f"{name}:"):
+            yield int(line.split()[1]) / 1024
 
 
 def _read(path: str) -> str:

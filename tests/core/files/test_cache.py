@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjhab.core.files.cache import read_cached
+from mjhab.core.files.cache import _wanted_dir, assets_dir, read_cached
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.rosters import roster
 from mjhab.layout.compile import compile_home, model_path
@@ -19,6 +19,37 @@ from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin.homes import make_home
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
+
+
+@pytest.mark.parametrize(
+    ("given", "cache", "assets"),
+    [
+        ({}, "/home/me/.cache/mjhab", "/home/me/.local/share/mjhab/assets"),
+        (
+            {"XDG_CACHE_HOME": "/c", "XDG_DATA_HOME": "/d"},
+            "/c/mjhab",
+            "/d/mjhab/assets",
+        ),
+        (
+            {"XDG_CACHE_HOME": "/c", "MJHAB_CACHE": "mine", "MJHAB_ASSETS": "/a"},
+            "mine",
+            "/a",
+        ),
+    ],
+)
+def test_folders_on_linux_are_those_of_earlier_versions(
+    given: dict[str, str],
+    cache: str,
+    assets: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("HOME", "/home/me")
+    for name in ("XDG_CACHE_HOME", "XDG_DATA_HOME", "MJHAB_CACHE", "MJHAB_ASSETS"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    assert (str(_wanted_dir()), str(assets_dir())) == (cache, assets)
+
 
 DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda raw: b"",

@@ -11,7 +11,13 @@ from typing import Any
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.locking import WriteLock, is_written, lock_path, refuse_if_written
+from mjhab.core.files.locking import (
+    WriteLock,
+    is_written,
+    lock_path,
+    quiet,
+    refuse_if_written,
+)
 
 
 def test_a_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
@@ -26,9 +32,12 @@ def test_a_second_writer_is_told_who_the_first_is(tmp_path: Path) -> None:
             attempt(file)
     with pytest.raises(UsageError, match="another folder"):
         WriteLock(file, tmp_path)
-    lock.release()
-    assert not is_written(file) and list(tmp_path.iterdir()) == []
-    WriteLock(file).release()
+    for _ in range(2):
+        lock.release()
+        assert not is_written(file) and list(tmp_path.iterdir()) == []
+    with WriteLock(file):
+        assert is_written(file)
+    assert not is_written(file)
 
 
 def test_the_lock_file_of_a_killed_writer_is_taken_over(tmp_path: Path) -> None:
@@ -51,6 +60,34 @@ def test_a_file_system_without_locks_goes_without(
     assert not is_written(tmp_path / "data")
     lock.release()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_is_not_taken_for_one_without_locks(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError):
+        WriteLock(tmp_path / "file" / "data")
+
+
+def test_a_system_without_flock_reads_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mjhab.core.files.locking.fcntl", None)
+    with WriteLock(tmp_path / "data"), quiet(tmp_path / "data", change=True):
+        assert not is_written(tmp_path / "data")
+
+
+def test_readers_of_a_folder_that_may_not_be_written_see_who_writes(
+    tmp_path: Path,
+) -> None:
+    """Looking takes no file and no right to write."""
+    file = tmp_path / "data"
+    with WriteLock(file):
+        lock_path(file).chmod(0o444)
+        before = lock_path(file).stat().st_mtime_ns
+        assert is_written(file) and is_written(file)
+        assert lock_path(file).stat().st_mtime_ns == before
 
 
 def test_a_glance_at_a_lock_refuses_no_writer(

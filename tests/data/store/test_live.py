@@ -10,10 +10,10 @@ import h5py
 import numpy as np
 import pytest
 
+from mjhab.core.files.locking import quiet
 from mjhab.data.store.checking import check
 from mjhab.data.store.damage import problems_in
 from mjhab.data.store.episode_data import EpisodeData
-from mjhab.data.store.locking import quiet
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.shard import ShardWriter
 from tests.data.make import numbered, one_episode
@@ -101,6 +101,6 @@ def test_without_locks_on_folders_it_goes_on(
     def refuse(*_: object) -> None:
         raise OSError(95, "Operation not supported")
 
-    monkeypatch.setattr("mjhab.data.store.locking.fcntl.flock", refuse)
+    monkeypatch.setattr("mjhab.core.files.locking.fcntl.flock", refuse)
     with quiet(tmp_path / "a.h5", change=True):
         pass

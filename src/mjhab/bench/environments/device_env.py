@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from mjhab.bench.environments.stages import (
     Stopwatch,
-    resident_mb,
     stage_seconds,
     watch_env,
 )
@@ -17,6 +16,7 @@ from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.simulation.engine import sway
 from mjhab.bench.specs import EnvBenchSpec
 from mjhab.config.profile_choice import profile_options
+from mjhab.core.machine import resident_mb
 
 if TYPE_CHECKING:
     from mjhab.envs.device.env import DeviceEnv

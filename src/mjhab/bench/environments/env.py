@@ -10,13 +10,13 @@ import numpy as np
 
 from mjhab.bench.environments.stages import (
     Stopwatch,
-    resident_mb,
     stage_seconds,
     watch_env,
 )
 from mjhab.bench.simulation.engine import measure_sps, sway
 from mjhab.bench.specs import EnvBenchSpec
 from mjhab.config.profile_choice import profile_options
+from mjhab.core.machine import resident_mb
 from mjhab.sim.backends import check_device, resolve
 
 if TYPE_CHECKING:

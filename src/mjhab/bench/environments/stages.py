@@ -71,16 +71,3 @@ class Stopwatch:
         for owner, method in self._wrapped:
             delattr(owner, method)
         return dict(self._seconds)
-
-
-def resident_mb() -> float:
-    """Memory of this process that is in RAM [MB]; 0 where the system does not tell."""
-    try:
-        with open("/proc/self/status") as status:
-            return round(
-                next(int(line.split()[1]) for line in status if line.startswith("VmRSS"))
-                / 1024,
-                1,
-            )
-    except (OSError, StopIteration):
-        return 0.0

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from mjhab.bench.environments.stages import resident_mb
 from mjhab.bench.interact.plot import interact_page
 from mjhab.bench.interact.scene import (
     CONTROL_MODE,
@@ -28,6 +27,7 @@ from mjhab.bench.specs import InteractSpec
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
 from mjhab.envs.parts.memory import WorldPictures, check_device_memory
 from mjhab.robots.controllers import make_controller

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.bench.environments.stages import resident_mb
 from mjhab.bench.specs import SoakSpec
 from mjhab.config.profile_choice import profile_options
+from mjhab.core.machine import resident_mb
 from mjhab.core.memory_cache import memory_limit_mb, memory_use
 from mjhab.core.progress import progress_bar
 

@@ -28,8 +28,9 @@ Content = TypeVar("Content")
 
 
 def cache_dir() -> Path:
-    """Folder of cached files: ``$MJHAB_CACHE``, else ``$XDG_CACHE_HOME/mjhab``, else ``~/.cache/mjhab``.
+    """Folder of cached files: ``$MJHAB_CACHE``, else the user's cache folder of the system.
 
+    That is ``$XDG_CACHE_HOME/mjhab`` or ``~/.cache/mjhab`` on Linux.
     Where that cannot be written, a temporary folder that lasts as long as this process, after one warning.
 
     Raises:
@@ -51,20 +52,17 @@ def _wanted_dir() -> Path:
     given = os.environ.get(CACHE_VARIABLE)
     if given:
         return Path(given)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else (_home() or _NO_HOME) / ".cache") / "mjhab"
+    import platformdirs  # a few ms, for nothing where the variable names a folder
 
-
-_NO_HOME = Path("/dev/null")
-"""Takes the place of a home that is not there: nothing can be made below it."""
-
-
-def _home() -> Path | None:
-    """The user's home; None for a user whom the system does not know, without $HOME."""
     try:
-        return Path.home()
+        return platformdirs.user_cache_path(_APP, appauthor=False)
     except RuntimeError:
-        return None
+        return _NO_HOME / _APP
+
+
+_APP = "mjhab"
+_NO_HOME = Path(os.devnull)
+"""Takes the place of a home that is not there: nothing can be made below it."""
 
 
 def _temporary_dir(wanted: Path, error: Exception) -> Path:
@@ -136,7 +134,9 @@ def read_cached(path: Path, read: Callable[[Path], Content]) -> Content | None:
 
 
 def assets_dir() -> Path:
-    """Folder of downloaded data sets: ``$MJHAB_ASSETS``, else ``$XDG_DATA_HOME/mjhab/assets``, else in ``~/.local``.
+    """Folder of downloaded data sets: ``$MJHAB_ASSETS``, else the user's data folder of the system.
+
+    That is ``$XDG_DATA_HOME/mjhab/assets`` or ``~/.local/share/mjhab/assets`` on Linux.
 
     Raises:
         UsageError: the user has no home.
@@ -144,15 +144,14 @@ def assets_dir() -> Path:
     given = os.environ.get("MJHAB_ASSETS")
     if given:
         return Path(given)
-    base = os.environ.get("XDG_DATA_HOME")
-    if base:
-        return Path(base) / "mjhab" / "assets"
-    home = _home()
-    if home is None:
+    import platformdirs
+
+    try:
+        return platformdirs.user_data_path(_APP, appauthor=False) / "assets"
+    except RuntimeError as error:
         raise UsageError(
             "this user has no home folder; name a folder for data sets by $MJHAB_ASSETS."
-        )
-    return home / ".local" / "share" / "mjhab" / "assets"
+        ) from error
 
 
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:

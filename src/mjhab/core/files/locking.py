@@ -1,18 +1,33 @@
-"""One writer per file or folder: advisory locks that die with their process."""
+"""One writer per file or folder, and readers that wait while it changes: advisory locks that die with their process.
+
+The one module that knows how the system locks. Writers use `filelock`. Readers ask the system itself (``flock``), since
+they need a shared lock that writes nothing: a data set may lie on a read-only disk, and two readers must not take each
+other for a writer. filelock has such a lock only as an SQLite file beside (3.4 ms per use on two busy cores; ``flock``
+on the folder takes 0.02 ms). Systems without ``flock`` go without the readers' locks.
+"""
 
 from __future__ import annotations
 
-import fcntl
+import contextlib
+import errno
 import os
 import socket
-import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
 
-_TRIES = 10
-"""Times that a writer asks for a lock: whoever looks if somebody writes holds it for an instant."""
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+_WAIT_SECONDS = 0.1
+"""Time that a writer asks for a lock: whoever looks if somebody writes holds it for an instant."""
 _PAUSE_SECONDS = 0.01
+_WITHOUT_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
+"""What a file system says that has no such locks."""
 
 
 def lock_path(path: Path) -> Path:
@@ -21,7 +36,7 @@ def lock_path(path: Path) -> Path:
 
 
 class WriteLock:
-    """Held while a file is open for writing, or a folder is being filled.
+    """Held while a file is open for writing, or a folder is being filled; a context manager.
 
     A file system without such locks goes without.
 
@@ -31,50 +46,52 @@ class WriteLock:
 
     Raises:
         UsageError: another process (or this one) is writing it.
+        OSError: no file can be made there.
     """
 
     def __init__(self, path: Path, what: Path | None = None) -> None:
-        self._path = lock_path(path)
-        left = _TRIES
-        while True:
-            self._fd = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-            try:
-                fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                owner = _owner(self._fd)
-                os.close(self._fd)
-                left -= 1
-                if not left:
-                    raise _is_taken(path, what, owner) from error
-                time.sleep(_PAUSE_SECONDS)
-                continue
-            except OSError:
-                break
-            if self._is_current():
-                break
-            # The owner before deleted the file between our two calls.
-            os.close(self._fd)
-        os.ftruncate(self._fd, 0)
-        os.pwrite(
-            self._fd, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0
-        )
+        from filelock import FileLock, Timeout  # who only reads does not pay for it
 
-    def _is_current(self) -> bool:
+        self._path = lock_path(path)
+        self._lock = FileLock(self._path, thread_local=False, fallback_to_soft=False)
         try:
-            return os.path.samestat(os.fstat(self._fd), os.stat(self._path))
-        except FileNotFoundError:
-            return False
+            self._lock.acquire(timeout=_WAIT_SECONDS, poll_interval=_PAUSE_SECONDS)
+        except Timeout as error:
+            raise _is_taken(path, what, _owner(self._path)) from error
+        except OSError as error:
+            if error.errno not in _WITHOUT_LOCKS:
+                raise
+        self._is_held = True
+        with contextlib.suppress(OSError):
+            self._path.write_text(f"process {os.getpid()} on {socket.gethostname()}\n")
+
+    def __enter__(self) -> WriteLock:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
     def release(self) -> None:
-        """Let others write. Call it once."""
+        """Let others write; a second call does nothing."""
+        if not self._is_held:
+            return
+        self._is_held = False
         # Deleted while still locked: whoever opened it meanwhile sees that its file is gone and opens a new one.
-        self._path.unlink(missing_ok=True)
-        os.close(self._fd)
+        with contextlib.suppress(OSError):
+            self._path.unlink()
+        self._lock.release()
 
 
 def is_written(path: Path) -> bool:
     """Whether some process is writing the file, or filling the folder whose lock it is, now."""
-    return _writer(path) is not None
+    try:
+        fd = os.open(lock_path(path), os.O_RDONLY)
+    except FileNotFoundError:
+        return False
+    try:
+        return not _share(fd, wait=False)
+    finally:
+        os.close(fd)
 
 
 def refuse_if_written(path: Path, what: Path | None = None) -> None:
@@ -83,30 +100,50 @@ def refuse_if_written(path: Path, what: Path | None = None) -> None:
     Raises:
         UsageError: another process (or this one) is writing it.
     """
-    owner = _writer(path)
-    if owner is not None:
-        raise _is_taken(path, what, owner)
+    if is_written(path):
+        raise _is_taken(path, what, _owner(lock_path(path)))
 
 
-def _writer(path: Path) -> str | None:
-    """Who holds the lock of a file, in words; None if nobody does."""
+@contextmanager
+def quiet(path: Path, change: bool = False) -> Iterator[None]:
+    """Lock a file for milliseconds against changes or, with ``change``, also against being opened by `quiet`.
+
+    For formats that are no valid file while they change (HDF5 may crash if it reads the index of such a file). The lock
+    is on the folder, because libraries lock the file itself for as long as they have it open.
+    """
+    if fcntl is None:
+        yield
+        return
+    fd = os.open(path.parent, os.O_RDONLY)
     try:
-        fd = os.open(lock_path(path), os.O_RDONLY)
-    except FileNotFoundError:
-        return None
-    try:
-        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return _owner(fd)
-    except OSError:
-        return None
+        if change:
+            with contextlib.suppress(OSError):
+                fcntl.flock(fd, fcntl.LOCK_EX)
+        else:
+            _share(fd, wait=True)
+        yield
     finally:
         os.close(fd)
-    return None
 
 
-def _owner(fd: int) -> str:
-    return os.pread(fd, 200, 0).decode(errors="replace").strip() or "another process"
+def _share(fd: int, wait: bool) -> bool:
+    """Take a shared lock until ``fd`` is closed; False if that would have to ``wait`` and may not."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(fd, fcntl.LOCK_SH | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            return False
+        except OSError:
+            pass  # a file system without locks
+    return True
+
+
+def _owner(lock: Path) -> str:
+    """Who wrote the lock file, in words."""
+    with contextlib.suppress(OSError):
+        said = lock.read_text(encoding="utf-8", errors="replace")[:200].strip()
+        return said or "another process"
+    return "another process"
 
 
 def _is_taken(path: Path, what: Path | None, owner: str) -> UsageError:

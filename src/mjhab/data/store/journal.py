@@ -24,7 +24,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-from mjhab.data.store.locking import quiet
+from mjhab.core.files.locking import quiet
 from mjhab.data.store.schema import DamagedError
 
 PAGE = 4096

@@ -16,7 +16,7 @@ from h5py import h5r
 
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES, Conventions
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.files.locking import is_written
+from mjhab.core.files.locking import is_written, quiet
 from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.names import check_name
 from mjhab.data.store.episode_data import (
@@ -35,7 +35,6 @@ from mjhab.data.store.hdf5 import (
 )
 from mjhab.data.store.images import MAX_FRAME_BYTES, decode
 from mjhab.data.store.journal import Overlay, committed_length, read_journal
-from mjhab.data.store.locking import quiet
 from mjhab.data.store.object_axes import headings
 from mjhab.data.store.older import (
     POSES,

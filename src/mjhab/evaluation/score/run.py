@@ -13,7 +13,7 @@ from typing import Any
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
-from mjhab.core.machine import cores
+from mjhab.core.machine import cores, processor
 from mjhab.core.seeding import stream
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.evaluation.evaluate import (
@@ -245,7 +245,7 @@ def facts_of(
 def hardware() -> dict[str, Any]:
     """Description of the machine: processor, cores, system, and the GPU if torch is loaded and finds one."""
     found: dict[str, Any] = {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": cores(),
         "system": f"{platform.system()} {platform.machine()}",
     }
@@ -365,15 +365,3 @@ def _scored(row: Row, record: EpisodeRecord, kept: Path) -> Scored:
         )
     start, _, actions = path.read_text(encoding="ascii").partition(" ")
     return Scored(row.name, dataclasses.replace(record, config_hash=""), start, actions)
-
-
-def _processor() -> str:
-    """Name of the processor as reported by the system."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [
-        line.partition(":")[2].strip() for line in lines if line.startswith("model name")
-    ]
-    return names[0] if names else platform.processor()

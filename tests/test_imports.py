@@ -233,6 +233,9 @@ def test_import_mjhab_is_light() -> None:
         "import sys, mjhab\n"
         "bad = {'torch', 'warp', 'mujoco', 'numba', 'scipy', 'trimesh', 'h5py'} & set(sys.modules)\n"
         "assert not bad, f'import mjhab loaded {bad}'\n"
+        "import mjhab.cli.worlds.assets, mjhab.rollout.store\n"
+        "bad = {'huggingface_hub', 'filelock', 'platformdirs'} & set(sys.modules)\n"
+        "assert not bad, f'{bad} before it is needed'\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import threading
 from collections import defaultdict
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -15,31 +14,32 @@ COMMIT = "0123456789abcdef0123456789abcdef01234567"
 
 
 class FakeHub:
-    """Serves one repository at one commit.
+    """Serves one data set's repository at one commit, as `huggingface_hub` asks for it.
 
     ``faults[path]``: what happens to the next requests of that file, one word each: ``cut`` (half of what was asked
-    for, then the connection closes), ``wrong`` (other bytes), ``whole`` (ranges are ignored), ``busy`` (503), ``gone``
-    (the connection closes at once). ``asked``: (path, Range header) of every request for a file.
+    for, then the connection closes), ``wrong`` (one bit is turned), ``whole`` (ranges are ignored), ``busy`` (503),
+    ``gone`` (the connection closes at once), ``silent`` (nothing comes). ``asked``: (path, Range header) of every GET
+    of a file. ``body``: sent in place of the list of files.
     """
 
     def __init__(
-        self,
-        repo: str,
-        files: dict[str, bytes],
-        lfs: tuple[str, ...] = (),
-        page: int = 1000,
+        self, repo: str, files: dict[str, bytes], lfs: tuple[str, ...] = ()
     ) -> None:
         self.repo = repo
         self.files = files
         self.lfs = lfs
-        self.page = page
+        self.body: bytes | None = None
         self.faults: defaultdict[str, list[str]] = defaultdict(list)
         self.asked: list[tuple[str, str]] = []
         self.hosts: set[str] = set()
+        self._closed = threading.Event()
         hub = self
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
+                hub.answer(self)
+
+            def do_HEAD(self) -> None:
                 hub.answer(self)
 
             def log_message(self, format: str, *args: Any) -> None:
@@ -53,6 +53,7 @@ class FakeHub:
         ).start()
 
     def close(self) -> None:
+        self._closed.set()
         self._server.shutdown()
         self._server.server_close()
 
@@ -61,55 +62,55 @@ class FakeHub:
         self.hosts.add(parts.netloc)
         path = unquote(parts.path)
         if path.startswith(f"/api/datasets/{self.repo}/revision/"):
-            self._json(request, {"sha": COMMIT})
+            rows = [self._sibling(path) for path in sorted(self.files)]
+            self._json(request, {"id": self.repo, "sha": COMMIT, "siblings": rows})
         elif path == f"/api/datasets/{self.repo}/tree/{COMMIT}":
-            self._tree(request, parts.query)
+            self._json(request, [self._row(path) for path in sorted(self.files)])
         elif path.startswith(f"/datasets/{self.repo}/resolve/{COMMIT}/"):
             self._file(request, path.split(f"/resolve/{COMMIT}/")[1])
         else:
-            request.send_error(404)
+            request.send_response(404)
+            request.send_header("X-Error-Code", "RepoNotFound")
+            request.end_headers()
 
-    def _tree(self, request: BaseHTTPRequestHandler, query: str) -> None:
-        match = re.search(r"cursor=(\d+)", query)
-        start = int(match[1]) if match else 0
-        rows = [self._row(path) for path in sorted(self.files)][start : start + self.page]
-        link = ""
-        if start + self.page < len(self.files):
-            link = f'<https://elsewhere.example/tree?recursive=true&cursor={start + self.page}>; rel="next"'
-        self._json(
-            request,
-            [{"type": "directory", "path": "d", "oid": "x", "size": 0}, *rows],
-            link,
-        )
-
-    def _row(self, path: str) -> dict[str, Any]:
+    def _hash(self, path: str) -> str:
         data = self.files[path]
         if path in self.lfs:
-            oid = hashlib.sha256(data).hexdigest()
-            return {
-                "type": "file",
-                "path": path,
-                "oid": "p",
-                "size": 130,
-                "lfs": {"oid": oid, "size": len(data)},
-            }
-        oid = hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
-        return {"type": "file", "path": path, "oid": oid, "size": len(data)}
+            return hashlib.sha256(data).hexdigest()
+        return hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
+
+    def _sibling(self, path: str) -> dict[str, Any]:
+        size = len(self.files[path])
+        row: dict[str, Any] = {"rfilename": path, "size": size, "blobId": "pointer"}
+        if path not in self.lfs:
+            return row | {"blobId": self._hash(path)}
+        return row | {
+            "lfs": {"sha256": self._hash(path), "size": size, "pointerSize": 130}
+        }
+
+    def _row(self, path: str) -> dict[str, Any]:
+        return {"type": "file", "path": path, "oid": "x", "size": len(self.files[path])}
 
     def _file(self, request: BaseHTTPRequestHandler, path: str) -> None:
-        wanted = request.headers.get("Range", "")
-        self.asked.append((path, wanted))
-        fault = self.faults[path].pop(0) if self.faults[path] else ""
+        is_head = request.command == "HEAD"
         data = self.files.get(path)
+        fault = ""
+        wanted = request.headers.get("Range", "")
+        if not is_head:
+            self.asked.append((path, wanted))
+            fault = self.faults[path].pop(0) if self.faults[path] else ""
         if data is None or fault == "busy":
             request.send_error(404 if data is None else 503)
             return
-        if fault == "gone":
+        if fault == "silent":
+            self._closed.wait()
+        if fault in ("gone", "silent"):
             request.close_connection = True
             request.connection.close()
             return
+        etag = self._hash(path)
         if fault == "wrong":
-            data = bytes(255 - b for b in data)
+            data = bytes([data[0] ^ 1]) + data[1:]
         start = (
             int(wanted.removeprefix("bytes=").rstrip("-"))
             if wanted and fault != "whole"
@@ -121,16 +122,16 @@ class FakeHub:
                 "Content-Range", f"bytes {start}-{len(data) - 1}/{len(data)}"
             )
         body = data[start:]
+        request.send_header("ETag", f'"{etag}"')
+        request.send_header("X-Repo-Commit", COMMIT)
         request.send_header("Content-Length", str(len(body)))
         request.end_headers()
-        request.wfile.write(body[: len(body) // 2] if fault == "cut" else body)
+        if not is_head:
+            request.wfile.write(body[: len(body) // 2] if fault == "cut" else body)
 
-    @staticmethod
-    def _json(request: BaseHTTPRequestHandler, value: object, link: str = "") -> None:
-        body = json.dumps(value).encode()
+    def _json(self, request: BaseHTTPRequestHandler, value: object) -> None:
+        body = json.dumps(value).encode() if self.body is None else self.body
         request.send_response(200)
         request.send_header("Content-Length", str(len(body)))
-        if link:
-            request.send_header("Link", link)
         request.end_headers()
         request.wfile.write(body)

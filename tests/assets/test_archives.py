@@ -167,7 +167,7 @@ def test_a_bundle_is_installed_without_a_network(
     tmp_path: Path, make: object, wrapper: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "mjhab.assets.transfer._open", lambda *args, **kwargs: pytest.fail("network")
+        "mjhab.assets.install.list_files", lambda *args: pytest.fail("network")
     )
     bundle = make(
         tmp_path / "bundle", {wrapper + name: data for name, data in GOOD.items()}

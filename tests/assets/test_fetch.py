@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
-import json
 import socket
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from huggingface_hub import close_session
 
-from mjhab.assets.hub import list_files
-from mjhab.assets.install import RECORD, Progress, fetch, read_record, verify
+from mjhab.assets.hub import TIMEOUT_S, TRIES, RemoteFile, TransferError
+from mjhab.assets.install import RECORD, fetch, read_record, verify
 from mjhab.assets.sources import SOURCES, hub_endpoint, source_named
-from mjhab.assets.transfer import (
-    FIRST_TIMEOUT,
-    SILENCE_COSTS,
-    TRIES,
-    Expected,
-    TransferError,
-    download,
-    pause,
-)
 from mjhab.core.errors import UsageError
+from mjhab.core.files.locking import WriteLock
 from tests.assets.hub_server import COMMIT, FakeHub
 
 SOURCE = SOURCES["replica_cad"]
@@ -40,31 +34,25 @@ FILES = {
 BIG_PATH = "objects/big.glb"
 
 
-@pytest.fixture
-def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeHub]:
-    served = FakeHub(SOURCE.repo, dict(FILES), lfs=(BIG_PATH,), page=2)
-    monkeypatch.setenv("HF_ENDPOINT", served.endpoint + "/")
+@pytest.fixture(autouse=True)
+def waits(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
+    """Pauses before another try [s], which nobody waits for; and a client of its own, which knows no proxy."""
+    asked: list[float] = []
+    monkeypatch.setattr("time.sleep", asked.append)
+    monkeypatch.setattr("huggingface_hub.constants.DOWNLOAD_CHUNK_SIZE", 1 << 10)
     for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
         monkeypatch.delenv(name, raising=False)
+    close_session()
+    yield asked
+    close_session()
+
+
+@pytest.fixture
+def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeHub]:
+    served = FakeHub(SOURCE.repo, dict(FILES), lfs=(BIG_PATH,))
+    monkeypatch.setenv("HF_ENDPOINT", served.endpoint + "/")
     yield served
     served.close()
-
-
-class Count:
-    """Counts bytes and waits, and waits for nothing."""
-
-    def __init__(self) -> None:
-        self.total = self.came = 0
-        self.waits: list[float] = []
-
-    def progress(self) -> Progress:
-        return Progress(self._total, self._step, self.waits.append)
-
-    def _total(self, count: int) -> None:
-        self.total = count
-
-    def _step(self, count: int) -> None:
-        self.came += count
 
 
 def ranges(hub: FakeHub, path: str = BIG_PATH) -> list[str]:
@@ -82,10 +70,10 @@ def no_leftovers(root: Path) -> bool:
 
 
 def test_fetch_installs_every_file_and_records_its_hash(
-    hub: FakeHub, tmp_path: Path
+    hub: FakeHub, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    count = Count()
-    assert fetch(SOURCE, tmp_path, progress=count.progress()) == tmp_path / "replica_cad"
+    assert fetch(SOURCE, tmp_path) == tmp_path / "replica_cad"
+    assert capfd.readouterr() == ("", ""), "bars are for terminals"
     assert installed(tmp_path) == FILES and no_leftovers(tmp_path)
     record = read_record(tmp_path / "replica_cad")
     assert record is not None and record["commit"] == COMMIT and record["trust"] == "hub"
@@ -94,153 +82,154 @@ def test_fetch_installs_every_file_and_records_its_hash(
         "sha256": hashlib.sha256(BIG).hexdigest(),
     }
     assert set(record["files"]) == set(FILES)
-    assert count.total == count.came == sum(map(len, FILES.values()))
     assert verify(tmp_path / "replica_cad").first_use is False
 
 
 def test_a_cut_connection_continues_where_it_broke(hub: FakeHub, tmp_path: Path) -> None:
-    hub.faults[BIG_PATH] = ["cut", "busy", "cut", "gone"]
-    count = Count()
-    fetch(SOURCE, tmp_path, progress=count.progress())
+    hub.faults[BIG_PATH] = ["cut", "cut"]
+    fetch(SOURCE, tmp_path)
     assert installed(tmp_path)[BIG_PATH] == BIG
-    half = len(BIG) // 2
-    rest = len(BIG) // 4
-    assert ranges(hub) == [
-        "",
-        f"bytes={half}-",
-        f"bytes={half}-",
-        f"bytes={half + rest}-",
-        f"bytes={half + rest}-",
-    ]
-    assert count.came == count.total
-    assert count.waits == [pause(0), pause(0)]
+    starts = [int(asked[6:-1]) for asked in ranges(hub)[1:]]
+    # What did not fill a chunk is lost.
+    assert len(BIG) // 2 - 1024 <= starts[0] <= len(BIG) // 2 < starts[1]
 
 
-def test_a_server_without_ranges_starts_again(hub: FakeHub, tmp_path: Path) -> None:
-    hub.faults[BIG_PATH] = ["cut", "whole"]
-    count = Count()
-    fetch(SOURCE, tmp_path, progress=count.progress())
-    assert installed(tmp_path)[BIG_PATH] == BIG and len(ranges(hub)) == 2
-    assert count.came == count.total
+@pytest.mark.parametrize("faults", [["busy"], ["gone"], ["cut", "whole"]])
+def test_troubles_that_pass(hub: FakeHub, tmp_path: Path, faults: list[str]) -> None:
+    hub.faults[BIG_PATH] = list(faults)
+    fetch(SOURCE, tmp_path)
+    assert installed(tmp_path) == FILES and len(ranges(hub)) == 2
 
 
 @pytest.mark.parametrize("path", [BIG_PATH, "LICENSE.txt"])
 def test_wrong_bytes_are_thrown_away(hub: FakeHub, tmp_path: Path, path: str) -> None:
     hub.faults[path] = ["wrong"]
-    fetch(SOURCE, tmp_path, progress=Count().progress())
-    assert installed(tmp_path) == FILES
-
-
-def test_a_half_of_wrong_bytes_does_not_stay(hub: FakeHub, tmp_path: Path) -> None:
-    """The hash of the whole is wrong when a resumed download began with other bytes."""
-    hub.faults[BIG_PATH] = ["wrong", "cut"]
-    part = tmp_path / ".partial" / f"replica_cad-{COMMIT[:12]}" / (BIG_PATH + ".part")
-    part.parent.mkdir(parents=True)
-    part.write_bytes(b"\xff" * 1000)
-    fetch(SOURCE, tmp_path, progress=Count().progress())
-    assert installed(tmp_path) == FILES
+    fetch(SOURCE, tmp_path)
+    assert installed(tmp_path) == FILES and len(ranges(hub, path)) == 2
 
 
 def test_a_server_of_wrong_bytes_is_given_up_and_nothing_is_installed(
     hub: FakeHub, tmp_path: Path
 ) -> None:
-    hub.faults[BIG_PATH] = ["wrong"] * 9
-    with pytest.raises(TransferError, match="other bytes than the hub lists") as caught:
-        fetch(SOURCE, tmp_path, progress=Count().progress())
-    assert BIG_PATH in str(caught.value) and "\n" not in str(caught.value)
+    hub.faults[BIG_PATH] = ["wrong"] * TRIES
+    with pytest.raises(TransferError) as caught:
+        fetch(SOURCE, tmp_path)
+    assert caught.value.what == f"{SOURCE.repo}/{BIG_PATH}"
+    assert "other bytes" in caught.value.problem
     assert not (tmp_path / "replica_cad").exists()
-    assert not list(tmp_path.rglob("big.glb*"))
+    assert not list(tmp_path.rglob("big.glb"))
 
 
 def test_a_broken_run_is_continued_by_the_next(hub: FakeHub, tmp_path: Path) -> None:
-    hub.faults[BIG_PATH] = ["cut"] + ["gone"] * TRIES
+    hub.faults[BIG_PATH] = ["gone"] * 100
     with pytest.raises(TransferError, match="the same command continues"):
-        fetch(SOURCE, tmp_path, progress=Count().progress())
+        fetch(SOURCE, tmp_path)
     assert not (tmp_path / "replica_cad").exists()
     hub.asked.clear()
-    count = Count()
-    fetch(SOURCE, tmp_path, progress=count.progress())
+    hub.faults.clear()
+    fetch(SOURCE, tmp_path)
     assert installed(tmp_path) == FILES and no_leftovers(tmp_path)
-    assert ranges(hub) == [f"bytes={len(BIG) // 2}-"]
-    assert count.came == count.total
+    assert [path for path, _ in hub.asked] == [BIG_PATH], "the others were there"
 
 
-def test_a_missing_repository_is_not_tried_again(hub: FakeHub, tmp_path: Path) -> None:
-    count = Count()
-    with pytest.raises(TransferError, match="404 Not Found: it is not there") as caught:
-        fetch(replace(SOURCE, repo="nobody/nothing"), tmp_path, progress=count.progress())
-    assert "nobody/nothing" in str(caught.value) and count.waits == []
+def test_what_was_kept_of_a_broken_run_is_checked(hub: FakeHub, tmp_path: Path) -> None:
+    hub.faults[BIG_PATH] = ["gone"] * 100
+    with pytest.raises(TransferError):
+        fetch(SOURCE, tmp_path)
+    hub.faults.clear()
+    (kept,) = (tmp_path / ".partial").rglob("LICENSE.txt")
+    kept.write_bytes(b"termz")
+    fetch(SOURCE, tmp_path)
+    assert installed(tmp_path) == FILES
 
 
-def test_a_dead_hub_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_repository_is_not_tried_again(
+    hub: FakeHub, tmp_path: Path, waits: list[float]
+) -> None:
+    with pytest.raises(TransferError) as caught:
+        fetch(replace(SOURCE, repo="nobody/nothing"), tmp_path)
+    assert caught.value.status == 404 and "nobody/nothing" in caught.value.what
+    assert "it is not there" in caught.value.problem and waits == []
+
+
+def test_no_repository_can_have_that_name(hub: FakeHub, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--repo 'a/b/c'"):
+        fetch(replace(SOURCE, repo="a/b/c"), tmp_path)
+
+
+def test_a_dead_hub_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, waits: list[float]
+) -> None:
     monkeypatch.setenv("HF_ENDPOINT", "http://127.0.0.1:9")
     monkeypatch.setenv("no_proxy", "127.0.0.1")
-    count = Count()
-    with pytest.raises(
-        TransferError, match=r"127\.0\.0\.1:9.*the connection failed.*proxy"
-    ):
-        fetch(SOURCE, tmp_path, progress=count.progress())
-    # Nobody waits long to hear that there is no network; a server that was reached gets TRIES.
-    assert sum(count.waits) + FIRST_TIMEOUT <= 5
+    with pytest.raises(TransferError) as caught:
+        fetch(SOURCE, tmp_path)
+    assert "127.0.0.1:9" in caught.value.what and caught.value.status is None
+    assert "is there a network" in caught.value.problem
+    assert "https_proxy" in caught.value.problem
+    # Nobody waits long to hear that there is no network.
+    assert waits == [] and "\n" not in str(caught.value)
 
 
 def test_a_hub_that_says_nothing_is_given_up_soon(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, waits: list[float]
 ) -> None:
-    assert FIRST_TIMEOUT * TRIES / SILENCE_COSTS <= 10
-    monkeypatch.setattr("mjhab.assets.transfer.FIRST_TIMEOUT", 0.05)
+    assert TIMEOUT_S <= 10
+    monkeypatch.setattr("mjhab.assets.hub.TIMEOUT_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         monkeypatch.setenv("HF_ENDPOINT", f"http://127.0.0.1:{silent.getsockname()[1]}")
         monkeypatch.setenv("no_proxy", "127.0.0.1")
-        count = Count()
-        with pytest.raises(
-            TransferError, match="the server says nothing, again and again"
-        ):
-            fetch(SOURCE, tmp_path, progress=count.progress())
-    assert count.waits == []
+        with pytest.raises(TransferError, match="is there a network"):
+            fetch(SOURCE, tmp_path)
+    assert waits == []
 
 
 def test_a_file_of_which_nothing_comes_is_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mjhab.assets.transfer.TIMEOUT", 0.05)
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        monkeypatch.setenv("no_proxy", "127.0.0.1")
-        url = f"http://127.0.0.1:{silent.getsockname()[1]}/file"
-        waits: list[float] = []
-        with pytest.raises(
-            TransferError, match="the server says nothing, again and again"
-        ):
-            download(url, tmp_path / "file", Expected(10), sleep=waits.append)
-    assert len(waits) == TRIES / SILENCE_COSTS - 1
-
-
-def test_a_full_disk_is_told_at_once(hub: FakeHub, tmp_path: Path) -> None:
-    waits: list[float] = []
-    _, listed = list_files(hub_endpoint(), SOURCE.repo, SOURCE.revision, waits.append)
-    (big,) = [file for file in listed if file.path == BIG_PATH]
-    (tmp_path / "big.part").symlink_to("/dev/full")
-    with pytest.raises(TransferError, match=r"big\.part cannot be written: No space"):
-        download(big.url, tmp_path / "big", big.expected, sleep=waits.append)
-    assert waits == [] and len(ranges(hub)) == 1
-
-
-def test_documents_are_bounded(
     hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.assets.transfer.MAX_DOCUMENT_MB", 1e-5)
-    count = Count()
-    with pytest.raises(TransferError, match="larger than"):
-        fetch(SOURCE, tmp_path, progress=count.progress())
-    assert count.waits == [], "it would be as large again"
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DOWNLOAD_TIMEOUT", 0.1)
+    hub.faults[BIG_PATH] = ["silent"] * 100
+    with pytest.raises(TransferError, match="is there a network"):
+        fetch(SOURCE, tmp_path)
 
 
-def test_a_list_of_files_has_an_end(
+def test_no_network_is_used_where_it_is_forbidden(
     hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.assets.hub.MAX_PAGES", 2)
-    with pytest.raises(TransferError, match="more than 2 pages"):
-        fetch(SOURCE, tmp_path, progress=Count().progress())
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    with pytest.raises(TransferError, match=r"HF_HUB_OFFLINE.*--offline"):
+        fetch(SOURCE, tmp_path)
+    assert hub.asked == []
+
+
+def test_a_full_disk_is_told_at_once(
+    hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, waits: list[float]
+) -> None:
+    class Full(io.BytesIO):
+        def write(self, data: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    opened = Path.open
+
+    def full(self: Path, *args: Any, **options: Any) -> Any:
+        is_download = self.name.endswith(".incomplete")
+        return Full() if is_download else opened(self, *args, **options)
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(TransferError, match=r"No space left.*same command continues"):
+        fetch(SOURCE, tmp_path)
+    assert waits == [] and not (tmp_path / "replica_cad").exists()
+
+
+@pytest.mark.parametrize("sign", ["", "x"])
+def test_a_file_is_held_to_what_the_hub_lists(tmp_path: Path, sign: str) -> None:
+    path = tmp_path / "file"
+    assert not RemoteFile(0, "", "").matches(path)
+    path.write_bytes(b"abc" + sign.encode())
+    sha256 = hashlib.sha256(b"abc").hexdigest()
+    blob = hashlib.sha1(b"blob 3\0abc").hexdigest()
+    for listed in (RemoteFile(3, sha256, ""), RemoteFile(3, "", blob)):
+        assert listed.matches(path) == (not sign)
 
 
 def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) -> None:
@@ -249,12 +238,11 @@ def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) 
         UsageError,
         match=r"is not the data set replica_cad: it must hold configs/scenes/\*",
     ):
-        fetch(SOURCE, tmp_path, progress=Count().progress())
+        fetch(SOURCE, tmp_path)
     with pytest.raises(UsageError, match=r"none that ycb is made of.*--repo.*--offline"):
         fetch(
             replace(SOURCES["ycb"], repo=SOURCE.repo),
             tmp_path,
-            progress=Count().progress(),
         )
     assert not (tmp_path / "replica_cad").exists() and not (tmp_path / "ycb").exists()
 
@@ -262,7 +250,7 @@ def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) 
 def test_a_repository_cannot_write_outside(hub: FakeHub, tmp_path: Path) -> None:
     hub.files["../outside.txt"] = b"x"
     with pytest.raises(UsageError, match="leads out of the folder"):
-        fetch(SOURCE, tmp_path / "root", progress=Count().progress())
+        fetch(SOURCE, tmp_path / "root")
     assert not (tmp_path / "outside.txt").exists()
 
 
@@ -273,9 +261,7 @@ def test_ycb_files_go_where_the_reader_looks(hub: FakeHub, tmp_path: Path) -> No
         "collision_meshes/024_cv_decomp.glb": b"no",
         "LICENSE": b"terms",
     }
-    folder = fetch(
-        replace(SOURCES["ycb"], repo=SOURCE.repo), tmp_path, progress=Count().progress()
-    )
+    folder = fetch(replace(SOURCES["ycb"], repo=SOURCE.repo), tmp_path)
     assert (folder / "024_bowl" / "textured.glb").read_bytes() == b"bowl"
     assert sorted(p.name for p in folder.rglob("*") if p.is_file()) == [
         RECORD,
@@ -293,7 +279,6 @@ def test_episodes_come_out_of_their_archive(hub: FakeHub, tmp_path: Path) -> Non
     folder = fetch(
         replace(SOURCES["hab_episodes"], repo=SOURCE.repo),
         tmp_path,
-        progress=Count().progress(),
     )
     assert [path.read_bytes() for path in folder.rglob("*.json.gz")] == [b"episodes"]
     record = read_record(folder)
@@ -307,29 +292,29 @@ def test_episodes_come_out_of_their_archive(hub: FakeHub, tmp_path: Path) -> Non
 def test_an_installed_data_set_is_replaced_only_on_request(
     hub: FakeHub, tmp_path: Path
 ) -> None:
-    fetch(SOURCE, tmp_path, progress=Count().progress())
+    fetch(SOURCE, tmp_path)
     hub.files["LICENSE.txt"] = b"new terms"
     with pytest.raises(UsageError, match=r"exists; .*--overwrite replaces it"):
-        fetch(SOURCE, tmp_path, progress=Count().progress())
+        fetch(SOURCE, tmp_path)
     assert installed(tmp_path)["LICENSE.txt"] == b"terms"
-    fetch(SOURCE, tmp_path, overwrite=True, progress=Count().progress())
+    fetch(SOURCE, tmp_path, overwrite=True)
     assert installed(tmp_path)["LICENSE.txt"] == b"new terms" and no_leftovers(tmp_path)
 
 
 def test_a_failed_replacement_keeps_what_was_there(
     hub: FakeHub, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fetch(SOURCE, tmp_path, progress=Count().progress())
+    fetch(SOURCE, tmp_path)
     rename = Path.rename
 
     def refuse(self: Path, target: Path) -> Path:
-        if self.name.startswith("replica_cad-0"):
+        if self.name == "replica_cad-content":
             raise OSError("disk trouble")
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(OSError, match="disk trouble"):
-        fetch(SOURCE, tmp_path, overwrite=True, progress=Count().progress())
+        fetch(SOURCE, tmp_path, overwrite=True)
     assert installed(tmp_path) == FILES
 
 
@@ -340,7 +325,7 @@ def test_no_room_is_found_out_before_the_download(
         "shutil.disk_usage", lambda path: type("Usage", (), {"free": 1000})
     )
     with pytest.raises(UsageError, match=r"GB more, but only 0\.0 GB are free"):
-        fetch(SOURCE, tmp_path, progress=Count().progress())
+        fetch(SOURCE, tmp_path)
     assert hub.asked == []
 
 
@@ -350,7 +335,7 @@ def test_proxies_are_used(
     monkeypatch.setenv("HF_ENDPOINT", "http://hub.example")
     monkeypatch.setenv("http_proxy", hub.endpoint)
     monkeypatch.setenv("no_proxy", "")
-    fetch(SOURCE, tmp_path, progress=Count().progress())
+    fetch(SOURCE, tmp_path)
     assert installed(tmp_path) == FILES and hub.hosts == {"hub.example"}
 
 
@@ -369,19 +354,23 @@ def test_unknown_data_sets_are_refused_with_a_hint() -> None:
         source_named("ycbb")
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        b"<html>",
-        json.dumps({"error": "no"}).encode(),
-        json.dumps([1]).encode(),
-        b"[" * 100_000,
-    ],
-)
+@pytest.mark.parametrize("body", [b"<html>", b'{"error": "no"}', b"[1]", b"[" * 100_000])
 def test_an_answer_of_something_else_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: bytes, hub: FakeHub
+    tmp_path: Path, body: bytes, hub: FakeHub
 ) -> None:
-    monkeypatch.setattr("mjhab.assets.hub.get", lambda *asked, **options: (body, ""))
-    with pytest.raises(TransferError, match=r"not JSON|field 'sha' must be") as caught:
+    hub.body = body
+    with pytest.raises(TransferError) as caught:
         fetch(SOURCE, tmp_path)
-    assert "\n" not in str(caught.value)
+    assert "HF_ENDPOINT" in caught.value.problem and "\n" not in str(caught.value)
+
+
+def test_two_processes_do_not_install_the_same_data_set_at_once(
+    hub: FakeHub, tmp_path: Path
+) -> None:
+    (tmp_path / ".partial").mkdir()
+    with (
+        WriteLock(tmp_path / ".partial" / SOURCE.name),
+        pytest.raises(UsageError, match="is being written by"),
+    ):
+        fetch(SOURCE, tmp_path)
+    assert hub.asked == []

@@ -1,105 +1,219 @@
-"""What a repository of the hub holds: its files with sizes and hashes, at one commit."""
+"""A data set's repository on the hub: what it holds at one commit, and its download by `huggingface_hub`.
+
+The library fetches several files at once, continues cut connections, and honours proxies, tokens and Xet. Two things
+are ours, as of its version 2.4: it compares sizes alone with what the hub lists (one turned bit is installed; without
+our comparison `test_wrong_bytes_are_thrown_away` fails), and its errors are paragraphs about models, here one line.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
+import glob
+import hashlib
+import sys
+import time
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
-from urllib.parse import quote, urlsplit
+from pathlib import Path
+from typing import Any, TypeVar
 
 from mjhab.assets.archive import safe_path
-from mjhab.assets.transfer import Expected, TransferError, get
-from mjhab.core.errors import shown
-from mjhab.core.files.reading import parse_json
+from mjhab.assets.sources import hub_endpoint
+from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.files.reading import reason
+from mjhab.core.version import __version__
 
-MAX_PAGES = 1000
-"""Most pages of a list of files; each has up to 1,000."""
+CONNECTIONS = 4
+TIMEOUT_S = 10.0
+"""Longest silence of the hub before it names the files [s]; the library's own for files is as long."""
+TRIES = 3
+"""Times that the hub is asked while it is busy or sends wrong bytes; cut connections are up to the library."""
+_PASSING = (408, 425, 429, 500, 502, 503, 504)
+"""HTTP states that pass by themselves."""
+_HINTS = {
+    401: ": it is private, or not there",
+    403: ": it is not public",
+    404: ": it is not there",
+}
+_OF_NO_HUB = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
+"""What the library raises for answers that it cannot read."""
+_KEPT = "Finished files stay, and the same command continues."
+Answer = TypeVar("Answer")
+
+
+class TransferError(MjhabError):
+    """A download did not come about; finished files are kept for the next try.
+
+    ``what``: address or file. ``problem``: what is wrong with it. ``status``: of HTTP, None without an answer.
+    ``passes``: whether another try may help.
+    """
+
+    def __init__(
+        self, what: str, problem: str, status: int | None = None, passes: bool = False
+    ) -> None:
+        super().__init__(f"{what}: {problem}")
+        self.what = what
+        self.problem = problem
+        self.status = status
+        self.passes = passes
 
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """A file of a repository: its path, its address and what it must be."""
+    """What a file must be: its size [bytes], and its SHA-256 or git's SHA-1 of it as a blob, as the hub lists it."""
 
-    path: str
-    url: str
-    expected: Expected
+    size: int
+    sha256: str
+    blob_sha1: str
+
+    def matches(self, path: Path) -> bool:
+        """Whether a file is there with these bytes."""
+        if not path.is_file() or path.stat().st_size != self.size:
+            return False
+        with path.open("rb") as file:
+            if self.sha256:
+                return hashlib.file_digest(file, "sha256").hexdigest() == self.sha256
+            blob = hashlib.sha1(b"blob %d\0" % self.size, usedforsecurity=False)
+            blob.update(file.read())
+            return blob.hexdigest() == self.blob_sha1
 
 
-def list_files(
-    endpoint: str, repo: str, revision: str, sleep: Callable[[float], object]
-) -> tuple[str, list[RemoteFile]]:
-    """Commit of a revision, and the files of a data set's repository at that commit.
+@dataclass(frozen=True)
+class Repository:
+    """The files of a data set's repository at one commit, by path."""
+
+    name: str
+    commit: str
+    files: Mapping[str, RemoteFile]
+
+
+def list_files(name: str, revision: str) -> Repository:
+    """The files of a repository at the commit that a revision names now.
 
     Raises:
+        UsageError: ``name`` is none that a repository can have, or a path leads out of the folder.
         TransferError: the hub has no such repository or revision, cannot be reached, or answers something else.
     """
-    api = f"{endpoint}/api/datasets/{repo}"
-    url = f"{api}/revision/{quote(revision, safe='')}"
-    commit = _field(_json(get(url, sleep, first=True)[0], url), "sha", str, url)
-    files: list[RemoteFile] = []
-    tree = f"{api}/tree/{commit}"
-    query = "recursive=true&expand=false"
-    pages = 0
-    while query:
-        pages += 1
-        if pages > MAX_PAGES:
-            raise TransferError(
-                f"{tree}: more than {MAX_PAGES} pages of files, which no data set has."
-            )
-        page = f"{tree}?{query}"
-        body, link = get(page, sleep)
-        rows = _json(body, page)
-        if not isinstance(rows, list):
-            raise TransferError(f"{page}: expected a list of files.")
-        files += [
-            _remote(row, f"{endpoint}/datasets/{repo}/resolve/{commit}", page)
-            for row in rows
-            if _is_file(row)
-        ]
-        query = _next_query(link)
-    return commit, files
+    from huggingface_hub import HfApi
+    from huggingface_hub.errors import HFValidationError
+    from huggingface_hub.utils import logging, validate_repo_id
 
-
-def _next_query(link: str) -> str:
-    """Query of the next page. Only the query: a mirror may pass on links to the hub itself."""
-    match = re.search(r'<([^>]+)>\s*;\s*rel="next"', link)
-    return urlsplit(match[1]).query if match else ""
-
-
-def _is_file(row: Any) -> bool:
-    return isinstance(row, dict) and row.get("type") == "file"
-
-
-def _remote(row: dict[str, Any], base: str, page: str) -> RemoteFile:
-    path = safe_path(_field(row, "path", str, page), page)
-    lfs = row.get("lfs") or {}
-    big = isinstance(lfs, dict) and "oid" in lfs
-    size = _field(lfs if big else row, "size", int, page)
-    if size < 0:
-        raise TransferError(f"{page}: {path} has {size} bytes.")
-    # A pointer's own hash says nothing about the file behind it.
-    expected = (
-        Expected(size, sha256=str(lfs["oid"]))
-        if big
-        else Expected(size, blob_sha1=str(row.get("oid", "")))
-    )
-    return RemoteFile(path, f"{base}/{quote(path)}", expected)
-
-
-def _field(row: Any, name: str, kind: type, where: str) -> Any:
-    value = row.get(name) if isinstance(row, dict) else None
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise TransferError(
-            f"{where}: field {name!r} must be {kind.__name__}, got {shown(value)}."
-        )
-    return value
-
-
-def _json(body: bytes, url: str) -> Any:
     try:
-        return parse_json(body)
-    except ValueError as error:
-        raise TransferError(
-            f"{url}: the answer is not JSON; is HF_ENDPOINT the address of a hub?"
-        ) from error
+        validate_repo_id(name)
+    except HFValidationError as error:
+        raise UsageError(f"--repo {name!r}: {reason(error)}") from error
+    logging.set_verbosity_error()
+    where = f"{hub_endpoint()}/datasets/{name}"
+    api = HfApi(hub_endpoint(), library_name="mjhab", library_version=__version__)
+
+    def ask() -> Repository:
+        info = api.dataset_info(
+            name, revision=revision, files_metadata=True, timeout=TIMEOUT_S
+        )
+        if not isinstance(info.sha, str):
+            raise ValueError("it names no commit")
+        rows = info.siblings or []
+        files = {safe_path(row.rfilename, where): _remote(row) for row in rows}
+        return Repository(name, info.sha, files)
+
+    return _patiently(ask, where)
+
+
+def _remote(row: Any) -> RemoteFile:
+    # A pointer's own size and hash say nothing about the file behind it.
+    if row.lfs is not None:
+        return RemoteFile(int(row.lfs.size), str(row.lfs.sha256), "")
+    return RemoteFile(int(row.size), "", str(row.blob_id))
+
+
+def download(repository: Repository, paths: Collection[str], folder: Path) -> None:
+    """Bring files into a folder; those that are there with the right bytes stay.
+
+    Raises:
+        TransferError: the hub does not give a file, or gives another one than it lists.
+    """
+    from huggingface_hub import snapshot_download
+    from huggingface_hub.utils import disable_progress_bars
+
+    if not sys.stderr.isatty():
+        disable_progress_bars()
+    is_whole = len(paths) == len(repository.files)
+
+    def ask() -> None:
+        snapshot_download(
+            repository.name,
+            repo_type="dataset",
+            revision=repository.commit,
+            endpoint=hub_endpoint(),
+            local_dir=folder,
+            allow_patterns=None if is_whole else [glob.escape(path) for path in paths],
+            max_workers=CONNECTIONS,
+        )
+        wrong = [p for p in paths if not repository.files[p].matches(folder / p)]
+        for path in wrong:
+            (folder / path).unlink(missing_ok=True)
+        if wrong:
+            raise TransferError(
+                f"{repository.name}/{wrong[0]}",
+                "the server sent other bytes than the hub lists, again and again.",
+                passes=True,
+            )
+
+    _patiently(ask, f"{hub_endpoint()}/datasets/{repository.name}")
+
+
+def _patiently(ask: Callable[[], Answer], what: str) -> Answer:
+    """What ``ask`` returns, asked again after failures that pass.
+
+    Raises:
+        UsageError: as ``ask`` does.
+        TransferError: anything else fails for good.
+    """
+    for attempt in range(1, TRIES + 1):
+        try:
+            return ask()
+        except UsageError:
+            raise
+        except Exception as error:
+            told = _told(what, error)
+            if attempt == TRIES or not told.passes:
+                raise told from error
+        time.sleep(2.0**attempt)
+    raise AssertionError("the last try returns or raises")
+
+
+def _told(what: str, error: BaseException) -> TransferError:
+    """An error of the library in one line."""
+    import httpx2
+    from huggingface_hub.errors import (
+        FileMetadataError,
+        HfHubHTTPError,
+        LocalEntryNotFoundError,
+        OfflineModeIsEnabled,
+    )
+
+    if isinstance(error, TransferError):
+        return error
+    if isinstance(error, LocalEntryNotFoundError) and error.__cause__ is not None:
+        return _told(what, error.__cause__)
+    if isinstance(error, OfflineModeIsEnabled):
+        return TransferError(
+            what, "HF_HUB_OFFLINE forbids the network; unset it, or give --offline."
+        )
+    if isinstance(error, HfHubHTTPError):
+        status = error.response.status_code
+        says = f"{status} {error.response.reason_phrase}{_HINTS.get(status, '')}"
+        where = str(error.response.url)
+        return TransferError(
+            where, f"the server says {says}.", status, status in _PASSING
+        )
+    if isinstance(error, httpx2.HTTPError):
+        said = reason(error) if str(error) else type(error).__name__
+        advice = f"is there a network? A proxy is named by https_proxy. {_KEPT}"
+        return TransferError(what, f"the connection failed ({said}): {advice}")
+    if isinstance(error, (FileMetadataError, *_OF_NO_HUB)):
+        advice = "is HF_ENDPOINT the address of one?"
+        return TransferError(
+            what, f"the answer is not that of a hub ({reason(error)}); {advice}"
+        )
+    # The disk, and what Xet says.
+    return TransferError(what, f"{reason(error)}. {_KEPT}")

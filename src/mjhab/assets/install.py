@@ -8,41 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
-import threading
-import time
-from collections.abc import Callable
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from mjhab.assets.archive import safe_path, unpack
-from mjhab.assets.hub import RemoteFile, list_files
-from mjhab.assets.sources import Source, hub_endpoint
-from mjhab.assets.transfer import download
+from mjhab.assets.hub import Repository, download, list_files
+from mjhab.assets.sources import Source
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json
 
 RECORD = ".mjhab-asset.json"
 FORMAT = "mjhab-asset-1"
 PARTIAL = ".partial"
-CONNECTIONS = 4
-_DEPTH = 3
-"""Folders that an archive may put around the data set."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Whom to tell: ``total`` (bytes that will come, known once listed), ``step`` (bytes that came or went)."""
-
-    total: Callable[[int], object] = lambda count: None
-    step: Callable[[int], object] = lambda count: None
-    sleep: Callable[[float], object] = time.sleep
-    """How to wait before another try."""
 
 
 @dataclass(frozen=True)
@@ -55,52 +39,40 @@ class Verification:
     first_use: bool
 
 
-def fetch(
-    source: Source, root: Path, overwrite: bool = False, progress: Progress | None = None
-) -> Path:
+def fetch(source: Source, root: Path, overwrite: bool = False) -> Path:
     """Download a data set from the hub and install it as ``root/<name>``; an interrupted run is continued.
 
     Args:
         source: the data set.
         root: the assets folder.
         overwrite: replace an installed one.
-        progress: whom to tell.
 
     Raises:
-        UsageError: it is installed already, there is no room, or the repository lacks what the readers need.
+        UsageError: it is installed already, there is no room, another process installs it, or the repository lacks
+            what the readers need.
         TransferError: the network did not give it.
     """
-    progress = progress or Progress()
-    _refuse_installed(root / source.name, overwrite)
-    commit, listed = list_files(
-        hub_endpoint(), source.repo, source.revision, progress.sleep
-    )
-    wanted = _wanted(source, listed)
-    staging = root / PARTIAL / f"{source.name}-{commit[:12]}"
-    staging.mkdir(parents=True, exist_ok=True)
-    total = sum(file.expected.size or 0 for _, file in wanted)
-    _room(staging, total)
-    progress.total(total)
-    hashes = _download_all(wanted, staging, progress)
-    told = {
-        "origin": source.repo,
-        "revision": source.revision,
-        "commit": commit,
-        "trust": "hub",
-    }
-    if source.archive:
-        content = staging.with_name(staging.name + "-unpacked")
-        shutil.rmtree(content, ignore_errors=True)
-        told["archive_sha256"] = hashes[source.archive]
-        try:
+    with _work_folder(source, root, overwrite) as content:
+        repository = list_files(source.repo, source.revision)
+        places = _places(source, repository)
+        told = {
+            "origin": source.repo,
+            "revision": source.revision,
+            "commit": repository.commit,
+            "trust": "hub",
+        }
+        staging = root / PARTIAL / f"{source.name}-{repository.commit[:12]}"
+        staging.mkdir(exist_ok=True)
+        _refuse_without_room(staging, sum(repository.files[path].size for path in places))
+        download(repository, places, staging)
+        if source.archive:
+            told["archive_sha256"] = _sha256(staging / source.archive)
             unpack(staging / source.archive, content)
-            _install(source, content, root, told)
-        finally:
-            shutil.rmtree(content, ignore_errors=True)
-    else:
-        _install(source, staging, root, told)
-    for left in (root / PARTIAL).glob(f"{source.name}-*"):
-        shutil.rmtree(left, ignore_errors=True)
+        else:
+            _move({staging / path: to for path, to in places.items()}, content)
+        _install(source, content, root, told)
+        for left in (root / PARTIAL).glob(f"{source.name}-*"):
+            shutil.rmtree(left, ignore_errors=True)
     return root / source.name
 
 
@@ -114,13 +86,9 @@ def install_bundle(
     """
     if not bundle.is_file():
         raise UsageError(f"--offline {bundle}: there is no such file.")
-    _refuse_installed(root / source.name, overwrite)
-    content = root / PARTIAL / f"{source.name}-bundle-{os.getpid()}"
-    try:
+    with _work_folder(source, root, overwrite) as content:
         unpack(bundle, content)
         _install(source, content, root, {"origin": bundle.name, "trust": "first use"})
-    finally:
-        shutil.rmtree(content, ignore_errors=True)
     return root / source.name
 
 
@@ -136,16 +104,13 @@ def verify(folder: Path) -> Verification:
         )
     record = read_record(folder)
     if record is None:
-        files = _digests(folder)
-        _write_record(folder, {"origin": str(folder), "trust": "first use"}, files)
+        files = _write_record(folder, {"origin": str(folder), "trust": "first use"})
         return Verification(len(files), (), (), True)
     listed: dict[str, dict[str, Any]] = record["files"]
-    missing = tuple(sorted(path for path in listed if not (folder / path).is_file()))
-    there = [path for path in listed if (folder / path).is_file()]
-    changed = tuple(
-        sorted(path for path in there if _sha256(folder / path) != listed[path]["sha256"])
-    )
-    return Verification(len(listed), missing, changed, False)
+    missing = sorted(path for path in listed if not (folder / path).is_file())
+    there = sorted(listed.keys() - set(missing))
+    changed = [path for path in there if _sha256(folder / path) != listed[path]["sha256"]]
+    return Verification(len(listed), tuple(missing), tuple(changed), False)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -172,14 +137,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     return body
 
 
-def _refuse_installed(target: Path, overwrite: bool) -> None:
-    if target.exists() and not overwrite:
-        raise UsageError(
-            f"{target} exists; `mjhab assets verify {target.name}` checks it, --overwrite replaces it."
-        )
-
-
-def _room(folder: Path, total: int) -> None:
+def _refuse_without_room(folder: Path, total: int) -> None:
     have = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     free = shutil.disk_usage(folder).free
     if total - have > free:
@@ -188,54 +146,43 @@ def _room(folder: Path, total: int) -> None:
         )
 
 
-def _wanted(source: Source, listed: list[RemoteFile]) -> list[tuple[str, RemoteFile]]:
-    """Files to download, each with its place.
+def _places(source: Source, repository: Repository) -> dict[str, str]:
+    """Files to download, each with its place in the installed folder.
 
     Raises:
         UsageError: the repository has none of them.
     """
-    if source.archive:
-        placed = [
-            (source.archive, file) for file in listed if file.path == source.archive
-        ]
-    else:
-        placed = [
-            (to, file) for file in listed if (to := source.place(file.path)) is not None
-        ]
-    if not placed:
+    places = {
+        path: to for path in repository.files if (to := source.place(path)) is not None
+    }
+    if not places:
         raise UsageError(
-            f"{source.repo} at {source.revision} has {len(listed)} files, but none that {source.name} is made of; "
-            "it may have changed: name another with --repo and --revision, or install an archive with --offline."
+            f"{source.repo} at {source.revision} has {len(repository.files)} files, but none that {source.name} is "
+            "made of; it may have changed: name another with --repo and --revision, or give an archive with --offline."
         )
-    return [(safe_path(to, source.repo), file) for to, file in placed]
+    return places
 
 
-def _download_all(
-    wanted: list[tuple[str, RemoteFile]], staging: Path, progress: Progress
-) -> dict[str, str]:
-    """Download several files at once. A file under its own name is whole and was checked. Returns new files' hashes."""
-    stop = threading.Event()
+@contextmanager
+def _work_folder(source: Source, root: Path, overwrite: bool) -> Iterator[Path]:
+    """A path below ``.partial`` for what will be installed; nothing is left there, and nobody else installs meanwhile.
 
-    def one(item: tuple[str, RemoteFile]) -> tuple[str, str]:
-        to, file = item
-        target = staging / to
-        if target.is_file() and target.stat().st_size == file.expected.size:
-            progress.step(target.stat().st_size)
-            return to, _sha256(target)
-        return to, download(
-            file.url, target, file.expected, progress.step, stop, progress.sleep
+    Raises:
+        UsageError: it is installed already and may not be replaced, or another process installs it.
+    """
+    target = root / source.name
+    if target.exists() and not overwrite:
+        raise UsageError(
+            f"{target} exists; `mjhab assets verify {target.name}` checks it, --overwrite replaces it."
         )
-
-    pool = ThreadPoolExecutor(CONNECTIONS)
-    try:
-        futures = [pool.submit(one, item) for item in wanted]
-        done, _ = wait(futures, return_when=FIRST_EXCEPTION)
-        for future in done:
-            future.result()
-        return dict(future.result() for future in futures)
-    finally:
-        stop.set()
-        pool.shutdown(wait=True, cancel_futures=True)
+    content = root / PARTIAL / f"{source.name}-content"
+    content.parent.mkdir(parents=True, exist_ok=True)
+    with WriteLock(root / PARTIAL / source.name, target):
+        shutil.rmtree(content, ignore_errors=True)  # of a killed process
+        try:
+            yield content
+        finally:
+            shutil.rmtree(content, ignore_errors=True)
 
 
 def _install(source: Source, content: Path, root: Path, told: dict[str, str]) -> None:
@@ -250,24 +197,17 @@ def _install(source: Source, content: Path, root: Path, told: dict[str, str]) ->
         raise UsageError(
             f"{told['origin']} is not the data set {source.name}: it must hold {needed}."
         )
-    _write_record(found, told, _digests(found))
-    _swap(found, root / source.name, root / PARTIAL)
+    _write_record(found, told)
+    _swap(found, root / source.name, root / PARTIAL / f"{source.name}-old")
 
 
 def _find(source: Source, content: Path) -> Path | None:
     """The folder in ``content`` that is the data set, or one made of its files if they lie as in the repository."""
-    level = [content]
-    for _ in range(_DEPTH):
-        for folder in level:
+    for wrapped in ("", "*/", "*/*/"):
+        for folder in sorted(content.glob(wrapped)) if wrapped else [content]:
             found = folder if source.complete(folder) else _arranged(source, folder)
             if found is not None:
                 return found
-        level = [
-            child
-            for folder in level
-            for child in sorted(folder.iterdir())
-            if child.is_dir()
-        ]
     return None
 
 
@@ -275,27 +215,28 @@ def _arranged(source: Source, folder: Path) -> Path | None:
     """Files of a repository's layout, moved to where the readers look; None if this is not that layout."""
     if not source.picks:
         return None
-    paths = {
-        path: source.place(path.relative_to(folder).as_posix())
+    moves = {
+        path: to
         for path in folder.rglob("*")
         if path.is_file()
+        and (to := source.place(path.relative_to(folder).as_posix())) is not None
     }
-    moves = {path: to for path, to in paths.items() if to is not None}
-    if not all(
-        any(fnmatch(to, pattern) for to in moves.values()) for pattern in source.expects
-    ):
+    places = moves.values()
+    if not all(any(fnmatch(to, wanted) for to in places) for wanted in source.expects):
         return None
-    placed = folder / PARTIAL
+    _move(moves, folder / PARTIAL)
+    return folder / PARTIAL
+
+
+def _move(moves: dict[Path, str], folder: Path) -> None:
+    """Move files, each to its place below a folder."""
     for path, to in moves.items():
-        (placed / to).parent.mkdir(parents=True, exist_ok=True)
-        path.rename(placed / to)
-    return placed
+        (folder / to).parent.mkdir(parents=True, exist_ok=True)
+        path.rename(folder / to)
 
 
-def _swap(new: Path, target: Path, partial: Path) -> None:
-    """Put ``new`` at ``target``; an old folder there is kept until the new one is in place."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    old = partial / f"{target.name}-old-{os.getpid()}"
+def _swap(new: Path, target: Path, old: Path) -> None:
+    """Put ``new`` at ``target``; a folder that was there is kept as ``old`` until the new one is in place."""
     if target.exists():
         shutil.rmtree(old, ignore_errors=True)
         target.rename(old)
@@ -308,28 +249,22 @@ def _swap(new: Path, target: Path, partial: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _digests(folder: Path) -> dict[str, dict[str, Any]]:
-    files = [
-        path
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != RECORD
-    ]
-    return {
+def _write_record(folder: Path, told: dict[str, str]) -> dict[str, dict[str, Any]]:
+    """Write the record of a folder; returns size and SHA-256 of its files by path."""
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    files = {
         path.relative_to(folder).as_posix(): {
             "size": path.stat().st_size,
             "sha256": _sha256(path),
         }
-        for path in files
+        for path in paths
+        if path.name != RECORD
     }
-
-
-def _write_record(
-    folder: Path, told: dict[str, str], files: dict[str, dict[str, Any]]
-) -> None:
     body = json.dumps({"format": FORMAT, **told, "files": files}, indent=1)
     write_atomic(
         folder / RECORD, lambda temporary: temporary.write_text(body, encoding="utf-8")
     )
+    return files
 
 
 def _sha256(path: Path) -> str:

@@ -39,6 +39,8 @@ class Source:
 
     def place(self, path: str) -> str | None:
         """Where a file of the repository goes in the installed folder; None if it is not wanted."""
+        if self.archive:
+            return path if path == self.archive else None
         if not self.picks:
             return path
         found = ((re.fullmatch(pattern, path), to) for pattern, to in self.picks)

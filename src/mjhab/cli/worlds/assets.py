@@ -3,22 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    TextColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
-from rich.progress import Progress as Bars
-
-from mjhab.assets.install import Progress, fetch, install_bundle, read_record, verify
+from mjhab.assets.install import fetch, install_bundle, read_record, verify
 from mjhab.assets.sources import SOURCES, Source, hub_endpoint, source_named
 from mjhab.cli.options.assets import (
     AssetsFetchOptions,
@@ -90,8 +78,7 @@ def fetch_assets(options: AssetsFetchOptions) -> int:
             f"{source.name} from {hub_endpoint()}/datasets/{source.repo} ({source.revision})",
             file=sys.stderr,
         )
-        with _bars(source.name) as progress:
-            folder = fetch(source, assets_dir(), options.overwrite, progress)
+        folder = fetch(source, assets_dir(), options.overwrite)
     record = read_record(folder) or {"files": {}}
     size = sum(row["size"] for row in record["files"].values())
     if options.json:
@@ -130,24 +117,6 @@ def _agree(source: Source, accepted: bool) -> None:
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         raise UsageError(
             f"the terms of {source.name} were not accepted; nothing was installed."
-        )
-
-
-@contextmanager
-def _bars(name: str) -> Iterator[Progress]:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=20),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    with Bars(*columns, console=console, disable=not console.is_terminal) as bars:
-        bar = bars.add_task(name, total=None)
-        yield Progress(
-            lambda count: bars.update(bar, total=count),
-            lambda count: bars.update(bar, advance=count),
         )
 
 

@@ -14,7 +14,6 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import parse
-from mjhab.cli.policies.evaluate import eval_spec
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import inspect_policy
 from mjhab.rollout.loop import rollout
@@ -59,13 +58,14 @@ def eval_command() -> list[str]:
 
 
 def test_the_policy_of_the_readme_runs_as_a_file(policy_file: Path) -> None:
-    spec = eval_spec(parse(eval_command()))
+    spec = parse(eval_command()).spec
     assert inspect_policy(str(spec.policy)).env_options == {
         "obs_mode": "depth",
         "camera_size": 32,
     }
+    asked = spec.asked
     run = mjhab.evaluate(
-        spec.policy, task=spec.task, subtask=spec.subtask, out=spec.out, **SMALL
+        spec.policy, task=asked.task, subtask=asked.subtask, out=spec.out, **SMALL
     )
     assert [record.steps for record in run.records] == [4, 4] and run.report.is_file()
     assert (
@@ -78,10 +78,10 @@ def test_the_policy_of_the_readme_runs_as_a_file(policy_file: Path) -> None:
 
 
 def test_the_policy_of_the_readme_succeeds_sometimes(policy_file: Path) -> None:
-    spec = eval_spec(parse(eval_command()))
+    spec = parse(eval_command()).spec
     env = mjhab.make(
-        task=spec.task,
-        subtask=spec.subtask or "",
+        task=spec.asked.task,
+        subtask=spec.asked.subtask,
         num_envs=2,
         autoreset="disabled",
         **inspect_policy(str(spec.policy)).env_options,

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.cli.main import parse
+from mjhab.evaluation.specs import EnvSpec, env_names
 from tests.docs.pages import (
     PAGES,
     README,
@@ -71,17 +72,24 @@ def small(words: list[str]) -> list[str]:
     # It has one world if the page does not say more, and refuses the option for recorded episodes.
     if words[0] == "view":
         return words
-    options: Any = parse(words)
-    options = getattr(options, "command", options)
+    given: Any = parse(words).spec
     added = []
     for name, value in SMALL.items():
-        now = getattr(options, name, None)
+        now = value_of(given, name)
         numbers = now if isinstance(now, tuple) else (now,)
         if any(number for number in numbers):
             added += [f"--{name.replace('_', '-')}", value]
     if words[0] == "train" and words[1] in IMITATION and "--data" not in words:
         added += FEW_DEMONSTRATIONS
     return [*words, *added, *ALWAYS.get(words[0], ())]
+
+
+def value_of(given: Any, name: str) -> Any:
+    """The value of an option of a parsed command, None if it has no such option."""
+    if isinstance(given, EnvSpec):
+        names = {**env_names(type(given))}
+        return getattr(given, name, getattr(given.asked, names.get(name, name), None))
+    return getattr(given, name, None)
 
 
 def main(out: Path, names: list[str]) -> int:

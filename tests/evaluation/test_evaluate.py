@@ -31,7 +31,7 @@ class Stage:
         self.interrupt_at: int | None = None
 
     def make_env(self, spec: EvalSpec, options: Mapping[str, Any]) -> FakeEnv:
-        env = FakeEnv(min(spec.worlds, spec.episodes))
+        env = FakeEnv(min(spec.asked.num_envs, spec.episodes))
         env.interrupt_at = self.interrupt_at
         self.built.append(env)
         self.options.append(dict(options))
@@ -118,9 +118,8 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(
     ("options", "words"),
     [
         ({"episods": 3}, "'episods'. Did you mean 'episodes'"),
-        ({"num_envs": 3}, "unknown option of an evaluation 'num_envs'"),
         ({"autoreset": "same_step"}, "unknown option of an evaluation 'autoreset'"),
-        ({"env": {"task": "set_table"}}, "unknown option of an evaluation 'task'"),
+        ({"env": {"task": "set_tabel"}}, "Did you mean 'set_table'"),
         ({"task": "set_tabel"}, "Did you mean 'set_table'"),
         ({"target": "024_bowl"}, "a target needs a subtask"),
         ({"episodes": 0}, "episodes must be at least 1, got 0"),
@@ -204,12 +203,12 @@ def test_further_sinks_hear_the_rollout(tmp_path: Path) -> None:
         def on_episode_end(self, env: Any, world: int, record: Any) -> None:
             self.ended.append(record.index)
 
-    run_evaluation(EvalSpec("zero", episodes=3, films=0, out=tmp_path), [Log()])
+    run_evaluation(EvalSpec.of("zero", episodes=3, films=0, out=tmp_path), [Log()])
     assert sorted(Log.ended) == [0, 1, 2]
 
 
 def test_default_folders_are_valid_names() -> None:
-    spec = EvalSpec(subtask="pick")
+    spec = EvalSpec.of(subtask="pick")
     assert (
         library.default_out(spec, "ws://host:80/a b").name
         == "set_table_pick_ws-host-80-a-b_seed0"

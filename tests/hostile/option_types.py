@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import typing
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.cli import commands
+from mjhab.cli.parsing import flat_options
 
 BAD: dict[type, tuple[Any, ...]] = {
     int: (-1, 2**63, 2**64, -(2**70)),
@@ -28,7 +28,11 @@ BAD_OUTPUTS = (
 
 def option_classes() -> list[type]:
     """The option dataclasses of all commands."""
-    return list(_leaves(commands.Command))
+    found = []
+    for command in commands.COMMANDS:
+        options = commands.load(command.options)
+        found.append(flat_options(command, options) if command.spec else options)
+    return found
 
 
 def values_of(options: type) -> Iterator[tuple[str, Any]]:
@@ -40,18 +44,6 @@ def values_of(options: type) -> Iterator[tuple[str, Any]]:
                 yield from ((name, value) for value in values)
         if name in OUTPUTS:
             yield from ((name, value) for value in BAD_OUTPUTS)
-
-
-def _leaves(hint: Any) -> Iterator[type]:
-    if dataclasses.is_dataclass(hint):
-        fields = typing.get_type_hints(hint, include_extras=True)
-        if set(fields) == {"command"}:
-            yield from _leaves(fields["command"])
-        else:
-            yield typing.cast(type, hint)
-        return
-    for part in typing.get_args(hint)[: 1 if hasattr(hint, "__metadata__") else None]:
-        yield from _leaves(part)
 
 
 def _plain(hint: Any) -> Iterator[type]:

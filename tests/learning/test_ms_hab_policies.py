@@ -387,7 +387,7 @@ def test_a_policy_brings_its_profile_and_the_user_may_choose_another(
     path = original.save(tmp_path / "a.pt", original.random_weights(CASES["ppo"].shapes))
     facts = inspect_policy(f"ms_hab:{path}")
     assert facts.env_options["profile"] == "ms_hab"
-    spec = EvalSpec(task="set_table", subtask="pick", policy=f"ms_hab:{path}")
+    spec = EvalSpec.of(task="set_table", subtask="pick", policy=f"ms_hab:{path}")
     assert resolved_config(spec, facts)["profile"] == "ms_hab"
     chosen = dataclasses.replace(spec, env={"profile": "mjhab"})
     assert resolved_config(chosen, facts)["profile"] == "mjhab"

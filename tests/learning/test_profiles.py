@@ -70,8 +70,8 @@ def test_a_checkpoint_brings_its_profile_and_another_is_recorded(tmp_path: Path)
     facts = describe_policy(str(path))
 
     def recorded(**env: Any) -> dict[str, Any]:
-        spec = EvalSpec(str(path), subtask="pick", env=env)
-        EnvConfig(subtask="pick", **env_options(spec, facts))
+        spec = EvalSpec.of(str(path), subtask="pick", env=env)
+        EnvConfig(**env_options(spec, facts))
         return resolved_config(spec, facts)
 
     own = recorded()

@@ -41,7 +41,7 @@ def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.usefixtures("shelf")
 def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
-    spec = EvalSpec("student", **CLOSE)
+    spec = EvalSpec.of("student", **CLOSE)
     assert isinstance(spec.policy, str)
     facts = describe_policy(spec.policy)
     assert facts.name == "student" and len(facts.identity["policy_sha256"]) == 64
@@ -51,7 +51,7 @@ def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
 
 @pytest.mark.usefixtures("shelf")
 def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
-    spec = EvalSpec("student", **CLOSE, env={"robot": "panda_omron"})
+    spec = EvalSpec.of("student", **CLOSE, env={"robot": "panda_omron"})
     with pytest.raises(
         UsageError, match=r"trained with robot 'fetch'; leave out --robot"
     ):
@@ -80,7 +80,7 @@ def test_where_there_is_none_those_are_named_that_there_are(
     given: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(UsageError, match=said):
-        inspect_policy(str(EvalSpec("student", **given).policy))
+        inspect_policy(str(EvalSpec.of("student", **given).policy))
 
 
 def test_one_student_may_serve_all_targets(shelf: Path) -> None:
@@ -125,7 +125,7 @@ def test_students_act_together(shelf: Path) -> None:
     name = "set_table.close.kitchen_counter-drawer3"
     save_student(shelf / "all.safetensors", make_student(config(), layout(), seed=1), {})
     (shelf / "index.json").write_text(json.dumps({name: [name, "all"]}))
-    policy = resolve_policy(str(EvalSpec("student", **CLOSE).policy), fake_env(1))
+    policy = resolve_policy(str(EvalSpec.of("student", **CLOSE).policy), fake_env(1))
     assert isinstance(policy, StudentEnsemble) and len(policy.members) == 2
 
 
@@ -140,7 +140,7 @@ def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
         str(path),
     )
     assert (
-        describe_policy(str(EvalSpec("student", task="set_table").policy)).name
+        describe_policy(str(EvalSpec.of("student", task="set_table").policy)).name
         == "student"
     )
 

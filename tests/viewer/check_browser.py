@@ -183,7 +183,7 @@ def check_phone(browser: Browser, out: Path) -> None:
 
 def check_begin(out: Path) -> None:
     """An episode does not begin before the browser has drawn it; the time line covers no other panel."""
-    spec = EvalSpec(policy="expert", subtask="pick", worlds=1, episodes=1)
+    spec = EvalSpec.of(policy="expert", subtask="pick", worlds=1, episodes=1)
     session = LiveSession(spec, 0, Pace())
     viewer, browser = opened(session, hold=True, size=(max(WIDTHS), 860))
     with browser:
@@ -252,7 +252,7 @@ def check_hand(out: Path) -> None:
     shard.unlink(missing_ok=True)
     # A browser that draws on a busy processor is slow to send keys: the episode outlasts it.
     env = {"horizon": HAND_HORIZON}
-    spec = EvalSpec(policy=HUMAN, subtask="pick", worlds=1, episodes=1, env=env)
+    spec = EvalSpec.of(policy=HUMAN, subtask="pick", worlds=1, episodes=1, env=env)
     session = LiveSession(spec, 0, Pace(), shard=shard)
     viewer, browser = opened(session)
     with browser:
@@ -327,7 +327,7 @@ def click(browser: Browser, label: str) -> None:
 
 def measure(worlds: int, out: Path) -> dict[str, float]:
     """Seconds until the first frame, and frames per second, of so many running worlds."""
-    spec = EvalSpec(policy="random", subtask="pick", worlds=worlds, episodes=worlds)
+    spec = EvalSpec.of(policy="random", subtask="pick", worlds=worlds, episodes=worlds)
     begun = time.perf_counter()
     session = LiveSession(spec, 0, Pace(), hold_at_end=False)
     viewer, browser = opened(session)

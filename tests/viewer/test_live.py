@@ -35,7 +35,7 @@ def session(
     worlds: int = 1,
     **env: Any,
 ) -> Iterator[LiveSession]:
-    spec = EvalSpec(
+    spec = EvalSpec.of(
         policy=policy,
         subtask="pick",
         worlds=worlds,

@@ -51,7 +51,7 @@ def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
     from mjhab.viewer.sources.pace import Pace
 
     begun = time.perf_counter()
-    what = EvalSpec(
+    what = EvalSpec.of(
         policy=spec.policy,
         task=spec.task,
         subtask=spec.subtask,

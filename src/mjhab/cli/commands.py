@@ -1,117 +1,478 @@
-"""The tree of commands that tyro turns into ``mjhab --help``."""
+"""The commands of ``mjhab``: what each is called, what it takes, what runs it.
+
+Specifications and functions are named, not imported, so that help is fast: `load` imports those of one command.
+"""
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Any
 
-from mjhab.cli.options import (
-    assets,
-    engine,
-    env,
-    episodes,
-    expert,
-    gpu,
-    homes,
-    machine,
-    spawn,
-)
-from mjhab.cli.options import view as look
-from mjhab.cli.options.common import Sub
-from mjhab.cli.options.datasets import data, export
-from mjhab.cli.options.datasets import generate as gen
-from mjhab.cli.options.policies import evaluate as evals
-from mjhab.cli.options.policies import reproduce as rep
-from mjhab.cli.options.policies import score as sco
-from mjhab.cli.options.policies import serve as srv
-from mjhab.cli.options.policies import train as learn
+from mjhab.core.errors import unknown_name
 
 
 @dataclass(frozen=True)
-class BenchCommand:
-    """Measure this machine and the physics."""
+class Command:
+    """A command.
 
-    command: (
-        Annotated[engine.BenchSimOptions, Sub("sim")]
-        | Annotated[engine.BenchScalingOptions, Sub("scaling")]
-        | Annotated[engine.BenchGraspOptions, Sub("grasp")]
-        | Annotated[env.BenchEnvOptions, Sub("env")]
-        | Annotated[spawn.BenchSpawnOptions, Sub("spawn")]
-        | Annotated[env.BenchSoakOptions, Sub("soak")]
-        | Annotated[data.BenchWindowsOptions, Sub("windows")]
-        | Annotated[env.BenchRewardOptions, Sub("reward")]
-        | Annotated[expert.BenchExpertsOptions, Sub("experts")]
-        | Annotated[gpu.BenchInteractOptions, Sub("interact")]
-        | Annotated[gpu.BenchParityOptions, Sub("parity")]
-        | Annotated[srv.BenchServingOptions, Sub("serving")]
-        | Annotated[look.BenchViewOptions, Sub("view")]
-        | Annotated[learn.BenchLearnerOptions, Sub("learner")]
-        | Annotated[learn.BenchCurvesOptions, Sub("curves")]
-    )
+    name: its words, e.g. "homes list". summary: a line for the overview. options: module (below ``mjhab``) and name of
+    the dataclass that its command line is made of. run: module (below ``mjhab.cli``) and name of the function that
+    takes it. memory: whether it has the option --cache-mb. spec: whether the dataclass is a specification, see
+    `parsing.parse_spec`; else it is parsed as it is.
+    """
+
+    name: str
+    summary: str
+    options: str
+    run: str
+    memory: bool = False
+    spec: bool = False
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The words of its name."""
+        return tuple(self.name.split())
 
 
-Command = (
-    Annotated[evals.DemoOptions, Sub("demo")]
-    | Annotated[evals.EvalOptions, Sub("eval")]
-    | Annotated[env.EnvsCommand, Sub("envs")]
-    | Annotated[env.RobotsCommand, Sub("robots")]
-    | Annotated[homes.HomesCommand, Sub("homes")]
-    | Annotated[assets.AssetsCommand, Sub("assets")]
-    | Annotated[episodes.EpisodesCommand, Sub("episodes")]
-    | Annotated[spawn.SpawnsCommand, Sub("spawns")]
-    | Annotated[BenchCommand, Sub("bench")]
-    | Annotated[sco.ScoreOptions, Sub("score")]
-    | Annotated[srv.ServeOptions, Sub("serve")]
-    | Annotated[gen.GenerateOptions, Sub("generate")]
-    | Annotated[gen.ReplayOptions, Sub("replay")]
-    | Annotated[look.ViewOptions, Sub("view")]
-    | Annotated[learn.TrainCommand, Sub("train")]
-    | Annotated[rep.ReproduceOptions, Sub("reproduce")]
-    | Annotated[data.DataCommand, Sub("data")]
-    | Annotated[data.LabelOptions, Sub("label")]
-    | Annotated[export.ExportCommand, Sub("export")]
-    | Annotated[machine.ExamplesOptions, Sub("examples")]
-    | Annotated[gpu.WarmupOptions, Sub("warmup")]
-    | Annotated[machine.DoctorOptions, Sub("doctor")]
-)
+def load(path: str) -> Any:
+    """Import what ``module:name`` names."""
+    module, _, name = path.partition(":")
+    return getattr(importlib.import_module(f"mjhab.{module}"), name)
 
-RUNNERS: dict[type, tuple[str, str]] = {
-    evals.DemoOptions: ("cli.policies.evaluate", "run_demo"),
-    evals.EvalOptions: ("cli.policies.evaluate", "run_eval"),
-    env.EnvsCommand: ("cli.worlds.envs", "run_envs"),
-    env.RobotsCommand: ("cli.worlds.robots", "run_robots"),
-    homes.HomesCommand: ("cli.worlds.homes", "run_homes"),
-    assets.AssetsCommand: ("cli.worlds.assets", "run_assets"),
-    episodes.EpisodesCommand: ("cli.worlds.episodes", "run_episodes"),
-    spawn.SpawnsCommand: ("cli.worlds.spawns", "run_spawns"),
-    engine.BenchSimOptions: ("cli.bench.engine", "bench_sim"),
-    engine.BenchScalingOptions: ("cli.bench.scaling", "bench_scaling"),
-    engine.BenchGraspOptions: ("cli.bench.engine", "bench_grasp"),
-    env.BenchEnvOptions: ("cli.bench.env", "bench_env"),
-    spawn.BenchSpawnOptions: ("cli.worlds.spawns", "bench_spawn"),
-    env.BenchSoakOptions: ("cli.bench.soak", "bench_soak"),
-    data.BenchWindowsOptions: ("cli.bench.windows", "bench_windows"),
-    env.BenchRewardOptions: ("cli.bench.reward", "bench_reward"),
-    expert.BenchExpertsOptions: ("cli.bench.experts", "bench_experts"),
-    gpu.BenchInteractOptions: ("cli.bench.interact", "bench_interact"),
-    gpu.BenchParityOptions: ("cli.bench.parity", "bench_parity"),
-    srv.BenchServingOptions: ("cli.bench.serving", "bench_serving"),
-    look.BenchViewOptions: ("cli.bench.view", "bench_view"),
-    learn.BenchLearnerOptions: ("cli.bench.learner", "bench_learner"),
-    learn.BenchCurvesOptions: ("cli.bench.curves", "bench_curves"),
-    sco.ScoreOptions: ("cli.policies.score", "run_score"),
-    srv.ServeOptions: ("cli.policies.serve", "run_serve"),
-    gen.GenerateOptions: ("cli.datasets.generate", "run_generate"),
-    gen.ReplayOptions: ("cli.datasets.replay", "run_replay"),
-    look.ViewOptions: ("cli.view", "run_view"),
-    learn.TrainCommand: ("cli.policies.train", "run_train"),
-    rep.ReproduceOptions: ("cli.policies.reproduce", "run_reproduce"),
-    data.DataCommand: ("cli.datasets.data", "run_data"),
-    data.LabelOptions: ("cli.datasets.data", "run_data"),
-    export.ExportCommand: ("cli.datasets.export", "run_export"),
-    machine.ExamplesOptions: ("cli.machine.examples", "run_examples"),
-    gpu.WarmupOptions: ("cli.machine.warmup", "run_warmup"),
-    machine.DoctorOptions: ("cli.machine.doctor", "run_doctor"),
+
+GROUPS = {
+    "envs": "list environments and describe their observations, actions and rewards",
+    "robots": "list and describe robots",
+    "homes": "look at homes, check and draw them",
+    "assets": "fetch public assets and episodes, and check them",
+    "episodes": "files of episodes",
+    "spawns": "precomputed start states",
+    "bench": "measure this machine and the physics",
+    "train": "train a policy",
+    "data": "recorded episodes: list, query, check, merge, import",
+    "export": "recorded episodes in other formats",
 }
-"""Module (below ``mjhab``) and function that run a command, by the class of its options or of its group. Modules are
-imported when the command runs, so that --help is fast."""
+"""Commands of two words by their first one."""
+
+COMMANDS: tuple[Command, ...] = (
+    Command(
+        "demo",
+        "a robot sets the table in four homes; films and a report",
+        "cli.options.policies.evaluate:DemoOptions",
+        "policies.evaluate:run_demo",
+    ),
+    Command(
+        "eval",
+        "evaluate a policy: records, summary, films, report",
+        "evaluation.specs:EvalSpec",
+        "policies.evaluate:run_eval",
+        memory=True,
+        spec=True,
+    ),
+    Command(
+        "generate",
+        "record episodes of a policy in a data set",
+        "evaluation.specs:GenerateSpec",
+        "datasets.generate:run_generate",
+        memory=True,
+        spec=True,
+    ),
+    Command(
+        "train bc",
+        "behaviour cloning",
+        "cli.options.policies.train:TrainBcOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "train flow",
+        "flow matching",
+        "cli.options.policies.train:TrainFlowOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "train act",
+        "action chunking with a transformer",
+        "cli.options.policies.train:TrainActOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "train diffusion",
+        "the diffusion policy of MS-HAB",
+        "cli.options.policies.train:TrainDiffusionOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "train dagger",
+        "take-over DAgger: the expert finishes what the policy begins",
+        "cli.options.policies.train:TrainDaggerOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "train ppo",
+        "proximal policy optimization",
+        "cli.options.policies.train:TrainPpoOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "train sac",
+        "soft actor-critic",
+        "cli.options.policies.train:TrainSacOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "train rlpd",
+        "soft actor-critic with demonstrations",
+        "cli.options.policies.train:TrainRlpdOptions",
+        "policies.train:run_train",
+    ),
+    Command(
+        "score",
+        "a comparable score of a policy, checked by replay",
+        "cli.options.policies.score:ScoreOptions",
+        "policies.score:run_score",
+    ),
+    Command(
+        "reproduce",
+        "the tables and figures of the MS-HAB paper",
+        "cli.options.policies.reproduce:ReproduceOptions",
+        "policies.reproduce:run_reproduce",
+    ),
+    Command(
+        "serve",
+        "serve a policy over websockets",
+        "cli.options.policies.serve:ServeOptions",
+        "policies.serve:run_serve",
+    ),
+    Command(
+        "view",
+        "watch worlds or recorded episodes in a browser, drive by hand",
+        "cli.options.view:ViewOptions",
+        "view:run_view",
+    ),
+    Command(
+        "replay",
+        "simulate recorded actions again, or render recorded states",
+        "cli.options.datasets.generate:ReplayOptions",
+        "datasets.replay:run_replay",
+    ),
+    Command(
+        "label",
+        "label recorded episodes again by the present rules",
+        "cli.options.datasets.data:LabelOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data query",
+        "select episodes by an expression",
+        "cli.options.datasets.data:DataQueryOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data stats",
+        "count episodes, labels and targets",
+        "cli.options.datasets.data:DataStatsOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data report",
+        "a page about a data set",
+        "cli.options.datasets.data:DataReportOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data merge",
+        "join data sets",
+        "cli.options.datasets.data:DataMergeOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data split",
+        "divide a data set",
+        "cli.options.datasets.data:DataSplitOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data import",
+        "read the data of MS-HAB",
+        "cli.options.datasets.data:DataImportOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data check",
+        "compare hashes and sizes",
+        "cli.options.datasets.data:DataCheckOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data repair",
+        "save what can be read of damaged files",
+        "cli.options.datasets.data:DataRepairOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "data fields",
+        "what expressions can name",
+        "cli.options.datasets.data:DataFieldsOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
+        "export lerobot",
+        "for LeRobot",
+        "cli.options.datasets.export:ExportLerobotOptions",
+        "datasets.export:run_export",
+    ),
+    Command(
+        "export maniskill",
+        "for ManiSkill and MS-HAB",
+        "cli.options.datasets.export:ExportManiskillOptions",
+        "datasets.export:run_export",
+    ),
+    Command(
+        "envs list",
+        "environment ids",
+        "cli.options.env:EnvsListOptions",
+        "worlds.envs:run_envs",
+    ),
+    Command(
+        "envs describe",
+        "observations, actions and rewards of one",
+        "cli.options.env:EnvsDescribeOptions",
+        "worlds.envs:run_envs",
+    ),
+    Command(
+        "robots list",
+        "the robots",
+        "cli.options.env:RobotsListOptions",
+        "worlds.robots:run_robots",
+    ),
+    Command(
+        "robots show",
+        "joints and cameras of one",
+        "cli.options.env:RobotsShowOptions",
+        "worlds.robots:run_robots",
+    ),
+    Command(
+        "homes list",
+        "homes of a pack",
+        "cli.options.homes:HomesListOptions",
+        "worlds.homes:run_homes",
+    ),
+    Command(
+        "homes show",
+        "rooms and furniture of one",
+        "cli.options.homes:HomesShowOptions",
+        "worlds.homes:run_homes",
+    ),
+    Command(
+        "homes check",
+        "what can be done in homes",
+        "cli.options.homes:HomesCheckOptions",
+        "worlds.homes:run_homes",
+    ),
+    Command(
+        "homes render",
+        "pictures of homes",
+        "cli.options.homes:HomesRenderOptions",
+        "worlds.homes:run_homes",
+    ),
+    Command(
+        "assets list",
+        "what can be fetched",
+        "cli.options.assets:AssetsListOptions",
+        "worlds.assets:run_assets",
+    ),
+    Command(
+        "assets fetch",
+        "download and install",
+        "cli.options.assets:AssetsFetchOptions",
+        "worlds.assets:run_assets",
+    ),
+    Command(
+        "assets verify",
+        "compare files with their hashes",
+        "cli.options.assets:AssetsVerifyOptions",
+        "worlds.assets:run_assets",
+    ),
+    Command(
+        "assets where",
+        "where they are",
+        "cli.options.assets:AssetsWhereOptions",
+        "worlds.assets:run_assets",
+    ),
+    Command(
+        "episodes make",
+        "write a file of episodes",
+        "cli.options.episodes:EpisodesMakeOptions",
+        "worlds.episodes:run_episodes",
+    ),
+    Command(
+        "episodes check",
+        "check one against homes",
+        "cli.options.episodes:EpisodesCheckOptions",
+        "worlds.episodes:run_episodes",
+    ),
+    Command(
+        "spawns make",
+        "compute start states once",
+        "cli.options.spawn:SpawnsMakeOptions",
+        "worlds.spawns:run_spawns",
+    ),
+    Command(
+        "spawns list",
+        "sets of start states",
+        "cli.options.spawn:SpawnsListOptions",
+        "worlds.spawns:run_spawns",
+    ),
+    Command(
+        "bench sim",
+        "steps per second of the engine",
+        "cli.options.engine:BenchSimOptions",
+        "bench.engine:bench_sim",
+    ),
+    Command(
+        "bench scaling",
+        "engine and environment by worlds and threads",
+        "cli.options.engine:BenchScalingOptions",
+        "bench.scaling:bench_scaling",
+    ),
+    Command(
+        "bench grasp",
+        "how well grasps hold",
+        "cli.options.engine:BenchGraspOptions",
+        "bench.engine:bench_grasp",
+    ),
+    Command(
+        "bench env",
+        "steps per second of an environment, by stage",
+        "cli.options.env:BenchEnvOptions",
+        "bench.env:bench_env",
+    ),
+    Command(
+        "bench spawn",
+        "start states per second",
+        "cli.options.spawn:BenchSpawnOptions",
+        "worlds.spawns:bench_spawn",
+    ),
+    Command(
+        "bench soak",
+        "errors and memory over a long time",
+        "cli.options.env:BenchSoakOptions",
+        "bench.soak:bench_soak",
+    ),
+    Command(
+        "bench windows",
+        "reading of training windows",
+        "cli.options.datasets.data:BenchWindowsOptions",
+        "bench.windows:bench_windows",
+    ),
+    Command(
+        "bench reward",
+        "how well the reward tells success",
+        "cli.options.env:BenchRewardOptions",
+        "bench.reward:bench_reward",
+    ),
+    Command(
+        "bench experts",
+        "success of the scripted experts",
+        "cli.options.expert:BenchExpertsOptions",
+        "bench.experts:bench_experts",
+    ),
+    Command(
+        "bench interact",
+        "the benchmark Interact of the paper",
+        "cli.options.gpu:BenchInteractOptions",
+        "bench.interact:bench_interact",
+    ),
+    Command(
+        "bench parity",
+        "both simulators beside each other",
+        "cli.options.gpu:BenchParityOptions",
+        "bench.parity:bench_parity",
+    ),
+    Command(
+        "bench serving",
+        "requests to a policy server",
+        "cli.options.policies.serve:BenchServingOptions",
+        "bench.serving:bench_serving",
+    ),
+    Command(
+        "bench view",
+        "the viewer",
+        "cli.options.view:BenchViewOptions",
+        "bench.view:bench_view",
+    ),
+    Command(
+        "bench learner",
+        "updates per second",
+        "cli.options.policies.train:BenchLearnerOptions",
+        "bench.learner:bench_learner",
+    ),
+    Command(
+        "bench curves",
+        "learning curves",
+        "cli.options.policies.train:BenchCurvesOptions",
+        "bench.curves:bench_curves",
+    ),
+    Command(
+        "examples",
+        "copy the examples",
+        "cli.options.machine:ExamplesOptions",
+        "machine.examples:run_examples",
+    ),
+    Command(
+        "warmup",
+        "compile kernels before they are needed",
+        "cli.options.gpu:WarmupOptions",
+        "machine.warmup:run_warmup",
+    ),
+    Command(
+        "doctor",
+        "what is installed, and what it can do",
+        "cli.options.machine:DoctorOptions",
+        "machine.doctor:run_doctor",
+    ),
+)
+"""All commands, in the order of the overview."""
+BY_WORDS: dict[tuple[str, ...], Command] = {
+    command.words: command for command in COMMANDS
+}
+
+
+def find(args: Sequence[str]) -> tuple[Command, Sequence[str]]:
+    """The command that a command line names, and the words after it.
+
+    Raises:
+        UsageError: there is no such command; the message names the nearest.
+    """
+    first = args[0]
+    if first in GROUPS:
+        inside = [command.words[1] for command in COMMANDS if command.words[0] == first]
+        second = args[1] if len(args) > 1 else ""
+        if second not in inside:
+            raise unknown_name(f"command of {first}", second, inside)
+        return BY_WORDS[first, second], args[2:]
+    if (first,) not in BY_WORDS:
+        names = [*(command.words[0] for command in COMMANDS), *GROUPS]
+        raise unknown_name("command", first, list(dict.fromkeys(names)))
+    return BY_WORDS[(first,)], args[1:]
+
+
+def overview(group: str = "") -> str:
+    """The commands with a line for each, of one group or all."""
+    lines = []
+    shown: set[str] = set()
+    for command in COMMANDS:
+        first = command.words[0]
+        if group:
+            if first == group:
+                lines.append((command.words[1], command.summary))
+        elif first in GROUPS:
+            if first not in shown:
+                lines.append((first, GROUPS[first]))
+            shown.add(first)
+        else:
+            lines.append((first, command.summary))
+    width = max(len(name) for name, _ in lines)
+    return "\n".join(f"  {name:{width}}  {summary}" for name, summary in lines)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import tyro
 
 from mjhab import register_all
 from mjhab.cli import commands
 from mjhab.cli.options.limits import check_limits
+from mjhab.cli.parsing import TYRO, Parsed, parse_spec
+from mjhab.cli.renamed import with_new_names
 from mjhab.cli.streams import (
     described,
     drop_unwritable_stdout,
@@ -29,6 +30,7 @@ DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole
 
 A robot tidies furnished homes with real physics. Start with `mjhab demo`; `mjhab doctor` shows what is installed."""
 
+HELP = ("-h", "--help")
 OK = 0
 FAILED = 1
 USAGE = 2
@@ -85,25 +87,43 @@ def _code_of(error: OSError) -> int:
     return FAILED if error.errno in DISK_ERRORS or error.filename is None else USAGE
 
 
-def parse(args: Sequence[str]) -> Any:
-    """Parse a command line; exits with code 2 and a message if it does not fit."""
-    return tyro.cli(
-        commands.Command,  # type: ignore[arg-type]
-        prog="mjhab",
-        description=DESCRIPTION,
-        args=args,
-        config=(
-            tyro.conf.OmitSubcommandPrefixes,
-            tyro.conf.OmitArgPrefixes,
-            tyro.conf.FlagCreatePairsOff,
-        ),
-    )
+def parse(args: Sequence[str]) -> Parsed:
+    """Parse a command line; prints help and exits where it asks for it.
+
+    Raises:
+        UsageError: there is no such command, or a value does not fit; where tyro refuses a word, it exits with code 2.
+    """
+    if not args:
+        names = ", ".join(dict.fromkeys(c.words[0] for c in commands.COMMANDS))
+        raise UsageError(f"name a command: {names}. `mjhab --help` tells what each does.")
+    if args[0] in HELP:
+        _print_help("mjhab COMMAND", DESCRIPTION, "")
+    args = with_new_names(args)
+    group = commands.GROUPS.get(args[0])
+    if group and (len(args) == 1 or args[1] in HELP):
+        _print_help(
+            f"mjhab {args[0]} COMMAND", f"{group[0].upper()}{group[1:]}.", args[0]
+        )
+    command, rest = commands.find(args)
+    options = commands.load(command.options)
+    prog = f"mjhab {command.name}"
+    if command.spec:
+        return parse_spec(command, options, prog, rest)
+    parsed = tyro.cli(options, prog=prog, args=rest, config=TYRO)
+    check_limits(parsed)
+    limit = getattr(parsed, "cache_mb", None)
+    return Parsed(command, parsed, json=getattr(parsed, "json", False), cache_mb=limit)
+
+
+def _print_help(usage: str, description: str, group: str) -> NoReturn:
+    print(f"usage: {usage} [OPTIONS]\n\n{description}\n\ncommands:")
+    print(commands.overview(group))
+    print("\nEach command tells its options: COMMAND --help")
+    sys.exit(0)
 
 
 def with_pack_request(options: Any) -> Any:
     """Merge ``articulate`` and ``stage_mesh`` of the options into ``assets``, as JSON data of a `PackRequest`."""
-    if hasattr(options, "command"):
-        return dataclasses.replace(options, command=with_pack_request(options.command))
     furniture = getattr(options, "articulate", None)
     stage = getattr(options, "stage_mesh", None)
     if furniture is None and stage is None:
@@ -120,20 +140,15 @@ def with_pack_request(options: Any) -> Any:
     )
 
 
-def run(command: Any) -> int:
+def run(parsed: Parsed) -> int:
     """Run a parsed command and return the exit code."""
     register_all()
-    command = with_pack_request(command)
-    # In a group such as `homes`, ``command`` is the chosen subcommand.
-    chosen = getattr(command, "command", command)
-    check_limits(chosen)
-    limit = getattr(chosen, "cache_mb", None)
-    if limit is not None:
-        set_memory_limit(limit)
-    module, function = (
-        commands.RUNNERS.get(type(chosen)) or commands.RUNNERS[type(command)]
-    )
-    return getattr(importlib.import_module(f"mjhab.{module}"), function)(chosen)
+    if parsed.cache_mb is not None:
+        set_memory_limit(parsed.cache_mb)
+    function = commands.load(f"cli.{parsed.command.run}")
+    if parsed.command.spec:
+        return function(parsed.spec, parsed.json)
+    return function(with_pack_request(parsed.spec))
 
 
 if __name__ == "__main__":

@@ -117,7 +117,7 @@ def _source(options: ViewOptions) -> Source:
     env["reward_mode"] = options.reward or _reward_with_terms(options)
     if options.horizon:
         env["horizon"] = options.horizon
-    spec = EvalSpec(
+    spec = EvalSpec.of(
         policy=options.policy,
         task=options.task,
         subtask=options.subtask,

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from mjhab.config.profiles import (
     DEFAULT_PROFILE,
@@ -21,10 +21,11 @@ from mjhab.config.profiles import (
 from mjhab.config.ranges import whole_number
 from mjhab.core.conventions.names import AXES, JOINT_ANGLES, WRAPPED, Conventions
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_types
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
-from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, pack_request
+from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, PackRequest, pack_request
 from mjhab.scenes.spec import HANDLE_POINTS, JOINT_DYNAMICS
 from mjhab.sim.backends import BACKENDS, check_device
 from mjhab.tasks.household.registry import TASKS
@@ -63,100 +64,135 @@ _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 class EnvConfig:
     """Options of an environment: robot, homes, task, observations, actions, rewards, episodes and backend.
 
-    None stands for the default of every option.
-
-    profile: name of a `profiles.Profile`. It gives values to the options whose default is OF_PROFILE, and to
-    ``horizon`` if that is 0; after construction the fields hold these values. "ms_hab" refuses other values of these
-    options but for ``horizon`` and ``frame_stack``.
-    robot: name of a robot, see `mjhab robots list`. task: HAB task. subtask: "" for the whole chain, or one
-    kind of it, done alone to its horizon. target: restricts ``subtask`` (or the draw of targets) to an object type or a
-    link; "" or "all" for any. split, home: homes to draw from, or one home by name (or a pattern such as ``v3_sc1_*``),
-    or a home file. assets: a pack by name or path, or a `PackRequest`; kept as what its ``as_json`` gives. seed: of the
-    episodes. threads: 0 takes all cores. extra_objects: types of further objects, one slot each behind those of the
-    task's roster; a target that is another object of the pack gets a slot, too. obs_mode: "state", or images too, see
-    `observing.OBS_MODES`. cameras: names of the robot's cameras, or one name; camera_size: pixels, one number or
-    (height, width).
-    obs_keys: "flat" as in ``obs["extra/is_grasped"]``, "nested" as in ``obs["extra"]["is_grasped"]``, or "whole": the
-    state as one vector, ``obs["state"]``, without its parts; recorders take flat keys, wrappers flat or whole.
-    frame_stack: frames that `wrappers.FrameStack` stacks; 1 leaves the number to the
-    wrapper's argument. control_mode, base, stationary: see `controllers.make_controller`. reward_mode: one of
-    REWARD_MODES; "" is the pointer for a chain,
-    sparse for one subtask. reward_scales: changes of the scales of single dense reward terms, as {"pick": {"reach":
-    4.0}}. reward_formula, reward_normaliser: see `tasks.rewards.scoring.RewardOptions`. stillness: "absolute" or
-    "published", see `TaskConfig.stillness`. horizon: control steps of every subtask, 0 for those of the profile.
-    continuous: one subtask runs to its horizon and success may come and go; False ends it at success or failure; None:
-    True for one subtask, False for a chain. overrides: other values of `tasks.thresholds.TaskConfig`, as {"goal_type":
-    "cylinder", "pick.force_limit": 2000}. force_limits: False lifts the limits on the cumulative force. episode_pool: 0
-    gives every reset an arrangement of its own; n draws one of n, so that a long training finds them in the cache
-    (where the robot starts is drawn anew each time all the same). open_start: share of the resets of Open that find a
-    drawer already 20 % of the way to open. spawn_rule: "front_box" or "published", see `profiles.Profile`. spawns: file
-    of precomputed starts (`mjhab spawns make`). autoreset: what happens after an episode's end. handle_points: what
-    observations and rewards of Open and Close take for the handle: "ours", the point at which our collision geometry is
-    gripped, or "published", the point that the original's plans name (3 to 4 cm off). Built-in furniture and the
-    fridge's lower door have no published points and keep ours. object_axes: axes of the pose of the observed object:
-    "object", along the sides of a box, or "scan", those of its YCB scan, which the original observes. joint_angles: of
-    joints without limits: "wrapped" to within half a turn, in observations and where the distance from rest is judged,
-    or "unwrapped", counted on over every turn, as the original does.
-    joint_dynamics: damping, dry friction, stops and range of the joints of furniture: "ours", or "published", those of
-    the URDFs (0.01 and 0.01, stops that do not bounce), which built-in furniture has, too, since it stands in for
-    ReplicaCAD; with "published" a door that a wall stops keeps its range and meets the wall, see `layout.joints`. What
-    was recorded without it had "ours". episodes_file: a file in the HAB format whose i-th
-    episode is episode i, in the home it names; "" to generate. navigate: of a chain: "teleport" puts the robot near
-    every goal, as the paper does; "drive" leaves the way to the policy, and arm and grasp count. Navigate alone is
-    always driven. render_mode: "rgb_array" makes ``render()`` give human views. backend: "cpu"; "warp" for the
-    environments on a GPU, `device.DeviceEnv`; "auto" is warp where there is CUDA. device, starts, buffers: of backend
-    warp: the device ("" for the first GPU; "cpu" is slow, for tests; backend cpu takes no other than these two); how
-    many precomputed starts worlds draw from (0: by num_envs); other sizes of the engine's buffers (`BufferSizes`).
+    None stands for the default of every option. A binding profile such as "ms_hab" refuses other values of the options
+    that it decides about, but for ``horizon`` and ``frame_stack``.
     """
 
     trains: ClassVar[bool] = False
     """Whether it is a configuration of `make_train`."""
 
-    profile: str = DEFAULT_PROFILE
+    profile: Annotated[str, Flag(metavar="mjhab|ms_hab")] = DEFAULT_PROFILE
+    """Values of many options at once, see `profiles.Profile`: ms_hab is the environment of the MS-HAB paper (see
+    docs/environments.md). It gives values to the options that are those of the profile by default, and to the horizon
+    if that is 0."""
     robot: str = DEFAULT_ROBOT
+    """The robot, see `mjhab robots list`."""
     task: str = "set_table"
-    subtask: str = ""
-    target: str = ""
-    num_envs: int = 1
-    split: str = "train"
-    home: str = ""
-    assets: Assets = "builtin"
+    """What to do: set_table, tidy_house, prepare_groceries or one of a plugin."""
+    subtask: Annotated[str, Flag(shown="default: the whole task")] = ""
+    """One subtask alone, from spawned starts and to its horizon, such as pick (`mjhab envs list` names all); "" for the
+    whole task, a chain of subtasks."""
+    target: Annotated[str, Flag(shown="default: all of them")] = ""
+    """With a subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3; "" or "all" for any."""
+    num_envs: Annotated[int, Flag("worlds")] = 1
+    """Number of parallel worlds. Changes the speed, never the results."""
+    split: Annotated[str, Flag(metavar="train|val|test")] = "train"
+    """Which homes to draw from: train, val or test."""
+    home: Annotated[
+        str, Flag(metavar="NAME|PATTERN|FILE", shown="default: all of the split")
+    ] = ""
+    """Only this home, or the homes that fit a pattern such as 'v3_sc0_*', in turn (see: mjhab homes list); or a home
+    file."""
+    assets: Annotated[Assets, Flag(metavar="builtin|FOLDER", kind=PackRequest)] = (
+        "builtin"
+    )
+    """Asset pack: builtin, the name of another pack, or the folder of one; in Python also a `PackRequest`."""
     extra_objects: tuple[str, ...] = ()
+    """Types of further objects, one slot each behind those of the task's roster. A target that is another object of the
+    pack gets a slot, too."""
     seed: int = 0
+    """Seed of the run; seed and index determine an episode. In an evaluation the global generators of Python, numpy and
+    torch begin from it, too, for policies that draw from them."""
     threads: int = 0
-    obs_mode: str = "state"
+    """Threads of physics and rendering; 0 takes all cores. Changes the speed, never the results."""
+    obs_mode: Annotated[str, Flag("obs", "MODE")] = "state"
+    """Observation mode: state, proprioception, depth, rgb, rgbd, seg, pointcloud, or several joined by +, see
+    `envs.observations.modes`."""
     cameras: tuple[str, ...] = OF_PROFILE
+    """Names of the robot's cameras, or one name; by default those of the profile, else all."""
     camera_size: int | tuple[int, int] = 128
-    obs_keys: str = FLAT
-    frame_stack: int = OF_PROFILE
-    control_mode: str = "pd_joint_delta_pos"
-    base: str = "forward"
+    """Pixels of the camera images: their side, or height and width."""
+    obs_keys: Annotated[str, Flag(hidden=True)] = FLAT
+    """Keys of observations: "flat" as in ``obs["extra/is_grasped"]``, "nested" as in ``obs["extra"]["is_grasped"]``, or
+    "whole": the state as one vector, ``obs["state"]``, without its parts. Recorders take flat keys, wrappers flat or
+    whole."""
+    frame_stack: Annotated[int, Flag(hidden=True)] = OF_PROFILE
+    """Frames that `wrappers.FrameStack` stacks; 1 leaves the number to the wrapper's argument."""
+    control_mode: Annotated[str, Flag("control", "MODE")] = "pd_joint_delta_pos"
+    """Control mode of the actions, e.g. pd_ee_delta_pose, see `controllers.make_controller`."""
+    base: Annotated[str, Flag(metavar="forward|holonomic")] = "forward"
+    """How the base drives: forward and turning, or holonomic, to the sides, too."""
     stationary: tuple[str, ...] = OF_PROFILE
-    reward_mode: str = ""
-    reward_scales: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    reward_formula: str = OF_PROFILE
-    reward_normaliser: str = OF_PROFILE
-    stillness: str = OF_PROFILE
-    horizon: int = 0
+    """Groups of joints that do not follow their actions."""
+    reward_mode: Annotated[str, Flag("reward", "MODE")] = ""
+    """The reward: pointer, sparse, dense, normalized_dense or none; "" is pointer for a whole task, sparse for one
+    subtask."""
+    reward_scales: Annotated[Mapping[str, Mapping[str, float]], Flag(hidden=True)] = (
+        field(default_factory=dict)
+    )
+    """Changes of the scales of single dense reward terms, as {"pick": {"reach": 4.0}}."""
+    reward_formula: Annotated[str, Flag(metavar="bounded|published")] = OF_PROFILE
+    """How dense reward terms are computed, see `tasks.rewards.scoring.RewardOptions`."""
+    reward_normaliser: Annotated[str, Flag(metavar="attainable|published")] = OF_PROFILE
+    """What normalized_dense divides by, see `tasks.rewards.scoring.RewardOptions`."""
+    stillness: Annotated[str, Flag(metavar="absolute|published")] = OF_PROFILE
+    """Whether a joint that moves backwards counts as moving (absolute) or as still (published), see
+    `TaskConfig.stillness`."""
+    horizon: Annotated[int, Flag(shown="default: that of the profile")] = 0
+    """Control steps of every subtask; 0 for those of the profile."""
     continuous: bool | None = None
-    overrides: Mapping[str, Any] = field(default_factory=dict)
+    """One subtask runs to its horizon and success may come and go; False ends it at success or failure. None: True for
+    one subtask, False for a whole task."""
+    overrides: Annotated[Mapping[str, Any], Flag(hidden=True)] = field(
+        default_factory=dict
+    )
+    """Other values of `tasks.thresholds.TaskConfig`, as {"goal_type": "cylinder", "pick.force_limit": 2000}."""
     force_limits: bool = OF_PROFILE
+    """Whether the limits on the cumulative force are in force."""
     episode_pool: int = 0
-    open_start: float = 0.0
-    spawn_rule: str = OF_PROFILE
-    spawns: str = ""
-    handle_points: str = OF_PROFILE
-    object_axes: str = OF_PROFILE
-    joint_angles: str = OF_PROFILE
-    joint_dynamics: str = OF_PROFILE
-    autoreset: str = "same_step"
-    episodes_file: str = ""
-    navigate: str = "teleport"
-    render_mode: str | None = ""
-    backend: str = "cpu"
-    device: str = ""
-    starts: int = 0
-    buffers: Mapping[str, int] = field(default_factory=dict)
+    """0 gives every reset an arrangement of objects of its own; n draws one of n, so that a long training finds them in
+    the cache. Where the robot starts is drawn anew each time all the same."""
+    open_start: Annotated[float, Flag(metavar="SHARE")] = 0.0
+    """Share of the resets of Open that find a drawer already 20 % of the way to open."""
+    spawn_rule: Annotated[str, Flag(metavar="front_box|published")] = OF_PROFILE
+    """Start positions of Pick and Place at a drawer or fridge, and start posture of the arm in Place, see
+    `profiles.Profile`."""
+    spawns: Annotated[str, Flag(metavar="FILE.npz")] = ""
+    """With a subtask: use the start states of this file (see: mjhab spawns make)."""
+    handle_points: Annotated[str, Flag(metavar="ours|published")] = OF_PROFILE
+    """What observations and rewards of Open and Close take for the handle: "ours", the point at which our collision
+    geometry is gripped, or "published", the point that the original's plans name (3 to 4 cm off). Built-in furniture
+    and the fridge's lower door have no published points and keep ours."""
+    object_axes: Annotated[str, Flag(metavar="object|scan")] = OF_PROFILE
+    """Axes of the pose of the observed object: "object", along the sides of a box, or "scan", those of its YCB scan,
+    which the original observes."""
+    joint_angles: Annotated[str, Flag(metavar="wrapped|unwrapped")] = OF_PROFILE
+    """Angles of joints without limits: "wrapped" to within half a turn, in observations and where the distance from
+    rest is judged, or "unwrapped", counted on over every turn, as the original does."""
+    joint_dynamics: Annotated[str, Flag(metavar="ours|published")] = OF_PROFILE
+    """Damping, dry friction, stops and range of the joints of furniture: "ours", or "published", those of the URDFs
+    (0.01 and 0.01, stops that do not bounce), which built-in furniture has, too, since it stands in for ReplicaCAD. With
+    "published" a door that a wall stops keeps its range and meets the wall, see `layout.joints`. What was recorded
+    without it had "ours"."""
+    autoreset: Annotated[str, Flag(hidden=True)] = "same_step"
+    """What happens after an episode's end: "same_step", "next_step" or "disabled"."""
+    episodes_file: Annotated[str, Flag(metavar="FILE")] = ""
+    """A file in the HAB format (.json or .json.gz) whose i-th episode is episode i, in the home it names; "" to
+    generate episodes."""
+    navigate: Annotated[str, Flag(metavar="teleport|drive")] = "teleport"
+    """In a whole task: teleport puts the robot near every goal, as in the paper; drive leaves driving to the policy,
+    and arm and grasp count. Navigate alone is always driven."""
+    render_mode: Annotated[str | None, Flag(hidden=True)] = ""
+    """"rgb_array" makes ``render()`` give human views."""
+    backend: Annotated[str, Flag(metavar="cpu|warp|auto")] = "cpu"
+    """Simulation backend: "cpu"; "warp" for the environments on a GPU, `device.DeviceEnv`; "auto" is warp where
+    there is CUDA."""
+    device: Annotated[str, Flag(metavar="DEVICE")] = ""
+    """Device of backend warp: "" for the first GPU; "cpu" is slow, for tests. Backend cpu takes no other than these."""
+    starts: Annotated[int, Flag(hidden=True)] = 0
+    """With backend warp: how many precomputed starts worlds draw from; 0: by the number of worlds."""
+    buffers: Annotated[Mapping[str, int], Flag(hidden=True)] = field(default_factory=dict)
+    """With backend warp: other sizes of the engine's buffers, see `BufferSizes`."""
 
     def __post_init__(self) -> None:
         if isinstance(self.starts, str):

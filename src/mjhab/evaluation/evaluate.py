@@ -5,22 +5,19 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from mjhab.config.env import NAVIGATE_MODES, SPLITS, EnvConfig
-from mjhab.config.ranges import whole_number
+from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.typed.options import take_types
 from mjhab.core.version import __version__
 from mjhab.evaluation.global_random import SeededGlobals
 from mjhab.evaluation.own_policy import (
@@ -32,12 +29,11 @@ from mjhab.evaluation.own_policy import (
 from mjhab.evaluation.resolve import (
     PolicyFacts,
     PolicyOptions,
-    check_style,
-    full_spec,
     inspect_policy,
     no_instruction,
     resolve_policy,
 )
+from mjhab.evaluation.specs import EvalSpec, PolicyLike, env_names
 from mjhab.reports.metrics import (
     AloneRates,
     alone_rates,
@@ -52,117 +48,30 @@ from mjhab.rollout.policy import Clipped, Composed, Policy, RolloutEnv, Timed
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
-from mjhab.scenes.pack_source import Assets, pack_request
-from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.style import Styles
-from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
-PolicyLike = str | Policy | Callable[..., Policy]
-"""A specification for `resolve_policy`, a policy object, or a class or function that makes one."""
-Spec = TypeVar("Spec")
-"""`EvalSpec`, or another dataclass of options that is used like it."""
 REQUEST_FACTS = ("latency_ms", "out_of_range")
 """Entries of a summary about the requests of a policy, see `requests_of`."""
 FILM_QUALITY = 27
 """x264 constant rate factor. The film of a whole chain takes a few MB, because the report embeds it."""
-NOT_IN_CONFIG = frozenset(
-    {"policy", "style", "instruction", "env", "out", "resume", "overwrite", "alone"}
-)
-"""Fields of `EvalSpec` that a run's configuration stores in another form, or not at all."""
-FIXED_ENV_OPTIONS = frozenset(
-    {"num_envs", "autoreset", "backend", "device", "starts", "buffers"}
-)
-"""Environment options that an evaluation sets itself."""
-
-
-CHECKED_APART = frozenset(
-    {"policy", "assets", "episodes", "worlds", "seed", "threads", "films"}
-)
-"""Fields of `EvalSpec` and `GenerateSpec` whose types other functions check."""
-
-
-@dataclass(frozen=True)
-class EvalSpec:
-    """An evaluation: policy, episodes, environment options, and run folder.
-
-    policy: see `PolicyLike`. style: style options of the expert, see `Styles.parse`.
-    task: the household task. subtask: evaluate only this subtask, from spawned start states; None evaluates the whole
-    task. target: only this object or furniture link of the subtask; None for all. instruction: sentence that the policy
-    is told in all episodes of the subtask, in place of their own; None for these.
-    episodes: number of episodes, with indices 0 to N-1. worlds: number of parallel worlds. seed: of the run. Seed and
-    index determine an episode, so it is the same for every policy. The global generators of Python, numpy and torch
-    begin from it, too, for policies that draw from them, and are put back afterwards; what such a policy does depends
-    on ``worlds`` and ``resume`` all the same.
-    split, home, assets, episodes_file, spawns, navigate, threads: as in `EnvConfig`; None for "".
-    env: further fields of `EnvConfig`, e.g. ``{"obs_mode": "depth", "camera_size": 64}``; they take precedence over
-    the policy's ``env_options``.
-    films: number of episodes to film, from the first on. out: the run folder; None takes `default_out`. resume: run
-    only the episodes without a record in ``out``. overwrite: replace an existing run. alone: folders of runs of single
-    subtasks, whose success rates give the upper bound of progressive completion.
-
-    Raises:
-        UsageError: a name is unknown, a number out of range, or options exclude each other.
-    """
-
-    policy: PolicyLike = "expert"
-    task: str = "set_table"
-    subtask: str | None = None
-    target: str | None = None
-    episodes: int = 20
-    worlds: int = 8
-    seed: int = 0
-    split: str = "train"
-    assets: Assets = "builtin"
-    episodes_file: str | None = None
-    navigate: str = "teleport"
-    spawns: str | None = None
-    home: str | None = None
-    threads: int = 0
-    films: int = 4
-    style: tuple[str, ...] = ()
-    instruction: str | None = None
-    env: Mapping[str, Any] = field(default_factory=dict)
-    out: Path | None = None
-    resume: bool = False
-    overwrite: bool = False
-    alone: tuple[Path, ...] = ()
-
-    def __post_init__(self) -> None:
-        take_types(self, CHECKED_APART)
-        TASKS.check(self.task)
-        if self.subtask:
-            SUBTASKS.check(self.subtask)
-        object.__setattr__(self, "assets", pack_request(self.assets).as_json())
-        for kind, given, valid in (
-            ("split", self.split, SPLITS),
-            ("navigate mode", self.navigate, NAVIGATE_MODES),
-        ):
-            if given is not None and given not in valid:
-                raise unknown_name(kind, given, valid)
-        check_style(self.policy, self.style)
-        if self.target and not self.subtask:
-            raise UsageError(
-                "a target needs a subtask: a whole task has its targets in its plan."
-            )
-        if self.instruction and not self.subtask:
-            raise UsageError(
-                "an instruction needs a subtask: in a whole task every subtask has a sentence of its own."
-            )
-        for name in ("worlds", "seed", "threads", "films"):
-            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
-        object.__setattr__(
-            self, "episodes", whole_number("episodes", self.episodes, least=1)
-        )
-        check_env_options(self.env)
-        if isinstance(self.policy, str):
-            object.__setattr__(
-                self,
-                "policy",
-                full_spec(self.policy, self.task, self.subtask, self.target),
-            )
+RECORDED = {
+    "task": "task",
+    "subtask": "subtask",
+    "target": "target",
+    "worlds": "num_envs",
+    "seed": "seed",
+    "split": "split",
+    "assets": "assets",
+    "episodes_file": "episodes_file",
+    "navigate": "navigate",
+    "spawns": "spawns",
+    "home": "home",
+    "threads": "threads",
+}
+"""Keys of a run's configuration that hold options of the environment, and the fields of `EnvConfig`."""
 
 
 @dataclass(frozen=True)
@@ -217,27 +126,7 @@ def evaluate(policy: PolicyLike = "expert", **options: Any) -> Run:
         UsageError: an option is unknown or invalid, or the run folder holds another run.
         EvaluationInterrupted: Ctrl-C was pressed; finished episodes are kept.
     """
-    return run_evaluation(spec_of_options(EvalSpec, {"policy": policy, **options}))
-
-
-def spec_of_options(spec_type: type[Spec], options: Mapping[str, Any]) -> Spec:
-    """Build a specification from options that mix its own fields and those of `EnvConfig`.
-
-    Args:
-        spec_type: a dataclass with a field ``out`` and a field ``env``, which takes the options that are not its own.
-        options: by name; ``out`` may be a string.
-
-    Raises:
-        UsageError: see the dataclass.
-    """
-    own = {f.name for f in dataclasses.fields(cast(Any, spec_type))}
-    known = {name: value for name, value in options.items() if name in own}
-    further = {name: value for name, value in options.items() if name not in own}
-    if further:
-        known["env"] = {**known.get("env", {}), **further}
-    if isinstance(known.get("out"), str):
-        known["out"] = Path(known["out"])
-    return spec_type(**known)
+    return run_evaluation(EvalSpec.of(policy=policy, **options))
 
 
 def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
@@ -263,7 +152,7 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     env = make_env(spec, env_options(spec, facts))
     policy = None
     try:
-        with SeededGlobals(spec.seed) as random:
+        with SeededGlobals(spec.asked.seed) as random:
             policy = make_policy(spec, env)
             random.take_torch()
             with RunFolder.open(
@@ -292,7 +181,7 @@ def _run(
             env,
             policy,
             folder.missing(spec.episodes),
-            spec.seed,
+            spec.asked.seed,
             # StoreSink comes last: an episode with a record is complete in all other sinks, too.
             [films, *sinks, StoreSink(folder)],
         )
@@ -372,7 +261,7 @@ def make_policy(spec: EvalSpec, env: RolloutEnv) -> Policy:
     policy = spec.policy
     if isinstance(policy, str):
         return resolve_policy(
-            policy, env, PolicyOptions(spec.seed, spec.style, spec.instruction or "")
+            policy, env, PolicyOptions(spec.asked.seed, spec.style, spec.instruction)
         )
     if spec.instruction:
         raise no_instruction(describe_policy(policy).name)
@@ -399,57 +288,57 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
 
 
 def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
-    """Build the environment of an evaluation with further ``options``; it has at most as many worlds as episodes."""
+    """Build the environment of an evaluation.
+
+    Args:
+        spec: the evaluation; the environment has at most as many worlds as episodes.
+        options: further ones, which take precedence, see `env_options`.
+    """
     from mjhab.envs import make
 
-    return make(
-        **options,
-        task=spec.task,
-        subtask=spec.subtask or "",
-        target=spec.target or "",
-        num_envs=min(spec.worlds, spec.episodes),
-        split=spec.split,
-        assets=spec.assets,
-        home=spec.home or "",
-        episodes_file=spec.episodes_file or "",
-        spawns=spec.spawns or "",
-        navigate=spec.navigate,
-        seed=spec.seed,
-        threads=spec.threads,
-        autoreset="disabled",
-    )
+    worlds = min(spec.asked.num_envs, spec.episodes)
+    asked = {**spec.env_defaults, **spec.env, **options}
+    return make(**{**asked, "num_envs": worlds, "autoreset": "disabled"})
 
 
 def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     """Everything that determines the episodes, including the versions of mjhab and MuJoCo, as JSON data."""
+    asked = spec.asked
     chosen: dict[str, Any] = {"policy": facts.name, **facts.identity}
     if facts.caution:
         chosen["policy_caution"] = facts.caution
-    for f in dataclasses.fields(spec):
-        if f.name not in NOT_IN_CONFIG:
-            chosen[f.name] = getattr(spec, f.name)
+    chosen |= {key: recorded_value(asked, name) for key, name in RECORDED.items()}
+    chosen |= {"episodes": spec.episodes, "films": spec.films}
     if spec.style:
         chosen["style"] = Styles.parse(spec.style).words
     if spec.instruction:
         chosen["instruction"] = spec.instruction
     options = env_options(spec, facts)
-    config = EnvConfig(task=spec.task, subtask=spec.subtask or "", **plain(options))
+    config = EnvConfig(**plain({**spec.env_defaults, **options}))
     chosen |= plain(config.of_profile())
-    further = {name: value for name, value in options.items() if name != "profile"}
+    apart = {"profile", *RECORDED.values()}
+    further = {name: value for name, value in options.items() if name not in apart}
     if further:
         chosen["env"] = plain(further)
-    if spec.spawns:
+    if asked.spawns:
         from mjhab.episodes.spawn_sets import SpawnSet
 
         # The content and hash of the set determine the episodes, not its path.
-        chosen["spawns"] = SpawnSet.read(Path(spec.spawns)).describe()
+        chosen["spawns"] = SpawnSet.read(Path(asked.spawns)).describe()
     return {**chosen, "mjhab": __version__, "mujoco": version("mujoco")}
+
+
+def recorded_value(asked: EnvConfig, name: str) -> Any:
+    """The value of an option of the environment as a run's configuration holds it: None for an empty text."""
+    value = getattr(asked, name)
+    return None if value == "" else value
 
 
 def default_out(spec: EvalSpec, policy: str) -> Path:
     """Default run folder; ``policy`` is the policy's name."""
-    driven = "drive" if spec.navigate == "drive" and not spec.subtask else None
-    words = (spec.task, spec.subtask, spec.target, driven, policy, f"seed{spec.seed}")
+    asked = spec.asked
+    driven = "drive" if asked.navigate == "drive" and not asked.subtask else None
+    words = (asked.task, asked.subtask, asked.target, driven, policy, f"seed{asked.seed}")
     return Path("runs") / "_".join(
         re.sub(r"[^\w.-]+", "-", word) for word in words if word
     )
@@ -501,30 +390,16 @@ def finish(
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)
 
 
-def check_env_options(
-    options: Mapping[str, Any], spec: type[Any] = EvalSpec, what: str = "an evaluation"
-) -> None:
-    """Refuse environment options that do not exist, or for which the specification has a field of its own.
-
-    Args:
-        options: by name.
-        spec: dataclass of the specification: `EvalSpec`, or one that is converted to it.
-        what: name of the specified thing, for the message.
+def check_env_options(options: Mapping[str, Any]) -> None:
+    """Refuse environment options of a policy that do not exist, or that an evaluation sets itself.
 
     Raises:
         UsageError: an option is not allowed.
     """
-    spec_fields = {f.name for f in dataclasses.fields(spec)}
-    evaluated = {f.name for f in dataclasses.fields(EvalSpec)}
-    valid = (
-        {f.name for f in dataclasses.fields(EnvConfig)}
-        - FIXED_ENV_OPTIONS
-        - evaluated
-        - spec_fields
-    )
+    valid = set(env_names(EvalSpec).values()) - set(RECORDED.values())
     for name in options:
         if name not in valid:
-            raise unknown_name(f"option of {what}", name, valid | spec_fields - {"env"})
+            raise unknown_name("environment option of a policy", name, sorted(valid))
 
 
 def _anything_left(path: Path, spec: EvalSpec) -> bool:

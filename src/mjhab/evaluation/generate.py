@@ -10,204 +10,49 @@ import functools
 import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mjhab.assets.sources import licence_of
 from mjhab.config.env import EnvConfig
-from mjhab.config.ranges import range_of, whole_number
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
-from mjhab.core.typed.options import take_types
 from mjhab.data.record import generation
 from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
 from mjhab.data.record.generation import Job, Standing
-from mjhab.data.select.query import Filter, read_filter
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes as recorded_episodes
 from mjhab.data.store.reading import RecordedEpisode
-from mjhab.envs.observations.modes import camera_names, image_size, mode_outputs
 from mjhab.episodes.starts import valid_targets
 from mjhab.evaluation.evaluate import (
-    CHECKED_APART,
-    EvalSpec,
-    PolicyLike,
-    check_env_options,
     describe_policy,
     env_options,
     make_env,
     make_policy,
-    spec_of_options,
+    recorded_value,
 )
-from mjhab.evaluation.resolve import PolicyFacts, full_spec
-from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
+from mjhab.evaluation.resolve import PolicyFacts
+from mjhab.evaluation.specs import GenerateSpec, PolicyLike
 from mjhab.rollout.loop import plain
-from mjhab.scenes.pack_source import Assets, pack_request
+from mjhab.scenes.pack_source import pack_request
 from mjhab.tasks.style import Styles
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
-NO_IMAGES = "none"
-TRIES_PER_EPISODE = 20
-"""Number of episodes tried per episode to keep, if ``episodes`` is not given."""
-MAX_TARGETS = 10
-"""Upper bound on the number of object types of a task."""
-NOT_IN_CONFIG = frozenset(
-    {
-        "out",
-        "policy",
-        "style",
-        "env",
-        "states",
-        "reward_mode",
-        "episodes",
-        "per_target",
-        "per_label",
-        "worlds",
-        "workers",
-        "threads",
-        "ray",
-        "resume",
-        "until",
-    }
-)
-"""Fields of `GenerateSpec` that a data set's configuration stores in another form, or not at all."""
-
-
-@dataclass(frozen=True)
-class GenerateSpec:
-    """A data set to generate: policy, episodes, content, and folder.
-
-    out: folder of the shards.
-    policy, style, task, subtask, target, seed, split, home, assets: as in `EvalSpec`.
-    navigate: as in `EvalSpec`; None lets the policy drive the robot in whole tasks instead of teleporting it.
-    until: "success+N" ends an episode of a single subtask N control steps after its first success, or when it exceeds
-    the force limit; "" continues to the horizon. Whole tasks end with their success.
-    env: further fields of `EnvConfig`, e.g. ``{"profile": "ms_hab"}``; they take precedence over the policy's
-    ``env_options``.
-    per_target, per_label: number of episodes to keep per target, and per label of a target; 0 for no limit. Whole
-    tasks and Navigate count as one target. episodes: number of episodes to try, with indices 0 to N-1; None tries
-    TRIES_PER_EPISODE times as many as are to be kept, and needs ``per_target``.
-    keep, preset: filter of the episodes to keep, and name of a predefined one (see `query.PRESETS`); an episode must
-    pass both. None keeps all.
-    states: store positions and velocities; without them images cannot be rendered later. images: camera images to
-    store, "depth", "rgb", "rgbd", "seg" or several joined by "+"; "none" for none. cameras: their names, None for all
-    cameras of the robot. camera_size: side, or height and width [px]. rgb: format of colour images, "png" or "jpeg".
-    reward_mode: reward to store; "" takes that of an evaluation.
-    worlds: parallel episodes per worker. workers: number of processes to start (a script then needs
-    ``if __name__ == "__main__":``); 0 runs in this process. threads: of the physics in each worker, 0 divides the
-    cores among the workers. ray: address of a Ray cluster whose actors are the workers, "local" to start one here.
-    None of these four changes the results.
-    resume: continue the data set in ``out``; episodes, worlds, workers and threads may differ from before.
-
-    Raises:
-        UsageError: a name is unknown, a number out of range, a filter invalid, or options exclude each other.
-    """
-
-    out: Path
-    policy: PolicyLike = "expert"
-    style: tuple[str, ...] = ()
-    task: str = "set_table"
-    subtask: str | None = None
-    target: str | None = None
-    seed: int = 0
-    split: str = "train"
-    home: str | None = None
-    assets: Assets = "builtin"
-    navigate: str | None = None
-    until: str = ""
-    env: Mapping[str, Any] = field(default_factory=dict)
-    per_target: int = 0
-    per_label: int = 0
-    episodes: int | None = None
-    keep: str | None = None
-    preset: str | None = None
-    states: bool = True
-    images: str = NO_IMAGES
-    cameras: tuple[str, ...] | None = None
-    camera_size: int | tuple[int, int] = 128
-    rgb: str = "png"
-    reward_mode: str = ""
-    worlds: int = 4
-    workers: int = 0
-    threads: int = 0
-    ray: str | None = None
-    resume: bool = False
-
-    def __post_init__(self) -> None:
-        take_types(
-            self, CHECKED_APART | {"per_target", "per_label", "workers", "camera_size"}
-        )
-        object.__setattr__(self, "assets", pack_request(self.assets).as_json())
-        if isinstance(self.policy, str):
-            object.__setattr__(
-                self,
-                "policy",
-                full_spec(self.policy, self.task, self.subtask, self.target),
-            )
-        if self.navigate is None:
-            # A single subtask ignores this option; it keeps the value that older data sets have.
-            object.__setattr__(self, "navigate", "teleport" if self.subtask else "drive")
-        Until.parse(self.until)
-        check_env_options(self.env, GenerateSpec, "a data set")
-        robot = robot_named(self.env.get("robot", DEFAULT_ROBOT))
-        if self.cameras is None:
-            object.__setattr__(self, "cameras", robot.camera_names)
-        for name in ("per_target", "per_label", "workers"):
-            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
-        if self.episodes is None and not self.per_target:
-            raise UsageError(
-                "the number of episodes is missing: give per_target (episodes to keep per target) or episodes "
-                "(episodes to try)."
-            )
-        if self.episodes is not None:
-            object.__setattr__(
-                self, "episodes", whole_number("episodes", self.episodes, least=1)
-            )
-        self.as_evaluation()
-        self.filter()
-        if self.stores_images:
-            ImageFormat(self.rgb)
-            mode_outputs(self.images)
-            camera_names(robot, self.cameras or ())
-            image_size(self.camera_size)
-
-    @property
-    def stores_images(self) -> bool:
-        """Whether camera images are stored."""
-        return self.images != NO_IMAGES
-
-    @property
-    def max_tries(self) -> int:
-        """Largest number of episodes to try."""
-        if self.episodes is not None:
-            return self.episodes
-        _, most = range_of("episodes")
-        return min(most, TRIES_PER_EPISODE * MAX_TARGETS * self.per_target)
-
-    def filter(self) -> Filter | None:
-        """The filter of ``keep`` and ``preset``; None keeps every episode."""
-        return read_filter(self.keep, self.preset)
-
-    def as_evaluation(self) -> EvalSpec:
-        """The `EvalSpec` of the same episodes with the same policy."""
-        return EvalSpec(
-            policy=self.policy,
-            style=self.style,
-            task=self.task,
-            subtask=self.subtask,
-            target=self.target,
-            episodes=self.max_tries,
-            worlds=self.worlds,
-            seed=self.seed,
-            split=self.split,
-            home=self.home,
-            assets=self.assets,
-            navigate=self.navigate or "teleport",
-            threads=self.threads,
-            env=self.env,
-        )
+RECORDED = {
+    "task": "task",
+    "subtask": "subtask",
+    "target": "target",
+    "seed": "seed",
+    "split": "split",
+    "home": "home",
+    "assets": "assets",
+    "navigate": "navigate",
+}
+"""Keys of a data set's configuration that hold options of the environment, and the fields of `EnvConfig`."""
+CONTENT = ("keep", "preset", "images", "cameras", "camera_size", "rgb")
+"""Fields of `GenerateSpec` that a data set's configuration holds."""
 
 
 @dataclass(frozen=True)
@@ -278,9 +123,7 @@ def generate(
         MjhabError: a worker failed.
         KeyboardInterrupt: Ctrl-C was pressed; finished episodes are kept, and ``resume=True`` continues.
     """
-    return run_generation(
-        spec_of_options(GenerateSpec, {"policy": policy, "out": out, **options})
-    )
+    return run_generation(GenerateSpec.of(policy=policy, out=out, **options))
 
 
 def run_generation(
@@ -319,16 +162,18 @@ def make_job(spec: GenerateSpec) -> Job:
     keep = spec.filter()
     # A worker without an episode would only take memory.
     workers = max(1, min(spec.workers, spec.max_tries))
-    threads = spec.threads or max(1, cores() // workers)
+    threads = spec.asked.threads or max(1, cores() // workers)
+    shared = dataclasses.replace(spec, env={**spec.env, "threads": threads})
     worker = WorkerSpec(
-        build=functools.partial(build_stage, dataclasses.replace(spec, threads=threads)),
-        seed=spec.seed,
+        build=functools.partial(build_stage, shared),
+        seed=spec.asked.seed,
         keep=keep.text if keep else "",
         states=spec.states,
         images=ImageFormat(spec.rgb) if spec.stores_images else None,
     )
     # Episodes of one subtask all last to the horizon, so one per world leaves no world idle. Chains differ in length.
-    chunk = spec.worlds if spec.subtask else 2 * spec.worlds
+    worlds = spec.asked.num_envs
+    chunk = worlds if spec.asked.subtask else 2 * worlds
     return Job(
         spec=worker,
         config=config,
@@ -360,10 +205,11 @@ def build_stage(spec: GenerateSpec) -> Stage:
     evaluation = spec.as_evaluation()
     env = make_env(evaluation, recorded_env_options(spec, facts))
     targets = (ALL,)
-    if spec.subtask and not SUBTASKS[spec.subtask].navigates:
+    asked = spec.asked
+    if asked.subtask and not SUBTASKS[asked.subtask].navigates:
         targets = (
-            (spec.target,)
-            if spec.target
+            (asked.target,)
+            if asked.target
             else tuple(valid_targets(env.config, env.layout))
         )
     policy = make_policy(evaluation, env)
@@ -372,7 +218,7 @@ def build_stage(spec: GenerateSpec) -> Stage:
         policy,
         about_policy(spec, facts),
         targets,
-        licence_of(pack_request(spec.assets).place),
+        licence_of(pack_request(asked.assets).place),
     )
 
 
@@ -384,7 +230,7 @@ def about_policy(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
     if spec.style:
         about["style"] = Styles.parse(spec.style).words
     if spec.policy == "random":
-        about["seed"] = spec.seed
+        about["seed"] = spec.asked.seed
     return about
 
 
@@ -396,11 +242,9 @@ def recorded_env_options(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, An
     """
     needed = env_options(spec.as_evaluation(), facts)
     until = Until.parse(spec.until)
-    if spec.subtask and not until.is_whole:
+    if spec.asked.subtask and not until.is_whole:
         overrides = {**needed.get("overrides", {}), "hold_steps": until.hold_steps}
         needed["overrides"] = overrides
-    if spec.reward_mode:
-        needed["reward_mode"] = spec.reward_mode
     if not spec.stores_images:
         return needed
     sees = needed.pop("obs_mode", "")
@@ -426,22 +270,19 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
         UsageError: see `recorded_env_options`; or an environment option has an unknown value or contradicts the
             profile.
     """
-    config = {
-        f.name: getattr(spec, f.name)
-        for f in dataclasses.fields(spec)
-        if f.name not in NOT_IN_CONFIG
-    }
-    config |= {"no_states": not spec.states, "reward": spec.reward_mode}
+    asked = spec.asked
+    config = {key: recorded_value(asked, name) for key, name in RECORDED.items()}
+    config |= {name: getattr(spec, name) for name in CONTENT}
+    config |= {"no_states": not spec.states, "reward": asked.reward_mode}
     # Without a style the key is left out, so that data sets older than styles can be resumed.
     if spec.until:
         config["until"] = Until.parse(spec.until).text
     if spec.style:
         config["style"] = Styles.parse(spec.style).words
     options = {**recorded_env_options(spec, facts), "cameras": spec.cameras}
-    config |= EnvConfig(
-        task=spec.task, subtask=spec.subtask or "", **options
-    ).of_profile()
-    further = {name: value for name, value in spec.env.items() if name not in config}
+    config |= EnvConfig(**{**spec.env_defaults, **options}).of_profile()
+    apart = {*config, *RECORDED.values(), "num_envs", "threads", "reward_mode"}
+    further = {name: value for name, value in spec.env.items() if name not in apart}
     if further:
         config["env"] = further
     return plain({**config, "policy": facts.name, **facts.identity})

@@ -7,12 +7,13 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.files.reading import beside
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
+from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import fitting
 from mjhab.scenes.spec import Pack
 
@@ -21,26 +22,27 @@ from mjhab.scenes.spec import Pack
 class PackRequest:
     """Which pack to open, and how. A source accepts the options that its `PackSource.options` name.
 
-    Attributes:
-        place: name of a registered pack such as ``"builtin"``, or a path that one of the registered sources opens.
-        articulate: names of furniture that opens although its joints are fixed by default.
-        stage_mesh: path of a ``.glb`` that replaces walls and floor of every home; "" for none.
-        scenes: names of homes, or patterns such as ``apt_*``, that the pack is to have; () for its default ones.
-
     Raises:
         UsageError: a field has a value of another type.
     """
 
     place: str = "builtin"
-    articulate: tuple[str, ...] = ()
-    stage_mesh: str = ""
-    scenes: tuple[str, ...] = ()
+    """Name of a registered pack such as ``"builtin"``, or a path that one of the registered sources opens."""
+    articulate: Annotated[tuple[str, ...], Flag(metavar="NAME ...")] = ()
+    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers;
+    one text may name several, with commas between them."""
+    stage_mesh: Annotated[str, Flag(metavar="FILE.glb")] = ""
+    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes
+    name; "" for none."""
+    scenes: Annotated[tuple[str, ...], Flag(metavar="NAME|PATTERN ...")] = ()
+    """With a ReplicaCAD folder: homes that the pack is to have, or patterns such as 'apt_*'; () for its own choice."""
 
     def __post_init__(self) -> None:
         for name, hint in typing.get_type_hints(type(self)).items():
             value = fitting(f"assets: {name}", hint, getattr(self, name))
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "articulate", tuple(sorted(set(self.articulate))))
+        names = [name for text in self.articulate for name in text.split(",") if name]
+        object.__setattr__(self, "articulate", tuple(sorted(set(names))))
 
     def __str__(self) -> str:
         """The place, and in brackets the options that differ from their defaults, for messages."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.flags import Flag
 from mjhab.serving.dialects.names import dialect_named
 
 SCHEMES = ("ws://", "wss://")
@@ -21,26 +23,31 @@ _CREDENTIALS = re.compile(r"(?<=://).*@")
 class Address:
     """A policy server and how it is asked.
 
-    uri: where it is. dialect: see `dialects`. execute: actions of a chunk that are executed before it is asked again.
-    prompt: the instruction of the active "subtask", or of the whole "task". actions: name of an action space; "" for
-    the one that the server names. timeout: longest wait for an answer [s], for each world that is asked about at once.
-    first_timeout: the same for the first answer over a connection, before which servers compile, and for a connection
-    until the server has answered once; never shorter than timeout. reconnect: how long a lost server is looked for [s].
-    batch: one request for all worlds, where the dialect has that; arrays have the worlds in front, also if one is left.
-
     Raises:
         UsageError: an unknown name or a number out of range.
     """
 
     uri: str
-    dialect: str = "openpi"
+    """Where the server is: ws://host:port."""
+    dialect: Annotated[str, Flag(metavar="openpi|roboarena|behavior")] = "openpi"
+    """With --policy ws://host:port: message format of the server, see `serving.dialects`."""
     execute: int = 8
-    prompt: str = "subtask"
-    actions: str = ""
-    timeout: float = 30.0
-    first_timeout: float = 300.0
-    reconnect: float = 20.0
+    """With --policy ws://host:port: actions of a chunk that are executed before the next request."""
+    prompt: Annotated[str, Flag(metavar="subtask|task")] = "subtask"
+    """With --policy ws://host:port: instruction in requests: of the active subtask, or of the whole task."""
+    actions: Annotated[str, Flag(shown="default: that of the server, else joint")] = ""
+    """With --policy ws://host:port: action space: joint (13 numbers), ee (end effector, gripper, base: 9),
+    joint_position or joint_velocity (arm, gripper: 8)."""
+    timeout: Annotated[float, Flag(metavar="SECONDS")] = 30.0
+    """With --policy ws://host:port: longest wait for an answer [s], for each world that is asked about at once."""
+    first_timeout: Annotated[float, Flag(metavar="SECONDS")] = 300.0
+    """With --policy ws://host:port: longest wait for the first answer over a connection, before which servers compile,
+    and for a connection until the server has answered once [s]. Never shorter than the timeout."""
+    reconnect: Annotated[float, Flag(metavar="SECONDS")] = 20.0
+    """With --policy ws://host:port: how long a lost server is looked for [s]."""
     batch: bool = False
+    """With --policy ws://host:port and the dialect behavior: one request for all worlds; arrays have the worlds in
+    front, also when one is left."""
 
     def __post_init__(self) -> None:
         dialect = dialect_named(self.dialect)

@@ -6,20 +6,18 @@ import json
 import os
 import shutil
 import signal
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import mjhab
-from mjhab.cli.datasets.generate import generate_spec
 from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.main import main
-from mjhab.cli.options.datasets.generate import GenerateOptions
 from mjhab.core.errors import UsageError
 from mjhab.data.store.reading import open_shard
 from mjhab.evaluation.generate import build_stage, make_job
+from mjhab.evaluation.specs import GenerateSpec
 from mjhab.tasks.style import Styles
 from tests.data.record.crews import InlineCrew
 from tests.data.record.test_replay import changed
@@ -166,23 +164,22 @@ def test_replay_renders(
 
 
 def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> None:
-    options = GenerateOptions(
-        tmp_path,
-        task="tidy_house",
-        subtask="pick",
-        policy="expert",
-        episodes=1,
-        worlds=1,
-        profile="ms_hab",
-    )
-    config = make_job(generate_spec(options)).config
+    options: dict[str, Any] = {
+        "out": tmp_path,
+        "task": "tidy_house",
+        "subtask": "pick",
+        "episodes": 1,
+        "worlds": 1,
+        "profile": "ms_hab",
+    }
+    config = make_job(GenerateSpec.of(**options)).config
     assert (config["profile"], config["stillness"], config["spawn_rule"]) == (
         "ms_hab",
         "published",
         "published",
     )
     assert "starts" not in config
-    stage = build_stage(generate_spec(options))
+    stage = build_stage(GenerateSpec.of(**options))
     assert stage.env.config.profile == "ms_hab" and stage.env.config.stationary == (
         "head",
     )
@@ -191,13 +188,13 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
         ({"cameras": ("fetch_hand",)}, "cameras"),
     ):
         with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
-            make_job(generate_spec(replace(options, **change)))
-    shorter = build_stage(generate_spec(replace(options, horizon=50)))
+            make_job(GenerateSpec.of(**{**options, **change}))
+    shorter = build_stage(GenerateSpec.of(**{**options, "horizon": 50}))
     assert shorter.env.config.horizon == 50 and shorter.env.config.profile == "ms_hab"
-    with pytest.raises(UsageError, match="--horizon must be at least 0"):
-        generate_spec(replace(options, horizon=-1))
+    with pytest.raises(UsageError, match="horizon must be at least 0"):
+        GenerateSpec.of(**{**options, "horizon": -1})
     one_camera = make_job(
-        generate_spec(replace(options, profile="mjhab", cameras=("fetch_hand",)))
+        GenerateSpec.of(**{**options, "profile": "mjhab", "cameras": ("fetch_hand",)})
     )
     assert one_camera.config["cameras"] == ["fetch_hand"]
 
@@ -214,10 +211,6 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
             "Did you mean 'pick'",
         ),
         (("generate", "--episodes", "1", "--keep", "lable == 'x'", *out), "column 1"),
-        (
-            ("generate", "--episodes", "1", "--workers", "0", *out),
-            "--workers must be at least 1",
-        ),
         (
             ("generate", "--episodes", "1", "--images", "dept", *out),
             "unknown observation mode",

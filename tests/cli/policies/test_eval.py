@@ -50,10 +50,13 @@ class Stage:
 
     def make_env(self, spec: EvalSpec, options: Mapping[str, Any]) -> FakeEnv:
         plan: dict[str, Any] = {}
-        if spec.subtask:
-            plan = {"plan": ((spec.subtask, "024_bowl_:0000"),), "subtask": spec.subtask}
+        subtask = spec.asked.subtask
+        if subtask:
+            plan = {"plan": ((subtask, "024_bowl_:0000"),), "subtask": subtask}
         env = FakeEnv(
-            min(spec.worlds, spec.episodes), broken_camera=self.broken_camera, **plan
+            min(spec.asked.num_envs, spec.episodes),
+            broken_camera=self.broken_camera,
+            **plan,
         )
         env.interrupt_at = self.interrupt_at
         self.interrupt_at = None
@@ -308,7 +311,8 @@ def test_a_policy_of_ones_own(
     assert run(out="zero") == 0
     assert read_records(tmp_path / "run") == read_records(tmp_path / "zero")
     sees = {"obs_mode": "depth", "camera_size": 16}
-    assert stage.options[0] == sees and stage.options[1] == {}
+    assert sees.items() <= stage.options[0].items()
+    assert not sees.keys() & stage.options[1].keys()
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     assert config["policy"] == "mine.py:Still" and config["env"] == sees
     assert "by mine.py:Still" in (tmp_path / "run" / "report.html").read_text()
@@ -326,7 +330,7 @@ def test_a_policy_of_ones_own(
         == 0
     )
     asked = {"obs_mode": "rgb", "camera_size": 64, "control_mode": "pd_ee_delta_pose"}
-    assert stage.options[-1] == asked
+    assert asked.items() <= stage.options[-1].items()
     file.write_text(OWN + "# another version")
     capsys.readouterr()
     assert run("--resume", policy=spec) == 2
@@ -420,9 +424,11 @@ def test_bad_input_is_one_clear_message(
 def test_unknown_words_exit_with_2(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    assert stop.value.code == 2
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2
     assert capsys.readouterr().err
 
 
@@ -459,7 +465,7 @@ def test_alone_runs_give_the_bound(
 
 
 def test_default_folder_names_the_run() -> None:
-    spec = EvalSpec(subtask="open", target="fridge/top_door", seed=3)
+    spec = EvalSpec.of(subtask="open", target="fridge/top_door", seed=3)
     assert evaluate.default_out(spec, "expert") == Path(
         "runs/set_table_open_fridge-top_door_expert_seed3"
     )
@@ -476,8 +482,8 @@ def test_a_style_needs_the_expert_and_valid_names(
 
 def test_a_style_belongs_to_the_config_of_a_run() -> None:
     facts = PolicyFacts("expert")
-    assert "style" not in evaluate.resolved_config(EvalSpec(), facts)
+    assert "style" not in evaluate.resolved_config(EvalSpec.of(), facts)
     asked = evaluate.resolved_config(
-        EvalSpec(style=("release=drop", "speed=0.5..1")), facts
+        EvalSpec.of(style=("release=drop", "speed=0.5..1")), facts
     )
     assert asked["style"] == ["speed=0.5..1.0", "release=drop"]

@@ -79,7 +79,7 @@ def test_bad_input(
 
 def test_a_robot_is_that_of_training_and_evaluation(tmp_path: Path) -> None:
     words = ["reproduce", "table1", "--out", str(tmp_path), "--robot", "fetch"]
-    spec = table_spec(parse(words))
+    spec = table_spec(parse(words).spec)
     assert spec.robot == table_config(spec)["robot"] == "fetch"
 
 
@@ -99,7 +99,7 @@ def test_a_robot_without_its_files_leaves_no_folder(
 def test_a_row_that_is_named_twice_is_one_row(tmp_path: Path) -> None:
     rows = ["--rows", "set_table/close/drawer", "set_table/close/drawer"]
     words = ["reproduce", "table1", "--out", str(tmp_path), *rows]
-    assert [row.name for row in chosen_rows(table_spec(parse(words)))] == rows[1:2]
+    assert [row.name for row in chosen_rows(table_spec(parse(words).spec))] == rows[1:2]
 
 
 def test_a_row_is_trained_judged_and_set_beside_the_paper(

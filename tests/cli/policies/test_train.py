@@ -36,7 +36,7 @@ def test_options_become_a_request(tmp_path: Path) -> None:
         "--style",
         "noise=0..0.2",
     ]
-    request = make_request(parse(words).command)
+    request = make_request(parse(words).spec)
     assert (
         request.config.algorithm == "dagger" and request.config.student.preset == "quick"
     )
@@ -52,7 +52,7 @@ def test_options_become_a_request(tmp_path: Path) -> None:
     longer = make_request(
         parse(
             [*DAGGER, str(tmp_path), "--first-prefix", "40", "--prefix-growth", "30"]
-        ).command
+        ).spec
     )
     assert longer.config.dagger is not None
     assert [longer.config.dagger.longest_prefix(number) for number in range(4)] == [
@@ -61,7 +61,7 @@ def test_options_become_a_request(tmp_path: Path) -> None:
         70,
         100,
     ]
-    plain = make_request(parse([*DAGGER, str(tmp_path)]).command)
+    plain = make_request(parse([*DAGGER, str(tmp_path)]).spec)
     assert plain.scene.env_options().keys() == {
         "task",
         "subtask",
@@ -70,7 +70,7 @@ def test_options_become_a_request(tmp_path: Path) -> None:
         "assets",
     }
     told = ["--profile", "ms_hab", "--stillness", "published"]
-    scene = make_request(parse([*DAGGER, str(tmp_path), *told]).command).scene
+    scene = make_request(parse([*DAGGER, str(tmp_path), *told]).spec).scene
     assert (scene.profile, scene.stillness, scene.spawn_rule) == (
         "ms_hab",
         "published",
@@ -81,7 +81,7 @@ def test_options_become_a_request(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("algorithm", ["bc", "flow", "act", "diffusion", "dagger"])
 def test_every_algorithm_has_a_command(algorithm: str, tmp_path: Path) -> None:
-    request = make_request(parse(["train", algorithm, "--out", str(tmp_path)]).command)
+    request = make_request(parse(["train", algorithm, "--out", str(tmp_path)]).spec)
     assert request.config == configs.preset_of(algorithm)
 
 
@@ -90,7 +90,7 @@ def test_presets_take_the_cameras_of_the_robot(tmp_path: Path) -> None:
     own = robot_named("panda_omron").camera_names
 
     def cameras(words: str) -> tuple[str, ...]:
-        command = parse(["train", *words.split(), "--out", str(tmp_path)]).command
+        command = parse(["train", *words.split(), "--out", str(tmp_path)]).spec
         if words.startswith(("ppo", "sac", "rlpd")):
             return reinforcement_request(command).config.inputs.cameras
         return make_request(command).config.student.inputs.cameras
@@ -270,7 +270,7 @@ def test_policies_are_judged_in_homes_that_they_have_not_seen(
         words = ["train", algorithm, "--out", str(tmp_path)]
 
         def split(*more: str, words: list[str] = words, convert: Any = convert) -> str:
-            return convert(parse([*words, *more]).command).judged_split
+            return convert(parse([*words, *more]).spec).judged_split
 
         assert split() == "val"
         assert split("--home", "builtin_m0_00") == "train"

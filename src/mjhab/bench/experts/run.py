@@ -110,7 +110,7 @@ def measure_row(
     Raises:
         MjhabError: a worker failed, or the folder of the row holds something else. StorageError: the disk is full.
     """
-    wanted = GenerateSpec(
+    wanted = GenerateSpec.of(
         out=row_folder(spec.out, row),
         policy="expert",
         task=row.task,

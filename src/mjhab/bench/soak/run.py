@@ -151,7 +151,7 @@ def _generate(spec: SoakSpec) -> dict[str, Any]:
             shown = now.tried
 
         made = run_generation(
-            GenerateSpec(
+            GenerateSpec.of(
                 out=Path(folder) / "episodes",
                 task=spec.task,
                 subtask=spec.subtask,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from collections import Counter
@@ -12,70 +13,27 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjhab.cli.interrupts import stop_signals
-from mjhab.cli.options.datasets.generate import GenerateOptions
-from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.config.profile_choice import profile_options
+from mjhab.cli.output import print_json, print_table
 from mjhab.data.record.generation import Standing
-from mjhab.evaluation.generate import GeneratedData, GenerateSpec, run_generation
+from mjhab.evaluation.generate import GeneratedData, run_generation
+from mjhab.evaluation.specs import GenerateSpec
 
 
-def run_generate(options: GenerateOptions) -> int:
+def run_generate(spec: GenerateSpec, json: bool) -> int:
     """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM.
 
     1 if a quota could not be filled, or the policy could not finish an episode.
     """
-    spec = generate_spec(options)
+    if not spec.workers:
+        # A process of its own can be stopped in the middle of an episode.
+        spec = dataclasses.replace(spec, workers=1)
     with stop_signals() as stopped, _progress(spec) as tell:
         made = run_generation(spec, tell, stopped)
     interrupted = stopped() and not made.standing.complete
-    _tell(options, made, interrupted)
+    _tell(json, made, interrupted)
     if interrupted:
         return 130
     return 1 if made.is_short or made.standing.errors else 0
-
-
-def generate_spec(options: GenerateOptions) -> GenerateSpec:
-    """Convert the options to a `GenerateSpec`.
-
-    Raises:
-        UsageError: a name is unknown, a number out of range, or a filter invalid.
-    """
-    at_least("workers", options.workers, 1)
-    at_least("horizon", options.horizon, 0)
-    env = profile_options(options)
-    if options.horizon:
-        env["horizon"] = options.horizon
-    return GenerateSpec(
-        out=options.out,
-        policy=options.policy,
-        style=options.style,
-        task=options.task,
-        subtask=options.subtask,
-        target=options.target,
-        seed=options.seed,
-        split=options.split,
-        home=options.home,
-        assets=options.assets,
-        navigate=options.navigate,
-        until=options.until,
-        env=env,
-        per_target=options.per_target,
-        per_label=options.per_label,
-        episodes=options.episodes,
-        keep=options.keep,
-        preset=options.preset,
-        states=not options.no_states,
-        images=options.images,
-        cameras=options.cameras,
-        camera_size=options.camera_size,
-        rgb=options.rgb,
-        reward_mode=options.reward,
-        worlds=options.worlds,
-        workers=options.workers,
-        threads=options.threads,
-        ray=options.ray,
-        resume=options.resume,
-    )
 
 
 @contextmanager
@@ -88,7 +46,7 @@ def _progress(spec: GenerateSpec) -> Iterator[Callable[[Standing], None]]:
     )
     begun = time.perf_counter()
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        name = f"{spec.task} {spec.subtask or 'chain'}"
+        name = f"{spec.asked.task} {spec.asked.subtask or 'chain'}"
         task = bar.add_task(name, total=spec.per_target or spec.max_tries, what="")
 
         def tell(now: Standing) -> None:
@@ -106,7 +64,7 @@ def _progress(spec: GenerateSpec) -> Iterator[Callable[[Standing], None]]:
         yield tell
 
 
-def _tell(options: GenerateOptions, made: GeneratedData, interrupted: bool) -> None:
+def _tell(json: bool, made: GeneratedData, interrupted: bool) -> None:
     done = made.standing
     numbers = made.summary
     if interrupted:
@@ -127,7 +85,7 @@ def _tell(options: GenerateOptions, made: GeneratedData, interrupted: bool) -> N
             f"with --resume tries them again. {count} of them: {reason}",
             file=sys.stderr,
         )
-    if options.json:
+    if json:
         print_json(numbers)
         return
     rows = [(label or "none", count) for label, count in numbers["labels"].items()]

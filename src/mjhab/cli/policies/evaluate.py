@@ -18,28 +18,26 @@ from rich.progress import (
 )
 
 from mjhab.cli.interrupts import sigterm_interrupts
-from mjhab.cli.options.policies.evaluate import DemoOptions, EvalOptions
+from mjhab.cli.options.policies.evaluate import DemoOptions
 from mjhab.cli.output import print_json, print_table
 from mjhab.cli.streams import with_way_on
-from mjhab.config.profile_choice import profile_options
-from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, Run, run_evaluation
+from mjhab.evaluation.evaluate import EvaluationInterrupted, Run, run_evaluation
+from mjhab.evaluation.specs import EvalSpec
 from mjhab.reports.metrics import SubtaskRow, rows_of
 from mjhab.reports.parts import NOT_JUDGED, duration, newtons
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.rollout.store import REPORT
-from mjhab.serving.address import with_options
 
 DISK_ADVICE = "Finished episodes are kept: free some space, then the same command with --resume continues."
 
 
-def run_eval(options: EvalOptions) -> int:
+def run_eval(spec: EvalSpec, json: bool) -> int:
     """Run the command; returns 0, or 130 after Ctrl-C or SIGTERM (finished episodes are kept and reported).
 
     1 if the policy could not finish an episode, as `run_generate`.
     """
-    spec = eval_spec(options)
     interrupted = False
     with sigterm_interrupts(), with_way_on(DISK_ADVICE):
         try:
@@ -47,7 +45,7 @@ def run_eval(options: EvalOptions) -> int:
         except EvaluationInterrupted as stop:
             run = stop.run
             interrupted = True
-    _tell(options, run, interrupted)
+    _tell(spec, run, interrupted, json)
     if interrupted:
         return 130
     return 1 if run.summary["errors"] else 0
@@ -55,60 +53,19 @@ def run_eval(options: EvalOptions) -> int:
 
 def run_demo(options: DemoOptions) -> int:
     """Run the demonstration; returns the exit code of `run_eval`."""
-    code = run_eval(
-        EvalOptions(
-            task="set_table",
-            episodes=4,
-            worlds=4,
-            films=4,
-            out=options.out,
-            overwrite=True,
-            json=options.json,
-        )
+    spec = EvalSpec.of(
+        task="set_table",
+        episodes=4,
+        worlds=4,
+        films=4,
+        out=options.out,
+        overwrite=True,
     )
+    code = run_eval(spec, options.json)
     if code == 0 and not options.json:
         page = (options.out / REPORT).resolve()
         print(f"Open in a browser (no network needed): {page}")
     return code
-
-
-def eval_spec(options: EvalOptions) -> EvalSpec:
-    """Convert the options to an `EvalSpec`.
-
-    Raises:
-        UsageError: a name is unknown, or a number out of range.
-    """
-    asked = {
-        "obs_mode": options.obs,
-        "control_mode": options.control,
-        "camera_size": options.camera_size,
-        "horizon": options.horizon or None,
-    }
-    given = {name: value for name, value in asked.items() if value is not None}
-    return EvalSpec(
-        policy=with_options(options.policy, options.served),
-        task=options.task,
-        subtask=options.subtask,
-        target=options.target,
-        episodes=options.episodes,
-        worlds=options.worlds,
-        seed=options.seed,
-        split=options.split,
-        assets=options.assets,
-        episodes_file=options.episodes_file,
-        navigate=options.navigate,
-        spawns=options.spawns,
-        home=options.home,
-        threads=options.threads,
-        films=options.films,
-        style=options.style,
-        instruction=options.instruction,
-        env={**given, **profile_options(options)},
-        out=options.out,
-        resume=options.resume,
-        overwrite=options.overwrite,
-        alone=options.alone,
-    )
 
 
 class ProgressSink(Sink[RolloutEnv]):
@@ -127,7 +84,7 @@ class ProgressSink(Sink[RolloutEnv]):
             console=Console(stderr=True),
         )
         self._total = spec.episodes
-        name = f"{spec.task} {spec.subtask or ''}".strip()
+        name = f"{spec.asked.task} {spec.asked.subtask}".strip()
         self._task = self._bar.add_task(
             name, total=spec.episodes, start=False, rate="", success=""
         )
@@ -169,7 +126,7 @@ class ProgressSink(Sink[RolloutEnv]):
         )
 
 
-def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
+def _tell(spec: EvalSpec, run: Run, interrupted: bool, json: bool) -> None:
     summary = run.summary
     if run.film_problem:
         print(
@@ -178,7 +135,7 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
         )
     if interrupted:
         print(
-            f"mjhab: interrupted; {summary['episodes']} of {options.episodes} episodes are kept in {run.path}. "
+            f"mjhab: interrupted; {summary['episodes']} of {spec.episodes} episodes are kept in {run.path}. "
             "The same command with --resume (and without --overwrite) continues.",
             file=sys.stderr,
         )
@@ -199,10 +156,10 @@ def _tell(options: EvalOptions, run: Run, interrupted: bool) -> None:
     caution = run.config.get("policy_caution")
     if caution:
         print(f"mjhab: {caution}", file=sys.stderr)
-    if options.json:
+    if json:
         print_json(summary)
         return
-    title = "Success per target" if options.subtask else "Success along the plan"
+    title = "Success per target" if spec.asked.subtask else "Success along the plan"
     _print_rows(title, rows_of(run.records))
     print(_result_line(summary))
     latency = summary.get("latency_ms", {"p50": None})

@@ -158,7 +158,7 @@ def evaluation_of(
 ) -> EvalSpec:
     """The evaluation of a row with the options of `scored_options`; it resumes an earlier one."""
     out = spec.out / "runs" / row.name
-    return EvalSpec(
+    return EvalSpec.of(
         policy=spec.policy,
         task=row.task,
         subtask=row.subtask or None,
@@ -296,7 +296,7 @@ def _check_row(
         if name not in ("obs_mode", "cameras", "camera_size", "profile")
     }
     check_rules(PolicyFacts(str(result.facts["policy"]), env_options=options))
-    spec = EvalSpec(
+    spec = EvalSpec.of(
         policy="zero",
         task=row.task,
         subtask=row.subtask or None,

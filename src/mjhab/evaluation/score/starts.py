@@ -44,7 +44,7 @@ def _write(text: str) -> None:
 
 def starts_of(row: Row, split: str, seed: int, worlds: int, threads: int) -> list[str]:
     """Start digests of a row's episodes, by index."""
-    spec = EvalSpec(
+    spec = EvalSpec.of(
         policy="zero",
         task=row.task,
         subtask=row.subtask or None,

@@ -141,7 +141,7 @@ def _judge_policies(
     return [
         judge(
             spec,
-            EvalSpec(
+            EvalSpec.of(
                 policy=str(run / STUDENT),
                 task=row.task,
                 subtask=row.subtask,
@@ -178,7 +178,7 @@ def _judge_task(
         entries.append(Entry(part.subtask, target, str(copy)))
     policies = folder / POLICIES
     write_text(policies, entries_text(policies, entries))
-    judging = EvalSpec(
+    judging = EvalSpec.of(
         policy=str(policies),
         task=row.task,
         episodes=spec.episodes,

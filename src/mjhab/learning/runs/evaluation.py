@@ -142,7 +142,7 @@ class Evaluations:
         Existing results in the run folder ``out`` are replaced.
         """
         scene = self.scene
-        spec = EvalSpec(
+        spec = EvalSpec.of(
             policy=str(student),
             task=scene.task,
             subtask=scene.subtask,

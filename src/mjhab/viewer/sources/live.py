@@ -83,12 +83,12 @@ class LiveSession:
     ) -> None:
         assert isinstance(spec.policy, str)
         self.is_live = True
-        self.choices = tuple(f"world {w}" for w in range(spec.worlds))
+        self.choices = tuple(f"world {w}" for w in range(spec.asked.num_envs))
         self.policies = tuple(dict.fromkeys((spec.policy, "expert", HUMAN, *policies)))
         self.hand = HandControl()
         self.spec = spec
         self.pace = pace
-        self.tracks: list[Track | None] = [None] * spec.worlds
+        self.tracks: list[Track | None] = [None] * spec.asked.num_envs
         self.problem = ""
         self.watched = 0
         self.hold_at_end = hold_at_end
@@ -325,7 +325,9 @@ class LiveSession:
         episodes = range(wish.first, wish.first + EPISODES_AHEAD)
         # The follower comes last, because it may wait at the end of an episode, which must be recorded by then.
         sinks = [*self._record(), _Follower(self)]
-        rollout(self._cuttable.as_env(), self.switch, episodes, self.spec.seed, sinks)
+        rollout(
+            self._cuttable.as_env(), self.switch, episodes, self.spec.asked.seed, sinks
+        )
 
     def _needs(self, policy: str) -> tuple[str, dict[str, Any]]:
         """Specification of the policy to build, and the environment options that it needs; "human" builds "zero"."""
@@ -339,12 +341,12 @@ class LiveSession:
         if self.env is None or options != self._options:
             if self.env is not None:
                 self.env.close()
-            spec = dataclasses.replace(self.spec, episodes=self.spec.worlds)
+            spec = dataclasses.replace(self.spec, episodes=self.spec.asked.num_envs)
             self.env = make_env(spec, options)
             self._cuttable = Cuttable(self.env)
             self._options = options
             self._plan = LivePlan(self.env)
-            self.switch = Switch(self.env, self.spec.seed)
+            self.switch = Switch(self.env, self.spec.asked.seed)
         assert self.switch is not None
         self.switch.choose(full)
         if policy == HUMAN:

@@ -1,0 +1,88 @@
+"""Fields of specifications as options of the command line: what their annotations say besides the type.
+
+A specification is a dataclass that a function of the library takes, such as `EvalSpec` of `mjhab.evaluate`. The command
+line (`cli.parsing`) makes an option of each of its fields, with the field's docstring as help.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import textwrap
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any
+
+
+@dataclass(frozen=True)
+class Flag:
+    """How a field appears on the command line, in its annotation: ``Annotated[int, Flag("worlds", "N")]``.
+
+    name: of the option, without dashes; "" for that of the field.
+    metavar: what stands for its value in the help; "" for the type.
+    kind: type that the command line reads in place of the field's, e.g. str where Python takes objects, too. A
+        dataclass: its first field has the name of the option, its other fields are options, too.
+    hidden: there is no such option; only Python sets the field.
+    shown: the default as the help tells it; "" for the field's.
+    """
+
+    name: str = ""
+    metavar: str = ""
+    kind: Any = None
+    hidden: bool = False
+    shown: str = ""
+
+
+@dataclass(frozen=True)
+class OptionsOf:
+    """Marks a field that is a mapping of given fields of a dataclass, each of which is an option that may be absent.
+
+    owner: the dataclass.
+    apart: its fields that are no options here.
+    defaults: values in place of the owner's defaults, for the help.
+    """
+
+    owner: type[Any]
+    apart: frozenset[str] = frozenset()
+    defaults: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def flag_of(owner: type[Any], name: str) -> Flag:
+    """What the annotation of a field says."""
+    hint = typing.get_type_hints(owner, include_extras=True)[name]
+    marks = typing.get_args(hint)[1:] if typing.get_origin(hint) is Annotated else ()
+    return next((mark for mark in marks if isinstance(mark, Flag)), Flag())
+
+
+@cache
+def field_docs(owner: type[Any]) -> Mapping[str, str]:
+    """The docstrings below the fields of a dataclass and of its bases, one line each, by name."""
+    found: dict[str, str] = {}
+    for base in reversed(owner.__mro__):
+        if dataclasses.is_dataclass(base):
+            found |= _own_docs(base)
+    return found
+
+
+def _own_docs(owner: type[Any]) -> dict[str, str]:
+    source = textwrap.dedent(inspect.getsource(owner))
+    body = ast.parse(source).body[0]
+    assert isinstance(body, ast.ClassDef)
+    found: dict[str, str] = {}
+    for field, after in zip(body.body, body.body[1:], strict=False):
+        if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
+            continue
+        if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            found[field.target.id] = " ".join(str(after.value.value).split())
+    return found
+
+
+def summary_of(owner: type[Any]) -> str:
+    """The docstring of a class without its sections "Args:", "Raises:" and "Attributes:"."""
+    text = inspect.cleandoc(owner.__doc__ or "")
+    for section in ("\nArgs:", "\nRaises:", "\nAttributes:"):
+        text = text.partition(section)[0]
+    return text.strip()

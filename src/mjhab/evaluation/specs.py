@@ -1,0 +1,358 @@
+"""What `mjhab.evaluate` and ``mjhab eval``, `mjhab.generate` and ``mjhab generate`` are asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+
+from mjhab.config.env import EnvConfig
+from mjhab.config.ranges import range_of, whole_number
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.flags import Flag, OptionsOf, flag_of
+from mjhab.core.typed.options import take_types
+from mjhab.evaluation.resolve import check_style, full_spec
+from mjhab.robots.registry import robot_named
+from mjhab.robots.robot import Robot
+from mjhab.rollout.policy import Policy
+from mjhab.serving.address import Address, with_options
+
+if TYPE_CHECKING:
+    from mjhab.data.select.query import Filter
+
+PolicyLike = str | Policy | Callable[..., Policy]
+"""A specification for `resolve_policy`, a policy object, or a class or function that makes one."""
+RUN_BY_EVALUATION = frozenset({"autoreset", "backend", "device", "starts", "buffers"})
+"""Environment options that an evaluation sets itself."""
+PolicyName = Annotated[
+    PolicyLike, Flag(metavar="NAME|FILE.py:CLASS|ws://HOST:PORT", kind=str)
+]
+
+
+OfEnv = Annotated[
+    Mapping[str, Any],
+    OptionsOf(EnvConfig, apart=RUN_BY_EVALUATION, defaults={"num_envs": 8}),
+]
+OfServer = Annotated[Mapping[str, Any], OptionsOf(Address, apart=frozenset({"uri"}))]
+
+
+def env_mark(spec_type: type[Any]) -> OptionsOf:
+    """What the annotation of ``env`` of a specification says."""
+    hints = typing.get_type_hints(spec_type, include_extras=True)
+    _, *marks = typing.get_args(hints["env"])
+    return next(mark for mark in marks if isinstance(mark, OptionsOf))
+
+
+def env_names(spec_type: type[Any]) -> dict[str, str]:
+    """Names of the environment options of a specification, those of the command line, too, to those of `EnvConfig`."""
+    many = env_mark(spec_type)
+    names: dict[str, str] = {}
+    for option in dataclasses.fields(many.owner):
+        if option.name in many.apart:
+            continue
+        names[option.name] = option.name
+        flag = flag_of(many.owner, option.name)
+        if flag.name:
+            names[flag.name] = option.name
+    return names
+
+
+class EnvSpec:
+    """What specifications with a mapping ``env`` of given `EnvConfig` fields have in common."""
+
+    env: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, *args: Any, **options: Any) -> Self:
+        """Make a specification of options that mix its own fields and those of `EnvConfig`.
+
+        Args:
+            *args: own fields, in order.
+            **options: by name; ``out`` may be a string; environment options also by their names on the command line,
+                such as ``worlds``.
+
+        Raises:
+            UsageError: an option is unknown or invalid; see the class.
+        """
+        own = {f.name for f in dataclasses.fields(cast(Any, cls))}
+        further = {name: value for name, value in options.items() if name not in own}
+        known = {name: value for name, value in options.items() if name in own}
+        if further or "env" in known:
+            known["env"] = {**(known.get("env") or {}), **further}
+        if isinstance(known.get("out"), str):
+            known["out"] = Path(known["out"])
+        return cls(*args, **known)
+
+    def _take_env(self, what: str) -> None:
+        """Give the environment options the names of `EnvConfig`, leave out those that are None, and check them.
+
+        Raises:
+            UsageError: an option is unknown or invalid.
+        """
+        names = env_names(type(self))
+        own = [f.name for f in dataclasses.fields(cast(Any, self)) if f.name != "env"]
+        env: dict[str, Any] = {}
+        for name, value in (self.env or {}).items():
+            if name not in names:
+                raise unknown_name(f"option of {what}", name, sorted({*names, *own}))
+            if value is not None:
+                env[names[name]] = value
+        if "num_envs" in env:
+            whole_number("worlds", env["num_envs"])
+        object.__setattr__(self, "env", env)
+        if "assets" in env:
+            env["assets"] = self.asked.assets
+
+    @cached_property
+    def asked(self) -> EnvConfig:
+        """The environment as it was asked for, without the options that the policy needs."""
+        return EnvConfig(**{**self.env_defaults, **self.env})
+
+    @property
+    def env_defaults(self) -> Mapping[str, Any]:
+        """Defaults of environment options that differ from those of `EnvConfig`."""
+        return env_mark(type(self)).defaults
+
+
+@dataclass(frozen=True)
+class EvalSpec(EnvSpec):
+    """Evaluate a policy in furnished homes; write records, a summary, films and a report.
+
+    A whole task: `mjhab eval --task set_table --policy expert --episodes 20 --out runs/table`
+
+    One subtask: `mjhab eval --subtask pick --target 024_bowl --episodes 50 --out runs/pick_bowl`
+
+    A policy of your own: `mjhab eval --policy my_policy.py:MyPolicy --subtask pick --out runs/mine`
+
+    A policy that runs elsewhere: `mjhab eval --policy ws://host:8000 --dialect openpi --subtask pick --out runs/vla`
+
+    Ctrl-C and SIGTERM keep the finished episodes; the same command with `--resume` continues.
+
+    Raises:
+        UsageError: a name is unknown, a number out of range, or options exclude each other.
+    """
+
+    policy: PolicyName = "expert"
+    """The policy: expert (scripted, reads the simulator state), student (a trained one of the package, with --subtask
+    and --target), random, zero (stands still), a CHECKPOINT.safetensors, POLICIES.json with one policy per
+    subtask, ms_hab:CHECKPOINT.pt of MS-HAB (see docs/ms_hab.md), your own: FILE.py:CLASS (see docs/evaluation.md),
+    or one that is served elsewhere: ws://host:port (see docs/serving.md). In Python also an object, a class or a
+    function that makes one."""
+    style: Annotated[tuple[str, ...], Flag(metavar="NAME=VALUE ...")] = ()
+    """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
+    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
+    plan, look, noise, base_noise, noise_kind, hold, dither (see docs/data.md)."""
+    instruction: Annotated[
+        str, Flag(metavar="SENTENCE", shown="default: the episodes'")
+    ] = ""
+    """With a subtask: tell the policy this sentence in place of the episodes' own, e.g. "shut the drawer". For a
+    student that was trained with sentences (see docs/training.md) and for a served policy."""
+    episodes: int = 20
+    """Number of episodes, with indices 0 to N-1. The same index is the same episode for every policy."""
+    env: OfEnv = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`; they take precedence over those that the policy needs."""
+    served: OfServer = field(default_factory=dict)
+    """With a served policy: how it is asked, fields of `serving.address.Address`."""
+    films: int = 4
+    """Film the first N episodes; 0 for none."""
+    out: Annotated[
+        Path | None,
+        Flag(
+            metavar="FOLDER", shown="default: runs/<task>_<subtask>_<policy>_seed<seed>"
+        ),
+    ] = None
+    """Folder of the results."""
+    resume: bool = False
+    """Continue the run in the folder: only episodes without a record are run."""
+    overwrite: bool = False
+    """Start the run in the folder again; deletes the files of the earlier run and nothing else."""
+    alone: Annotated[tuple[Path, ...], Flag(metavar="FOLDER ...")] = ()
+    """Folders of runs of single subtasks, whose success rates give the upper bound of progressive completion."""
+
+    def __post_init__(self) -> None:
+        take_types(self, {"policy", "env", "served", "episodes", "films"})
+        self._take_env("an evaluation")
+        asked = self.asked
+        check_style(self.policy, self.style)
+        if asked.target and not asked.subtask:
+            raise UsageError(
+                "a target needs a subtask: a whole task has its targets in its plan."
+            )
+        if self.instruction and not asked.subtask:
+            raise UsageError(
+                "an instruction needs a subtask: in a whole task every subtask has a sentence of its own."
+            )
+        object.__setattr__(self, "films", whole_number("films", self.films))
+        object.__setattr__(
+            self, "episodes", whole_number("episodes", self.episodes, least=1)
+        )
+        object.__setattr__(self, "policy", named_policy(self.policy, asked, self.served))
+
+
+NO_IMAGES = "none"
+TRIES_PER_EPISODE = 20
+"""Number of episodes tried per episode to keep, if ``episodes`` is not given."""
+NOT_GENERATED = frozenset({"cameras", "camera_size", "spawns", "episodes_file"})
+"""Environment options that a data set has no use for, or has fields for that tell of stored images."""
+MAX_TARGETS = 10
+"""Upper bound on the number of object types of a task."""
+
+
+@dataclass(frozen=True)
+class GenerateSpec(EnvSpec):
+    """Record episodes in a data set until every target has its quota; failures are kept by default.
+
+    `mjhab generate --subtask pick --per-target 1000 --keep "label == 'straightforward_success'" --workers 2 --out
+    runs/pick`
+
+    Ctrl-C and SIGTERM keep the finished episodes; the same command with `--resume` continues. Of the episodes that pass
+    the filter, those with the lowest indices are kept, whatever the number of workers.
+
+    Raises:
+        UsageError: a name is unknown, a number out of range, a filter invalid, or options exclude each other.
+    """
+
+    out: Annotated[Path, Flag(metavar="FOLDER")]
+    """Folder of the shards."""
+    policy: PolicyName = "expert"
+    """The policy, as in `mjhab eval`."""
+    style: Annotated[tuple[str, ...], Flag(metavar="NAME=VALUE ...")] = ()
+    """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
+    from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
+    plan, look, noise, base_noise, noise_kind, hold, dither (see docs/data.md)."""
+    per_target: int = 0
+    """Episodes to keep per target (in total for whole tasks and Navigate); 0 for no limit."""
+    per_label: int = 0
+    """Episodes to keep per target and label; 0 for no limit."""
+    episodes: Annotated[int | None, Flag(shown="default: 20 times those to keep")] = None
+    """Try at most the episodes 0 to N-1; needed without a number per target."""
+    keep: Annotated[str | None, Flag(metavar="FILTER", shown="default: all")] = None
+    """Which episodes to keep, as in `mjhab data query`."""
+    preset: Annotated[str | None, Flag(metavar="NAME", shown="default: none")] = None
+    """A filter with a name, see `mjhab data fields`; with --keep, both must hold."""
+    until: Annotated[str, Flag(metavar="success+N", shown="default: the horizon")] = ""
+    """End an episode of a single subtask N control steps after its first success, or when it exceeds the force limit.
+    Whole tasks end with their success."""
+    env: Annotated[
+        Mapping[str, Any],
+        OptionsOf(
+            EnvConfig,
+            apart=RUN_BY_EVALUATION | NOT_GENERATED,
+            defaults={"num_envs": 4},
+        ),
+    ] = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`; they take precedence over those that the policy needs. Whole
+    tasks are driven by the policy unless ``navigate`` says otherwise."""
+    states: bool = True
+    """Store positions and velocities: without them files are smaller, but images cannot be rendered later."""
+    images: Annotated[str, Flag(metavar="none|depth|rgb|rgbd|seg")] = NO_IMAGES
+    """Camera images to store; several joined by +. `mjhab replay --render` can also render them later."""
+    cameras: Annotated[
+        tuple[str, ...] | None, Flag(metavar="NAME ...", shown="default: all")
+    ] = None
+    """Cameras of the robot whose images are stored."""
+    camera_size: int | tuple[int, int] = 128
+    """Pixels of the stored images: their side, or height and width."""
+    rgb: Annotated[str, Flag(metavar="png|jpeg")] = "png"
+    """Format of colour images; png is lossless."""
+    workers: int = 0
+    """Number of processes to start; 0 takes this process (`mjhab generate`: one process). A script needs
+    ``if __name__ == "__main__":`` for more. Changes the speed, never the results."""
+    ray: Annotated[str | None, Flag(metavar="ADDRESS", shown="default: none")] = None
+    """Record with actors of this Ray cluster ("local" starts one here)."""
+    resume: bool = False
+    """Continue the data set in the folder; episodes, worlds, workers and threads may differ from before."""
+
+    def __post_init__(self) -> None:
+        # Here: the help of a command waits neither for gymnasium nor for h5py.
+        from mjhab.data.select.until import Until
+
+        apart = {"policy", "env", "per_target", "per_label", "workers", "episodes"}
+        take_types(self, apart | {"camera_size"})
+        self._take_env("a data set")
+        object.__setattr__(self, "policy", named_policy(self.policy, self.asked, {}))
+        Until.parse(self.until)
+        robot = robot_named(self.asked.robot)
+        if self.cameras is None:
+            object.__setattr__(self, "cameras", robot.camera_names)
+        for name in ("per_target", "per_label", "workers"):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
+        if self.episodes is None and not self.per_target:
+            raise UsageError(
+                "the number of episodes is missing: give per_target (episodes to keep per target) or episodes "
+                "(episodes to try)."
+            )
+        if self.episodes is not None:
+            object.__setattr__(
+                self, "episodes", whole_number("episodes", self.episodes, least=1)
+            )
+        self.as_evaluation()
+        self.filter()
+        if self.stores_images:
+            self._check_images(robot)
+
+    def _check_images(self, robot: Robot) -> None:
+        from mjhab.data.store.images import ImageFormat
+        from mjhab.envs.observations.modes import camera_names, image_size, mode_outputs
+
+        ImageFormat(self.rgb)
+        mode_outputs(self.images)
+        camera_names(robot, self.cameras or ())
+        image_size(self.camera_size)
+
+    @property
+    def env_defaults(self) -> Mapping[str, Any]:
+        """Worlds, and whole tasks that the policy drives; a single subtask ignores ``navigate``."""
+        drives = not self.env.get("subtask")
+        return {"num_envs": 4, "navigate": "drive" if drives else "teleport"}
+
+    @property
+    def stores_images(self) -> bool:
+        """Whether camera images are stored."""
+        return self.images != NO_IMAGES
+
+    @property
+    def max_tries(self) -> int:
+        """Largest number of episodes to try."""
+        if self.episodes is not None:
+            return self.episodes
+        _, most = range_of("episodes")
+        return min(most, TRIES_PER_EPISODE * MAX_TARGETS * self.per_target)
+
+    def filter(self) -> Filter | None:
+        """The filter of ``keep`` and ``preset``; None keeps every episode."""
+        from mjhab.data.select.query import read_filter
+
+        return read_filter(self.keep, self.preset)
+
+    def as_evaluation(self) -> EvalSpec:
+        """The `EvalSpec` of the same episodes with the same policy."""
+        return EvalSpec(
+            policy=self.policy,
+            style=self.style,
+            episodes=self.max_tries,
+            env={**self.env_defaults, **self.env},
+        )
+
+
+def named_policy(
+    policy: PolicyLike, asked: EnvConfig, served: Mapping[str, Any]
+) -> PolicyLike:
+    """A policy with the names that complete its specification: subtask of a student, options of a server.
+
+    Raises:
+        UsageError: options of a server are given for another policy.
+    """
+    if not isinstance(policy, str):
+        return policy
+    given = {name: value for name, value in served.items() if value is not None}
+    return full_spec(
+        with_options(policy, given),
+        asked.task,
+        asked.subtask or None,
+        asked.target or None,
+    )

@@ -85,8 +85,8 @@ class Option:
 class Parsed:
     """A parsed command line.
 
-    command: the command. options: of its own class, or that of `flat_options`. json, cache_mb: those that are no part of
-    a specification.
+    command: the command. options: of its own class, or that of `flat_options`. json, cache_mb: those that are no part
+    of a specification.
     """
 
     command: Command

@@ -171,9 +171,9 @@ class EnvConfig:
     rest is judged, or "unwrapped", counted on over every turn, as the original does."""
     joint_dynamics: Annotated[str, Flag(metavar="ours|published")] = OF_PROFILE
     """Damping, dry friction, stops and range of the joints of furniture: "ours", or "published", those of the URDFs
-    (0.01 and 0.01, stops that do not bounce), which built-in furniture has, too, since it stands in for ReplicaCAD. With
-    "published" a door that a wall stops keeps its range and meets the wall, see `layout.joints`. What was recorded
-    without it had "ours"."""
+    (0.01 and 0.01, stops that do not bounce), which built-in furniture has, too, since it stands in for ReplicaCAD.
+    With "published" a door that a wall stops keeps its range and meets the wall, see `layout.joints`. What was
+    recorded without it had "ours"."""
     autoreset: Annotated[str, Flag(hidden=True)] = "same_step"
     """What happens after an episode's end: "same_step", "next_step" or "disabled"."""
     episodes_file: Annotated[str, Flag(metavar="FILE")] = ""

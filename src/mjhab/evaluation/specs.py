@@ -14,7 +14,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.config.ranges import range_of, whole_number
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.flags import Flag, OptionsOf, flag_of
-from mjhab.core.typed.options import take_types
+from mjhab.core.typed.options import fitting, take_types
 from mjhab.evaluation.resolve import check_style, full_spec
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
@@ -82,7 +82,7 @@ class EnvSpec:
         further = {name: value for name, value in options.items() if name not in own}
         known = {name: value for name, value in options.items() if name in own}
         if further or "env" in known:
-            known["env"] = {**(known.get("env") or {}), **further}
+            known["env"] = {**_mapping(known.get("env")), **further}
         if isinstance(known.get("out"), str):
             known["out"] = Path(known["out"])
         return cls(*args, **known)
@@ -96,7 +96,7 @@ class EnvSpec:
         names = env_names(type(self))
         own = [f.name for f in dataclasses.fields(cast(Any, self)) if f.name != "env"]
         env: dict[str, Any] = {}
-        for name, value in (self.env or {}).items():
+        for name, value in _mapping(self.env).items():
             if name not in names:
                 raise unknown_name(f"option of {what}", name, sorted({*names, *own}))
             if value is not None:
@@ -116,6 +116,15 @@ class EnvSpec:
     def env_defaults(self) -> Mapping[str, Any]:
         """Defaults of environment options that differ from those of `EnvConfig`."""
         return env_mark(type(self)).defaults
+
+
+def _mapping(env: Any) -> Mapping[str, Any]:
+    """The options of an environment that were given.
+
+    Raises:
+        UsageError: they are no mapping with texts as keys.
+    """
+    return fitting("env", Mapping[str, Any], {} if env is None else env)
 
 
 @dataclass(frozen=True)

@@ -143,6 +143,18 @@ def test_what_was_kept_of_a_broken_run_is_checked(hub: FakeHub, tmp_path: Path) 
     assert installed(tmp_path) == FILES
 
 
+def test_what_an_earlier_version_of_mjhab_began_is_continued(
+    hub: FakeHub, tmp_path: Path
+) -> None:
+    begun = tmp_path / ".partial" / f"replica_cad-{COMMIT[:12]}"
+    (begun / BIG_PATH).parent.mkdir(parents=True)
+    (begun / BIG_PATH).write_bytes(BIG)
+    (begun / "LICENSE.txt.part").write_bytes(b"te")
+    fetch(SOURCE, tmp_path)
+    assert installed(tmp_path) == FILES and no_leftovers(tmp_path)
+    assert ranges(hub) == []
+
+
 def test_a_missing_repository_is_not_tried_again(
     hub: FakeHub, tmp_path: Path, waits: list[float]
 ) -> None:

@@ -22,7 +22,6 @@ from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import reason
 from mjhab.core.version import __version__
 
-CONNECTIONS = 4
 TIMEOUT_S = 10.0
 """Longest silence of the hub before it names the files [s]; the library's own for files is as long."""
 TRIES = 3
@@ -146,7 +145,6 @@ def download(repository: Repository, paths: Collection[str], folder: Path) -> No
             endpoint=hub_endpoint(),
             local_dir=folder,
             allow_patterns=None if is_whole else [glob.escape(path) for path in paths],
-            max_workers=CONNECTIONS,
         )
         wrong = [p for p in paths if not repository.files[p].matches(folder / p)]
         for path in wrong:

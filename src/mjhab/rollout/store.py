@@ -55,7 +55,7 @@ class RunFolder:
         self.config = dict(config)
         self._hash = config_hash(config)
         self._records = {record.index: record for record in records}
-        self._lock: WriteLock | None = lock
+        self._lock = lock
         self._is_new = False
 
     def __enter__(self) -> RunFolder:
@@ -72,9 +72,7 @@ class RunFolder:
 
     def close(self) -> None:
         """Let others write into the folder; closing twice is fine."""
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
+        self._lock.release()
 
     @classmethod
     def open(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import importlib.util
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,6 @@ from mjhab.core.files.locking import (
     WriteLock,
     is_written,
     lock_path,
-    quiet,
     refuse_if_written,
 )
 
@@ -49,6 +50,17 @@ def test_the_lock_file_of_a_killed_writer_is_taken_over(tmp_path: Path) -> None:
     lock.release()
 
 
+def test_a_writer_of_an_earlier_version_is_respected(tmp_path: Path) -> None:
+    file = tmp_path / "data"
+    fd = os.open(lock_path(file), os.O_RDWR | os.O_CREAT, 0o666)
+    fcntl.flock(fd, fcntl.LOCK_EX)
+    os.pwrite(fd, b"process 1 on another machine\n", 0)
+    with pytest.raises(UsageError, match="process 1 on another machine"):
+        WriteLock(file)
+    os.close(fd)
+    WriteLock(file).release()
+
+
 def test_a_file_system_without_locks_goes_without(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -73,9 +85,14 @@ def test_a_folder_that_cannot_be_written_is_not_taken_for_one_without_locks(
 def test_a_system_without_flock_reads_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mjhab.core.files.locking.fcntl", None)
-    with WriteLock(tmp_path / "data"), quiet(tmp_path / "data", change=True):
-        assert not is_written(tmp_path / "data")
+    spec = importlib.util.find_spec("mjhab.core.files.locking")
+    assert spec is not None and spec.loader is not None
+    locking = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    spec.loader.exec_module(locking)
+    file = tmp_path / "data"
+    with locking.WriteLock(file), locking.quiet(file, change=True):
+        assert not locking.is_written(file)
 
 
 def test_readers_of_a_folder_that_may_not_be_written_see_who_writes(

@@ -105,7 +105,7 @@ def _probe(path: Path) -> None:
         new.append(above.name)
         above = above.parent
     # A name below a folder that is not there yet is looked at by nobody else.
-    longest = os.pathconf(above, "PC_NAME_MAX")
+    longest = os.pathconf(above, "PC_NAME_MAX") if hasattr(os, "pathconf") else 255
     if any(len(os.fsencode(name)) > longest for name in new):
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
     os.rmdir(tempfile.mkdtemp(prefix=".mjhab-", dir=above))

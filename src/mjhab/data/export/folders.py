@@ -88,8 +88,7 @@ def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
         StorageError: the disk is full or broken.
     """
     target.out.parent.mkdir(parents=True, exist_ok=True)
-    lock = WriteLock(target.out, target.out)
-    try:
+    with WriteLock(target.out, target.out):
         if target.old.exists() and not target.out.exists():
             os.replace(target.old, target.out)
         plain = json.loads(json.dumps({**job, "mjhab": __version__}))
@@ -105,8 +104,6 @@ def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
             if isinstance(error, OSError) or is_full(error):
                 raise _stopped(target.out, error) from error
             raise
-    finally:
-        lock.release()
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

@@ -109,22 +109,30 @@ def generate(
         StorageError: the disk is full; the same job can be resumed.
         MjhabError: a worker failed.
     """
-    lock = _open_folder(job, resume)
-    try:
-        run = _Run(job, crew, tell)
+    with _open_folder(job, resume):
         try:
-            while not run.finished and not stopped():
-                run.step()
-        finally:
-            crew.stop()
-        return run.standing(final=True)
-    except OSError as error:
-        raise StorageError(
-            f"cannot write to {job.out}: {error.strerror or error}. Fix that and run the same command with --resume. "
-            "Every episode finished before is safe."
-        ) from error
+            return _fill(job, crew, tell, stopped)
+        except OSError as error:
+            raise StorageError(
+                f"cannot write to {job.out}: {error.strerror or error}. Fix that and run the same command with "
+                "--resume. Every episode finished before is safe."
+            ) from error
+
+
+def _fill(
+    job: Job,
+    crew: Crew,
+    tell: Callable[[Standing], object],
+    stopped: Callable[[], bool],
+) -> Standing:
+    """Generate until the quotas are filled or ``stopped`` says so; the workers have ended when this is left."""
+    run = _Run(job, crew, tell)
+    try:
+        while not run.finished and not stopped():
+            run.step()
     finally:
-        lock.release()
+        crew.stop()
+    return run.standing(final=True)
 
 
 @dataclass

@@ -107,24 +107,22 @@ def repair(path: Path) -> Repair:
     """
     if not path.is_file():
         raise UsageError(f"{path} does not exist or is no file; give a shard (*.h5).")
-    lock = WriteLock(path)
-    try:
-        pending = journal_path(path).exists()
-        committed_length(path)
-        cut = _is_cut(path)
-        if not cut:
-            recover(path)
-            whole = _count_if_whole(path)
-            if whole is not None:
-                return Repair(path, pending, whole, {}, None)
-        return _salvage(path, cut)
-    except OSError as error:
-        what = "the disk is full" if is_full(error) else error.strerror or str(error)
-        raise StorageError(
-            f"cannot repair {path}: {what}. The file was left as it is."
-        ) from error
-    finally:
-        lock.release()
+    with WriteLock(path):
+        try:
+            pending = journal_path(path).exists()
+            committed_length(path)
+            cut = _is_cut(path)
+            if not cut:
+                recover(path)
+                whole = _count_if_whole(path)
+                if whole is not None:
+                    return Repair(path, pending, whole, {}, None)
+            return _salvage(path, cut)
+        except OSError as error:
+            what = "the disk is full" if is_full(error) else error.strerror or str(error)
+            raise StorageError(
+                f"cannot repair {path}: {what}. The file was left as it is."
+            ) from error
 
 
 def _count_if_whole(path: Path) -> int | None:

@@ -54,6 +54,7 @@ INTEGER_CALLS = frozenset(
         "any",
         "all",
         "startswith",
+        "isdigit",
         "array_equal",
         "array_bytes",
         "decoded_bytes",

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import Articulation, Geom, Link, Prop, Receptacle
 from mjhab.tasks.instructions import plain_words
@@ -134,7 +135,7 @@ class TemplateWords:
             return [list(parts)]
         left = left_of(self.front)
         columns: list[list[_Part]] = []
-        for part in sorted(parts, key=lambda part: sum(part.across(left))):
+        for part in sorted(parts, key=lambda part: ordered_sum(part.across(left))):
             if columns and _overlap(part.across(left), columns[-1][0].across(left)):
                 columns[-1].append(part)
             else:

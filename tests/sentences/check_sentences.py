@@ -102,7 +102,9 @@ def rows(
                 counts.setdefault(kind, Counter()).update(found.counts)
                 counts[kind]["episodes"] += 1
                 closest[kind] = min(closest.get(kind, 99.0), found.closest)
-                examples += [f"{index}: {text}" for text in found.examples]
+                for text in found.examples:
+                    examples.append(f"{index}: {text}")
+                    print(f"{task} {index}: {text}", flush=True)
             if (index + 1) % 100 == 0:
                 seconds = time.perf_counter() - began
                 print(

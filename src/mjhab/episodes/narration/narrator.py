@@ -160,7 +160,8 @@ class _Tale:
                 if place is None or where is None or self._spot(where) == spot
             ]
             others += here
-            at_times |= 0 < len(here) < len(found)
+            # One that moves within the place is one thing, not two.
+            at_times |= bool(here) and len(found) > 1
             at_start += here[: bool(here) and here[0] == self.points[name][:2]]
         if not others:
             return Mark()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import signal
 import threading
 from collections import defaultdict
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -18,7 +19,8 @@ class FakeHub:
 
     ``faults[path]``: what happens to the next requests of that file, one word each: ``cut`` (half of what was asked
     for, then the connection closes), ``wrong`` (one bit is turned), ``whole`` (ranges are ignored), ``busy`` (503),
-    ``gone`` (the connection closes at once), ``silent`` (nothing comes). ``asked``: (path, Range header) of every GET
+    ``gone`` (the connection closes at once), ``silent`` (nothing comes),
+    ``ctrl-c`` (this process is interrupted after a half). ``asked``: (path, Range header) of every GET
     of a file. ``body``: sent in place of the list of files.
     """
 
@@ -126,8 +128,17 @@ class FakeHub:
         request.send_header("X-Repo-Commit", COMMIT)
         request.send_header("Content-Length", str(len(body)))
         request.end_headers()
-        if not is_head:
-            request.wfile.write(body[: len(body) // 2] if fault == "cut" else body)
+        if is_head:
+            return
+        half = len(body) // 2
+        request.wfile.write(body[:half])
+        if fault == "ctrl-c":
+            main = threading.main_thread().ident
+            assert main is not None
+            signal.pthread_kill(main, signal.SIGINT)
+            self._closed.wait(3)
+        if fault != "cut":
+            request.wfile.write(body[half:])
 
     def _json(self, request: BaseHTTPRequestHandler, value: object) -> None:
         body = json.dumps(value).encode() if self.body is None else self.body

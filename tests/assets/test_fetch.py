@@ -132,6 +132,15 @@ def test_a_broken_run_is_continued_by_the_next(hub: FakeHub, tmp_path: Path) -> 
     assert [path for path, _ in hub.asked] == [BIG_PATH], "the others were there"
 
 
+def test_ctrl_c_ends_a_file_in_its_middle(hub: FakeHub, tmp_path: Path) -> None:
+    hub.faults[BIG_PATH] = ["ctrl-c"]
+    with pytest.raises(KeyboardInterrupt):
+        fetch(SOURCE, tmp_path)
+    assert not list(tmp_path.rglob("big.glb")) and len(ranges(hub)) == 1
+    fetch(SOURCE, tmp_path)
+    assert installed(tmp_path) == FILES and no_leftovers(tmp_path)
+
+
 def test_what_was_kept_of_a_broken_run_is_checked(hub: FakeHub, tmp_path: Path) -> None:
     hub.faults[BIG_PATH] = ["gone"] * 100
     with pytest.raises(TransferError):

@@ -7,11 +7,14 @@ our comparison `test_wrong_bytes_are_thrown_away` fails), and its errors are par
 
 from __future__ import annotations
 
+import functools
 import glob
 import hashlib
 import sys
+import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -131,21 +134,39 @@ def download(repository: Repository, paths: Collection[str], folder: Path) -> No
         TransferError: the hub does not give a file, or gives another one than it lists.
     """
     from huggingface_hub import snapshot_download
-    from huggingface_hub.utils import disable_progress_bars
+    from huggingface_hub.utils import disable_progress_bars, tqdm
 
     if not sys.stderr.isatty():
         disable_progress_bars()
+    stop = threading.Event()
+
+    class Bar(tqdm):
+        """The library's bar; by it transfers hear of Ctrl-C: the library would finish the files that it has begun."""
+
+        def update(self, n: float | None = 1) -> bool | None:
+            if stop.is_set():
+                raise TransferError(repository.name, f"interrupted. {_KEPT}")
+            return super().update(n)
+
     is_whole = len(paths) == len(repository.files)
 
     def ask() -> None:
-        snapshot_download(
+        bring = functools.partial(
+            snapshot_download,
             repository.name,
             repo_type="dataset",
             revision=repository.commit,
             endpoint=hub_endpoint(),
             local_dir=folder,
             allow_patterns=None if is_whole else [glob.escape(path) for path in paths],
+            tqdm_class=Bar,
         )
+        with ThreadPoolExecutor(1) as thread:
+            try:
+                thread.submit(bring).result()
+            except KeyboardInterrupt:
+                stop.set()
+                raise
         wrong = [p for p in paths if not repository.files[p].matches(folder / p)]
         for path in wrong:
             (folder / path).unlink(missing_ok=True)

@@ -19,6 +19,7 @@ from mjhab.data.select.sets import first_of_targets, merge, select, split, stats
 from mjhab.data.store.checking import check
 from mjhab.data.store.hdf5 import dataset, group
 from mjhab.data.store.places import episodes
+from mjhab.data.store.schema import VERSION
 from mjhab.data.store.shard import ShardWriter
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
@@ -198,7 +199,7 @@ def test_commands(
         "unreadable": [],
         "unfinished": [],
         "doubled": 0,
-        "schemas": {"2": 20},
+        "schemas": {str(VERSION): 20},
         "problems": [],
     }
     code, found = run(

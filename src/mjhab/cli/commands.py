@@ -416,6 +416,12 @@ COMMANDS: tuple[Command, ...] = (
         "bench.curves:bench_curves",
     ),
     Command(
+        "config",
+        "print the resolved options of a command without running it",
+        "cli.parsing:Parsed",
+        "machine.config:run_config",
+    ),
+    Command(
         "examples",
         "copy the examples",
         "cli.options.machine:ExamplesOptions",

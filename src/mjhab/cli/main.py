@@ -31,6 +31,10 @@ DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole
 A robot tidies furnished homes with real physics. Start with `mjhab demo`; `mjhab doctor` shows what is installed."""
 
 HELP = ("-h", "--help")
+CONFIG = "config"
+CONFIG_DESCRIPTION = """Print what a command line means, with all defaults, as one line of JSON, without running it.
+
+`mjhab config eval --subtask pick --profile ms_hab`"""
 OK = 0
 FAILED = 1
 USAGE = 2
@@ -99,6 +103,10 @@ def parse(args: Sequence[str]) -> Parsed:
     if args[0] in HELP:
         _print_help("mjhab COMMAND", DESCRIPTION, "")
     args = with_new_names(args)
+    if args[0] == CONFIG:
+        if len(args) == 1 or args[1] in HELP:
+            _print_help(f"mjhab {CONFIG} COMMAND", CONFIG_DESCRIPTION, "")
+        return Parsed(commands.BY_WORDS[(CONFIG,)], parse(args[1:]))
     group = commands.GROUPS.get(args[0])
     if group and (len(args) == 1 or args[1] in HELP):
         _print_help(

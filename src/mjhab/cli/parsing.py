@@ -76,6 +76,8 @@ class Option:
             help_behavior_hint=f"({shown})" if shown else None,
         )
         annotation = Annotated[hint, told]
+        if self.flag.positional:
+            annotation = tyro.conf.Positional[annotation]
         if default is dataclasses.MISSING:
             return (self.name, annotation, dataclasses.field())
         return (self.name, annotation, dataclasses.field(default=default))

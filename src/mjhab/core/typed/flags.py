@@ -27,6 +27,7 @@ class Flag:
         dataclass: its first field has the name of the option, its other fields are options, too.
     hidden: there is no such option; only Python sets the field.
     shown: the default as the help tells it; "" for the field's.
+    positional: its values are words without an option before them.
     """
 
     name: str = ""
@@ -34,6 +35,7 @@ class Flag:
     kind: Any = None
     hidden: bool = False
     shown: str = ""
+    positional: bool = False
 
 
 @dataclass(frozen=True)

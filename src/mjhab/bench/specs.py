@@ -131,7 +131,7 @@ class ServingSpec:
 
 
 @dataclass(frozen=True)
-class ViewSpec:
+class ViewBenchSpec:
     """`view.measure_view`: running worlds, each of several numbers of ``worlds`` shown for some seconds."""
 
     worlds: tuple[int, ...] = (1, 4, 16)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from mjhab.bench.specs import ViewSpec
+from mjhab.bench.specs import ViewBenchSpec
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import inspect_policy
@@ -24,7 +24,7 @@ MIN_FRAMES_PER_S = 30.0
 """Asked for with one world."""
 
 
-def measure_view(spec: ViewSpec) -> dict[str, dict[str, float]]:
+def measure_view(spec: ViewBenchSpec) -> dict[str, dict[str, float]]:
     """Show running worlds to a page that only counts, with each of several numbers of worlds.
 
     Returns:
@@ -44,7 +44,7 @@ def measure_view(spec: ViewSpec) -> dict[str, dict[str, float]]:
     return {str(worlds): _measure(worlds, spec) for worlds in spec.worlds}
 
 
-def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
+def _measure(worlds: int, spec: ViewBenchSpec) -> dict[str, float]:
     from mjhab.viewer.pages.app import Viewer
     from mjhab.viewer.pages.counting import CountingPage
     from mjhab.viewer.sources.live import LiveSession

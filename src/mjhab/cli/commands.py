@@ -148,8 +148,9 @@ COMMANDS: tuple[Command, ...] = (
     Command(
         "view",
         "watch worlds or recorded episodes in a browser, drive by hand",
-        "cli.options.view:ViewOptions",
+        "viewer.spec:ViewSpec",
         "view:run_view",
+        spec=True,
     ),
     Command(
         "replay",

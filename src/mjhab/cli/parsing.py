@@ -61,6 +61,17 @@ class Option:
         """Whether a parsed value means that the option was not given."""
         return self.optional and (value is False if self.is_switch else value is None)
 
+    @property
+    def default_text(self) -> str:
+        """The default in words, for pages; "must be given" if there is none."""
+        if self.flag.shown:
+            return self.flag.shown.removeprefix("default: ")
+        if self.default is dataclasses.MISSING:
+            return "must be given"
+        if self.is_switch:
+            return "off"
+        return _in_words(self.default)
+
     def as_field(self) -> tuple[str, Any, Any]:
         """Name, annotation and default for `dataclasses.make_dataclass`."""
         hint = self.hint

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 RENAMED: Mapping[str, Mapping[str, str]] = {
     "eval": {"--starts": "--spawn-rule"},
     "generate": {"--starts": "--spawn-rule"},
+    "view": {"--starts": "--spawn-rule"},
 }
 """Old to new names, by the first word of the command."""
 

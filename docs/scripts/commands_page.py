@@ -8,17 +8,17 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mjhab.cli.commands import COMMANDS, GROUPS, Command, load
+from mjhab.cli.commands import COMMANDS, Command, load
 from mjhab.cli.parsing import Option, options_of
 from mjhab.core.typed.flags import summary_of
 
 PAGE = Path(__file__).parents[1] / "commands.md"
 HEAD = """# All commands
 
-Made by `python docs/scripts/commands_page.py` from what the commands themselves know. `mjhab COMMAND --help` tells the same.
-Every command has `--json`: one JSON object as the last line of stdout. Exit codes: 0 success, 1 the command failed, 2 the
-request is invalid, 130 Ctrl-C. `mjhab config COMMAND ...` prints what a command line means, with all defaults, without
-running it.
+Made by `python docs/scripts/commands_page.py` from what the commands themselves know. `mjhab COMMAND --help` tells the
+same. Every command has `--json`: one JSON object as the last line of stdout. Exit codes: 0 success, 1 the command
+failed, 2 the request is invalid, 130 Ctrl-C. `mjhab config COMMAND ...` prints what a command line means, with all
+defaults, without running it.
 """
 
 
@@ -32,9 +32,7 @@ def page() -> str:
 def _overview() -> str:
     rows = ["| command | what it does |", "|---|---|"]
     for command in COMMANDS:
-        group = GROUPS.get(command.words[0], "")
-        summary = f"{group}: {command.summary}" if group else command.summary
-        rows.append(f"| `mjhab {command.name}` | {_cell(summary)} |")
+        rows.append(f"| `mjhab {command.name}` | {_cell(command.summary)} |")
     return "\n".join(rows) + "\n"
 
 

@@ -7,6 +7,7 @@ commands, too (`check_commands.py`).
 from __future__ import annotations
 
 import functools
+import importlib
 import re
 import runpy
 import shutil
@@ -234,3 +235,11 @@ def test_pages_and_pictures_that_a_page_refers_to_exist(page: Path) -> None:
         assert [
             name for name, place in places.items() if not place.is_relative_to(docs)
         ] == []
+
+
+def test_the_page_of_commands_is_what_its_script_makes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "docs" / "scripts")
+    made = importlib.import_module("commands_page").page()
+    assert (ROOT / "docs" / "commands.md").read_text(encoding="utf-8") == made

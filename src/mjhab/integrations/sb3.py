@@ -82,7 +82,7 @@ class _Seen:
         if not isinstance(space, spaces.Box):
             raise UsageError(
                 f"to_sb3: {key!r} is a group of observations. Leave out obs_keys='nested' and FlattenStatePixels; "
-                "images are named by keys such as 'sensor_data/fetch_hand/depth'."
+                "images are named by keys like 'sensor_data/CAMERA/depth'."
             )
         self.space = space
         if self._output:

@@ -142,7 +142,7 @@ class ToldPart(VectorPart):
 
 
 class State(VectorPart):
-    """The state vector of the environment, 42 numbers with Fetch (MS-HAB paper, App. A.3)."""
+    """The state vector of the environment, 42 numbers in the MS-HAB paper (App. A.3)."""
 
     name = "state"
     unit = "as each of its entries"

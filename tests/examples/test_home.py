@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import mjhab
 from mjhab.cli.main import main
+from mjhab.cli.output import tell_skipped
+from mjhab.core import errors
 from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.episodes import generator
+from mjhab.rollout.store import read_records
 from mjhab.scenes.pack_source import PACK_SOURCES
 
 FOLDER = Path(__file__).parents[2] / "examples" / "home"
@@ -62,20 +66,93 @@ def test_every_task_starts_in_it(home: str) -> None:
         env.close()
 
 
+@pytest.fixture
+def street() -> Iterator[Callable[..., None]]:
+    """Registers a pack "street" of the home files that it is given."""
+
+    def register(*files: str) -> None:
+        pack = mjhab.home_pack(*files, name="street")
+        mjhab.register_pack(mjhab.PackSource("street", lambda request: pack))
+
+    yield register
+    PACK_SOURCES.remove("street")
+
+
+def bare(file: Path, name: str = "cottage") -> str:
+    """Write the cottage without the furniture that has room for objects; return its path."""
+    body = json.loads(Path(COTTAGE).read_text(encoding="utf-8"))
+    kept = ("kitchen_counter", "chair_01")
+    body["name"] = name
+    body["furniture"] = [row for row in body["furniture"] if row["kind"] in kept]
+    body["receptacles"] = []
+    file.write_text(json.dumps(body), encoding="utf-8")
+    return str(file)
+
+
 def test_a_home_without_room_for_the_objects_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(generator, "MOST_DRAWS", 3)
-    body = json.loads(Path(COTTAGE).read_text(encoding="utf-8"))
-    kept = ("kitchen_counter", "chair_01")
-    body["furniture"] = [row for row in body["furniture"] if row["kind"] in kept]
-    body["receptacles"] = []
-    bare = tmp_path / "bare.json"
-    bare.write_text(json.dumps(body), encoding="utf-8")
-    env = mjhab.make(task="tidy_house", home=str(bare))
+    env = mjhab.make(task="tidy_house", home=bare(tmp_path / "bare.json"))
     with pytest.raises(UsageError, match="home 'cottage' has no room for tidy_house"):
         env.reset(seed=0)
     env.close()
+
+
+def test_a_home_without_room_in_a_pattern_is_skipped_named_and_counted(
+    street: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Before, one such home ended the whole evaluation."""
+    monkeypatch.setattr(generator, "MOST_DRAWS", 3)
+    monkeypatch.setattr(errors, "_told", set())
+    monkeypatch.setenv("MJHAB_CACHE", str(tmp_path / "cache"))
+    street(bare(tmp_path / "bare.json", name="bare"), COTTAGE)
+    asked: dict[str, Any] = {
+        "task": "tidy_house",
+        "subtask": "pick",
+        "assets": "street",
+        "home": "*",
+        "episodes": 3,
+        "worlds": 1,
+        "horizon": 1,
+    }
+    run = mjhab.evaluate("zero", **asked, films=0, out=tmp_path / "run")
+    assert [record.home for record in run.records] == ["cottage"] * 3
+    assert [record.skipped_homes for record in run.records] == [("bare",), (), ("bare",)]
+    assert run.summary["skipped_homes"] == {"bare": 2}
+    summary = json.loads((run.path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["skipped_homes"] == {"bare": 2}
+    assert read_records(run.path) == list(run.records)
+    assert "bare in 2 episodes" in run.report.read_text(encoding="utf-8")
+    warned = [line.message for line in caplog.records if "has no room" in line.message]
+    assert len(warned) == 1 and "home 'bare'" in warned[0]
+    # From the cache, and in another order: the same home.
+    del asked["worlds"]
+    made = mjhab.generate(
+        "zero", **asked, workers=0, keep="not success", out=tmp_path / "data"
+    )
+    assert made.summary["skipped_homes"] == {"bare": 2}
+    assert [episode.record.home for episode in made.episodes()] == ["cottage"] * 3
+    tell_skipped(run.summary["skipped_homes"])
+    assert "no room: bare in 2 episodes" in capsys.readouterr().err
+
+
+def test_a_pattern_of_homes_without_room_names_them(
+    street: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generator, "MOST_DRAWS", 2)
+    names = ("bare_1", "bare_2")
+    street(*(bare(tmp_path / f"{name}.json", name=name) for name in names))
+    env = mjhab.make(task="tidy_house", assets="street", home="bare_?")
+    with pytest.raises(UsageError) as error:
+        env.reset(seed=0)
+    env.close()
+    told = str(error.value)
+    assert "none of the 2 homes (bare_1, bare_2) has room" in told and "\n" not in told
 
 
 @pytest.mark.parametrize("subtask", ["pick", "place"])

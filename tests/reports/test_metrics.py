@@ -37,7 +37,7 @@ KEYS = [
     "labels",
     "legacy_labels",
 ]
-KEYS += ["tainted", "errors", "subtasks", "seconds"]
+KEYS += ["tainted", "errors", "skipped_homes", "subtasks", "seconds"]
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjhab.core.errors import UsageError
+from mjhab.rollout.records import skips_told
 
 PIPED_WIDTH = 10_000
 """Width of output that does not go to a terminal [characters]; wider than any table."""
@@ -23,6 +24,15 @@ FRAME_WIDTH = 3
 def print_json(value: Mapping[str, Any]) -> None:
     """Print ``value`` as one line on stdout, for machines."""
     print(json.dumps(value, allow_nan=False), flush=True)
+
+
+def tell_skipped(skipped: Mapping[str, int]) -> None:
+    """Tell on stderr which homes had no room and were skipped, if any; ``skipped``: number of episodes by home."""
+    if skipped:
+        print(
+            f"mjhab: skipped, because they have no room: {skips_told(skipped)}",
+            file=sys.stderr,
+        )
 
 
 def print_table(

@@ -1,14 +1,18 @@
-"""Errors at the boundary: what was given, what was expected, what to do next."""
+"""Errors at the boundary: what was given, what was expected, what to do next; and warnings that are given once."""
 
 from __future__ import annotations
 
 import difflib
+import logging
 import reprlib
 from collections.abc import Iterable, Mapping
 
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 120
 _REPR.maxlong = 40
+_log = logging.getLogger("mjhab")
+_told: set[str] = set()
+"""Warnings that this process has given."""
 
 
 class MjhabError(Exception):
@@ -53,3 +57,10 @@ def unknown_name(
     return UsageError(
         f"unknown {kind} {shown(given)}.{hint} Valid names: {', '.join(names)}."
     )
+
+
+def warn_once(text: str) -> None:
+    """Log a warning to the logger ``mjhab``, unless this process has logged the same text before."""
+    if text not in _told:
+        _told.add(text)
+        _log.warning(text)

@@ -29,6 +29,7 @@ class Episode:
         object_pose: (N, 7) pose of every object slot, world frame [m, wxyz].
         link_q: (L,) joint positions of drawers and doors [m or rad].
         targets: targets in the order of the plan.
+        skipped_homes: homes that had no room and whose place this one took, in the order in which they were tried.
     """
 
     task: str
@@ -39,6 +40,7 @@ class Episode:
     object_pose: np.ndarray
     link_q: np.ndarray
     targets: tuple[Target, ...]
+    skipped_homes: tuple[str, ...] = ()
 
 
 def write_episode(path: Path, episode: Episode) -> None:
@@ -46,12 +48,14 @@ def write_episode(path: Path, episode: Episode) -> None:
 
     Task, split, seed and index are not in the file: they are in its name.
     """
-    content = {
+    content: dict[str, Any] = {
         "home": episode.home,
         "object_pose": episode.object_pose.tolist(),
         "link_q": episode.link_q.tolist(),
         "targets": [dataclasses.asdict(target) for target in episode.targets],
     }
+    if episode.skipped_homes:
+        content["skipped_homes"] = list(episode.skipped_homes)
     write_cached(path, lambda temporary: temporary.write_text(json.dumps(content)))
 
 
@@ -61,7 +65,10 @@ def read_episode(path: Path, task: str, split: str, seed: int, index: int) -> Ep
     pose = np.array(content["object_pose"], dtype=np.float64).reshape(-1, 7)
     link_q = np.array(content["link_q"], dtype=np.float64)
     targets = tuple(_target(entry) for entry in content["targets"])
-    return Episode(task, split, seed, index, content["home"], pose, link_q, targets)
+    skipped = tuple(content.get("skipped_homes", ()))
+    return Episode(
+        task, split, seed, index, content["home"], pose, link_q, targets, skipped
+    )
 
 
 def _target(entry: dict[str, Any]) -> Target:

@@ -1,12 +1,14 @@
 """Generate episodes of household tasks; (task, split, seed, index) determine an episode on a layout.
 
 The `TaskSpec` of a task defines where objects start and where their goals are, by furniture roles (`scenes.roles`).
+A home without room for the objects is skipped: the next one of the list takes its place (`EpisodeMaker.make`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.arithmetic.digest import arithmetic_digest
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, warn_once
 from mjhab.core.files.cache import cache_dir, read_cached
 from mjhab.core.names import below
 from mjhab.core.registration.plugins import source_digest
@@ -51,7 +53,9 @@ MAX_DRIFT = 0.02
 MAX_SPEED = 0.05
 """A draw is rejected if an object is faster than this [m/s or rad/s] after settling."""
 MOST_DRAWS = 200
-"""An episode is given up after so many draws."""
+"""A home is given up after so many draws of an episode."""
+_MOST_NAMED = 4
+"""So many homes a message names; of others it tells the number."""
 _VERSION = 3
 
 
@@ -89,7 +93,7 @@ class EpisodeMaker:
         task: name of the household task.
         split: split of homes to draw from.
         home: name of a home, or a pattern such as ``v3_sc0_staging_0?``: episode i is in home i modulo the number of
-            homes that fit; "" to draw a home of ``split`` per episode.
+            homes that fit; "" to draw a home of ``split`` per episode. If it has no room, the next one is taken.
         target: object type that must be among the targets; "" for any.
 
     Raises:
@@ -132,38 +136,63 @@ class EpisodeMaker:
         """Return the episode of (seed, index), from the cache if it was made before.
 
         Raises:
-            UsageError: no draw of ``MOST_DRAWS`` found room for all objects and came to rest.
+            UsageError: no home has room, see `make`.
         """
         path = self._path(seed, index)
         found = read_cached(
             path, lambda file: read_episode(file, self.task, self.split, seed, index)
         )
-        if found is not None:
-            return found
-        episode, _ = self.make(seed, index)
-        write_episode(path, episode)
-        return episode
+        if found is None:
+            found, _ = self.make(seed, index)
+            write_episode(path, found)
+        for home in found.skipped_homes:
+            self._tell_skipped(home)
+        return found
 
     def make(self, seed: int, index: int) -> tuple[Episode, int]:
         """Generate the episode of (seed, index) without the cache; also return the number of rejected draws.
 
+        If ``MOST_DRAWS`` draws in its home find no room, the homes after it in the list are tried in turn, so that the
+        home is a function of (seed, index) and the list, not of the episodes made before.
+
         Raises:
-            UsageError: no draw of ``MOST_DRAWS`` found room for all objects and came to rest.
+            UsageError: no draw of ``MOST_DRAWS`` in any of the homes found room for all objects and came to rest.
         """
-        for attempt in range(MOST_DRAWS):
-            episode = self._draw(seed, index, attempt)
-            if episode is not None:
-                return episode, attempt
-        home = self._home(seed, index).name
-        raise UsageError(
-            f"home {home!r} has no room for {self.task} episode {index} of seed {seed}: in {MOST_DRAWS} draws the "
-            f"{self.layout.num_objects} objects found no places, or did not come to rest there. Choose other homes, "
-            "or give this one more furniture, or pieces of it the roles that the task needs."
+        skipped: list[str] = []
+        for home in self._homes_for(seed, index):
+            for attempt in range(MOST_DRAWS):
+                episode = self._draw(seed, index, attempt, home)
+                if episode is not None:
+                    rejected = len(skipped) * MOST_DRAWS + attempt
+                    told = dataclasses.replace(episode, skipped_homes=tuple(skipped))
+                    return told, rejected
+            skipped.append(home.name)
+            if len(skipped) < len(self.homes):
+                self._tell_skipped(home.name)
+        raise self._no_room(skipped, seed, index)
+
+    def _tell_skipped(self, home: str) -> None:
+        warn_once(
+            f"home {home!r} has no room for episodes of {self.task}: they take place in the next home of the list."
         )
 
-    def _draw(self, seed: int, index: int, attempt: int) -> Episode | None:
+    def _no_room(self, homes: list[str], seed: int, index: int) -> UsageError:
+        if len(homes) == 1:
+            which = f"home {homes[0]!r} has no"
+            mend = "Choose other homes, or give this one"
+        else:
+            more = len(homes) - _MOST_NAMED
+            named = ", ".join(homes[:_MOST_NAMED]) + (f", and {more} more" * (more > 0))
+            which = f"none of the {len(homes)} homes ({named}) has"
+            mend = "Choose other homes, or give one of these"
+        return UsageError(
+            f"{which} room for {self.task} episode {index} of seed {seed}: in {MOST_DRAWS} draws the "
+            f"{self.layout.num_objects} objects found no places, or did not come to rest there. {mend} more "
+            "furniture, or pieces of it the roles that the task needs."
+        )
+
+    def _draw(self, seed: int, index: int, attempt: int, home: Home) -> Episode | None:
         # The home does not depend on the attempt, so that homes in which draws often fail are as frequent as others.
-        home = self._home(seed, index)
         rng = stream(seed, "episode", self.task, self.split, index, attempt)
         receptacles = placed_receptacles(self.layout, home)
         roles = roles_of(self.layout.pack, home)
@@ -197,16 +226,15 @@ class EpisodeMaker:
             targets,
         )
 
-    def _home(self, seed: int, index: int) -> Home:
+    def _homes_for(self, seed: int, index: int) -> Iterator[Home]:
+        """Yield the home of an episode, then the others in the order of the list, from there on and round it."""
+        count = len(self.homes)
         if self._in_turn:
-            return self.homes[index % len(self.homes)]
-        return self.homes[
-            int(
-                stream(seed, "home", self.task, self.split, index).integers(
-                    len(self.homes)
-                )
-            )
-        ]
+            first = index
+        else:
+            rng = stream(seed, "home", self.task, self.split, index)
+            first = int(rng.integers(count))
+        return (self.homes[(first + k) % count] for k in range(count))
 
     # -- placement -------------------------------------------------------------------------------------------------
 

@@ -87,6 +87,7 @@ class GeneratedData:
             "tried": done.tried,
             "yield": round(done.passed / done.tried, 4) if done.tried else 0.0,
             "errors": sum(done.errors.values()),
+            "skipped_homes": dict(done.skipped_homes),
             "seconds": round(self.seconds, 1),
         }
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.names import kind_of
-from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
+from mjhab.rollout.records import EpisodeRecord, SubtaskRecord, skip_counts
 from mjhab.tasks.progressive import progressive, upper_bound
 
 Z95 = 1.959964
@@ -113,8 +113,8 @@ def summarize(
         that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well, None where
         nothing is known of it; ``labels``: count of every trajectory label; ``legacy_labels``: likewise by the rules of
         the published code; ``tainted``: number of episodes whose simulation raised a flag (they are counted in all
-        rates); ``errors``: number of episodes that the policy could not finish, likewise counted; ``subtasks``: the
-        fields of `SubtaskRow` per position of the plan, of episodes of a single subtask per target; ``seconds``.
+        rates); ``errors``: number of episodes that the policy could not finish, likewise counted; ``skipped_homes``:
+        how often each home that had no room was skipped, empty without any; ``subtasks``: the fields of `SubtaskRow` per position of the plan, of episodes of a single subtask per target; ``seconds``.
     """
     curve, bound = progress_curves(records, alone)
     subtasks = [subtask for record in records for subtask in record.subtasks]
@@ -128,6 +128,7 @@ def summarize(
         "legacy_labels": label_counts(subtask.legacy_label for subtask in subtasks),
         "tainted": sum(bool(record.taint) for record in records),
         "errors": sum(bool(record.error) for record in records),
+        "skipped_homes": skip_counts(record.skipped_homes for record in records),
         "subtasks": [asdict(row) for row in rows_of(records)],
         "seconds": round(seconds, 2),
     }

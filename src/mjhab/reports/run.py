@@ -26,7 +26,7 @@ from mjhab.reports.plots import (
     labels_figure,
     progress_figure,
 )
-from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.records import EpisodeRecord, skip_counts, skips_told
 
 FORCE_EPISODES = 12
 """Number of episodes with a force plot; more would make the file large."""
@@ -120,6 +120,9 @@ def _header(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> str:
             f'<div class="banner">The policy ended {len(errors)} of {len(records)} episodes with an error; they count '
             f"as what they had reached. {count} of them: {escape(reason)}</div>"
         )
+    skipped = skip_counts(record.skipped_homes for record in records)
+    if skipped:
+        banner += f'<div class="banner">Skipped, because they have no room: {escape(skips_told(skipped))}</div>'
     title = escape(_title(config))
     return (
         f"<header><h1>{title[:1].upper()}{title[1:]}</h1><p>A robot in furnished homes, simulated by "

@@ -306,6 +306,7 @@ class _Trace:
             peak_finger_force=(
                 None if self.finger_force is None else round(self.finger_force, 3)
             ),
+            skipped_homes=tuple(episode.get("skipped_homes", ())),
         )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -21,6 +22,7 @@ OPTIONAL = (
     "config_hash",
     "peak_finger_force",
     "teleported",
+    "skipped_homes",
 )
 """Fields of both records that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
@@ -116,7 +118,8 @@ class EpisodeRecord:
     the episode asks for as a sentence, ``instructions`` the same for each subtask of the plan (`tasks.instructions`);
     empty in records of older versions. ``error``: why the policy could not go on (`rollout.policy.Fallible`) and the
     episode ended, empty where it could. ``peak_force`` is that of ``force``, ``peak_finger_force`` [N] that of both
-    fingers together, None in records of older versions. ``config_hash`` names the configuration of the run folder that
+    fingers together, None in records of older versions. ``skipped_homes`` had no room for the episode, so that ``home``
+    took their place. ``config_hash`` names the configuration of the run folder that
     the record belongs to (`store.config_hash`); it is empty outside of a run folder and in those of older versions, and
     takes no part in comparisons.
     """
@@ -148,6 +151,7 @@ class EpisodeRecord:
     error: str = ""
     config_hash: str = field(default="", compare=False)
     peak_finger_force: float | None = None
+    skipped_homes: tuple[str, ...] = ()
 
     @property
     def steps_to_success(self) -> int | None:
@@ -189,6 +193,18 @@ class EpisodeRecord:
         return record
 
 
+def skip_counts(skipped: Iterable[Sequence[str]]) -> dict[str, int]:
+    """Count in how many episodes each home was skipped, sorted by name; ``skipped``: the homes of every episode."""
+    return dict(sorted(Counter(home for homes in skipped for home in homes).items()))
+
+
+def skips_told(skipped: Mapping[str, int]) -> str:
+    """Words for the result of `skip_counts`: "apt_0 in 2 episodes, apt_3 in 1"."""
+    homes = [f"{home} in {count}" for home, count in skipped.items()]
+    unit = " episode" if next(iter(skipped.values())) == 1 else " episodes"
+    return ", ".join([homes[0] + unit, *homes[1:]])
+
+
 def _without_empty(values: dict[str, Any]) -> dict[str, Any]:
     """Fields of a record without the OPTIONAL ones that are empty; a force of 0.0 is not."""
     return {
@@ -218,6 +234,9 @@ def _values(data: Mapping[str, Any]) -> dict[str, Any]:
     values["config_hash"] = str(data.get("config_hash", ""))
     values["peak_finger_force"] = _peak(data.get("peak_finger_force"))
     values["final_state"] = str(data["final_state"])
+    skipped = data.get("skipped_homes", ())
+    _check_list("skipped_homes", skipped)
+    values["skipped_homes"] = tuple(str(name) for name in skipped)
     for name in ("plan", "subtasks", "events", "force", "taint"):
         _check_list(name, data[name])
     values["plan"] = tuple(PlanEntry(**entry) for entry in data["plan"])
@@ -298,6 +317,8 @@ def _check_names(record: EpisodeRecord) -> None:
     for name in ("home", "task", "split"):
         check_name(f"field {name!r} of the record", getattr(record, name))
     check_name("field 'subtask' of the record", record.subtask or "", empty=True)
+    for home in record.skipped_homes:
+        check_name("skipped home of the record", home)
     for entry in (*record.plan, *record.subtasks):
         check_name("kind of a subtask", entry.kind)
         target = entry.target

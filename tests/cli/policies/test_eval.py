@@ -30,6 +30,7 @@ KEYS = [
     "legacy_labels",
     "tainted",
     "errors",
+    "skipped_homes",
     "subtasks",
     "seconds",
 ]

@@ -19,7 +19,7 @@ from rich.progress import (
 
 from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.evaluate import DemoOptions
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import print_json, print_table, tell_skipped
 from mjhab.cli.streams import with_way_on
 from mjhab.evaluation.evaluate import EvaluationInterrupted, Run, run_evaluation
 from mjhab.evaluation.specs import EvalSpec
@@ -146,6 +146,7 @@ def _tell(spec: EvalSpec, run: Run, interrupted: bool, json: bool) -> None:
             f"mjhab: the policy could not finish {summary['errors']} episodes; {count} of them: {reason}",
             file=sys.stderr,
         )
+    tell_skipped(summary["skipped_homes"])
     clipped: Mapping[str, int] = summary.get("out_of_range", {})
     if clipped:
         columns = ", ".join(f"{name} {number}" for name, number in clipped.items())

@@ -247,7 +247,7 @@ def _has_target(subtask: str | None) -> bool:
 def outcome_of(record: EpisodeRecord, passes: bool) -> Outcome:
     """The part of an episode that quotas count. Each object or link has its own quota; chains and Navigate have one."""
     target = target_of(record) if _has_target(record.subtask) else ALL
-    return Outcome(record.index, target, last_label(record), passes)
+    return Outcome(record.index, target, last_label(record), passes, record.skipped_homes)
 
 
 def failure(error: Exception) -> Failed:

@@ -14,7 +14,7 @@ import heapq
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from mjhab.data.record.crew import (
 from mjhab.data.record.quotas import Outcome, Quotas
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.shard import StorageError
+from mjhab.rollout.records import skip_counts
 
 CONFIG = "generation.json"
 TRIED = "tried.jsonl"
@@ -75,6 +76,7 @@ class Standing:
     written: by this run. kept, tried, passed: in total; passed counts those that pass the filter. wanted: number to
     keep, 0 without a quota. labels: of the kept episodes. complete: the job is finished. bytes: size of the shards.
     errors: of this run, episodes that the policy could not finish by reason; a resumed run tries them again.
+    skipped_homes: in how many of the tried episodes each home had no room and was skipped.
     """
 
     written: int
@@ -86,6 +88,7 @@ class Standing:
     complete: bool = False
     bytes: int = 0
     errors: Mapping[str, int] = field(default_factory=dict)
+    skipped_homes: Mapping[str, int] = field(default_factory=dict)
 
 
 def generate(
@@ -354,7 +357,7 @@ class _Run:
 
     def _log(self, outcome: Outcome) -> None:
         with open(self.job.out / TRIED, "a", encoding="utf-8") as file:
-            file.write(json.dumps(asdict(outcome), separators=(",", ":")) + "\n")
+            file.write(json.dumps(outcome.to_dict(), separators=(",", ":")) + "\n")
 
     def standing(self, final: bool = False) -> Standing:
         """Progress of the job; if ``final``, counted from the shards on the disk."""
@@ -386,6 +389,7 @@ class _Run:
             self.finished,
             size,
             self.errors,
+            skip_counts(outcome.skipped_homes for outcome in outcomes),
         )
 
 

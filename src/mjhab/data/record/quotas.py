@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections import Counter, defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from mjhab.core.errors import UsageError
@@ -20,12 +20,23 @@ _NONE = 1 << 62
 
 @dataclass(frozen=True)
 class Outcome:
-    """The part of a finished episode that quotas count. passes: it passes the filter."""
+    """The part of a finished episode that quotas count. passes: it passes the filter.
+
+    ``skipped_homes``: homes without room in whose place its home was taken; they are counted for the summary alone.
+    """
 
     index: int
     target: str
     label: str
     passes: bool
+    skipped_homes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON data; without skipped homes, if there are none."""
+        told = asdict(self)
+        if not self.skipped_homes:
+            del told["skipped_homes"]
+        return told
 
     @classmethod
     def from_dict(cls, told: Any) -> Outcome:
@@ -35,10 +46,12 @@ class Outcome:
             ValueError: it is no outcome.
         """
         types = {"index": int, "target": str, "label": str, "passes": bool}
-        fits = isinstance(told, dict) and told.keys() == types.keys()
-        if not fits or any(type(told[name]) is not kind for name, kind in types.items()):
+        given = {"skipped_homes": [], **told} if isinstance(told, dict) else {}
+        skipped = given.pop("skipped_homes", None)
+        fits = given.keys() == types.keys() and isinstance(skipped, list)
+        if not fits or any(type(given[name]) is not kind for name, kind in types.items()):
             raise ValueError(f"no outcome of an episode: {str(told)[:60]!r}")
-        return cls(**told)
+        return cls(**given, skipped_homes=tuple(str(home) for home in skipped))
 
 
 @dataclass(frozen=True)

@@ -114,6 +114,8 @@ def describe_episode(
 ) -> Mapping[str, Any]:
     """Describe an episode for `info`: seed, index, home, plan and instructions, read-only.
 
+    "skipped_homes", names of homes without room in whose place its home was taken, is there only if there are any.
+
     Args:
         episode: the episode.
         plan: its subtasks.
@@ -124,6 +126,7 @@ def describe_episode(
         {"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
     )
     sentences = narrator.instructions(episode, plan, alone=bool(config.subtask))
+    skipped = episode.skipped_homes
     # The same object is in every info until the next episode; it is read-only, so that callers cannot change it.
     return FrozenMap(
         {
@@ -136,6 +139,7 @@ def describe_episode(
             "plan": tuple(FrozenMap(entry) for entry in entries),
             "instruction": sentences.task,
             "instructions": sentences.subtasks,
+            **({"skipped_homes": skipped} if skipped else {}),
         }
     )
 

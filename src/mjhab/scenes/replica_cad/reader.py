@@ -11,7 +11,6 @@ scenes) are static here, like furniture: only the objects of a task's episodes m
 from __future__ import annotations
 
 import fnmatch
-import logging
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name, warn_once
 from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import roles
@@ -63,8 +62,6 @@ _LAMP_POSITIONS_M = (
     (3.14, 3.24, 3.0),
 )
 """Positions of the lamps [m] (ManiSkill's ReplicaCAD scene builder)."""
-_log = logging.getLogger("mjhab")
-_warned: set[str] = set()
 
 
 def open_replica_cad(
@@ -113,7 +110,7 @@ def open_replica_cad(
             if len(reader.loose) > 1
             else reader.loose[0]
         )
-        _warn_once(
+        warn_once(
             f"{folder}: objects that may move in {told} (motion_type DYNAMIC) stand fixed here, as furniture."
         )
     _warn(
@@ -141,13 +138,7 @@ def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
         for file in missing
     ]
     if missing:
-        _warn_once(f"{folder}: {', '.join(names)} missing: {meaning}.")
-
-
-def _warn_once(text: str) -> None:
-    if text not in _warned:
-        _warned.add(text)
-        _log.warning(text)
+        warn_once(f"{folder}: {', '.join(names)} missing: {meaning}.")
 
 
 def _named(wanted: tuple[str, ...], names: list[str]) -> list[str]:

@@ -113,8 +113,10 @@ def summarize(
         that completed at least k+1 subtasks; ``upper_bound``: the same if every subtask started well, None where
         nothing is known of it; ``labels``: count of every trajectory label; ``legacy_labels``: likewise by the rules of
         the published code; ``tainted``: number of episodes whose simulation raised a flag (they are counted in all
-        rates); ``errors``: number of episodes that the policy could not finish, likewise counted; ``skipped_homes``:
-        how often each home that had no room was skipped, empty without any; ``subtasks``: the fields of `SubtaskRow` per position of the plan, of episodes of a single subtask per target; ``seconds``.
+        rates); ``errors``: number of episodes that the policy could not finish, likewise counted;
+        ``skipped_homes``: how often each home that had no room was skipped, empty without any; ``subtasks``:
+        the fields of `SubtaskRow` per position of the plan, of episodes of a single subtask per target;
+        ``seconds``.
     """
     curve, bound = progress_curves(records, alone)
     subtasks = [subtask for record in records for subtask in record.subtasks]

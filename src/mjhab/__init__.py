@@ -15,6 +15,9 @@ from mjhab.core.version import __version__
 
 if TYPE_CHECKING:
     from mjhab.envs import make, make_train
+    from mjhab.evaluation.datasets.export import export_lerobot, export_maniskill
+    from mjhab.evaluation.datasets.label import label
+    from mjhab.evaluation.datasets.replay import replay
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
@@ -41,8 +44,11 @@ __all__ = [
     "TaskSpec",
     "__version__",
     "evaluate",
+    "export_lerobot",
+    "export_maniskill",
     "generate",
     "home_pack",
+    "label",
     "make",
     "make_expert",
     "make_train",
@@ -54,6 +60,7 @@ __all__ = [
     "register_robot",
     "register_subtask",
     "register_task",
+    "replay",
 ]
 
 _LAZY = {
@@ -65,7 +72,11 @@ _LAZY = {
     "PackRequest": "mjhab.scenes.pack_source",
     "PackSource": "mjhab.scenes.pack_source",
     "evaluate": "mjhab.evaluation.evaluate",
+    "export_lerobot": "mjhab.evaluation.datasets.export",
+    "export_maniskill": "mjhab.evaluation.datasets.export",
     "generate": "mjhab.evaluation.generate",
+    "label": "mjhab.evaluation.datasets.label",
+    "replay": "mjhab.evaluation.datasets.replay",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
     "ControlMode": "mjhab.robots.controllers.modes",

@@ -155,14 +155,16 @@ COMMANDS: tuple[Command, ...] = (
     Command(
         "replay",
         "simulate recorded actions again, or render recorded states",
-        "cli.options.datasets.generate:ReplayOptions",
+        "evaluation.datasets.specs:ReplaySpec",
         "datasets.replay:run_replay",
+        spec=True,
     ),
     Command(
         "label",
         "label recorded episodes again by the present rules",
-        "cli.options.datasets.data:LabelOptions",
-        "datasets.data:run_data",
+        "evaluation.datasets.specs:LabelSpec",
+        "datasets.data:run_relabelling",
+        spec=True,
     ),
     Command(
         "data query",
@@ -221,14 +223,16 @@ COMMANDS: tuple[Command, ...] = (
     Command(
         "export lerobot",
         "for LeRobot",
-        "cli.options.datasets.export:ExportLerobotOptions",
+        "evaluation.datasets.specs:LerobotSpec",
         "datasets.export:run_export",
+        spec=True,
     ),
     Command(
         "export maniskill",
         "for ManiSkill and MS-HAB",
-        "cli.options.datasets.export:ExportManiskillOptions",
+        "evaluation.datasets.specs:ManiskillSpec",
         "datasets.export:run_export",
+        spec=True,
     ),
     Command(
         "envs list",

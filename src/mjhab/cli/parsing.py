@@ -57,6 +57,11 @@ class Option:
         """Whether it takes no value: without it something is off."""
         return self.hint is bool and self.default is False
 
+    @property
+    def takes_value(self) -> bool:
+        """Whether a value follows its name; none does after --no-NAME, the option of what is on without it."""
+        return self.hint is not bool or (self.optional and not self.is_switch)
+
     def is_absent(self, value: Any) -> bool:
         """Whether a parsed value means that the option was not given."""
         return self.optional and (value is False if self.is_switch else value is None)
@@ -75,14 +80,16 @@ class Option:
     def as_field(self) -> tuple[str, Any, Any]:
         """Name, annotation and default for `dataclasses.make_dataclass`."""
         hint = self.hint
-        shown = self.flag.shown or ("default: none" if self.default in ((), "") else "")
         default = self.default
+        shown = self.flag.shown or ("default: none" if default in ((), "") else "")
+        if self.flag.positional and default is dataclasses.MISSING:
+            shown = "required"
         if self.optional and not self.is_switch:
             hint = hint | None
             shown = shown or f"default: {_in_words(default)}"
             default = None
         told = tyro.conf.arg(
-            metavar=None if self.is_switch else self.flag.metavar or _metavar(hint),
+            metavar=(self.flag.metavar or _metavar(hint)) if self.takes_value else None,
             help=self.help,
             help_behavior_hint=f"({shown})" if shown else None,
         )

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjhab.data.export.lerobot.export import Exported, export_lerobot
+from mjhab.data.export.lerobot.export import Exported, write_lerobot
 from mjhab.data.export.lerobot.pieces import FilmTools
-from mjhab.data.export.maniskill import ManiSkillSet, export_maniskill
+from mjhab.data.export.maniskill import ManiSkillSet, write_maniskill
 from mjhab.data.export.request import ExportRequest
 
 REQUEST_FIELDS = ("where", "overwrite", "resume")
@@ -17,13 +17,13 @@ REQUEST_FIELDS = ("where", "overwrite", "resume")
 def to_lerobot(
     places: Path | Sequence[Path], out: Path, films: FilmTools, **options: Any
 ) -> Exported:
-    return export_lerobot(_request(places, out, options), films, **options)
+    return write_lerobot(_request(places, out, options), films, **options)
 
 
 def to_maniskill(
     places: Path | Sequence[Path], out: Path, **options: Any
 ) -> ManiSkillSet:
-    return export_maniskill(_request(places, out, options), **options)
+    return write_maniskill(_request(places, out, options), **options)
 
 
 def _request(

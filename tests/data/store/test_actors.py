@@ -240,7 +240,9 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
     found = [episode for path in places for episode in _read(path)]
 
     files = to_maniskill(places, tmp_path / "maniskill").files
-    said = json.loads(files[0].with_suffix(".json").read_text())["episodes"]
+    told = json.loads(files[0].with_suffix(".json").read_text())["episodes"]
+    # Successful episodes are listed first.
+    said = {each["episode_id"]: each for each in told}
     with h5py.File(files[0]) as file:
         for number, (actions, intended, actor, actors) in enumerate(found):
             trajectory: Any = file[f"traj_{number}"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from mjhab.cli.options.datasets.data import (
@@ -16,7 +15,6 @@ from mjhab.cli.options.datasets.data import (
     DataReportOptions,
     DataSplitOptions,
     DataStatsOptions,
-    LabelOptions,
 )
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.errors import UsageError, unknown_name
@@ -27,13 +25,12 @@ from mjhab.data.export.folders import broken
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.select.facts import FUNCTIONS, facts, target_of
 from mjhab.data.select.query import PRESETS, read_filter
-from mjhab.data.select.relabel import relabel
 from mjhab.data.select.sets import GROUPINGS, merge, select, split, stats
 from mjhab.data.store.checking import Repair, check, repair
 from mjhab.data.store.places import shard_paths
-from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import VERSION
-from mjhab.data.store.shard import ShardWriter
+from mjhab.evaluation.datasets.label import run_label
+from mjhab.evaluation.datasets.specs import LabelSpec
 from mjhab.rollout.records import EpisodeRecord
 
 _MOST_ROWS = 20
@@ -42,7 +39,7 @@ IMPORTS = ("ms_hab",)
 
 
 def run_data(options: Any) -> int:
-    """Run one of the commands of ``mjhab data``, or ``mjhab label``; returns the exit code."""
+    """Run one of the commands of ``mjhab data``; returns the exit code."""
     runners = {
         DataQueryOptions: _query,
         DataStatsOptions: _stats,
@@ -53,7 +50,6 @@ def run_data(options: Any) -> int:
         DataFieldsOptions: _fields,
         DataReportOptions: _report,
         DataImportOptions: _import,
-        LabelOptions: _label,
     }
     return runners[type(options)](options)  # type: ignore[operator]
 
@@ -362,52 +358,35 @@ def _fields(options: DataFieldsOptions) -> int:
     return 0
 
 
-def _label(options: LabelOptions) -> int:
-    episodes = subtasks = skipped = 0
-    changes: list[tuple[str, ...]] = []
-    for path in shard_paths(options.places):
-        new: dict[str, EpisodeRecord] = {}
-        with open_shard(path) as shard:
-            for episode in shard:
-                if "signals/checks" in episode.run.absent:
-                    skipped += 1
-                    continue
-                record, changed = relabel(episode)
-                episodes += 1
-                subtasks = subtasks + len(record.subtasks)
-                changes += [
-                    (episode.name, str(c.subtask), c.what, str(c.old), str(c.new))
-                    for c in changed
-                ]
-                if changed:
-                    new[episode.name] = record
-        if options.write and new:
-            _write_records(path, new)
-    labels = sum(what == "label" for _, _, what, _, _ in changes)
-    if options.json:
+def run_relabelling(spec: LabelSpec, json: bool) -> int:
+    """Run ``mjhab label``; returns the exit code."""
+    found = run_label(spec)
+    labels = found.changed_labels
+    if json:
         counts = {
-            "episodes": episodes,
-            "subtasks": subtasks,
+            "episodes": found.episodes,
+            "subtasks": found.subtasks,
             "changed": labels,
-            "changes": len(changes),
+            "changes": len(found.changes),
         }
-        print_json({**counts, "without_signals": skipped} if skipped else counts)
+        skipped = {"without_signals": found.without_signals}
+        print_json({**counts, **skipped} if found.without_signals else counts)
         return 0
-    if changes:
+    if found.changes:
+        rows = [
+            (name, str(c.subtask), c.what, str(c.old), str(c.new))
+            for name, c in found.changes
+        ]
         columns = ("episode", "subtask", "what", "recorded", "now")
-        print_table("Changes", columns, changes[:_MOST_ROWS])
-    written = " (written)" if options.write and changes else ""
-    others = len(changes) - labels
+        print_table("Changes", columns, rows[:_MOST_ROWS])
+    written = " (written)" if spec.write and found.changes else ""
+    others = len(found.changes) - labels
     print(
-        f"{episodes} episodes, {subtasks} subtasks: {labels} labels and {others} other things changed{written}"
+        f"{found.episodes} episodes, {found.subtasks} subtasks: {labels} labels and {others} other things "
+        f"changed{written}"
     )
-    if skipped:
+    if found.without_signals:
         print(
-            f"{skipped} episodes were imported without signals; their labels stay those of their source"
+            f"{found.without_signals} episodes were imported without signals; their labels stay those of their source"
         )
     return 0
-
-
-def _write_records(path: Path, records: dict[str, EpisodeRecord]) -> None:
-    with ShardWriter(path) as writer:
-        writer.replace_records(records)

@@ -64,7 +64,7 @@ class ManiSkillSet:
     without_depth: int
 
 
-def export_maniskill(
+def write_maniskill(
     request: ExportRequest,
     *,
     until: Until | None = None,
@@ -121,7 +121,7 @@ def place_of(record: EpisodeRecord) -> Path:
 
 
 def _foreign(folder: Path) -> str:
-    """Why a folder is not an export of `export_maniskill`; "" if it is one.
+    """Why a folder is not an export of `write_maniskill`; "" if it is one.
 
     Shards and MS-HAB's own data may lie in the same folders under the same names.
     """

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from mjhab.data.store.reading import RecordedEpisode
+from mjhab.data.store.places import shard_paths
+from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import DamagedError
+from mjhab.data.store.shard import ShardWriter
 from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
 from mjhab.tasks.labelling.events import event_names, step_events
 from mjhab.tasks.labelling.labels import label_history, label_names
@@ -25,6 +29,58 @@ class Change:
     what: str
     old: object
     new: object
+
+
+@dataclass(frozen=True)
+class Relabelled:
+    """Result of `relabel_shards`.
+
+    episodes, subtasks: numbers of those whose labels were computed. changes: name of the episode and change, in order.
+    without_signals: number of episodes that were imported without signals; their labels stay those of their source.
+    """
+
+    episodes: int
+    subtasks: int
+    changes: tuple[tuple[str, Change], ...]
+    without_signals: int
+
+    @property
+    def changed_labels(self) -> int:
+        """Number of subtasks with another label."""
+        return sum(change.what == "label" for _, change in self.changes)
+
+
+def relabel_shards(places: Path | Sequence[Path], write: bool = False) -> Relabelled:
+    """Compute labels and events of recorded episodes by the current rules.
+
+    Args:
+        places: shards, or folders of shards.
+        write: write records that change into their shards.
+
+    Raises:
+        UsageError: there are no shards.
+        DamagedError: see `relabel`.
+        StorageError: the disk is full or broken.
+    """
+    episodes = subtasks = skipped = 0
+    changes: list[tuple[str, Change]] = []
+    for path in shard_paths(places):
+        new: dict[str, EpisodeRecord] = {}
+        with open_shard(path) as shard:
+            for episode in shard:
+                if "signals/checks" in episode.run.absent:
+                    skipped += 1
+                    continue
+                record, changed = relabel(episode)
+                episodes += 1
+                subtasks += len(record.subtasks)
+                changes += [(episode.name, change) for change in changed]
+                if changed:
+                    new[episode.name] = record
+        if write and new:
+            with ShardWriter(path) as writer:
+                writer.replace_records(new)
+    return Relabelled(episodes, subtasks, tuple(changes), skipped)
 
 
 def relabel(episode: RecordedEpisode) -> tuple[EpisodeRecord, list[Change]]:

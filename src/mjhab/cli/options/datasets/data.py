@@ -1,4 +1,4 @@
-"""The options of ``mjhab data`` and ``mjhab label``."""
+"""The options of ``mjhab data``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ Places = Annotated[
     tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|FOLDER ...")
 ]
 Where = Annotated[str | None, tyro.conf.arg(metavar="FILTER")]
-Until = Annotated[str, tyro.conf.arg(metavar="end|success|success+N")]
 Preset = Annotated[str | None, tyro.conf.arg(metavar="NAME")]
 
 
@@ -211,17 +210,5 @@ class BenchWindowsOptions(WindowsSpec):
     """Duration of the measurement of later passes [s]."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.seed
     """Seed of the order of the windows."""
-    json: bool = False
-    """Print one line of JSON instead of a table."""
-
-
-@dataclass(frozen=True)
-class LabelOptions:
-    """Recompute labels and events of recorded episodes from their signals, without simulation, and print changes."""
-
-    places: Places
-    """Shards (*.h5) or folders of shards."""
-    write: bool = False
-    """Write the new labels into the shards."""
     json: bool = False
     """Print one line of JSON instead of a table."""

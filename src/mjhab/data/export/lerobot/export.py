@@ -78,7 +78,7 @@ class Exported:
     images: tuple[str, ...]
 
 
-def export_lerobot(
+def write_lerobot(
     request: ExportRequest,
     films: FilmTools,
     *,

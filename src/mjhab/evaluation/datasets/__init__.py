@@ -1,0 +1,1 @@
+"""What is done with recorded episodes: exports, replay, new labels."""

@@ -1,0 +1,140 @@
+"""Export: recorded episodes for other tools.
+
+`export_lerobot` and `export_maniskill` are those of `mjhab`; ``mjhab export`` calls `run_export`. All do the same.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+from mjhab.core.errors import UsageError
+from mjhab.core.machine import install_extra
+from mjhab.data.export.maniskill import ManiSkillSet, write_maniskill
+from mjhab.data.export.request import ExportRequest
+from mjhab.data.select.until import Until
+from mjhab.evaluation.datasets.specs import (
+    ExportSpec,
+    LerobotSpec,
+    ManiskillSpec,
+    PlacesLike,
+)
+from mjhab.render.film import FilmWriter, join_films
+
+if TYPE_CHECKING:
+    from mjhab.data.export.lerobot.export import Exported
+
+KEYFRAMES = 2
+"""Frames per keyframe, as in LeRobot's own videos; it makes random access fast."""
+Begin = Callable[[int], Callable[[], object]]
+"""Called with the number of episodes to export; gives a function that is called after each."""
+
+
+def export_lerobot(
+    path: PlacesLike, out: str | PathLike[str], **options: Any
+) -> Exported:
+    """Write recorded episodes as a LeRobot data set, as ``mjhab export lerobot`` does. Needs the extra ``data``.
+
+    >>> import mjhab
+    >>> made = mjhab.generate("zero", subtask="close", episodes=2, horizon=5, out="runs/close")
+    >>> done = mjhab.export_lerobot("runs/close", "exported/close", where="index < 1")
+    >>> done.episodes, done.frames, done.images
+    (1, 5, ())
+
+    Args:
+        path: a shard, a folder of shards, or several of them.
+        out: the folder to write; it is written atomically.
+        **options: fields of `LerobotSpec`, such as ``where``, ``until``, ``depth=False``.
+
+    Returns:
+        What was written: numbers of episodes and frames, names of videos and depth columns.
+
+    Raises:
+        UsageError: an option is unknown or invalid, no episode passes the filter, the folder exists, pyarrow is not
+            installed, or episodes differ in their features.
+        StorageError: the disk is full; the same call with ``resume=True`` continues.
+        DamagedError: an episode is damaged, or holds numbers that are not finite.
+    """
+    return run_lerobot(LerobotSpec.of(path, out=out, **options))
+
+
+def export_maniskill(
+    path: PlacesLike, out: str | PathLike[str], **options: Any
+) -> ManiSkillSet:
+    """Write recorded episodes in the format of MS-HAB's data set, as ``mjhab export maniskill`` does.
+
+    >>> import mjhab
+    >>> made = mjhab.generate("zero", subtask="close", episodes=1, horizon=5, out="runs/close")
+    >>> done = mjhab.export_maniskill("runs/close", "exported/rearrange")
+    >>> [str(file) for file in done.files]
+    ['exported/rearrange/set_table/close/kitchen_counter.h5']
+
+    Args:
+        path: a shard, a folder of shards, or several of them.
+        out: the folder to write; it is written atomically.
+        **options: fields of `ManiskillSpec`, such as ``where``, ``until``, ``overwrite``.
+
+    Returns:
+        What was written: numbers of episodes and frames, the files.
+
+    Raises:
+        UsageError: an option is unknown or invalid, no episode passes the filter, or the folder exists.
+        StorageError: the disk is full; the same call with ``resume=True`` continues.
+        DamagedError: an episode is damaged, or holds numbers that are not finite.
+    """
+    return run_maniskill(ManiskillSpec.of(path, out=out, **options))
+
+
+def run_lerobot(spec: LerobotSpec, begin: Begin | None = None) -> Exported:
+    """Write a LeRobot data set.
+
+    Args:
+        spec: the episodes and the folder.
+        begin: told of the episodes, see `Begin`.
+
+    Raises:
+        UsageError, StorageError, DamagedError: see `export_lerobot`.
+    """
+    try:
+        from mjhab.data.export.lerobot.export import write_lerobot
+        from mjhab.data.export.lerobot.features import Choice
+        from mjhab.data.export.lerobot.pieces import FilmTools
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "pyarrow":
+            raise
+        raise UsageError(
+            f"LeRobot data sets need pyarrow; install it with: {install_extra('data')}"
+        ) from error
+    films = FilmTools(
+        functools.partial(FilmWriter, quality=spec.quality, keyframes=KEYFRAMES),
+        join_films,
+        {"quality": spec.quality},
+    )
+    return write_lerobot(
+        _request(spec),
+        films,
+        version=spec.version,
+        choice=Choice(spec.rgb, spec.depth, spec.seg, spec.until),
+        begin=begin,
+    )
+
+
+def run_maniskill(spec: ManiskillSpec, begin: Begin | None = None) -> ManiSkillSet:
+    """Write trajectory files of MS-HAB.
+
+    Args:
+        spec: the episodes and the folder.
+        begin: told of the episodes, see `Begin`.
+
+    Raises:
+        UsageError, StorageError, DamagedError: see `export_maniskill`.
+    """
+    return write_maniskill(_request(spec), until=Until.parse(spec.until), begin=begin)
+
+
+def _request(spec: ExportSpec) -> ExportRequest:
+    return ExportRequest(
+        spec.places, spec.out, spec.filter(), spec.overwrite, spec.resume
+    )

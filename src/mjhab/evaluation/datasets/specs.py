@@ -1,0 +1,225 @@
+"""What functions of recorded episodes, such as `mjhab.replay`, and their commands are asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+
+from mjhab.config.ranges import whole_number
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.outputs import check_file
+from mjhab.core.typed.flags import Flag
+from mjhab.core.typed.options import take_types
+
+if TYPE_CHECKING:
+    from mjhab.data.select.query import Filter
+
+PlacesLike = str | PathLike[str] | Sequence[str | PathLike[str]]
+"""A shard, a folder of shards, or several of them."""
+MAX_QUALITY = 51
+"""Largest constant rate factor of x264, for the smallest files."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedSpec:
+    """Recorded episodes, and what to do with them."""
+
+    places: Annotated[tuple[Path, ...], Flag(metavar="FILE|FOLDER ...", positional=True)]
+    """Shards (*.h5) or folders of shards."""
+
+    @classmethod
+    def of(cls, places: PlacesLike, **options: Any) -> Self:
+        """Make a specification of options.
+
+        Args:
+            places: a shard, a folder of shards, or a sequence of them.
+            **options: the other fields, by name.
+
+        Raises:
+            UsageError: an option is unknown or invalid; see the class.
+            TypeError: an option without default is missing.
+        """
+        known = {field.name for field in dataclasses.fields(cls)}
+        for name in options:
+            if name not in known:
+                raise unknown_name("option", name, known)
+        if isinstance(places, str | PathLike):
+            places = (places,)
+        # Its fields are checked, and made paths, by the class.
+        return cls(places=cast(Any, places), **options)
+
+    def __post_init__(self) -> None:
+        take_types(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectedSpec(RecordedSpec):
+    """Recorded episodes that pass a filter, and what to do with them."""
+
+    where: Annotated[str | None, Flag(metavar="FILTER", shown="default: all")] = None
+    """Only these episodes, as in `mjhab data query`."""
+    preset: Annotated[str | None, Flag(metavar="NAME", shown="default: none")] = None
+    """A filter with a name, see `mjhab data fields`; with --where, both must hold."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.filter()
+
+    def filter(self) -> Filter | None:
+        """The filter of ``where`` and ``preset``; None takes every episode.
+
+        Raises:
+            UsageError: the text is invalid or the preset unknown.
+        """
+        # Here: the help of a command does not wait for h5py.
+        from mjhab.data.select.query import read_filter
+
+        return read_filter(self.where, self.preset)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSpec(SelectedSpec):
+    """Recorded episodes to write in the format of another tool.
+
+    Raises:
+        UsageError: an option is invalid.
+    """
+
+    out: Annotated[Path, Flag(metavar="FOLDER")]
+    """The folder to write; it is written atomically."""
+    until: Annotated[
+        str, Flag(metavar="end|success|success+N", shown="default: all of it")
+    ] = ""
+    """How much of an episode: success+N ends it N control steps after its first success."""
+    overwrite: bool = False
+    """Replace an existing export in the folder."""
+    resume: bool = False
+    """Continue an interrupted export; options and episodes must be the same."""
+
+    def __post_init__(self) -> None:
+        from mjhab.data.select.until import Until
+
+        super().__post_init__()
+        Until.parse(self.until)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LerobotSpec(ExportSpec):
+    """Write recorded episodes as a LeRobot data set: parquet, mp4 and meta.
+
+    `mjhab export lerobot runs/pick --preset pick_paper --out exported/pick`
+
+    Colour images become videos, depth images [mm] and segmentation become columns. Needs the extra `data` (pyarrow).
+
+    Raises:
+        UsageError: an option is invalid.
+    """
+
+    version: Annotated[str, Flag(metavar="3.0|2.1")] = "3.0"
+    """Version of the format."""
+    rgb: bool = True
+    """Colour images, as videos; --no-rgb leaves them out."""
+    depth: bool = True
+    """Depth images, which are by far the largest part, as columns; --no-depth leaves them out."""
+    seg: bool = True
+    """Segmentation, as columns; --no-seg leaves it out."""
+    quality: Annotated[int, Flag(metavar="N")] = 18
+    """Constant rate factor of videos: 0 (lossless) to 51 (smallest)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.quality <= MAX_QUALITY:
+            raise UsageError(f"--quality must be 0 to {MAX_QUALITY}, got {self.quality}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ManiskillSpec(ExportSpec):
+    """Write recorded episodes in the format of MS-HAB's data set, one HDF5 file per task, subtask and target.
+
+    `mjhab export maniskill runs/pick --preset pick_paper --out rearrange-dataset`
+
+    Raises:
+        UsageError: an option is invalid.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplaySpec(SelectedSpec):
+    """Simulate recorded actions again and compare every bit (--verify), or render recorded states (--render).
+
+    `mjhab replay runs/pick --verify`
+
+    `mjhab replay runs/pick --render rgbd --camera-size 256 --out pick_rgbd.h5`
+
+    Raises:
+        UsageError: an option is invalid, or options exclude each other.
+    """
+
+    verify: bool = False
+    """Simulate the actions on the CPU and compare positions and velocities of every step; fails unless all agree."""
+    render: Annotated[
+        str | None, Flag(metavar="depth|rgb|rgbd|seg|pointcloud", shown="default: none")
+    ] = None
+    """Render these images of every state into a new shard, without simulation; several joined by +."""
+    out: Annotated[Path | None, Flag(metavar="FILE.h5", shown="default: none")] = None
+    """With --render: the shard to make or to continue."""
+    cameras: Annotated[
+        tuple[str, ...] | None, Flag(metavar="NAME ...", shown="default: all")
+    ] = None
+    """With --render: cameras of the robot, and follow, a camera behind the robot (colour only)."""
+    camera_size: Annotated[int | tuple[int, int], Flag(metavar="N|HEIGHT WIDTH")] = 128
+    """With --render: side of the images, or height and width [px]."""
+    rgb: Annotated[str, Flag(metavar="png|jpeg")] = "png"
+    """With --render: format of colour images; png is lossless."""
+    worlds: Annotated[int, Flag(metavar="N")] = 8
+    """Number of episodes simulated, or frames rendered, in parallel. Changes the speed, never the results."""
+    threads: Annotated[int, Flag(metavar="N")] = 0
+    """Threads; 0 takes all cores."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        whole_number("worlds", self.worlds)
+        whole_number("threads", self.threads)
+        if self.verify == (self.render is not None):
+            raise UsageError(
+                "say what to do, one of the two: --verify, or --render depth (or rgb, rgbd, ...)."
+            )
+        if self.render is not None:
+            self._check_images(self.render)
+
+    def _check_images(self, render: str) -> None:
+        # Here: the help of a command waits neither for gymnasium nor for h5py.
+        from mjhab.data.record.replay import FOLLOW
+        from mjhab.data.store.images import ImageFormat
+        from mjhab.envs.observations.modes import image_size, mode_outputs
+
+        if self.out is None:
+            raise UsageError(
+                "--render needs --out FILE.h5: the recorded shard is not changed."
+            )
+        check_file(self.out, ".h5")
+        mode_outputs(render)
+        image_size(self.camera_size)
+        ImageFormat(self.rgb)
+        if FOLLOW in (self.cameras or ()) and "rgb" not in render:
+            raise UsageError(
+                f"the camera '{FOLLOW}' gives colour only: add rgb to --render, as in --render rgb."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelSpec(RecordedSpec):
+    """Recompute labels and events of recorded episodes from their signals, without simulation, and print changes.
+
+    `mjhab label runs/pick`
+
+    Raises:
+        UsageError: an option is invalid.
+    """
+
+    write: bool = False
+    """Write the new labels into the shards."""

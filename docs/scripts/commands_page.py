@@ -48,6 +48,8 @@ def _section(command: Command) -> str:
 
 def _flag(option: Option) -> str:
     name = option.name.replace("_", "-")
+    if not option.takes_value and not option.is_switch:
+        name = f"no-{name}"
     return f"{name.upper()} ..." if option.flag.positional else f"--{name}"
 
 

@@ -73,7 +73,7 @@ class Option:
             return self.flag.shown.removeprefix("default: ")
         if self.default is dataclasses.MISSING:
             return "must be given"
-        if self.is_switch:
+        if not self.takes_value:
             return "off"
         return _in_words(self.default)
 

@@ -257,7 +257,8 @@ class GenerateSpec(EnvSpec):
     """Options of the environment, fields of `EnvConfig`; they take precedence over those that the policy needs. Whole
     tasks are driven by the policy unless ``navigate`` says otherwise."""
     states: bool = True
-    """Store positions and velocities. Without them (--no-states) files are smaller, but images cannot be rendered later."""
+    """Store positions and velocities. Without them (--no-states) files are smaller, but images cannot be rendered
+    later."""
     images: Annotated[str, Flag(metavar="none|depth|rgb|rgbd|seg")] = NO_IMAGES
     """Camera images to store; several joined by +. `mjhab replay --render` can also render them later."""
     cameras: Annotated[

@@ -31,6 +31,7 @@ from mjhab.layout.receptacles import (
     placed_receptacles,
     with_role,
 )
+from mjhab.layout.standing import Outlines, clear_of, standing_on
 from mjhab.scenes.roles import FRIDGE_SHELF, OPEN_SURFACE, link_with_role, roles_of
 from mjhab.scenes.spec import Home, Roles
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -48,6 +49,14 @@ TARGET_GAP = 0.06
 """The same for targets and goals."""
 SHELF_GAP = 0.02
 """The same for targets and goals on the fridge shelf."""
+THING_SHARE = 0.5
+"""Share of these gaps that is kept to what stands in the home: outlines are exact, bounding circles are not."""
+_TRIES = 60
+"""Points tried for an object in one draw."""
+_GOAL_TRIES = 100
+"""Points tried for a goal."""
+_CROWDED_TRIES = 400
+"""The same in a home that has things of its own on its receptacles."""
 MAX_DRIFT = 0.02
 """A draw is rejected if an object moves farther than this [m] while it settles."""
 MAX_SPEED = 0.05
@@ -64,6 +73,7 @@ class _Draw:
     """A draw of object poses in one home.
 
     ``placed``: (centre (3,), radius) [m] of the bounding circle by slot; goals have negative keys. ``pose``: (N, 7).
+    ``standing``: what the home itself has on its receptacles, see `layout.standing`.
     """
 
     home: Home
@@ -71,6 +81,7 @@ class _Draw:
     receptacles: tuple[PlacedReceptacle, ...]
     placed: dict[int, tuple[np.ndarray, float]]
     pose: np.ndarray
+    standing: dict[str, Outlines]
 
     def places(self, *names: str) -> list[PlacedReceptacle]:
         """Return the receptacles of the home that have one of the roles ``names``."""
@@ -196,7 +207,9 @@ class EpisodeMaker:
         rng = stream(seed, "episode", self.task, self.split, index, attempt)
         receptacles = placed_receptacles(self.layout, home)
         roles = roles_of(self.layout.pack, home)
-        draw = _Draw(home, roles, receptacles, {}, self.layout.parked_poses.copy())
+        poses = self.layout.parked_poses.copy()
+        standing = standing_on(self.layout, home)
+        draw = _Draw(home, roles, receptacles, {}, poses, standing)
         targets = self._place_targets(rng, draw)
         if targets is None or not self._place_clutter(
             rng, draw, {self._slot(t.obj) for t in targets}
@@ -348,10 +361,10 @@ class EpisodeMaker:
         radius = self._radius(slot)
         half_z = self.layout.objects[slot].half[2]
         weights = np.array([4 * r.half[0] * r.half[1] for r in places])
-        for _ in range(60):
+        for _ in range(_CROWDED_TRIES if draw.standing else _TRIES):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
             pos = self._sample(rng, draw, place, radius, half_z)
-            if pos is None or not self._is_free(draw, pos, radius, gap):
+            if pos is None or not self._is_free(draw, place, pos, (radius, gap)):
                 continue
             draw.placed[slot] = (pos, radius)
             draw.pose[slot, :3] = pos + np.array([0.0, 0.0, 0.001])
@@ -371,7 +384,7 @@ class EpisodeMaker:
         half_z = self.layout.objects[slot].half[2]
         weights = np.array([4 * r.half[0] * r.half[1] for r in places])
         start = draw.placed[slot][0]
-        for _ in range(100):
+        for _ in range(_CROWDED_TRIES if draw.standing else _GOAL_TRIES):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
             pos = self._sample(rng, draw, place, radius, half_z)
             if (
@@ -379,12 +392,18 @@ class EpisodeMaker:
                 or not distance_m[0] <= np.linalg.norm(pos - start) <= distance_m[1]
             ):
                 continue
-            if self._is_free(draw, pos, radius, draw.target_gap(place)):
+            if self._is_free(draw, place, pos, (radius, draw.target_gap(place))):
                 return place, pos
         return None
 
     @staticmethod
-    def _is_free(draw: _Draw, pos: np.ndarray, radius: float, gap: float) -> bool:
+    def _is_free(
+        draw: _Draw, place: PlacedReceptacle, pos: np.ndarray, size: tuple[float, float]
+    ) -> bool:
+        """Whether a circle about ``pos`` of ``size`` (radius, gap) [m] is clear of objects and of what stands there."""
+        radius, gap = size
+        if not clear_of(draw.standing.get(place.id, ()), pos, radius + THING_SHARE * gap):
+            return False
         return all(
             abs(p[2] - pos[2]) > 0.35 or np.hypot(*(p[:2] - pos[:2])) > r + radius + gap
             for p, r in draw.placed.values()
@@ -432,7 +451,10 @@ class EpisodeMaker:
 
     def _path(self, seed: int, index: int) -> Path:
         scene = f"{self.task}-{self.target}" if self.target else self.task
-        name = f"{scene}-{self.split}-{seed}-{index}.json"
+        # Versions that did not keep clear of what stands in a home left other episodes of such homes in the cache.
+        home = next(self._homes_for(seed, index))
+        kept = "-clear" if standing_on(self.layout, home) else ""
+        name = f"{scene}-{self.split}-{seed}-{index}{kept}.json"
         # Objects are settled by simulation, whose last bits depend on the machine.
         folder = f"{self.digest}-{arithmetic_digest().hex()[:8]}"
         return below(cache_dir() / "episodes" / folder, name)

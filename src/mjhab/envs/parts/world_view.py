@@ -20,7 +20,16 @@ from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.robot import Robot
 from mjhab.scenes.freespace import shared_map
 from mjhab.scenes.shapes.hulls import boxed_hull
-from mjhab.scenes.spec import Geom, Handle, Home, Link, ObjectType, Pack, Placement
+from mjhab.scenes.spec import (
+    PUBLISHED_DYNAMICS,
+    Geom,
+    Handle,
+    Home,
+    Link,
+    ObjectType,
+    Pack,
+    Placement,
+)
 from mjhab.tasks.plan import Subtask
 from mjhab.tasks.thresholds import TaskConfig
 
@@ -199,6 +208,11 @@ class WorldView:
         return float(
             self._env.state.link_q[self.world, self._env.layout.link_ids.index(link)]
         )
+
+    @property
+    def links_run_free(self) -> bool:
+        """Whether next to nothing brakes doors and drawers (``joint_dynamics="published"``)."""
+        return self._env.layout.joint_dynamics == PUBLISHED_DYNAMICS
 
     def link_speed(self, link: str) -> float:
         """Joint velocity of a link by id [m/s or rad/s]."""

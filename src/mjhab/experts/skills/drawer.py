@@ -59,10 +59,12 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     full = link.range[1]
     pulls = style_of(view).pull == ARM
     enough = OPEN_ENOUGH_SHARE * full
+    # Open fingers could catch the handle: after a pull by the arm the hand is close, and one touch throws a free drawer
+    # shut.
+    gripper = motion.CLOSED if pulls or view.links_run_free else motion.OPEN
     while view.steps_left > 30:
         if view.link_q(link.id) >= enough:
-            # Open fingers could catch the handle, and throw the drawer shut.
-            if (yield from leaving.fold_beside(view, link, enough, motion.CLOSED)):
+            if (yield from leaving.fold_beside(view, link, enough, gripper)):
                 return True
             yield from leaving.settle(view, link, motion.CLOSED)
             continue
@@ -76,7 +78,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
             continue
         yield from _drive_link(view, link, OPEN_TO_SHARE * full, -SPEED_M_S)
         yield from approach.let_go(view, BACK_OFF_M)
-    return (yield from approach.fold(view, gripper=motion.CLOSED))
+    return (yield from approach.fold(view, gripper=gripper))
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:

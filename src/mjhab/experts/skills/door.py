@@ -40,9 +40,9 @@ OPEN_ENOUGH_SHARE = 0.753
 OPEN_SPARE_SHARE = 0.008
 """Share of the range by which a door is pulled beyond `OPEN_TO_SHARE`, so that a later contact does not close it below
 what success requires."""
-FREE_FURTHER_SHARE = 0.04
+FREE_FURTHER_SHARE = 0.1
 """Share of the range by which a door that nothing brakes is pulled farther: what is left of its speed when the fingers
-leave the bar takes it back, and it must still be open when the arm is at rest, 2 to 3 s later."""
+leave the bar takes it back at up to 0.1 rad/s, and it must still be open when the arm is at rest, 3 s later."""
 FREE_LEAD = (0.05, 0.5)
 """How far the commanded angle may be ahead of such a door: a constant [rad], and a share of the way to the goal. So the
 hand brakes it; a hand that stops at once loses the bar, and the door bounces off a finger."""

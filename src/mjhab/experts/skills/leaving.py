@@ -27,7 +27,8 @@ def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
         return True
 
     def still(view: WorldView) -> bool:
-        return abs(view.link_speed(link.id)) <= STILL_SPEED
+        held = view.finger_forces(link.id).any()
+        return not held or abs(view.link_speed(link.id)) <= STILL_SPEED
 
     return (yield from motion.hold(view, STILL_STEPS, gripper=gripper, until=still))
 

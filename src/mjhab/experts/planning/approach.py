@@ -170,17 +170,8 @@ def creep(
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
 
-LET_GO_STEPS = 4
-"""Control steps between opening the hand and moving it away."""
-
-
 def let_go(
-    view: WorldView,
-    way: float,
-    *,
-    gripper: float = motion.OPEN,
-    speed: float = 0.3,
-    wait: int = LET_GO_STEPS,
+    view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: float = 0.3
 ) -> Motion:
     """Open the hand, then move it backwards along its own axis by ``way`` [m] with base and arm.
 
@@ -189,10 +180,9 @@ def let_go(
         way: distance of the motion [m].
         gripper: gripper action, -1..1.
         speed: of the hand [m/s].
-        wait: control steps between opening and moving.
     """
     until = wait_for(view, motion.has_opened(gripper))
-    yield from motion.hold(view, wait, gripper=gripper, until=until)
+    yield from motion.hold(view, 4, gripper=gripper, until=until)
     pos, rot = motion.tcp(view)
     goal = pos - way * rot[:, 0]
     along = float(-rot[:2, 0] @ np.array([np.cos(view.base[2]), np.sin(view.base[2])]))

@@ -40,18 +40,8 @@ OPEN_ENOUGH_SHARE = 0.753
 OPEN_SPARE_SHARE = 0.008
 """Share of the range by which a door is pulled beyond `OPEN_TO_SHARE`, so that a later contact does not close it below
 what success requires."""
-FREE_FURTHER_SHARE = 0.1
-"""Share of the range by which a door that nothing brakes is pulled farther: what is left of its speed when the fingers
-leave the bar takes it back at up to 0.1 rad/s, and it must still be open when the arm is at rest, 3 s later."""
-FREE_LEAD = (0.05, 0.5)
-"""How far the commanded angle may be ahead of such a door: a constant [rad], and a share of the way to the goal. So the
-hand brakes it; a hand that stops at once loses the bar, and the door bounces off a finger."""
-FREE_PACE = (0.01, 0.1)
-"""Largest change of the commanded angle per control step, likewise."""
-FREE_THERE_RAD = 0.06
-"""Distance from the goal at which a door that the hand has braked has arrived."""
-FREE_SLOW_RAD_S = 0.05
-"""Speed below which it has been braked."""
+WIDE_BAR_M = 0.035
+"""Thickness from which on only the fingertips hold a bar: the last of them to leave it would throw a free door."""
 STILL_STEPS = 3
 """Control steps for which the hand holds the bar at the end, so that the door is at rest when the fingers open."""
 SHUT_SHARE = 0.006
@@ -109,8 +99,6 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
     enough = OPEN_ENOUGH_SHARE * link.range[1]
     # Stances are cached per value: rounding limits the number of searches over a continuous range of styles.
     further = round(style_of(view).open_further, 2)
-    if view.links_run_free:
-        further = max(further, FREE_FURTHER_SHARE)
     end = (OPEN_TO_SHARE + OPEN_SPARE_SHARE + further) * link.range[1]
     job = f"pull {further}" if further else "pull"
     search = functools.partial(door_stances.pull_stances, further=further)
@@ -139,10 +127,9 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         until = wait_for(view, motion.is_quiet)
         yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED, until=until)
         yield from leaving.settle(view, link, motion.CLOSED)
-        wait = 0 if view.links_run_free else approach.LET_GO_STEPS
-        if view.links_run_free:
+        if view.links_run_free and link.handle.thickness > WIDE_BAR_M:
             yield from leaving.loosen(view, loose)
-        yield from approach.let_go(view, 0.12, gripper=loose, wait=wait)
+        yield from approach.let_go(view, 0.12, gripper=loose)
     return (yield from approach.fold(view, gripper=motion.CLOSED))
 
 
@@ -262,8 +249,6 @@ def _follow_arc(
         ):
             return True
         # A closing door counts as closed only at rest: it may bounce.
-        if way > 0 and view.links_run_free and _is_braked(view, link, goal):
-            return True
         there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST_RAD)
         done = done + 1 if there else 0
         last = now
@@ -273,12 +258,7 @@ def _follow_arc(
         pace = _pace(path, aim, way)
         if way < 0 and not throws:
             pace = min(pace, PUSH_STEP_RAD[0] + PUSH_STEP_RAD[1] * max(now, 0.0))
-        lead = 0.3 if way > 0 else PRESS_AHEAD_RAD + 0.15
-        if way > 0 and view.links_run_free:
-            left = max(goal - now, 0.0)
-            lead = min(lead, FREE_LEAD[0] + FREE_LEAD[1] * left)
-            pace = min(pace, FREE_PACE[0] + FREE_PACE[1] * left)
-        if way * (aim - now) < lead:
+        if way * (aim - now) < (0.3 if way > 0 else PRESS_AHEAD_RAD + 0.15):
             aim += way * pace
         aim = min(aim, end) if way > 0 else max(aim, end)
         late = late + 1 if aim == end else 0
@@ -293,12 +273,6 @@ def _follow_arc(
             return False
         yield link_path.action(view, path, aim, way * pace, gripper)
     return False
-
-
-def _is_braked(view: WorldView, link: JointedLink, goal: float) -> bool:
-    """Whether a door that is pulled open to ``goal`` [rad] is nearly there and hardly moves."""
-    near = view.link_q(link.id) > goal - FREE_THERE_RAD
-    return near and abs(view.link_speed(link.id)) < FREE_SLOW_RAD_S
 
 
 def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:

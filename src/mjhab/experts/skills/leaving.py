@@ -13,22 +13,22 @@ from mjhab.experts.arm import motion
 from mjhab.experts.planning import approach
 
 Motion = motion.Motion
-STILL_SPEED = 0.05
-"""Largest speed of a link that may be let go [m/s or rad/s]."""
-STILL_STEPS = 6
-"""Control steps for which the hand holds a handle until its link is at rest."""
+STILL_SPEED = 0.01
+"""Largest closing speed of a link that may be let go [m/s or rad/s]; until the arm is at rest it moves by 2 % of its
+range. One that still opens a little does no harm."""
 LOOSEN_STEPS = 5
-"""Control steps in which the fingers open."""
+"""Control steps in which the fingers open slowly."""
+STILL_STEPS = 12
+"""Control steps for which the hand holds a handle until its link closes no more."""
 
 
 def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
-    """Stand still until a link that runs free is at rest, or for `STILL_STEPS` control steps."""
+    """Stand still until a link that runs free closes no more, or for `STILL_STEPS` control steps."""
     if not view.links_run_free:
         return True
 
     def still(view: WorldView) -> bool:
-        held = view.finger_forces(link.id).any()
-        return not held or abs(view.link_speed(link.id)) <= STILL_SPEED
+        return view.link_speed(link.id) >= -STILL_SPEED
 
     return (yield from motion.hold(view, STILL_STEPS, gripper=gripper, until=still))
 
@@ -45,7 +45,7 @@ def fold_beside(
 
 
 def loosen(view: WorldView, gripper: float) -> Motion:
-    """Open the fingers slowly to a gripper command: the last one to leave a handle would throw a free link."""
+    """Open the fingers slowly to a gripper command; the arm keeps its posture."""
     posture = view.q
     finger = float(view.q[view.robot.columns.fingers].mean())
     start = motion.gripper_at(view.robot, 2.0 * finger)

@@ -36,7 +36,7 @@ def rows() -> dict[str, list[str]]:
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if line.startswith("| ") and len(cells) == 4:
             found[cells[0]] = cells
-        if line.startswith("## "):
+        if line.startswith(("## ", "Success once")):
             break
     del found["what"]
     return found

@@ -10,6 +10,7 @@ import gymnasium
 from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.envs.conversion import keep_what_is_no_number
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.sim.backends import check_device, resolve
 from mjhab.tasks.household.registry import TASKS, task_with
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -38,8 +39,8 @@ _HOMES = (
 _EPISODES = "Episodes are drawn by seed and index: give task and subtask, or episodes_file='FILE' in the HAB format."
 _VIEWS = "render_mode='rgb_array' gives human views; there is one way of drawing."
 OPTIONS_ELSEWHERE = {
-    "robot_uids": "Here it is robot='fetch'.",
-    "sensor_configs": "Here it is camera_size=128 or (height, width), and cameras=('fetch_head', ...).",
+    "robot_uids": f"Here it is robot={DEFAULT_ROBOT!r}.",
+    "sensor_configs": "Here it is camera_size=128 or (height, width), and cameras=('CAMERA', ...).",
     "shader_dir": f"Leave it out: {_VIEWS}",
     "human_render_camera_configs": f"Leave it out: {_VIEWS}",
     "viewer_camera_configs": f"Leave it out: {_VIEWS}",

@@ -141,6 +141,21 @@ def test_a_home_without_room_in_a_pattern_is_skipped_named_and_counted(
     assert "no room: bare in 2 episodes" in capsys.readouterr().err
 
 
+def test_check_tells_for_which_tasks_a_home_has_room(
+    street: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(generator, "MOST_DRAWS", 3)
+    street(bare(tmp_path / "bare.json", name="bare"), COTTAGE)
+    asked = ["homes", "check", "--assets", "street", "--tasks"]
+    assert main([*asked, "--json"]) == 0
+    tasks = json.loads(capsys.readouterr().out)["tasks"]
+    assert "home 'bare' has no room for tidy_house" in tasks["bare"]["tidy_house"]
+    assert set(tasks["cottage"].values()) == {""} and len(tasks["cottage"]) >= 3
+
+
 def test_a_pattern_of_homes_without_room_names_them(
     street: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,6 +54,8 @@ class HomesCheckOptions:
     """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
     split: MaybeName = None
     """Check only these homes: train, val or test. All if absent."""
+    tasks: bool = False
+    """Also tell for which tasks each home has room: makes an episode of each, which takes about a second."""
     json: bool = False
     """Print one line of JSON instead of tables."""
 

@@ -23,11 +23,32 @@ def check(options: HomesCheckOptions) -> int:
     with progress_bar("checking homes", len(homes)) as advance:
         report = check_homes(Layout(pack, roster_of(pack)), homes, lambda home: advance())
     report.remarks += unasked_roles(pack, homes)
+    room = find_room(pack, homes) if options.tasks else None
     if options.json:
-        print_json(as_json(report))
+        told = as_json(report)
+        print_json(told if room is None else {**told, "tasks": room})
     else:
         _print(report)
+        if room is not None:
+            rows = [
+                (home, ", ".join(t for t in w if not w[t])) for home, w in room.items()
+            ]
+            columns = ("home", "tasks with room")
+            print_table("tasks", columns, [(h, names or "none") for h, names in rows])
     return 1 if report.failed else 0
+
+
+def find_room(pack: Any, homes: Sequence[Any]) -> dict[str, dict[str, str]]:
+    """Why no episode of a task can be made in a home, by home and task; "" where one can."""
+    from mjhab.episodes.room import room_for_tasks
+    from mjhab.tasks.household.registry import TASKS
+
+    found: dict[str, dict[str, str]] = {home.name: {} for home in homes}
+    with progress_bar("looking for room", len(homes) * len(list(TASKS))) as advance:
+        for task, home, why in room_for_tasks(pack, homes):
+            found[home][task] = why
+            advance()
+    return found
 
 
 def unasked_roles(pack: Any, homes: Sequence[Any]) -> list[tuple[str, str]]:

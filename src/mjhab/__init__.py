@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.experts import make_expert
+    from mjhab.learning.train import train
     from mjhab.robots.controllers.modes import ControlMode, register_control_mode
     from mjhab.robots.registry import register_robot
     from mjhab.scenes.home_files import home_pack
@@ -61,6 +62,7 @@ __all__ = [
     "register_subtask",
     "register_task",
     "replay",
+    "train",
 ]
 
 _LAZY = {
@@ -90,6 +92,7 @@ _LAZY = {
     "register_subtask": "mjhab.tasks.subtasks.registry",
     "register_task": "mjhab.tasks.household.registry",
     "register_pack": "mjhab.scenes.pack_source",
+    "train": "mjhab.learning.train",
 }
 _PACKAGES = frozenset(
     {

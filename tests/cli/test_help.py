@@ -9,31 +9,11 @@ from pathlib import Path
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.cli.options.policies.train import (
-    TrainActOptions,
-    TrainBcOptions,
-    TrainDaggerOptions,
-    TrainDiffusionOptions,
-    TrainFlowOptions,
-    TrainPpoOptions,
-    TrainRlpdOptions,
-    TrainSacOptions,
-)
 from mjhab.learning import configs
-from mjhab.learning.reinforcement.configs import PPO, RLPD, SAC
 from mjhab.learning.reinforcement.configs import PRESETS as REINFORCEMENT_PRESETS
+from mjhab.learning.train import SPECS
 from mjhab.tasks.style import NAMES
 
-LEARNERS = {
-    configs.BC: TrainBcOptions,
-    configs.FLOW: TrainFlowOptions,
-    configs.ACT: TrainActOptions,
-    configs.DIFFUSION: TrainDiffusionOptions,
-    configs.DAGGER: TrainDaggerOptions,
-    PPO: TrainPpoOptions,
-    SAC: TrainSacOptions,
-    RLPD: TrainRlpdOptions,
-}
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "docs" / "scripts"
 RUN = [
@@ -77,8 +57,8 @@ def test_help_names_every_style(command: str, capsys: pytest.CaptureFixture[str]
     ] == []
 
 
-@pytest.mark.parametrize("algorithm", LEARNERS)
+@pytest.mark.parametrize("algorithm", SPECS)
 def test_help_names_every_preset(algorithm: str) -> None:
     presets = {**configs.PRESETS, **REINFORCEMENT_PRESETS}[algorithm]
-    told = (LEARNERS[algorithm].__doc__ or "").replace(",", " ").replace(".", " ").split()
+    told = (SPECS[algorithm].__doc__ or "").replace(",", " ").replace(".", " ").split()
     assert [name for name in presets if name not in told] == []

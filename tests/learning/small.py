@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,6 +25,10 @@ from mjhab.learning.configs import (
 from mjhab.learning.demos import Demonstrations
 from mjhab.learning.layout import Layout
 from mjhab.learning.observation.parts import SubtaskTold, code_of
+from mjhab.learning.reinforcement.specs import ReinforcementSpec
+from mjhab.learning.runs.result import TrainingResult
+from mjhab.learning.runs.specs import ImitationSpec
+from mjhab.learning.train import train_spec
 
 SIZE = 16
 STATE = (("agent/qpos", 4), ("extra/is_grasped", 1))
@@ -31,6 +36,13 @@ ACTIONS = tuple(f"a{i}" for i in range(13))
 CONTROL = ("pd_joint_delta_pos", "forward")
 INPUTS = InputConfig(cameras=("fetch_head",), image_size=SIZE)
 TARGETS = ("024_bowl", "kitchen_counter/drawer3")
+
+
+def train_in(
+    spec: ImitationSpec | ReinforcementSpec, out: Path, resume: bool = False
+) -> TrainingResult:
+    """Run a training in another folder."""
+    return train_spec(dataclasses.replace(spec, out=out, resume=resume))
 
 
 def layout(inputs: InputConfig = INPUTS) -> Layout:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
-from mjhab.learning.changes import fields_of, settable, with_changes, with_fields
+from mjhab.learning.changes import settable, with_changes
 from mjhab.learning.configs import BC, DAGGER, DIFFUSION, FLOW, preset_of
 from mjhab.learning.devices import AUTO, CPU, training_device
 from mjhab.learning.reinforcement.configs import PPO, RLPD, SAC, reinforcement_preset
@@ -37,7 +37,7 @@ def test_fields_that_depend_on_each_other_are_set_in_any_order() -> None:
     polish = reinforcement_preset(PPO, "polish")
     low = ["ppo.learning_rate=1e-6", "ppo.least_learning_rate=1e-7"]
     for words in (low, low[::-1]):
-        changed = with_fields(polish, words).ppo
+        changed = with_changes(polish, words).ppo
         assert changed is not None
         assert (changed.learning_rate, changed.least_learning_rate) == (1e-6, 1e-7)
 
@@ -105,7 +105,7 @@ def test_wrong_words_of_reinforcement_are_refused(
     algorithm: str, name: str, word: str, told: str
 ) -> None:
     with pytest.raises(UsageError, match=told):
-        with_fields(reinforcement_preset(algorithm, name), [word])
+        with_changes(reinforcement_preset(algorithm, name), [word])
 
 
 def as_words(fields: dict) -> list[str]:
@@ -128,25 +128,25 @@ def test_every_field_of_a_reinforcement_preset_takes_its_own_value(
     algorithm: str, name: str
 ) -> None:
     preset = reinforcement_preset(algorithm, name)
-    assert with_fields(preset, as_words(fields_of(preset))) == preset
+    assert with_changes(preset, as_words(settable(preset))) == preset
 
 
 def test_fields_of_reinforcement_are_set_by_name() -> None:
     preset = reinforcement_preset(PPO, "fast")
-    changed = with_fields(
+    changed = with_changes(
         preset, ["ppo.demonstrations=800", "network.hidden=512", "horizon=0"]
     )
     assert changed.ppo is not None
     assert (changed.ppo.demonstrations, changed.network.hidden) == (800, 512)
     with pytest.raises(UsageError, match=r"Did you mean 'ppo\.demonstrations'"):
-        with_fields(preset, ["ppo.demonstration=800"])
+        with_changes(preset, ["ppo.demonstration=800"])
     with pytest.raises(UsageError, match="minibatches do not divide"):
-        with_fields(preset, ["ppo.minibatches=7"])
+        with_changes(preset, ["ppo.minibatches=7"])
 
 
 def test_fields_of_reinforcement_that_depend_on_each_other_are_set_together() -> None:
     preset = reinforcement_preset(PPO, "fast")
-    changed = with_fields(preset, ["ppo.minibatches=6", "worlds=48"])
+    changed = with_changes(preset, ["ppo.minibatches=6", "worlds=48"])
     assert changed.ppo is not None and (changed.ppo.minibatches, changed.worlds) == (
         6,
         48,

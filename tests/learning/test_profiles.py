@@ -23,8 +23,9 @@ from mjhab.learning.checkpoint import save_student
 from mjhab.learning.demos import layout_of_data, load_demonstrations
 from mjhab.learning.layout import Layout, profile_of
 from mjhab.learning.policy import StudentPolicy
-from mjhab.learning.runs.collection import Means, Scene, longer, make_env
-from mjhab.learning.runs.request import Request, layout_for
+from mjhab.learning.runs.collection import longer, make_env
+from mjhab.learning.runs.request import layout_for
+from mjhab.learning.runs.specs import ImitationSpec, Means, Scene
 from mjhab.learning.students.heads import make_student
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
@@ -107,8 +108,12 @@ def test_demonstrations_of_another_profile_are_refused(tmp_path: Path) -> None:
         images=ImageFormat(),
     )
     every = "success or not success"
-    request = Request(
-        train_config(), Scene(profile="ms_hab"), Means(), data=(tmp_path,), where=every
+    request = ImitationSpec.of(
+        out=tmp_path / "run",
+        preset=train_config(),
+        profile="ms_hab",
+        data=tmp_path,
+        where=every,
     )
     with pytest.raises(
         UsageError,

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,15 +26,14 @@ from mjhab.learning.configs import (
 )
 from mjhab.learning.demos import recorded_profile
 from mjhab.learning.reinforcement.configs import RLPD, ReinforcementConfig, SacConfig
-from mjhab.learning.reinforcement.session import ReinforcementRequest
-from mjhab.learning.reinforcement.train import train_reinforcement
-from mjhab.learning.runs.collection import Means, Scene, make_env
-from mjhab.learning.runs.request import Request, layout_for
-from mjhab.learning.runs.train import train
+from mjhab.learning.reinforcement.specs import ReinforcementSpec
+from mjhab.learning.runs.collection import make_env
+from mjhab.learning.runs.request import layout_for
+from mjhab.learning.runs.specs import ImitationSpec, Means, Scene
 from mjhab.reports import students as students_report
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.tasks.plan import GOAL_OF
-from tests.learning.small import config
+from tests.learning.small import config, train_in
 
 BOXY = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
 HOLD_STEPS = 5
@@ -47,26 +47,33 @@ SCENE = Scene(
 )
 
 
+def env_of(scene: Scene, worlds: int = 1) -> dict[str, Any]:
+    """Options of a specification; 0 worlds leaves their number to the preset."""
+    return {**scene.env_options(), "threads": 1, "worlds": worlds or None}
+
+
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Request]:
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ImitationSpec]:
     torch.set_num_threads(1)
+    out = tmp_path_factory.mktemp("run")
     student = config(inputs=INPUTS, demos=1, updates=2, hold_steps=HOLD_STEPS)
     dagger = DaggerConfig(
         rounds=1, episodes=1, updates=2, first_prefix=4, horizon=220, final_updates=1
     )
-    request = Request(
-        TrainConfig(student, dagger),
-        SCENE,
-        Means(1, 1, 1),
+    request = ImitationSpec.of(
+        out=out,
+        preset=TrainConfig(student, dagger),
+        **env_of(SCENE),
         eval_episodes=1,
         round_episodes=0,
     )
-    out = tmp_path_factory.mktemp("run")
-    train(request, out)
+    train_in(request, out)
     return out, request
 
 
-def test_a_run_leaves_a_student_data_and_an_evaluation(run: tuple[Path, Request]) -> None:
+def test_a_run_leaves_a_student_data_and_an_evaluation(
+    run: tuple[Path, ImitationSpec],
+) -> None:
     out, _ = run
     student = load_student(out / "student.safetensors")
     assert student.layout.state_width == 42 and student.layout.targets == (
@@ -94,11 +101,12 @@ def test_a_run_leaves_a_student_data_and_an_evaluation(run: tuple[Path, Request]
 
 
 def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
-    run: tuple[Path, Request], tmp_path: Path
+    run: tuple[Path, ImitationSpec], tmp_path: Path
 ) -> None:
     out, _ = run
-    told = ReinforcementRequest(
-        ReinforcementConfig(
+    told = ReinforcementSpec.of(
+        out=tmp_path,
+        preset=ReinforcementConfig(
             RLPD,
             "tiny",
             InputConfig(cameras=(), image_size=0, previous_action=False, link_state=True),
@@ -107,8 +115,7 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
             samples=8,
             worlds=2,
         ),
-        SCENE,
-        threads=1,
+        **env_of(SCENE, worlds=0),
         eval_episodes=0,
         round_episodes=0,
         data=(out / "data",),
@@ -116,9 +123,9 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
     with pytest.raises(
         UsageError, match="reward_mode sparse instead of normalized_dense"
     ):
-        train_reinforcement(told, tmp_path / "refused")
+        train_in(told, tmp_path / "refused")
     told = dataclasses.replace(told, recompute_rewards=True)
-    result = train_reinforcement(told, tmp_path / "run")
+    result = train_in(told, tmp_path / "run")
     assert result.summary["demonstrations"] == 2
     kept = tmp_path / "run" / "demonstrations"
     position = json.loads((kept / "complete.json").read_text(encoding="utf-8"))[
@@ -147,7 +154,7 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
     np.testing.assert_allclose(np.linalg.norm(link[:, 2:], axis=1), 1.0, atol=1e-5)
 
 
-def test_what_was_collected_says_who_acted(run: tuple[Path, Request]) -> None:
+def test_what_was_collected_says_who_acted(run: tuple[Path, ImitationSpec]) -> None:
     out, _ = run
     for number in range(2):
         for episode in episodes(out / "data" / f"round_00{number}"):
@@ -163,7 +170,7 @@ def test_what_was_collected_says_who_acted(run: tuple[Path, Request]) -> None:
 
 
 def test_the_table_of_students_says_what_lies_in_the_folders(
-    run: tuple[Path, Request], tmp_path: Path
+    run: tuple[Path, ImitationSpec], tmp_path: Path
 ) -> None:
     out, _ = run
     table = tmp_path / "students.json"
@@ -188,11 +195,11 @@ def test_the_table_of_students_says_what_lies_in_the_folders(
 
 
 def test_a_run_that_is_over_resumes_to_the_same_student(
-    run: tuple[Path, Request],
+    run: tuple[Path, ImitationSpec],
 ) -> None:
     out, request = run
     before = load_checkpoint(out / "student.safetensors").tensors
-    again = train(dataclasses.replace(request, eval_episodes=0), out, resume=True)
+    again = train_in(dataclasses.replace(request, eval_episodes=0), out, resume=True)
     assert (
         again.summary["steps"] == 5
         and again.summary["rounds"] == 1
@@ -207,16 +214,16 @@ def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
     student = config(inputs=INPUTS, demos=1, updates=2, hold_steps=HOLD_STEPS)
     dagger = DaggerConfig(rounds=0)
     opening = dataclasses.replace(SCENE, subtask="open")
-    request = Request(
-        TrainConfig(student, dagger),
-        SCENE,
-        Means(1, 1, 1),
+    request = ImitationSpec.of(
+        out=tmp_path / "run",
+        preset=TrainConfig(student, dagger),
+        **env_of(SCENE),
         eval_episodes=1,
         round_episodes=0,
         films=0,
-        also=(opening,),
+        also=(opening.name,),
     )
-    result = train(request, tmp_path / "run")
+    result = train_in(request, tmp_path / "run")
     folders = {path.name for path in (tmp_path / "run" / "data" / "round_000").iterdir()}
     names = [scene.name for scene in request.scenes]
     assert names[1] == "set_table/open/kitchen_counter/drawer3"
@@ -234,7 +241,7 @@ def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
         for episode in episodes(tmp_path / "run" / "data" / "round_000" / name)
     }
     assert kinds == {"close", "open"}
-    again = train(request, tmp_path / "run", resume=True)
+    again = train_in(request, tmp_path / "run", resume=True)
     assert again.summary["steps"] == result.summary["steps"]
 
 
@@ -245,10 +252,10 @@ def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
 def test_a_student_of_navigate_knows_where_its_ways_lead(task: str, target: str) -> None:
     """To objects, to their goals and to links; with a target it carries this object to its goal."""
     scene = Scene(task, "navigate", target, home="builtin_m0_00", profile="ms_hab")
-    request = Request(
-        TrainConfig(config(inputs=InputConfig(cameras=(), image_size=0))),
-        scene,
-        Means(1, 1, 1),
+    request = ImitationSpec.of(
+        out="unused",
+        preset=TrainConfig(config(inputs=InputConfig(cameras=(), image_size=0))),
+        **env_of(scene),
     )
     layout = layout_for(request)
     env = make_env(scene, {}, Means(worlds=4, threads=1))
@@ -270,16 +277,16 @@ def test_other_robots_are_trained_with_their_own_cameras(tmp_path: Path) -> None
     inputs = dataclasses.replace(INPUTS, cameras=robot.camera_names)
     student = config(inputs=inputs, demos=2, updates=1, hold_steps=HOLD_STEPS)
     scene = dataclasses.replace(SCENE, robot=robot.name, profile="")
-    request = Request(
-        TrainConfig(student),
-        scene,
-        Means(1, 1, 1),
+    request = ImitationSpec.of(
+        out=tmp_path / "run",
+        preset=TrainConfig(student),
+        **env_of(scene),
         eval_episodes=1,
         round_episodes=0,
         films=0,
     )
     try:
-        train(request, tmp_path / "run")
+        train_in(request, tmp_path / "run")
         layout = load_student(tmp_path / "run" / "student.safetensors").layout
         assert layout.robot == layout.env_options()["robot"] == robot.name
         judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"

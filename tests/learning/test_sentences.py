@@ -23,9 +23,7 @@ from mjhab.learning.layout import Layout
 from mjhab.learning.observation.sentences import SENTENCE_WIDTH, encode_sentence
 from mjhab.learning.policy import StudentPolicy
 from mjhab.learning.reinforcement.sight import Sight
-from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.request import Request
-from mjhab.learning.runs.train import train
+from mjhab.learning.runs.specs import ImitationSpec
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Batch
@@ -49,6 +47,7 @@ from tests.learning.small import (
     fake_env,
     layout,
     train_config,
+    train_in,
 )
 
 TOLD = dataclasses.replace(
@@ -180,17 +179,18 @@ def test_data_without_instructions_are_refused(tmp_path: Path) -> None:
 def test_a_run_with_sentences_resumes_exactly(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    request = Request(
-        train_config(inputs=TOLD),
-        Scene("set_table", "close", DRAWER),
-        Means(worlds=1, threads=1),
-        data=(source,),
+    request = ImitationSpec.of(
+        out=tmp_path / "whole",
+        preset=train_config(inputs=TOLD),
+        target=DRAWER,
+        worlds=1,
+        threads=1,
+        data=source,
         where=EVERY,
         eval_episodes=0,
         round_episodes=0,
-        torch_threads=1,
     )
-    train(request, tmp_path / "whole")
+    train_in(request, tmp_path / "whole")
     make_update = Trainer.update
 
     def stop_after_two(trainer: Trainer, one: Batch, rate: float = 1.0) -> object:
@@ -200,8 +200,8 @@ def test_a_run_with_sentences_resumes_exactly(
 
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "update", stop_after_two)
-        assert train(request, tmp_path / "part").interrupted
-    train(request, tmp_path / "part", resume=True)
+        assert train_in(request, tmp_path / "part").interrupted
+    train_in(request, tmp_path / "part", resume=True)
     whole, part = (
         load_checkpoint(tmp_path / run / "training.safetensors")
         for run in ("whole", "part")

@@ -38,14 +38,11 @@ from mjhab.learning.configs import (
 )
 from mjhab.learning.runs import session as sessions
 from mjhab.learning.runs.budget import EpisodeClock
-from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import EvaluationClock
 from mjhab.learning.runs.report import success_curves
-from mjhab.learning.runs.request import Request
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Session, open_session
-from mjhab.learning.runs.train import train
+from mjhab.learning.runs.specs import ImitationSpec, Scene, TrainSpec
 from mjhab.learning.runs.training import BrokenLossError, Trainer
 from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
@@ -53,7 +50,14 @@ from mjhab.rollout.records import EpisodeRecord
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.data.select.test_query import GOOD
-from tests.learning.small import INPUTS, config, demonstrations, layout, train_config
+from tests.learning.small import (
+    INPUTS,
+    config,
+    demonstrations,
+    layout,
+    train_config,
+    train_in,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -307,30 +311,31 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def request(source: Path, **changes: Any) -> Request:
-    base = Request(
-        train_config(),
-        Scene("set_table", "pick", "024_bowl"),
-        Means(worlds=1, threads=1),
-        data=(source,),
-        where="success or not success",
-        eval_episodes=0,
-        round_episodes=0,
-        torch_threads=1,
-    )
-    return dataclasses.replace(base, **changes)
+def request(source: Path, **changes: Any) -> ImitationSpec:
+    options: dict[str, Any] = {
+        "out": source / "run",
+        "preset": train_config(),
+        "subtask": "pick",
+        "target": "024_bowl",
+        "worlds": 1,
+        "threads": 1,
+        "data": source,
+        "where": "success or not success",
+        "eval_episodes": 0,
+        "round_episodes": 0,
+        "eval_split": "train",
+    }
+    return ImitationSpec.of(**(options | changes))
 
 
 def test_demonstrations_must_be_of_what_is_judged(source: Path, tmp_path: Path) -> None:
-    others = request(
-        source, scene=Scene("set_table", "open", "fridge/top_door"), eval_episodes=4
-    )
+    others = request(source, subtask="open", target="fridge/top_door", eval_episodes=4)
     told = r"evaluated in open fridge/top_door, but the demonstrations are of .*pick 024_bowl"
     with pytest.raises(UsageError, match=told):
-        train(others, tmp_path / "others")
+        train_in(others, tmp_path / "others")
     assert not (tmp_path / "others").exists()
     # Without evaluations it does not matter what the scene says.
-    train(dataclasses.replace(others, eval_episodes=0), tmp_path / "unjudged")
+    train_in(dataclasses.replace(others, eval_episodes=0), tmp_path / "unjudged")
 
 
 def weights(path: Path) -> dict[str, torch.Tensor]:
@@ -340,7 +345,7 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
 def test_a_run_leaves_its_folder_and_resumes_exactly(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = train(request(source), tmp_path / "whole")
+    whole = train_in(request(source), tmp_path / "whole")
     assert (
         whole.summary["steps"] == 4
         and whole.summary["samples"] == 32
@@ -364,10 +369,10 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
 
     monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
     monkeypatch.setattr(Trainer, "update", stop_after_two)
-    stopped = train(request(source), tmp_path / "part")
+    stopped = train_in(request(source), tmp_path / "part")
     assert stopped.interrupted and stopped.summary["steps"] == 2
     monkeypatch.setattr(Trainer, "update", make_updates)
-    done = train(request(source), tmp_path / "part", resume=True)
+    done = train_in(request(source), tmp_path / "part", resume=True)
     assert done.summary["steps"] == 4 and done.summary["samples"] == 32
     one, other = (
         weights(tmp_path / name / "training.safetensors") for name in ("whole", "part")
@@ -376,9 +381,9 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
         torch.equal(one[name], other[name]) for name in one
     )
     with pytest.raises(UsageError, match="it was started with seed = 0, now it is 1"):
-        train(request(source, seed=1), tmp_path / "part", resume=True)
+        train_in(request(source, seed=1), tmp_path / "part", resume=True)
     with pytest.raises(UsageError, match="not empty"):
-        train(request(source), tmp_path / "part")
+        train_in(request(source), tmp_path / "part")
 
 
 def test_nan_keeps_the_last_good_checkpoint(
@@ -397,19 +402,19 @@ def test_nan_keeps_the_last_good_checkpoint(
     monkeypatch.setattr(Session, "_batch", broken)
     monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
     with pytest.raises(BrokenLossError, match="batch 4"):
-        train(request(source), tmp_path / "run")
+        train_in(request(source), tmp_path / "run")
     kept = load_checkpoint(tmp_path / "run" / "training.safetensors")
     assert kept.about["step"] == 3
     assert all(torch.isfinite(value).all() for value in kept.tensors.values())
 
 
 def test_a_spent_budget_ends_training(source: Path, tmp_path: Path) -> None:
-    done = train(request(source, budget_seconds=1e-6), tmp_path / "run")
+    done = train_in(request(source, budget_minutes=1e-8), tmp_path / "run")
     assert done.summary["steps"] == 0 and done.summary["trained"] is False
     # Random weights are no policy.
     assert done.summary["checkpoint"] is None
     assert not (tmp_path / "run" / "student.safetensors").exists()
-    more = train(request(source), tmp_path / "run", resume=True)
+    more = train_in(request(source), tmp_path / "run", resume=True)
     assert more.summary["steps"] == 4 and more.summary["checkpoint"]
 
 
@@ -445,46 +450,47 @@ def test_a_budget_that_covers_no_update_is_told_while_the_round_is_young(
     asked = request(
         source,
         data=(),
-        config=train_config(demos=100),
-        means=Means(worlds=4),
+        where=None,
+        preset=train_config(demos=100),
+        worlds=4,
         eval_episodes=20,
         round_episodes=0,
     )
     for budget in (60.0, 220.0):
         now[0] = 0.0
         tried.clear()
-        told = dataclasses.replace(asked, budget_seconds=budget)
-        early = train(told, tmp_path / "small", resume=budget > 100.0).summary
+        told = dataclasses.replace(asked, budget_minutes=budget / 60.0)
+        early = train_in(told, tmp_path / "small", resume=budget > 100.0).summary
         assert "100 episodes of the expert take 3.3 minutes" in early["shortage"]
         assert "--budget-minutes 5 or more" in early["shortage"]
         assert not early["trained"] and early["checkpoint"] is None
         # A first wave, counted from the first standing, and two that are measured.
         assert len(tried) == 1 + 3 * 4
     now[0] = 0.0
-    enough = dataclasses.replace(asked, budget_seconds=60.0 * 6)
-    done = train(enough, tmp_path / "small", resume=True).summary
+    enough = dataclasses.replace(asked, budget_minutes=6.0)
+    done = train_in(enough, tmp_path / "small", resume=True).summary
     assert done["trained"] and "shortage" not in done
 
 
 def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -> None:
-    with open_session(request(source), tmp_path / "run") as session:
+    with open_session(request(source, out=tmp_path / "run")) as session:
         assert session.layout.targets == ("024_bowl",)
 
 
 def test_two_processes_do_not_train_in_one_folder(source: Path, tmp_path: Path) -> None:
-    with open_session(request(source), tmp_path / "run"):
+    with open_session(request(source, out=tmp_path / "run")):
         with pytest.raises(UsageError, match="is being written by process"):
-            train(request(source), tmp_path / "run", resume=True)
+            train_in(request(source), tmp_path / "run", resume=True)
         with pytest.raises(UsageError, match="is being written by process"):
             TrainingFolder.open(tmp_path / "run", {}, resume=True)
-    done = train(request(source), tmp_path / "run", resume=True)
+    done = train_in(request(source), tmp_path / "run", resume=True)
     assert done.summary["steps"] == 4
     assert not list((tmp_path / "run").glob("*.lock"))
 
 
 def test_data_that_do_not_fit_leave_no_folder(source: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no episode passes"):
-        train(request(source, where="steps > 1000"), tmp_path / "run")
+        train_in(request(source, where="steps > 1000"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -523,7 +529,7 @@ def test_a_student_needs_no_hidden_layers(algorithm: str) -> None:
 def test_a_network_that_cannot_act_leaves_no_folder(source: Path, tmp_path: Path) -> None:
     network = NetworkConfig(encoder="nature", channels=(4, 8))
     with pytest.raises(UsageError, match="give no network that can act"):
-        train(request(source, config=train_config(network=network)), tmp_path / "run")
+        train_in(request(source, preset=train_config(network=network)), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -539,8 +545,8 @@ def test_the_learning_rate_falls_to_zero_in_the_end(
 
     monkeypatch.setattr(Trainer, "update", note)
     dagger = DaggerConfig(rounds=0, final_updates=4)
-    done = train(
-        request(source, config=dataclasses.replace(train_config(), dagger=dagger)),
+    done = train_in(
+        request(source, preset=dataclasses.replace(train_config(), dagger=dagger)),
         tmp_path / "run",
     )
     assert asked == [1.0] * 4 + [1.0, 0.75, 0.5, 0.25]
@@ -575,7 +581,7 @@ def test_the_cosine_schedule_ends_with_the_last_round(
         train_config(optimizer=optimizer),
         dagger=DaggerConfig(rounds=2, updates=4, final_updates=0),
     )
-    train(request(source, config=told, where=""), tmp_path / "run")
+    train_in(request(source, preset=told, where=None), tmp_path / "run")
     # Of 4 updates of the first round and 4 of each of the others.
     wanted = 0.5 * (1.0 + np.cos(np.pi * np.arange(12) / 12))
     np.testing.assert_allclose(used, wanted, rtol=1e-6)
@@ -608,7 +614,7 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(
 ) -> None:
     asked = judge_without_simulation(monkeypatch)
     told = request(source, eval_episodes=last, round_episodes=2, eval_split="val")
-    summary = train(told, tmp_path / "run").summary
+    summary = train_in(told, tmp_path / "run").summary
     assert asked == ["train"] * 3 + ["val"] * bool(last)
     assert (summary["split"], summary["episodes"]) == (split, last or 2)
     assert summary["success_once"] == 0.5
@@ -656,8 +662,8 @@ def test_a_resumed_run_makes_the_evaluation_that_was_interrupted(
     told = request(source, round_episodes=2)
     with monkeypatch.context() as patch:
         patch.setattr(Session, "_evaluate_in", interrupted)
-        assert train(told, tmp_path / "run").interrupted
-    train(told, tmp_path / "run", resume=True)
+        assert train_in(told, tmp_path / "run").interrupted
+    train_in(told, tmp_path / "run", resume=True)
     rows = TrainingFolder(tmp_path / "run", {}).read_metrics()
     assert [row["step"] for row in rows if "success_once" in row] == [1, 2, 3]
     assert len(asked) == 3
@@ -687,15 +693,13 @@ def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
 
     monkeypatch.setattr(Session, "_evaluate_in", with_films)
     told = request(source, eval_episodes=6, round_episodes=2)
-    several = dataclasses.replace(
-        told, also=(Scene("set_table", "open", "fridge/top_door"),)
-    )
+    several = dataclasses.replace(told, also=("set_table/open/fridge/top_door",))
     for asked, scenes in ((told, 1), (several, 2)):
         if films is not None:
             asked = dataclasses.replace(asked, films=films)
-        most = FILMED_EPISODES if films is None else films
+        most = TrainSpec.films if films is None else films
         filmed.clear()
-        train(asked, tmp_path / f"{scenes}")
+        train_in(asked, tmp_path / f"{scenes}")
         wanted = [most, 0, 0, most]
         assert filmed == [count for count in wanted for _ in range(scenes)]
         page = (tmp_path / f"{scenes}" / "report.html").read_text(encoding="utf-8")
@@ -705,7 +709,7 @@ def test_the_report_shows_films_of_the_first_and_the_last_evaluation(
 
 
 def test_without_an_evaluation_no_split_is_told(source: Path, tmp_path: Path) -> None:
-    done = train(request(source, eval_split="val"), tmp_path / "run")
+    done = train_in(request(source, eval_split="val"), tmp_path / "run")
     told = {
         name: done.summary[name]
         for name in ("split", "success_once", "interval", "episodes")
@@ -740,12 +744,12 @@ def test_ctrl_c_during_an_update_keeps_whole_updates(
             signal.raise_signal(signal.SIGINT)
         return make_updates(trainer, one, rate)
 
-    whole = train(request(source), tmp_path / "whole")
+    whole = train_in(request(source), tmp_path / "whole")
     # A shell starts processes in the background with Ctrl-C ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "update", interrupted)
-        stopped = train(request(source), tmp_path / "part")
+        stopped = train_in(request(source), tmp_path / "part")
     signal.signal(signal.SIGINT, before)
     assert (
         stopped.interrupted
@@ -754,7 +758,7 @@ def test_ctrl_c_during_an_update_keeps_whole_updates(
     )
     assert Path(stopped.summary["checkpoint"]).is_file()
     assert load_checkpoint(tmp_path / "part" / "training.safetensors").about["step"] == 2
-    train(request(source), tmp_path / "part", resume=True)
+    train_in(request(source), tmp_path / "part", resume=True)
     one, other = (weights(Path(run) / "training.safetensors") for run in (
         tmp_path / "whole", tmp_path / "part"))  # fmt: skip
     assert whole.summary["steps"] == 4 and all(
@@ -769,7 +773,7 @@ def test_before_the_data_are_read_there_is_no_checkpoint(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Session, "load", interrupted)
-    stopped = train(request(source), tmp_path / "run")
+    stopped = train_in(request(source), tmp_path / "run")
     assert stopped.interrupted and stopped.summary["checkpoint"] is None
     assert stopped.summary["trained"] is False
     assert not list((tmp_path / "run").glob("*.safetensors"))
@@ -787,7 +791,7 @@ def test_nan_in_the_second_batch_leaves_the_first_update(
 
     monkeypatch.setattr(Trainer, "update", broken)
     with pytest.raises(BrokenLossError, match="batch 2"):
-        train(request(source), tmp_path / "run")
+        train_in(request(source), tmp_path / "run")
     assert load_student(tmp_path / "run" / "student.safetensors")
     assert load_checkpoint(tmp_path / "run" / "training.safetensors").about["step"] == 1
 
@@ -806,8 +810,8 @@ def test_time_is_reserved_before_an_evaluation_is_measured(
 
     monkeypatch.setattr(Logbook, "seconds", property(lambda log: now[0]))
     monkeypatch.setattr(Trainer, "update", slow)
-    told = request(source, budget_seconds=10.0, eval_episodes=100)
-    summary = train(told, tmp_path / "run").summary
+    told = request(source, budget_minutes=1.0 / 6.0, eval_episodes=100)
+    summary = train_in(told, tmp_path / "run").summary
     assert summary["steps"] == 3 and summary["episodes"] == 100
     clock = EvaluationClock(10.0)
     assert clock.reserve(2) == 1.0 and clock.reserve(1000) == 5.0

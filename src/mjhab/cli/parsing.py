@@ -203,11 +203,12 @@ def options_of(spec_type: type[Any], path: tuple[str, ...] = ()) -> Iterator[Opt
 
 
 def _optional(many: OptionsOf, path: tuple[str, ...]) -> Iterator[Option]:
-    docs = field_docs(many.owner)
+    docs = {**field_docs(many.owner), **many.docs}
     for field, hint, marks in _fields(many.owner):
         flag = next((mark for mark in marks if isinstance(mark, Flag)), Flag())
         if field.name in many.apart or flag.hidden:
             continue
+        flag = many.flag(field.name, flag)
         here = (*path, field.name)
         default = many.defaults.get(field.name, _default(field))
         if flag.kind is not None and dataclasses.is_dataclass(flag.kind):

@@ -9,6 +9,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = {
     "eval": {"--starts": "--spawn-rule"},
     "generate": {"--starts": "--spawn-rule"},
     "view": {"--starts": "--spawn-rule"},
+    "train": {"--starts": "--spawn-rule"},
 }
 """Old to new names, by the first word of the command."""
 

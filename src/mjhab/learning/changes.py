@@ -4,104 +4,105 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.learning.configs import DAGGER, TrainConfig
+from mjhab.core.typed.bounds import Bound, bound_of
+from mjhab.core.typed.flags import mark_of
+from mjhab.learning.configs import TrainConfig
 
 TRUTH = {"true": True, "false": False}
-LEAST = {
-    "hold_steps": -1,
-    "sampling_steps": 0,
-    "inputs.shift": 0,
-    "network.layers": 0,
-    "network.state_features": 0,
-    "optimizer.warmup": 0,
-    "dagger.rounds": 0,
-    "dagger.first_prefix": 0,
-    "dagger.prefix_growth": 0,
-    "dagger.max_prefix": 0,
-    "dagger.horizon": 0,
-    "dagger.final_updates": 0,
-    "ppo.critic_updates": 0,
-    "ppo.demonstrations": 0,
-    "ppo.imitation_updates": 0,
-    "ppo.imitation_samples": 0,
-    "sac.atoms": 0,
-    "sac.warm_up": 0,
-    "sac.demonstrations": 0,
-    "sac.imitation_samples": 0,
-    "sac.frozen_actor_samples": 0,
-    "samples": 0,
-    "horizon": 0,
-    "episode_pool": 0,
-}
-"""Smallest allowed value of integer fields for which it is not 1."""
-NO_LEAST = ("sac.value_low", "sac.value_high", "network.log_std")
-"""Numbers that may be negative."""
 FIXED = ("algorithm", "preset")
 """Fields of a config that name it."""
-MAY_BE_EMPTY = ("style", "inputs.cameras", "ppo.demonstration_style")
+STUDENT = "student"
 SCHEDULES = ("constant", "cosine")
 Record = TypeVar("Record")
 
 
-def with_changes(config: TrainConfig, words: Sequence[str]) -> TrainConfig:
-    """The config of an imitation run with the named fields set.
+@dataclass(frozen=True)
+class Sets:
+    """Marks an option of a run that changes a field of its preset.
+
+    field: named as in ``--set``, e.g. "dagger.rounds".
+    """
+
+    field: str
+
+
+def changes_of(spec: Any, config: Any) -> dict[str, Any]:
+    """What the options of a run change in its preset: values by the names of fields.
 
     Args:
-        config: of a run.
-        words: NAME=VALUE each. NAME is a field of `StudentConfig`, or PART.FIELD with the part inputs, network,
-            optimizer or dagger; the items of a tuple are separated by commas.
+        spec: a dataclass whose options are marked with `Sets`. Those that are None or () change nothing.
+        config: the preset.
 
     Raises:
-        UsageError: there is no such field, or the value has another type.
+        UsageError: a number is too small.
     """
-    student: dict[str, Any] = {}
-    dagger: dict[str, Any] = {}
-    for name, value in _values(words, settable(config)).items():
-        part, _, field = name.partition(".")
-        if part == DAGGER:
-            dagger[field] = value
-        else:
-            student[name] = value
-    return dataclasses.replace(
-        config,
-        student=_with_values(config.student, student),
-        dagger=config.dagger and _with_values(config.dagger, dagger),
-    )
-
-
-def with_fields(config: Record, words: Sequence[str]) -> Record:
-    """Any config with the named fields set: NAME=VALUE of its own, PART.FIELD=VALUE of a config in its field PART.
-
-    Raises:
-        UsageError: there is no such field, or the value has another type.
-    """
-    return _with_values(config, _values(words, fields_of(config)))
-
-
-def settable(config: TrainConfig) -> dict[str, Any]:
-    """The fields of an imitation run that can be set, with their values in ``config``, by name."""
-    found = fields_of(config.student)
-    if config.dagger is not None:
-        found |= {
-            f"{DAGGER}.{name}": value for name, value in fields_of(config.dagger).items()
-        }
+    found: dict[str, Any] = {}
+    for option in dataclasses.fields(spec):
+        value = getattr(spec, option.name)
+        mark = mark_of(type(spec), option.name, Sets)
+        if mark is None or value is None or value == ():
+            continue
+        own = mark_of(type(spec), option.name, Bound)
+        _check(option.name, value, own or _bound(config, mark.field))
+        found[mark.field] = value
     return found
 
 
-def fields_of(config: Any) -> dict[str, Any]:
+def with_changes(
+    config: Record, words: Sequence[str], values: Mapping[str, Any] | None = None
+) -> Record:
+    """A config with the named fields set.
+
+    All fields are set together, because a config is checked as a whole: chunk=1 alone would be refused before execute=1
+    is known.
+
+    Args:
+        config: of a run of imitation or reinforcement.
+        words: NAME=VALUE each. NAME is a field, or PART.FIELD with a field of a part such as inputs, network,
+            optimizer, dagger, ppo or sac; the items of a tuple are separated by commas.
+        values: further fields by name; they go before those of ``words``.
+
+    Raises:
+        UsageError: there is no such field, or the value has another type or is out of range.
+    """
+    known = settable(config)
+    changed: dict[str, Any] = {}
+    for word in words:
+        name, text = _split(word, known)
+        changed[name] = _read(name, text, known[name], _bound(config, name))
+    return _with_values(config, {**changed, **(values or {})})
+
+
+def settable(config: Any) -> dict[str, Any]:
     """The fields of a config that can be set, with their values, by name; those of its parts as PART.FIELD."""
     found: dict[str, Any] = {}
     for name, value in vars(config).items():
         if dataclasses.is_dataclass(value):
-            found |= {f"{name}.{field}": part for field, part in vars(value).items()}
+            prefix = "" if name == STUDENT else f"{name}."
+            found |= {f"{prefix}{field}": part for field, part in settable(value).items()}
         elif name not in FIXED and value is not None:
             found[name] = value
     return found
+
+
+def _full(config: Any, name: str) -> str:
+    """The name of a field with all its parts: those of the student are named without it."""
+    own = {field.name for field in dataclasses.fields(config)}
+    inside = isinstance(config, TrainConfig) and name.partition(".")[0] not in own
+    return f"{STUDENT}.{name}" if inside else name
+
+
+def _bound(config: Any, name: str) -> Bound:
+    """What values a field may have."""
+    *parts, field = _full(config, name).split(".")
+    for part in parts:
+        config = getattr(config, part)
+    return bound_of(type(config), field)
 
 
 def _split(word: str, known: Mapping[str, Any]) -> tuple[str, str]:
@@ -116,32 +117,22 @@ def _split(word: str, known: Mapping[str, Any]) -> tuple[str, str]:
     return name, text
 
 
-def _values(words: Sequence[str], known: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of NAME=VALUE words by name, each of the type of its present value in ``known``."""
-    pairs = [_split(word, known) for word in words]
-    return {name: _read(name, text, known[name]) for name, text in pairs}
-
-
 def _with_values(config: Any, values: Mapping[str, Any]) -> Any:
-    """A config with other values, those of its parts by PART.FIELD.
-
-    All values of a record are set together, because it is checked as a whole: chunk=1 alone would be refused before
-    execute=1 is known.
-    """
+    """A config with other values, those of its parts by PART.FIELD."""
     own: dict[str, Any] = {}
     parts: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
-        part, dot, field = name.partition(".")
+        part, dot, field = _full(config, name).partition(".")
         if dot:
             parts.setdefault(part, {})[field] = value
         else:
             own[name] = value
     for part, fields in parts.items():
-        own[part] = dataclasses.replace(getattr(config, part), **fields)
+        own[part] = _with_values(getattr(config, part), fields)
     return dataclasses.replace(config, **own)
 
 
-def _read(name: str, text: str, like: Any) -> Any:
+def _read(name: str, text: str, like: Any, bound: Bound) -> Any:
     """The value of a text, of the type of ``like``.
 
     Raises:
@@ -149,9 +140,11 @@ def _read(name: str, text: str, like: Any) -> Any:
     """
     if isinstance(like, tuple):
         items = [item for item in text.split(",") if item]
-        if not items and name not in MAY_BE_EMPTY:
+        if not items and not bound.empty:
             raise UsageError(f"--set {name}: give at least one value.")
-        return tuple(_read(name, item, like[0]) if like else item for item in items)
+        return tuple(
+            _read(name, item, like[0], bound) if like else item for item in items
+        )
     if isinstance(like, bool):
         if text not in TRUTH:
             raise UsageError(f"--set {name}: {text!r} is neither true nor false.")
@@ -162,17 +155,25 @@ def _read(name: str, text: str, like: Any) -> Any:
         raise UsageError(
             f"--set {name}: {text!r} is no {type(like).__name__}."
         ) from error
-    least = LEAST.get(name, 1) if isinstance(value, int) else 0
-    if name in NO_LEAST:
-        least = -sys.float_info.max
-    if not isinstance(value, str) and not least <= value < math.inf:
-        raise UsageError(
-            f"--set {name} must be at least {least}, and finite; got {text}."
-        )
+    _check(f"--set {name}", value, bound)
     known = _words(name)
     if known and value not in known:
         raise unknown_name(name, text, known)
     return value
+
+
+def _check(told: str, value: Any, bound: Bound) -> None:
+    """Refuse a number that is too small or not finite.
+
+    Raises:
+        UsageError: names the field as ``told``.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return
+    least = bound.least_of(value)
+    # Whole numbers of any size are finite; math.isfinite would not take large ones.
+    if not (least <= value < math.inf and value > -math.inf):
+        raise UsageError(f"{told} must be at least {least}, and finite; got {value}.")
 
 
 def _words(name: str) -> tuple[str, ...]:

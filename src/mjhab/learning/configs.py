@@ -7,14 +7,18 @@ dp_pick.yml, and its agents, mshab/agents/bc/agent.py and mshab/agents/dp/agent.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.records import read_record
 from mjhab.robots.registry import robot_named
 
+FromZero = Annotated[int, Bound(0)]
+"""A whole number that may be 0."""
 BC = "bc"
 FLOW = "flow"
 ACT = "act"
@@ -47,7 +51,7 @@ class InputConfig:
     shift: largest random shift of training images [px].
     """
 
-    cameras: tuple[str, ...] = robot_named().camera_names
+    cameras: Annotated[tuple[str, ...], Bound(empty=True)] = robot_named().camera_names
     image_size: int = 32
     history: int = 1
     stack_state: bool = True
@@ -58,7 +62,7 @@ class InputConfig:
     condition: bool = True
     sentence: bool = False
     normalize: bool = True
-    shift: int = 1
+    shift: FromZero = 1
 
     def network_threads(self, threads: int) -> int:
         """Number of torch threads: ``threads`` with images, else 1.
@@ -84,11 +88,11 @@ class NetworkConfig:
     channels: tuple[int, ...] = (32, 64)
     image_features: int = 128
     hidden: int = 384
-    layers: int = 3
-    state_features: int = 0
+    layers: FromZero = 3
+    state_features: FromZero = 0
     norm: bool = True
     unet: tuple[int, ...] = (64, 128, 256)
-    log_std: tuple[float, float] = (-5.0, 1.0)
+    log_std: Annotated[tuple[float, float], Bound(-math.inf)] = (-5.0, 1.0)
 
     def __post_init__(self) -> None:
         if len(self.log_std) != 2 or not self.log_std[0] < self.log_std[1]:
@@ -110,7 +114,7 @@ class OptimizerConfig:
     betas: tuple[float, float] = (0.9, 0.999)
     weight_decay: float = 1e-4
     schedule: str = "constant"
-    warmup: int = 200
+    warmup: FromZero = 200
     clip_norm: float = 1.0
     ema: float = 0.998
     """Decay of the moving average of the weights, which evaluations use; 0 uses the weights themselves."""
@@ -143,13 +147,13 @@ class StudentConfig:
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     chunk: int = 8
     execute: int = 2
-    hold_steps: int = 15
+    hold_steps: Annotated[int, Bound(-1)] = 15
     huber: float = 0.5
-    sampling_steps: int = 0
+    sampling_steps: FromZero = 0
     updates: int = 20_000
     demos: int = 500
     """Number of demonstrations to collect when no data are given."""
-    style: tuple[str, ...] = ()
+    style: Annotated[tuple[str, ...], Bound(empty=True)] = ()
     """Style options of the expert during collection. With ("noise=0..0.2",) it executes noisy actions and the student
     learns the intended ones (DART)."""
 
@@ -179,15 +183,15 @@ class DaggerConfig:
     round, on all rounds in proportion to their size, with a learning rate that decreases to zero.
     """
 
-    rounds: int = 8
+    rounds: FromZero = 8
     episodes: int = 64
     updates: int = 1500
     new_share: float = 0.5
-    first_prefix: int = 25
-    prefix_growth: int = 20
-    max_prefix: int = 180
-    horizon: int = 320
-    final_updates: int = 0
+    first_prefix: FromZero = 25
+    prefix_growth: FromZero = 20
+    max_prefix: FromZero = 180
+    horizon: FromZero = 320
+    final_updates: FromZero = 0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.new_share <= 1.0:

@@ -9,8 +9,8 @@ import pytest
 
 from mjhab.bench.training import curves
 from mjhab.cli.main import main
-from mjhab.learning.reinforcement.session import ReinforcementRequest
-from mjhab.learning.runs.train import TrainingResult
+from mjhab.learning.reinforcement.specs import ReinforcementSpec
+from mjhab.learning.runs.result import TrainingResult
 
 SUCCESS = (0.1, 0.6, 0.9)
 """At evaluations after 100, 200 and 300 samples."""
@@ -23,11 +23,10 @@ class Trainer:
         self.broken = broken
         self.runs: list[tuple[str, bool]] = []
 
-    def __call__(
-        self, request: ReinforcementRequest, out: Path, resume: bool
-    ) -> TrainingResult:
+    def __call__(self, spec: ReinforcementSpec) -> TrainingResult:
+        out = spec.out
         interrupted = len(self.runs) == self.broken
-        self.runs.append((out.name, resume))
+        self.runs.append((out.name, spec.resume))
         out.mkdir(parents=True, exist_ok=True)
         (out / "config.json").write_text("{}")
         count = 1 if interrupted else len(SUCCESS)

@@ -19,15 +19,18 @@ from mjhab.learning.reinforcement.configs import (
     ReinforcementConfig,
     SacConfig,
 )
-from mjhab.learning.reinforcement.session import ReinforcementRequest
+from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.train import train_reinforcement
-from mjhab.learning.runs.collection import Scene
 from mjhab.learning.students.heads import make_student
 from tests.missing import need_warp
 
 need_warp()
 
-SCENE = Scene("set_table", "close", "kitchen_counter/drawer3", profile="ms_hab")
+SCENE = {
+    "subtask": "close",
+    "target": "kitchen_counter/drawer3",
+    "profile": "ms_hab",
+}
 TINY = ReinforcementConfig(
     PPO,
     "tiny",
@@ -51,9 +54,10 @@ def train(config: ReinforcementConfig, out: Path, backend: str) -> list[dict[str
     """Train without evaluations; returns the metrics of every update."""
     torch.set_num_threads(1)
     device = "cpu" if backend == "warp" else ""
-    request = ReinforcementRequest(
-        config,
-        SCENE,
+    spec = ReinforcementSpec.of(
+        out=out,
+        preset=config,
+        **SCENE,
         threads=1,
         eval_episodes=0,
         round_episodes=0,
@@ -61,7 +65,7 @@ def train(config: ReinforcementConfig, out: Path, backend: str) -> list[dict[str
         backend=backend,
         device=device,
     )
-    train_reinforcement(request, out)
+    train_reinforcement(spec)
     return [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
 
 
@@ -81,7 +85,7 @@ def test_sac_learns_on_the_device(tmp_path: Path) -> None:
     )
     assert all(math.isfinite(value) for row in rows for value in row.values())
     student = load_student(tmp_path / "student.safetensors")
-    assert student.layout.profile == SCENE.profile
+    assert student.layout.profile == SCENE["profile"]
     untrained = make_student(TINY_SAC.student, student.layout, seed=0)
     trained = student.state_dict()
     assert any(

@@ -9,13 +9,14 @@ import signal
 import socket
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
 from torch.multiprocessing.spawn import ProcessExitedException, spawn
 
 from mjhab.core.errors import UsageError
-from mjhab.learning.changes import with_fields
+from mjhab.learning.changes import with_changes
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import InputConfig, NetworkConfig
 from mjhab.learning.reinforcement import algorithm
@@ -32,21 +33,19 @@ from mjhab.learning.reinforcement.configs import (
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.ppo.run import PpoRun
 from mjhab.learning.reinforcement.replay import ReplayBuffer
-from mjhab.learning.reinforcement.session import ReinforcementRequest
-from mjhab.learning.reinforcement.train import train_reinforcement
-from mjhab.learning.runs.collection import Scene
+from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook
 from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.training import BrokenLossError
+from tests.learning.small import train_in
 
-SCENE = Scene(
-    "set_table",
-    "close",
-    "kitchen_counter/drawer3",
-    home="builtin_m0_00",
-    profile="ms_hab",
-)
+SCENE = {
+    "subtask": "close",
+    "target": "kitchen_counter/drawer3",
+    "home": "builtin_m0_00",
+    "profile": "ms_hab",
+}
 INPUTS = InputConfig(
     cameras=(),
     image_size=0,
@@ -114,12 +113,19 @@ class Killed(Exception):
     """What stands for kill -9: nothing is saved after it."""
 
 
-def request(config: ReinforcementConfig) -> ReinforcementRequest:
+def request(config: ReinforcementConfig, **options: Any) -> ReinforcementSpec:
     """A run without evaluations."""
     torch.set_num_threads(1)
-    return ReinforcementRequest(
-        config, SCENE, threads=1, eval_episodes=0, round_episodes=0, films=0
-    )
+    told: dict[str, Any] = {
+        "out": "unused",
+        "preset": config,
+        **SCENE,
+        "threads": 1,
+        "eval_episodes": 0,
+        "round_episodes": 0,
+        "films": 0,
+    }
+    return ReinforcementSpec.of(**(told | options))
 
 
 @pytest.mark.parametrize(
@@ -128,7 +134,7 @@ def request(config: ReinforcementConfig) -> ReinforcementRequest:
 def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     config: ReinforcementConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = train_reinforcement(request(config), tmp_path / "whole")
+    whole = train_in(request(config), tmp_path / "whole")
     assert whole.summary["samples"] == config.samples
     check = sessions.ReinforcementSession.check_time
 
@@ -140,10 +146,10 @@ def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     with monkeypatch.context() as patch:
         patch.setattr(sessions.ReinforcementSession, "check_time", killed)
         with pytest.raises(Killed):
-            train_reinforcement(request(config), tmp_path / "killed")
+            train_in(request(config), tmp_path / "killed")
     saved = load_checkpoint(tmp_path / "killed" / "training.safetensors").about["samples"]
     assert 0 < saved < 40
-    train_reinforcement(request(config), tmp_path / "killed", resume=True)
+    train_in(request(config), tmp_path / "killed", resume=True)
     wanted = load_checkpoint(tmp_path / "whole" / "training.safetensors").tensors
     found = load_checkpoint(tmp_path / "killed" / "training.safetensors").tensors
     assert set(wanted) == set(found)
@@ -161,10 +167,10 @@ def test_a_budget_that_ends_before_learning_leaves_a_run_to_begin_with(
     owner = PpoLearner if slow == "_imitation_loss" else algorithm
     with monkeypatch.context() as patch:
         patch.setattr(owner, slow, out_of_time)
-        early = train_reinforcement(request(TINY_IMITATING), tmp_path / "early")
+        early = train_in(request(TINY_IMITATING), tmp_path / "early")
     assert not early.summary["trained"] and early.summary["checkpoint"] is None
-    train_reinforcement(request(TINY_IMITATING), tmp_path / "early", resume=True)
-    train_reinforcement(request(TINY_IMITATING), tmp_path / "whole")
+    train_in(request(TINY_IMITATING), tmp_path / "early", resume=True)
+    train_in(request(TINY_IMITATING), tmp_path / "whole")
     wanted, found = (
         load_checkpoint(tmp_path / name / "training.safetensors").tensors
         for name in ("whole", "early")
@@ -175,7 +181,7 @@ def test_a_budget_that_ends_before_learning_leaves_a_run_to_begin_with(
 def test_demonstrations_end_by_the_rules_of_training(tmp_path: Path) -> None:
     """As they are paid; but the expert closes this drawer without a force that would cost."""
     told = request(dataclasses.replace(TINY_IMITATING, success_ends=True))
-    with sessions.open_reinforcement(told, tmp_path) as session:
+    with sessions.open_reinforcement(dataclasses.replace(told, out=tmp_path)) as session:
         shown = PpoRun(session).demonstrations(1)
         drawn = shown.draw(500, torch.Generator().manual_seed(0))
     assert bool(drawn.terminated.any()) and not bool(drawn.terminated.all())
@@ -191,14 +197,14 @@ def _train_and_kill(rank: int, out: Path) -> None:
         check(self)
 
     sessions.ReinforcementSession.check_time = killed  # type: ignore[method-assign]
-    train_reinforcement(request(TINY_RLPD), out)
+    train_in(request(TINY_RLPD), out)
 
 
 def test_a_run_that_was_sent_sigkill_resumes(tmp_path: Path) -> None:
     with pytest.raises(ProcessExitedException, match="SIGKILL"):
         spawn(_train_and_kill, (tmp_path / "killed",))
-    train_reinforcement(request(TINY_RLPD), tmp_path / "whole")
-    train_reinforcement(request(TINY_RLPD), tmp_path / "killed", resume=True)
+    train_in(request(TINY_RLPD), tmp_path / "whole")
+    train_in(request(TINY_RLPD), tmp_path / "killed", resume=True)
     wanted, found = (
         load_checkpoint(tmp_path / name / "training.safetensors").tensors
         for name in ("whole", "killed")
@@ -220,7 +226,7 @@ def test_a_broken_loss_leaves_the_student_of_the_last_checkpoint(
 
     monkeypatch.setattr(PpoLearner, "update", breaks)
     with pytest.raises(BrokenLossError, match="update 4"):
-        train_reinforcement(request(TINY), tmp_path)
+        train_in(request(TINY), tmp_path)
     kept = load_checkpoint(tmp_path / "student.safetensors")
     assert kept.about["samples"] == TINY.checkpoint_samples
     assert all(torch.isfinite(value).all() for value in kept.tensors.values())
@@ -230,9 +236,9 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     told = dataclasses.replace(
         request(dataclasses.replace(TINY, samples=16)),
         eval_episodes=1,
-        budget_seconds=600.0,
+        budget_minutes=10.0,
     )
-    result = train_reinforcement(told, tmp_path / "run")
+    result = train_in(told, tmp_path / "run")
     assert result.summary["episodes"] == 1 and result.summary["algorithm"] == "ppo"
     shares = result.summary["time_shares"]
     assert sum(shares.values()) == pytest.approx(1.0, abs=1e-3) and shares["env"] > 0.0
@@ -245,7 +251,7 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     assert 'id="loss-plot"' in page
     # What PPO has left another run may begin from.
     start = str(tmp_path / "run" / "student.safetensors")
-    polished = train_reinforcement(
+    polished = train_in(
         dataclasses.replace(request(dataclasses.replace(TINY, samples=16)), start=start),
         tmp_path / "polished",
     )
@@ -255,7 +261,7 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     told = sessions.resolved_config(dataclasses.replace(request(depth), start=start))
     assert told["config"]["inputs"]["image_size"] == 0
     # An actor of SAC takes over its trunk and its actions.
-    other = train_reinforcement(
+    other = train_in(
         dataclasses.replace(
             request(dataclasses.replace(TINY_RLPD, samples=16)),
             start=start,
@@ -266,7 +272,7 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     kept = load_student(Path(other.summary["checkpoint"]))
     assert kept.config.algorithm == "gaussian_actions" and other.summary["episodes"] == 1
     with pytest.raises(UsageError, match="of algorithm bc with"):
-        train_reinforcement(
+        train_in(
             dataclasses.replace(request(TINY), start=other.summary["checkpoint"]),
             tmp_path / "ppo",
         )
@@ -281,7 +287,7 @@ def test_the_student_is_the_best_evaluated_actor(
         sessions.ReinforcementSession, "_judge", lambda self, episodes, last: next(rates)
     )
     config = dataclasses.replace(TINY, samples=48, eval_samples=16)
-    result = train_reinforcement(
+    result = train_in(
         dataclasses.replace(request(config), round_episodes=1), tmp_path / "run"
     )
     student = load_checkpoint(tmp_path / "run" / "student.safetensors")
@@ -312,8 +318,8 @@ def test_a_killed_run_keeps_the_best_actor_of_one_that_was_not(
     with monkeypatch.context() as patch:
         patch.setattr(sessions.ReinforcementSession, "check_time", killed)
         with pytest.raises(Killed):
-            train_reinforcement(told, tmp_path / "killed")
-    result = train_reinforcement(told, tmp_path / "killed", resume=True)
+            train_in(told, tmp_path / "killed")
+    result = train_in(told, tmp_path / "killed", resume=True)
     assert result.summary["samples"] == 64 and result.summary["student_samples"] == 32
     student = load_checkpoint(tmp_path / "killed" / "student.safetensors")
     assert student.about["samples"] == 32
@@ -335,12 +341,12 @@ def test_the_success_that_chooses_the_student_can_be_told(
         return SimpleNamespace(records=records)
 
     monkeypatch.setattr(Evaluations, "run", pretended)
-    config = with_fields(
+    config = with_changes(
         dataclasses.replace(TINY, samples=48, eval_samples=16), (f"keep_best_by={by}",)
     )
     # The page shows real records.
     monkeypatch.setattr(training, "render_training_report", lambda *_: "")
-    result = train_reinforcement(
+    result = train_in(
         dataclasses.replace(request(config), round_episodes=10), tmp_path / "run"
     )
     student = load_checkpoint(tmp_path / "run" / "student.safetensors")
@@ -353,7 +359,7 @@ def test_the_success_that_chooses_the_student_can_be_told(
 
 def test_an_unknown_success_that_chooses_is_refused() -> None:
     with pytest.raises(UsageError, match="Did you mean 'at_end'"):
-        with_fields(TINY, ("keep_best_by=at_ent",))
+        with_changes(TINY, ("keep_best_by=at_ent",))
 
 
 def test_horizon_and_stillness_of_training_may_differ_from_the_profile(
@@ -362,7 +368,7 @@ def test_horizon_and_stillness_of_training_may_differ_from_the_profile(
     polishing = dataclasses.replace(
         TINY, horizon=200, reward_mode="sparse", success_ends=True, stillness="absolute"
     )
-    with sessions.open_reinforcement(request(polishing), tmp_path) as session:
+    with sessions.open_reinforcement(request(polishing, out=tmp_path)) as session:
         assert session.env.task_config.stillness == "absolute"
         assert session.env.task_config.limits["close"].horizon == 200
         assert session.env.config.reward_mode == "sparse"
@@ -376,7 +382,7 @@ def test_a_stillness_of_the_command_goes_before_that_of_the_preset(
     told = dataclasses.replace(
         told, scene=dataclasses.replace(told.scene, stillness="published")
     )
-    with sessions.open_reinforcement(told, tmp_path) as session:
+    with sessions.open_reinforcement(dataclasses.replace(told, out=tmp_path)) as session:
         assert session.env.task_config.stillness == "published"
 
 
@@ -384,7 +390,7 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(tmp_path: Path) 
     told = dataclasses.replace(
         request(dataclasses.replace(TINY, samples=16)), round_episodes=1, eval_split="val"
     )
-    summary = train_reinforcement(told, tmp_path / "run").summary
+    summary = train_in(told, tmp_path / "run").summary
     judged = tmp_path / "run" / "evaluations" / "latest" / "config.json"
     assert (
         summary["split"]
@@ -404,12 +410,12 @@ def test_ctrl_c_before_the_first_checkpoint_keeps_the_actor(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(sessions.ReinforcementSession, "check_time", interrupted)
-    result = train_reinforcement(request(TINY), tmp_path / "run")
+    result = train_in(request(TINY), tmp_path / "run")
     assert result.interrupted and result.summary["trained"]
     kept = load_checkpoint(Path(result.summary["checkpoint"]))
     assert kept.about["samples"] == result.summary["student_samples"] == 16
     monkeypatch.setattr(PpoLearner, "collect", ctrl_c)
-    early = train_reinforcement(request(TINY), tmp_path / "early")
+    early = train_in(request(TINY), tmp_path / "early")
     assert early.interrupted and early.summary["checkpoint"] is None
     assert not early.summary["trained"] and early.summary["split"] is None
 
@@ -446,9 +452,9 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
         config, ppo=dataclasses.replace(config.ppo, imitation_updates=1000)
     )
     told = dataclasses.replace(
-        request(config), budget_seconds=90.0, eval_episodes=1, round_episodes=100
+        request(config), budget_minutes=1.5, eval_episodes=1, round_episodes=100
     )
-    summary = train_reinforcement(told, tmp_path / "run").summary
+    summary = train_in(told, tmp_path / "run").summary
     # Half of the budget is reserved for evaluations that nobody has measured.
     assert now[0] == 50.0 and summary["samples"] == 0
     assert summary["trained"] is (slow == "imitation")
@@ -476,8 +482,8 @@ def free_port() -> int:
 
 def train_in_process(number: int, folder: str, port: int, resume: bool) -> None:
     join_as(number, port)
-    told = dataclasses.replace(request(TINY), budget_seconds=600.0)
-    train_reinforcement(told, Path(folder), resume)
+    told = dataclasses.replace(request(TINY), budget_minutes=10.0)
+    train_in(told, Path(folder), resume)
     torch.distributed.destroy_process_group()
 
 
@@ -493,7 +499,7 @@ def train_killed_and_whole(number: int, folder: str, port: int) -> None:
     """One of two processes that train, and train, are killed and resume."""
     join_as(number, port)
     told = request(SHORT_EPISODES)
-    train_reinforcement(told, Path(folder) / "whole")
+    train_in(told, Path(folder) / "whole")
     check = sessions.ReinforcementSession.check_time
 
     def killed(self: sessions.ReinforcementSession) -> None:
@@ -503,9 +509,9 @@ def train_killed_and_whole(number: int, folder: str, port: int) -> None:
 
     sessions.ReinforcementSession.check_time = killed  # type: ignore[method-assign]
     with pytest.raises(Killed):
-        train_reinforcement(told, Path(folder) / "killed")
+        train_in(told, Path(folder) / "killed")
     sessions.ReinforcementSession.check_time = check  # type: ignore[method-assign]
-    train_reinforcement(told, Path(folder) / "killed", resume=True)
+    train_in(told, Path(folder) / "killed", resume=True)
     torch.distributed.destroy_process_group()
 
 

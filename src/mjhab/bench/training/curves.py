@@ -11,15 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.bench.specs import CurvesSpec
-from mjhab.core.machine import cores
-from mjhab.learning.reinforcement.configs import PPO, changed, reinforcement_preset
-from mjhab.learning.reinforcement.session import ReinforcementRequest
+from mjhab.learning.reinforcement.specs import PpoSpec
 from mjhab.learning.reinforcement.train import train_reinforcement
-from mjhab.learning.runs.collection import Scene
 from mjhab.learning.runs.run import FINAL
 from mjhab.rollout.store import write_text
 
-SCENE = Scene("set_table", "close", "kitchen_counter/drawer3")
+TARGET = "kitchen_counter/drawer3"
 PRESETS = ("fast", "paper_state")
 LEVELS = (0.5, 0.8)
 """Success once whose first reaching is told."""
@@ -61,18 +58,19 @@ def train_curve(
     """
     summary = run / "summary.json"
     if not _is_through(summary, samples):
-        config = reinforcement_preset(PPO, preset)
-        values = {"samples": samples, "eval_samples": EVALUATED_SAMPLES}
-        request = ReinforcementRequest(
-            changed(config, values),
-            SCENE,
-            seed=seed,
-            threads=cores(),
+        spec = PpoSpec(
+            out=run,
+            preset=preset,
+            set=(f"eval_samples={EVALUATED_SAMPLES}",),
+            samples=samples,
+            env={"subtask": "close", "target": TARGET, "seed": seed},
             eval_episodes=EPISODES,
             round_episodes=EPISODES,
+            eval_split="train",
             films=0,
+            resume=(run / "config.json").is_file(),
         )
-        result = train_reinforcement(request, run, resume=(run / "config.json").is_file())
+        result = train_reinforcement(spec)
         if result.interrupted:
             raise KeyboardInterrupt
     lines = (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()

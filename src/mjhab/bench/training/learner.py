@@ -28,7 +28,7 @@ from mjhab.learning.reinforcement.sac.agent import Sac
 from mjhab.learning.reinforcement.sac.learner import SacLearner
 from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
-from mjhab.learning.runs.collection import Scene
+from mjhab.learning.runs.specs import Scene
 
 SCENE = Scene("set_table", "close", "kitchen_counter/drawer3")
 SAC_PRESETS = {"state": "state", "two depth images of 32 px": "fast"}

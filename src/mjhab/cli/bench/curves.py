@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from mjhab.cli.interrupts import sigterm_interrupts
-from mjhab.cli.options.policies.train import BenchCurvesOptions
+from mjhab.cli.options.policies.benches import BenchCurvesOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.learning.require import require_learn
 

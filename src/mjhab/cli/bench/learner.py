@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.cli.options.policies.train import BenchLearnerOptions
+from mjhab.cli.options.policies.benches import BenchLearnerOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.learning.require import require_learn
 

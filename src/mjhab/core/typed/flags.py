@@ -14,7 +14,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 
 @dataclass(frozen=True)
@@ -45,18 +45,41 @@ class OptionsOf:
     owner: the dataclass.
     apart: its fields that are no options here.
     defaults: values in place of the owner's defaults, for the help.
+    docs: by field, what it means here, where the owner's docstring does not hold.
+    shown: by field, the default as the help tells it.
     """
 
     owner: type[Any]
     apart: frozenset[str] = frozenset()
     defaults: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    docs: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    shown: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def flag(self, name: str, own: Flag) -> Flag:
+        """The flag of an option, whose field has the flag ``own``."""
+        told = "" if name in self.defaults else own.shown
+        return dataclasses.replace(own, shown=self.shown.get(name, told))
+
+
+Mark = TypeVar("Mark")
+
+
+def mark_of(owner: type[Any], name: str, kind: type[Mark]) -> Mark | None:
+    """The mark of a kind in the annotation of a field; None if it has none."""
+    hint = hints_of(owner)[name]
+    marks = typing.get_args(hint)[1:] if typing.get_origin(hint) is Annotated else ()
+    return next((mark for mark in marks if isinstance(mark, kind)), None)
+
+
+@cache
+def hints_of(owner: type[Any]) -> Mapping[str, Any]:
+    """The annotations of a dataclass with their marks, by field."""
+    return typing.get_type_hints(owner, include_extras=True)
 
 
 def flag_of(owner: type[Any], name: str) -> Flag:
-    """What the annotation of a field says."""
-    hint = typing.get_type_hints(owner, include_extras=True)[name]
-    marks = typing.get_args(hint)[1:] if typing.get_origin(hint) is Annotated else ()
-    return next((mark for mark in marks if isinstance(mark, Flag)), Flag())
+    """What the annotation of a field says about its option."""
+    return mark_of(owner, name, Flag) or Flag()
 
 
 @cache

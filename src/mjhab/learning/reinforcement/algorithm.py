@@ -54,8 +54,8 @@ class AlgorithmRun(ABC):
         """Evaluate and write a checkpoint if either became due since ``before`` samples."""
         session = self.session
         every = self.config.eval_samples
-        if session.request.round_episodes and session.due(every, before):
-            session.evaluate(self.actor, session.request.round_episodes)
+        if session.spec.round_episodes and session.due(every, before):
+            session.evaluate(self.actor, session.spec.round_episodes)
         # After the evaluation, so that a resumed run knows the best success.
         if session.due(self.config.checkpoint_samples, before):
             self.save()
@@ -96,7 +96,7 @@ class AlgorithmRun(ABC):
         def fill() -> ReplayBuffer:
             return (
                 self._replay_recorded()
-                if self.session.request.data
+                if self.session.spec.data
                 else self._ask_expert(episodes, style)
             )
 
@@ -120,7 +120,7 @@ class AlgorithmRun(ABC):
 
     def _ask_expert(self, episodes: int, style: tuple[str, ...]) -> ReplayBuffer:
         session = self.session
-        subtask = SUBTASKS[session.request.scene.subtask]
+        subtask = SUBTASKS[session.spec.scene.subtask]
         horizon = int(max(*horizons(session.env.task_config), subtask.limits.horizon)) + 2
 
         def make(worlds: int) -> ReplayBuffer:

@@ -10,15 +10,17 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 from mjhab.config.env import TrainConfig as TrainEnvConfig
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.bounds import Bound
 from mjhab.learning.configs import (
     BC,
     GAUSSIAN,
     PAPER_LOG_STD,
     TEACHING,
+    FromZero,
     InputConfig,
     NetworkConfig,
     StudentConfig,
@@ -86,15 +88,15 @@ class PpoConfig:
     desired_kl: float = 0.0
     least_learning_rate: float = 1e-5
     state_std: bool = False
-    critic_updates: int = 0
+    critic_updates: FromZero = 0
     critic_images: bool = True
     freeze_encoder: bool = False
-    demonstrations: int = 0
-    demonstration_style: tuple[str, ...] = ()
-    imitation_updates: int = 3000
+    demonstrations: FromZero = 0
+    demonstration_style: Annotated[tuple[str, ...], Bound(empty=True)] = ()
+    imitation_updates: FromZero = 3000
     imitation_batch: int = 256
     imitation_coefficient: float = 0.0
-    imitation_samples: int = 500_000
+    imitation_samples: FromZero = 500_000
 
     def __post_init__(self) -> None:
         for name in ("rollout_steps", "minibatches", "epochs"):
@@ -142,21 +144,21 @@ class SacConfig:
     batch: int = 256
     updates_per_step: float = 0.25
     capacity: int = 300_000
-    warm_up: int = 4000
+    warm_up: FromZero = 4000
     learning_rate: float = 3e-4
     adam_beta: float = 0.9
     initial_alpha: float = 0.1
     critics: int = 2
-    atoms: int = 101
-    value_low: float = 0.0
-    value_high: float = 20.0
+    atoms: FromZero = 101
+    value_low: Annotated[float, Bound(-math.inf)] = 0.0
+    value_high: Annotated[float, Bound(-math.inf)] = 20.0
     policy_delay: int = 2
     share_encoder: bool = True
-    demonstrations: int = 0
+    demonstrations: FromZero = 0
     demonstration_share: float = 0.5
     imitation_coefficient: float = 0.0
-    imitation_samples: int = 300_000
-    frozen_actor_samples: int = 0
+    imitation_samples: FromZero = 300_000
+    frozen_actor_samples: FromZero = 0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gamma < 1.0:
@@ -218,12 +220,12 @@ class ReinforcementConfig:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     ppo: PpoConfig | None = None
     sac: SacConfig | None = None
-    samples: int = 1_000_000
+    samples: FromZero = 1_000_000
     worlds: int = 32
     privileged_critic: bool = True
-    horizon: int = 0
+    horizon: FromZero = 0
     stagger: bool = True
-    episode_pool: int = 0
+    episode_pool: FromZero = 0
     force_ends: bool = False
     force_cost: float = 0.0
     reward_mode: str = TrainEnvConfig.reward_mode

@@ -8,7 +8,7 @@ from mjhab.config.profiles import unbound
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.layout import image_options
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
-from mjhab.learning.runs.collection import Scene
+from mjhab.learning.runs.specs import Scene
 
 
 def training_env(

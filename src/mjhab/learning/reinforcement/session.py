@@ -30,14 +30,13 @@ from mjhab.learning.checkpoint import (
     saved_state,
 )
 from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS
-from mjhab.learning.layout import Layout, inputs_of_robot, layout_of
+from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.reinforcement import distributed
-from mjhab.learning.reinforcement.configs import ONCE, ReinforcementConfig
+from mjhab.learning.reinforcement.configs import ONCE
 from mjhab.learning.reinforcement.environments import training_env
 from mjhab.learning.reinforcement.sight import Sight
+from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
-from mjhab.learning.runs.collection import Means, Scene
-from mjhab.learning.runs.defaults import FILMED_EPISODES
 from mjhab.learning.runs.evaluation import (
     EvaluationClock,
     Evaluations,
@@ -46,6 +45,7 @@ from mjhab.learning.runs.evaluation import (
 )
 from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
 from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
+from mjhab.learning.runs.specs import Means
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import gaussian_of
 from mjhab.learning.students.heads import check_student
@@ -58,53 +58,6 @@ DEMONSTRATIONS = "demonstrations"
 """Folders of a run's replay buffers."""
 RECENT_EPISODES = 200
 """Number of most recent training episodes that the reported training success rate covers."""
-
-
-@dataclass(frozen=True)
-class ReinforcementRequest:
-    """A training run: agent, scene and resources.
-
-    start: checkpoint to start the actor from, or "". threads: of physics and networks; 0 uses all cores.
-    budget_seconds: wall time of the whole run [s], 0 for no limit. eval_episodes: episodes of the final evaluation.
-    round_episodes: episodes of the evaluations during training, 0 for none. films: episodes to film in the first and
-    the last evaluation. backend, device: of the environment, see `EnvConfig`.
-    data: shards, or folders of shards, from which RLPD takes its demonstrations; without any, the scripted expert
-    generates them. where: filter on the episodes of ``data``; "" takes the successful ones. recompute_rewards: accept
-    episodes that were recorded with another profile or reward; their rewards are computed anew. eval_split: homes of
-    the final evaluation, "" for those of the scene, in which those on the way are.
-
-    The cameras that presets name are replaced by those of the scene's robot, see `inputs_of_robot`.
-
-    Raises:
-        UsageError: the scene names an unknown robot.
-    """
-
-    config: ReinforcementConfig
-    scene: Scene
-    seed: int = 0
-    start: str = ""
-    threads: int = 0
-    budget_seconds: float = 0.0
-    eval_episodes: int = 100
-    round_episodes: int = 32
-    films: int = FILMED_EPISODES
-    backend: str = "cpu"
-    device: str = ""
-    data: tuple[Path, ...] = ()
-    where: str = ""
-    recompute_rewards: bool = False
-    eval_split: str = ""
-
-    def __post_init__(self) -> None:
-        inputs = inputs_of_robot(self.config.inputs, self.scene.robot)
-        object.__setattr__(
-            self, "config", dataclasses.replace(self.config, inputs=inputs)
-        )
-
-    @property
-    def judged_split(self) -> str:
-        """Split of the homes of the final evaluation."""
-        return self.eval_split or self.scene.split
 
 
 @dataclass
@@ -134,46 +87,45 @@ class ReinforcementSession:
 
     def __init__(
         self,
-        request: ReinforcementRequest,
+        spec: ReinforcementSpec,
         folder: TrainingFolder,
         checkpoint: Path,
-        resume: bool,
     ) -> None:
-        threads = request.config.inputs.network_threads(request.threads)
+        threads = spec.config.inputs.network_threads(spec.threads)
         if threads:
             torch.set_num_threads(threads)
-        self.request = request
+        self.spec = spec
         self.folder = folder
         self.training_file = checkpoint
         """The state that the next update depends on, of this process."""
-        self.start = _start_of(request)
-        self.config = request.config
+        self.start = _start_of(spec)
+        self.config = spec.config
         if self.start is not None:
             self.config = dataclasses.replace(
-                request.config, inputs=self.start.config.inputs
+                spec.config, inputs=self.start.config.inputs
             )
         # Each process draws its own episodes and its own noise.
-        self.seed = request.seed + 1_000_003 * distributed.rank()
+        self.seed = spec.seed + 1_000_003 * distributed.rank()
         self.env = training_env(
-            request.scene,
+            spec.scene,
             self.config.inputs,
             self.config.worlds,
-            request.threads,
+            spec.threads,
             self.seed,
-            backend=request.backend,
-            device=request.device,
+            backend=spec.asked.backend,
+            device=spec.asked.device,
             **self._episodes(),
         )
         self.saved: Checkpoint | None = None
         self.standing = Standing()
-        if resume and checkpoint.is_file():
+        if spec.resume and checkpoint.is_file():
             self.saved = load_checkpoint(checkpoint)
             self.standing = saved_state(checkpoint, self.saved.about, Standing)
         self.layout = self._layout()
         check_student(self.config.student, self.layout)
         sight = Sight(self.env, self.layout, self.config.privileged_critic)
         self.privileged_width = sight.privileged_width
-        self.scene = dataclasses.replace(request.scene, profile=self.layout.profile)
+        self.scene = dataclasses.replace(spec.scene, profile=self.layout.profile)
         if self.start is not None:
             self.standing.trained = True
         self.worlds = Worlds(self.env, sight, self._episodes_seed(), self._rules())
@@ -182,7 +134,7 @@ class ReinforcementSession:
         """The latest evaluation; none after `keep_best` has chosen an actor that was evaluated earlier."""
         self.demonstrations = 0
         """Number of episodes in the demonstration buffer."""
-        self._clock = EvaluationClock(request.budget_seconds)
+        self._clock = EvaluationClock(spec.budget_seconds)
         self._began = time.perf_counter()
         self.learner_seconds = 0.0
         self.evaluation_seconds = 0.0
@@ -192,7 +144,7 @@ class ReinforcementSession:
 
     def _rules(self) -> TrainingRules:
         """Rules of training episodes in addition to those of the environment."""
-        subtask = self.request.scene.subtask
+        subtask = self.spec.scene.subtask
         limits = limits_of(self.env.task_config, subtask)
         conditions = SUBTASKS[subtask].conditions
         return TrainingRules(
@@ -210,9 +162,9 @@ class ReinforcementSession:
             "horizon": self.config.horizon,
             "episode_pool": self.config.episode_pool,
             "reward_mode": self.config.reward_mode,
-            "stillness": self.request.scene.stillness or self.config.stillness,
+            "stillness": self.spec.scene.stillness or self.config.stillness,
         }
-        if SUBTASKS[self.request.scene.subtask].navigates:
+        if SUBTASKS[self.spec.scene.subtask].navigates:
             del options["horizon"]
         return {name: value for name, value in options.items() if value}
 
@@ -231,7 +183,7 @@ class ReinforcementSession:
             layout = layout.told_in(self.saved.layout.conventions)
         # Training episodes may be of another stillness, by which the environment's profile is not recognised.
         return dataclasses.replace(
-            layout, profile=self.request.scene.profile or layout.profile
+            layout, profile=self.spec.scene.profile or layout.profile
         )
 
     # -- progress -----------------------------------------------------------------------------------------------------
@@ -264,9 +216,9 @@ class ReinforcementSession:
         Raises:
             OutOfTime: it does not, so training must end now.
         """
-        budget = self.request.budget_seconds
+        budget = self.spec.budget_seconds
         # At the end the last actor may have to be compared with the best one.
-        episodes = self.request.eval_episodes + self.request.round_episodes
+        episodes = self.spec.eval_episodes + self.spec.round_episodes
         reserve = self._clock.reserve(episodes)
         # The first process decides for all: if one process stopped alone, the others would wait for its gradients.
         if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
@@ -338,7 +290,7 @@ class ReinforcementSession:
             "samples": self.standing.samples,
             "trained": self.standing.trained,
             "scene": vars(self.scene),
-            "seed": self.request.seed,
+            "seed": self.spec.seed,
         }
         save_student(path or self.folder.student, actor, about)
         if path is None:
@@ -352,7 +304,7 @@ class ReinforcementSession:
         standing = self.standing
         if distributed.rank() or not standing.evaluated:
             return
-        episodes = self.request.round_episodes
+        episodes = self.spec.round_episodes
         if episodes and standing.evaluated[-1] != standing.samples:
             self.evaluate(actor, episodes)
         if self.folder.best.is_file() and standing.best_samples != standing.samples:
@@ -386,18 +338,18 @@ class ReinforcementSession:
         It is success once or at the end, as ``keep_best_by`` of the config says.
         """
         first = not self.standing.evaluated
-        films = self.request.films if first or last else 0
+        films = self.spec.films if first or last else 0
         began = time.perf_counter()
 
         def tell(done: int) -> None:
             self.log.show({"phase": f"evaluating: {done}/{episodes}"})
 
         tell(0)
-        means = Means(worlds=min(16, self.config.worlds), threads=self.request.threads)
+        means = Means(worlds=min(16, self.config.worlds), threads=self.spec.threads)
         # Those on the way choose the best actor: not in the homes that it is judged in.
-        split = self.request.judged_split if last else self.scene.split
+        split = self.spec.judged_split if last else self.scene.split
         judged = dataclasses.replace(self.scene, split=split)
-        evaluations = Evaluations(judged, means, self.request.seed, tell)
+        evaluations = Evaluations(judged, means, self.spec.seed, tell)
         out = self.folder.evaluation(FIRST if first and not last else LATEST)
         run = evaluations.run(self.folder.student, episodes, films, out)
         self.judged = Judgement(
@@ -419,97 +371,95 @@ class ReinforcementSession:
         return once if self.config.keep_best_by == ONCE else at_end
 
 
-def _start_of(request: ReinforcementRequest) -> Student | None:
-    """Load the student that the actor starts from; None if the request names none.
+def _start_of(spec: ReinforcementSpec) -> Student | None:
+    """Load the student that the actor starts from; None if the run names none.
 
     Raises:
         UsageError: the file cannot be read, or its algorithm does not fit the one to train.
     """
-    if not request.start:
+    if not spec.start:
         return None
-    student = load_student(Path(request.start))
+    student = load_student(spec.start)
     # Only the first action of a chunk is used; SAC squashes it, so a student of behaviour cloning is converted.
-    known = (BC,) if request.config.ppo is not None else (BC, GAUSSIAN, GAUSSIAN_ACTIONS)
+    known = (BC,) if spec.config.ppo is not None else (BC, GAUSSIAN, GAUSSIAN_ACTIONS)
     if student.config.algorithm not in known or student.config.inputs.history != 1:
         raise UsageError(
-            f"{request.config.algorithm} begins from a checkpoint of algorithm {' or '.join(known)} with a history of "
-            f"1; {request.start} has algorithm {student.config.algorithm} and history "
+            f"{spec.config.algorithm} begins from a checkpoint of algorithm {' or '.join(known)} with a history of "
+            f"1; {spec.start} has algorithm {student.config.algorithm} and history "
             f"{student.config.inputs.history}."
         )
-    if request.config.sac is not None and isinstance(student, BehaviourCloning):
+    if spec.config.sac is not None and isinstance(student, BehaviourCloning):
         student = gaussian_of(student)
     student.config = dataclasses.replace(student.config, execute=1)
     return student.requires_grad_(True)
 
 
-def _check_start(request: ReinforcementRequest) -> None:
+def _check_start(spec: ReinforcementSpec) -> None:
     """Refuse a preset that keeps the actor at first, if that actor would be a new one.
 
     Raises:
         UsageError: names the options that give a trained actor.
     """
-    ppo = request.config.ppo
+    ppo = spec.config.ppo
     if (
         ppo is not None
         and ppo.critic_updates
         and not ppo.demonstrations
-        and not request.start
+        and not spec.start
     ):
         raise UsageError(
-            f"preset {request.config.preset} begins from a trained student: give --start CHECKPOINT, or train from "
+            f"preset {spec.config.preset} begins from a trained student: give --start CHECKPOINT, or train from "
             "random weights with --preset scratch."
         )
 
 
-def resolved_config(request: ReinforcementRequest) -> dict[str, Any]:
+def resolved_config(spec: ReinforcementSpec) -> dict[str, Any]:
     """Everything that determines the result of a run, as JSON data.
 
     Raises:
         UsageError: the student that the actor starts from cannot be read.
     """
-    config = request.config
-    if request.start:
+    config = spec.config
+    if spec.start:
         # The network of the preset stays: it is that of the critic.
         config = dataclasses.replace(
-            config, inputs=load_student(Path(request.start)).config.inputs
+            config, inputs=load_student(spec.start).config.inputs
         )
     return {
         "algorithm": config.algorithm,
         "config": asdict(config),
-        "scene": asdict(request.scene),
-        "seed": request.seed,
-        "start": request.start,
-        "data": [str(path) for path in request.data],
-        "where": request.where,
-        "eval_split": request.judged_split,
-        "recompute_rewards": request.recompute_rewards,
-        "backend": request.backend,
+        "scene": asdict(spec.scene),
+        "seed": spec.seed,
+        "start": str(spec.start or ""),
+        "data": [str(path) for path in spec.data],
+        "where": spec.where or "",
+        "eval_split": spec.judged_split,
+        "recompute_rewards": spec.recompute_rewards,
+        "backend": spec.asked.backend,
         "processes": distributed.processes(),
         "mjhab": __version__,
     }
 
 
 @contextmanager
-def open_reinforcement(
-    request: ReinforcementRequest, out: Path, resume: bool = False
-) -> Iterator[ReinforcementSession]:
-    """Open a training session in the folder ``out``; its logs are closed on exit.
+def open_reinforcement(spec: ReinforcementSpec) -> Iterator[ReinforcementSession]:
+    """Open a training session in the folder of the run; its logs are closed on exit.
 
     Raises:
         UsageError: folder, scene or checkpoint do not fit; then nothing was written.
     """
     distributed.join()
-    config = resolved_config(request)
+    config = resolved_config(spec)
     first = distributed.rank() == 0
-    mine = out if first else out / f"rank_{distributed.rank()}"
+    mine = spec.out if first else spec.out / f"rank_{distributed.rank()}"
     if not first:
         # The first process refuses a folder that is not empty, so it goes first.
         distributed.wait()
-    check_folder(mine, config, resume=resume, replaceable=False)
-    _check_start(request)
-    with closing(TrainingFolder.open(mine, config, resume=resume)) as folder:
+    check_folder(mine, config, resume=spec.resume, replaceable=False)
+    _check_start(spec)
+    with closing(TrainingFolder.open(mine, config, resume=spec.resume)) as folder:
         if first:
             distributed.wait()
-        session = ReinforcementSession(request, folder, out / TRAINING, resume)
+        session = ReinforcementSession(spec, folder, spec.out / TRAINING)
         with session.log:
             yield session

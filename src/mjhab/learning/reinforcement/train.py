@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from mjhab.learning.reinforcement.ppo.run import PpoRun
 from mjhab.learning.reinforcement.sac.run import SacRun
 from mjhab.learning.reinforcement.session import (
-    ReinforcementRequest,
     ReinforcementSession,
     open_reinforcement,
 )
+from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.result import TrainingResult
 from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime
-from mjhab.learning.runs.train import TrainingResult
 
 
-def train_reinforcement(
-    request: ReinforcementRequest, out: Path, resume: bool = False
-) -> TrainingResult:
-    """Train an agent, evaluate it, and write everything into the folder ``out``.
+def train_reinforcement(spec: ReinforcementSpec) -> TrainingResult:
+    """Train an agent, evaluate it, and write everything into the folder of the run.
 
-    After Ctrl-C the student is the actor of that moment; ``resume`` continues from the last training checkpoint.
+    After Ctrl-C the student is the actor of that moment; a resumed run continues from the last training checkpoint.
 
     Raises:
         UsageError: folder, scene or checkpoint do not fit.
         BrokenLossError: a loss or a gradient is not finite; the run's student is that of the last checkpoint.
     """
     interrupted = False
-    with refused_leaves_nothing(out), open_reinforcement(request, out, resume) as session:
+    with refused_leaves_nothing(spec.out), open_reinforcement(spec) as session:
         run = PpoRun(session) if session.config.ppo is not None else SacRun(session)
         prepared = False
         try:
@@ -38,8 +35,8 @@ def train_reinforcement(
                 run.prepare()
                 prepared = True
                 session.check_time()
-                if request.round_episodes and not session.standing.evaluated:
-                    session.evaluate(run.actor, request.round_episodes)
+                if spec.round_episodes and not session.standing.evaluated:
+                    session.evaluate(run.actor, spec.round_episodes)
                 run.learn()
             except OutOfTime:
                 session.log.show({"phase": "the budget is spent"})
@@ -50,8 +47,8 @@ def train_reinforcement(
                 session.keep_last(run.actor)
             session.keep_best(run.actor)
             # Random weights are not judged.
-            if request.eval_episodes and session.standing.trained:
-                session.evaluate_student(request.eval_episodes)
+            if spec.eval_episodes and session.standing.trained:
+                session.evaluate_student(spec.eval_episodes)
         except KeyboardInterrupt:
             session.keep_last(run.actor)
             interrupted = True

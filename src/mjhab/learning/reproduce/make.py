@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
-from mjhab.core.machine import cores
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.by_subtask import Entry, entries_text
-from mjhab.learning.configs import preset_of
 from mjhab.learning.reproduce.results import measured, untrained, write_results
 from mjhab.learning.reproduce.rows import (
     FOR_ALL,
@@ -25,9 +23,11 @@ from mjhab.learning.reproduce.rows import (
     policy_targets,
 )
 from mjhab.learning.reproduce.spec import (
+    TRAINED_IN,
     TableSpec,
     chosen_rows,
     chosen_variants,
+    env_of,
     policy_rows,
     table_config,
 )
@@ -38,15 +38,13 @@ from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import check_folder, write_text
 
 if TYPE_CHECKING:
-    from mjhab.learning.runs.collection import Scene
-    from mjhab.learning.runs.train import TrainingResult
+    from mjhab.learning.runs.result import TrainingResult
 
 CONFIG = "config.json"
 ROW = "row.json"
 TRAIN = "train"
 STUDENT = "student.safetensors"
 POLICIES = "policies.json"
-SECONDS_PER_MINUTE = 60.0
 Sinks = Callable[[EvalSpec], Sequence[Sink]]
 """Makes the listeners of an evaluation, for instance a progress bar."""
 
@@ -257,53 +255,28 @@ def _name_of(row: TableRow, target: str) -> str:
 
 def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingResult:
     """Train a policy, or continue its training."""
-    from mjhab.learning.runs.collection import Scene
-
-    scene = Scene(
-        row.task,
-        row.subtask,
-        target or FOR_ALL,
-        assets=spec.assets,
-        **profile_options(spec),
-    )
-    resume = (run / CONFIG).is_file()
+    common: dict[str, Any] = {
+        "out": run,
+        "preset": spec.preset_name,
+        "env": env_of(spec, row, target or FOR_ALL),
+        "budget_minutes": spec.budget_minutes,
+        "eval_episodes": 0,
+        "round_episodes": 0,
+        "eval_split": TRAINED_IN,
+        "resume": (run / CONFIG).is_file(),
+    }
     if spec.column == STUDENTS:
-        return _train_student(spec, scene, run, resume)
+        from mjhab.learning.devices import CPU
+        from mjhab.learning.runs.specs import DaggerSpec
+        from mjhab.learning.runs.train import train_imitation
+
+        common["env"]["num_envs"] = spec.worlds
+        return train_imitation(DaggerSpec(device=spec.device or CPU, **common))
     from mjhab.learning.reinforcement.configs import reinforcement_preset
-    from mjhab.learning.reinforcement.session import ReinforcementRequest
+    from mjhab.learning.reinforcement.specs import ReinforcementSpec
     from mjhab.learning.reinforcement.train import train_reinforcement
 
-    request = ReinforcementRequest(
-        config=reinforcement_preset(algorithm_of(row, spec.column), spec.preset_name),
-        scene=scene,
-        seed=spec.seed,
-        threads=spec.threads or cores(),
-        budget_seconds=SECONDS_PER_MINUTE * spec.budget_minutes,
-        eval_episodes=0,
-        round_episodes=0,
-        backend=spec.backend,
-        device=spec.device,
-    )
-    return train_reinforcement(request, run, resume)
-
-
-def _train_student(
-    spec: TableSpec, scene: Scene, run: Path, resume: bool
-) -> TrainingResult:
-    from mjhab.learning.devices import CPU
-    from mjhab.learning.runs.collection import Means
-    from mjhab.learning.runs.request import Request
-    from mjhab.learning.runs.train import train
-
-    request = Request(
-        config=preset_of("dagger", spec.preset_name),
-        scene=scene,
-        means=Means(spec.worlds, 1, spec.threads or cores()),
-        seed=spec.seed,
-        budget_seconds=SECONDS_PER_MINUTE * spec.budget_minutes,
-        eval_episodes=0,
-        round_episodes=0,
-        torch_threads=spec.threads,
-        device=spec.device or CPU,
-    )
-    return train(request, run, resume=resume)
+    algorithm = algorithm_of(row, spec.column)
+    common["preset"] = reinforcement_preset(algorithm, spec.preset_name)
+    common["env"] |= {"backend": spec.backend, "device": spec.device}
+    return train_reinforcement(ReinforcementSpec(**common))

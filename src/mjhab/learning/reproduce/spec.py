@@ -42,6 +42,9 @@ DEFAULT_ROWS = {
 }
 """Rows of a study if none are named."""
 
+TRAINED_IN = "train"
+"""Split of the homes of training, which the record of a run also names for its final evaluation, of no episodes."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TableSpec(ProfileChoice):
@@ -87,6 +90,19 @@ class TableSpec(ProfileChoice):
     def preset_name(self) -> str:
         """Name of the preset, defaults resolved."""
         return self.preset or DEFAULT_PRESETS.get(self.column, REINFORCEMENT_PRESET)
+
+
+def env_of(spec: TableSpec, row: TableRow, target: str) -> dict[str, Any]:
+    """Options of the environment in which a policy of a row is trained."""
+    return {
+        "task": row.task,
+        "subtask": row.subtask,
+        "target": target,
+        "assets": spec.assets,
+        "seed": spec.seed,
+        "threads": spec.threads,
+        **profile_options(spec),
+    }
 
 
 def known_rows(what: str) -> dict[str, TableRow]:

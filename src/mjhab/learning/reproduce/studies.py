@@ -6,20 +6,17 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mjhab.config.profile_choice import profile_options
-from mjhab.core.machine import cores
 from mjhab.learning.changes import with_changes
 from mjhab.learning.configs import BC, DIFFUSION, StudentConfig, TrainConfig, preset_of
 from mjhab.learning.reproduce.rows import TableRow
-from mjhab.learning.reproduce.spec import TableSpec
+from mjhab.learning.reproduce.spec import TRAINED_IN, TableSpec, env_of
 from mjhab.learning.reproduce.variants import STYLES, Imitation
 
 if TYPE_CHECKING:
-    from mjhab.learning.runs.collection import Means, Scene
-    from mjhab.learning.runs.train import TrainingResult
+    from mjhab.learning.runs.result import TrainingResult
+    from mjhab.learning.runs.specs import ImitationSpec
 
 DATA = "data"
-SECONDS_PER_MINUTE = 60.0
 
 
 def train_imitation(
@@ -43,37 +40,30 @@ def train_imitation(
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed while demonstrations were collected; they are kept.
     """
-    from mjhab.learning.runs.collection import Means, Scene
-    from mjhab.learning.runs.request import Request
-    from mjhab.learning.runs.train import train
+    from mjhab.learning.runs.specs import ImitationSpec
+    from mjhab.learning.runs.train import train_imitation
 
-    scene = Scene(
-        row.task, row.subtask, row.target, assets=spec.assets, **profile_options(spec)
-    )
-    means = Means(
-        spec.worlds, spec.workers, spec.threads or max(1, cores() // spec.workers)
-    )
-    config = config_of(spec, imitation)
-    places = tuple(
-        _collected(spec, config, scene, means, folder / DATA, name)
-        for name in imitation.data
-    )
-    half = f"success and index < {_episodes(spec) // 2}" if len(places) > 1 else ""
-    request = Request(
-        config=config,
-        scene=scene,
-        means=means,
-        seed=spec.seed,
-        data=places,
-        where=half,
-        per_target=imitation.per_target,
-        budget_seconds=SECONDS_PER_MINUTE * spec.budget_minutes,
+    asked = ImitationSpec(
+        out=run,
+        preset=config_of(spec, imitation),
+        env={**env_of(spec, row, row.target), "num_envs": spec.worlds},
+        budget_minutes=spec.budget_minutes,
         eval_episodes=0,
         round_episodes=0,
-        torch_threads=spec.threads,
+        eval_split=TRAINED_IN,
         device=spec.device or "cpu",
+        workers=spec.workers,
+        resume=resume,
     )
-    return train(request, run, resume=resume)
+    places = tuple(
+        _collected(spec, asked, folder / DATA, name) for name in imitation.data
+    )
+    half = f"success and index < {_episodes(spec) // 2}" if len(places) > 1 else None
+    return train_imitation(
+        dataclasses.replace(
+            asked, data=places, where=half, per_target=imitation.per_target
+        )
+    )
 
 
 def config_of(spec: TableSpec, imitation: Imitation) -> TrainConfig:
@@ -111,24 +101,23 @@ def _data_folder(config: StudentConfig, preset: StudentConfig, name: str) -> str
     return "_".join(parts)
 
 
-def _collected(
-    spec: TableSpec, config: TrainConfig, scene: Scene, means: Means, out: Path, name: str
-) -> Path:
-    """The folder of a data set; collects what it lacks."""
+def _collected(spec: TableSpec, asked: ImitationSpec, out: Path, name: str) -> Path:
+    """The folder of a data set for a training; collects what it lacks."""
     from mjhab.learning.runs.collection import Collector, Round
-    from mjhab.learning.runs.request import Request, layout_for
+    from mjhab.learning.runs.request import layout_for
 
     preset = preset_of(BC, spec.preset_name).student
     inputs = dataclasses.replace(
-        preset.inputs, image_size=config.student.inputs.image_size
+        preset.inputs, image_size=asked.config.student.inputs.image_size
     )
     seen = TrainConfig(dataclasses.replace(preset, inputs=inputs))
-    layout = layout_for(Request(seen, scene, means))
+    layout = layout_for(dataclasses.replace(asked, preset=seen))
     changes = {**_by_name(preset.style), **_by_name(STYLES[name])}
-    hold_steps = config.student.hold_steps
+    hold_steps = asked.config.student.hold_steps
     wanted = Round(
         0, _episodes(spec), hold_steps=hold_steps, style=tuple(changes.values())
     )
-    folder = out / _data_folder(config.student, preset, name)
-    Collector(scene, layout.env_options(), means, spec.seed).collect(wanted, folder)
+    folder = out / _data_folder(asked.config.student, preset, name)
+    collector = Collector(asked.scene, layout.env_options(), asked.means, asked.seed)
+    collector.collect(wanted, folder)
     return folder

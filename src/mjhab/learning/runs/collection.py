@@ -18,51 +18,12 @@ from mjhab.data.record.generation import Job, Standing, generate
 from mjhab.data.store.images import ImageFormat
 from mjhab.evaluation.generate import make_crew
 from mjhab.learning.demos import SUCCESSES
+from mjhab.learning.runs.specs import Means, Scene
 from mjhab.learning.runs.take_over import TakeOver
 from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Environment options of a training run, as on the command line.
-
-    profile, spawn_rule, stillness, joint_dynamics: as in `EnvConfig`; "" takes those of the given data, or else the
-    defaults. robot: its name, "" for the default.
-    """
-
-    task: str = "set_table"
-    subtask: str = "close"
-    target: str = ""
-    split: str = "train"
-    assets: str | dict[str, Any] = "builtin"
-    home: str = ""
-    profile: str = ""
-    spawn_rule: str = ""
-    stillness: str = ""
-    joint_dynamics: str = ""
-    robot: str = ""
-
-    @property
-    def name(self) -> str:
-        """``TASK/SUBTASK`` or ``TASK/SUBTASK/TARGET``."""
-        return "/".join(filter(None, (self.task, self.subtask, self.target)))
-
-    def env_options(self) -> dict[str, Any]:
-        """Options of `mjhab.envs.make`; empty values are left out and take its defaults."""
-        return {name: value for name, value in asdict(self).items() if value}
-
-    def apart_from_profile(self) -> dict[str, Any]:
-        """The non-empty options that can be combined with a profile."""
-        given = {
-            "spawn_rule": self.spawn_rule,
-            "stillness": self.stillness,
-            "joint_dynamics": self.joint_dynamics,
-            "robot": self.robot,
-        }
-        return {name: value for name, value in given.items() if value}
 
 
 @dataclass(frozen=True)
@@ -81,23 +42,6 @@ class Round:
     horizon: int = 0
     hold_steps: int = -1
     style: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Means:
-    """Resources of collection and evaluation; they change the speed, not the results.
-
-    worlds: per process. workers: number of processes. threads: per process, 0 uses all cores.
-    """
-
-    worlds: int = 16
-    workers: int = 1
-    threads: int = 0
-
-    @property
-    def at_once(self) -> int:
-        """Number of episodes that run at the same time."""
-        return self.worlds * self.workers
 
 
 def make_env(

@@ -26,8 +26,8 @@ def train_dagger(session: Session, config: DaggerConfig) -> None:
             collect_round(session, config, number)
         updates = config.updates if number else session.config.updates
         session.train(updates, config.new_share)
-        if session.request.round_episodes:
-            session.evaluate(session.request.round_episodes)
+        if session.spec.round_episodes:
+            session.evaluate(session.spec.round_episodes)
         if number == config.rounds and not config.final_updates:
             return
         session.save_student(session.folder.round_student(number + 1))
@@ -38,16 +38,16 @@ def train_dagger(session: Session, config: DaggerConfig) -> None:
 def restore_rounds(session: Session, config: DaggerConfig) -> None:
     """Load the demonstrations of the finished rounds."""
     for number in range(session.progress.round):
-        if number == 0 and session.request.data:
-            session.load(session.request.data, session.request.filter)
+        if number == 0 and session.spec.data:
+            session.load(session.spec.data, session.spec.filter)
         else:
             session.load_round(number)
 
 
 def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
-    """Load or collect the demonstrations of a round; round 0 takes the data of the request, if there are any."""
-    if number == 0 and session.request.data:
-        session.load(session.request.data, session.request.filter)
+    """Load or collect the demonstrations of a round; round 0 takes the data of the specification, if there are any."""
+    if number == 0 and session.spec.data:
+        session.load(session.spec.data, session.spec.filter)
         return
     student = session.folder.round_student(number) if number else None
     episodes = config.episodes if number else session.config.demos

@@ -25,7 +25,7 @@ from mjhab.learning.demos import Demonstrations, load_demonstrations
 from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.layout import Layout
 from mjhab.learning.runs.budget import EpisodeClock, RoundNeeds
-from mjhab.learning.runs.collection import Collector, Round, Scene
+from mjhab.learning.runs.collection import Collector, Round
 from mjhab.learning.runs.evaluation import (
     EvaluationClock,
     Evaluations,
@@ -33,8 +33,9 @@ from mjhab.learning.runs.evaluation import (
     judgement_row,
 )
 from mjhab.learning.runs.interrupts import held_interrupts
-from mjhab.learning.runs.request import Request, layout_for, resolved_config
+from mjhab.learning.runs.request import layout_for, resolved_config
 from mjhab.learning.runs.run import Logbook, TrainingFolder
+from mjhab.learning.runs.specs import ImitationSpec, Scene
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
@@ -75,22 +76,22 @@ class Session:
     """State of a run. Make one with `open_session`."""
 
     def __init__(
-        self, request: Request, layout: Layout, folder: TrainingFolder, resume: bool
+        self, spec: ImitationSpec, layout: Layout, folder: TrainingFolder
     ) -> None:
-        threads = request.config.student.inputs.network_threads(request.torch_threads)
+        threads = spec.config.student.inputs.network_threads(spec.torch_threads)
         if threads:
             torch.set_num_threads(threads)
-        self.request = request
+        self.spec = spec
         self.folder = folder
-        self.scenes = [replace(scene, profile=layout.profile) for scene in request.scenes]
-        self.config = request.config.student
+        self.scenes = [replace(scene, profile=layout.profile) for scene in spec.scenes]
+        self.config = spec.config.student
         self.sources: list[Demonstrations] = []
         self.progress = Progress()
         self.judged = Judgement()
         """The latest complete evaluation."""
         saved = (
             load_checkpoint(folder.training)
-            if resume and folder.training.is_file()
+            if spec.resume and folder.training.is_file()
             else None
         )
         if saved is not None:
@@ -98,17 +99,15 @@ class Session:
             # An older version began the run with other conventions, perhaps; its weights keep them.
             layout = layout.told_in(saved.layout.conventions)
         self.layout = layout
-        self.device = training_device(request.device)
-        student = make_student(self.config, layout, request.seed).to(self.device)
-        self.trainer = Trainer(student, request.seed, request.config.updates)
+        self.device = training_device(spec.device)
+        student = make_student(self.config, layout, spec.seed).to(self.device)
+        self.trainer = Trainer(student, spec.seed, spec.config.updates)
         if saved is not None:
             with restoring(folder.training):
                 self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
         self.fitted = saved is not None and bool(saved.about.get("fitted", True))
         self.collectors = [
-            Collector(
-                scene, layout.env_options(), request.means, request.seed, request.ray
-            )
+            Collector(scene, layout.env_options(), spec.means, spec.seed, spec.ray or "")
             for scene in self.scenes
         ]
         self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
@@ -116,21 +115,21 @@ class Session:
         self.shortage = ""
         """What the run needs, if its time budget ends before its first update; "" while it does not."""
         self._collecting_since = 0.0
-        self._clock = EvaluationClock(request.budget_seconds)
+        self._clock = EvaluationClock(spec.budget_seconds)
 
     # -- data --------------------------------------------------------------------------------------------------------
 
     def load(self, places: Path | Sequence[Path], where: Filter | None = None) -> None:
         """Add demonstrations to the training data; the first ones added determine the normalizers."""
         self.log.show({"phase": "reading demonstrations"})
-        workers = self.request.means.workers
+        workers = self.spec.means.workers
         data = load_demonstrations(
             places,
             self.layout,
             self.config.hold_steps,
             where,
             workers,
-            self.request.per_target,
+            self.spec.per_target,
         )
         self.sources.append(data if self.device.type == CPU else data.on(self.device))
         if not self.fitted:
@@ -163,7 +162,7 @@ class Session:
             if len(self.scenes) > 1:
                 phase += f", {scene.name}"
 
-            pace = EpisodeClock(self.request.means.at_once)
+            pace = EpisodeClock(self.spec.means.at_once)
 
             def tell(
                 now: Standing, phase: str = phase, pace: EpisodeClock = pace
@@ -208,12 +207,12 @@ class Session:
         reserved = self._clock.reserve(judged)
         evaluated = len(self.scenes) * judged
         needs = RoundNeeds(episodes, seconds, self._collecting_since, evaluated, reserved)
-        needs.check(self.request.budget_seconds)
+        needs.check(self.spec.budget_seconds)
 
     def sampler(self, new_share: float) -> BatchSampler:
         """Sampler of batches from the loaded data; ``new_share`` is the fraction from the newest demonstrations."""
         return BatchSampler(
-            self.sources, self.config.optimizer.batch, new_share, self.request.seed
+            self.sources, self.config.optimizer.batch, new_share, self.spec.seed
         )
 
     @property
@@ -281,14 +280,14 @@ class Session:
 
     def _out_of_time(self) -> bool:
         """Whether the rest of the time budget is needed for the final evaluation."""
-        budget = self.request.budget_seconds
+        budget = self.spec.budget_seconds
         reserve = self._clock.reserve(self._episodes_to_judge())
         return bool(budget) and self.log.seconds + reserve > budget
 
     def _episodes_to_judge(self) -> int:
         """Number of episodes of every scene whose evaluation the time budget must still cover."""
-        first = 0 if self.progress.evaluated else self.request.round_episodes
-        return self.request.eval_episodes + first
+        first = 0 if self.progress.evaluated else self.spec.round_episodes
+        return self.spec.eval_episodes + first
 
     def next_round(self) -> None:
         """Begin the next round."""
@@ -301,7 +300,7 @@ class Session:
         self.progress.seconds = self.log.seconds
         about = {
             **vars(self.progress),
-            "algorithm": self.request.config.algorithm,
+            "algorithm": self.spec.config.algorithm,
             "preset": self.config.preset,
             "fitted": self.fitted,
         }
@@ -314,12 +313,12 @@ class Session:
     def save_student(self, path: Path) -> None:
         """Write the policy for evaluation, the moving average of the weights, as a student checkpoint."""
         about = {
-            "algorithm": self.request.config.algorithm,
+            "algorithm": self.spec.config.algorithm,
             "step": self.trainer.step,
             "samples": self.progress.samples,
             "scene": vars(self.scenes[0]),
             "also": [vars(scene) for scene in self.scenes[1:]],
-            "seed": self.request.seed,
+            "seed": self.spec.seed,
         }
         save_student(path, self.trainer.average, about)
 
@@ -332,9 +331,9 @@ class Session:
         """
         self.save()
         first = not self.progress.evaluated
-        films = self.request.films if first or last else 0
+        films = self.spec.films if first or last else 0
         folder = self.folder.evaluation(FIRST if first and not last else LATEST)
-        split = self.request.judged_split if last else self.request.scene.split
+        split = self.spec.judged_split if last else self.spec.scene.split
         began = time.perf_counter()
         found = {
             scene.name: self._evaluate_in(
@@ -363,22 +362,22 @@ class Session:
 
         tell(0)
         judged = replace(scene, split=split)
-        evaluations = Evaluations(judged, self.request.means, self.request.seed, tell)
+        evaluations = Evaluations(judged, self.spec.means, self.spec.seed, tell)
         return list(evaluations.run(self.folder.student, episodes, films, out).records)
 
 
 @contextmanager
-def open_session(request: Request, out: Path, resume: bool = False) -> Iterator[Session]:
-    """Open a training session in the folder ``out``; its logs are closed on exit.
+def open_session(spec: ImitationSpec) -> Iterator[Session]:
+    """Open a training session in the folder of the run; its logs are closed on exit.
 
     Raises:
         UsageError: data, folder or scene do not fit; then nothing was written.
     """
-    config = resolved_config(request)
-    check_folder(out, config, resume=resume, replaceable=False)
-    layout = layout_for(request)
-    check_student(request.config.student, layout)
-    with closing(TrainingFolder.open(out, config, resume=resume)) as folder:
-        session = Session(request, layout, folder, resume)
+    config = resolved_config(spec)
+    check_folder(spec.out, config, resume=spec.resume, replaceable=False)
+    layout = layout_for(spec)
+    check_student(spec.config.student, layout)
+    with closing(TrainingFolder.open(spec.out, config, resume=spec.resume)) as folder:
+        session = Session(spec, layout, folder)
         with session.log:
             yield session

@@ -15,10 +15,10 @@ def train_supervised(session: Session) -> None:
     Raises:
         OutOfTime: the budget is spent.
     """
-    request = session.request
+    spec = session.spec
     config = session.config
-    if request.data:
-        session.load(request.data, request.filter)
+    if spec.data:
+        session.load(spec.data, spec.filter)
     else:
         session.collect(
             Round(0, config.demos, hold_steps=config.hold_steps, style=config.style)
@@ -27,9 +27,9 @@ def train_supervised(session: Session) -> None:
         until = config.updates * part // EVALUATIONS
         if session.progress.round_step < until:
             session.train(until)
-        if not request.round_episodes or part == EVALUATIONS or not until:
+        if not spec.round_episodes or part == EVALUATIONS or not until:
             continue
         # An earlier start of the run may have been stopped in the evaluation.
         made = until in session.progress.evaluated
         if session.progress.round_step == until and not made:
-            session.evaluate(request.round_episodes)
+            session.evaluate(spec.round_episodes)

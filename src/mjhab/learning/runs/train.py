@@ -2,53 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from mjhab.data.record.provenance import source_commit
 from mjhab.learning.runs.budget import BudgetTooSmallError
 from mjhab.learning.runs.dagger import train_dagger
 from mjhab.learning.runs.report import render_training_report
-from mjhab.learning.runs.request import Request
+from mjhab.learning.runs.result import TrainingResult
 from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime, Session, open_session
+from mjhab.learning.runs.specs import ImitationSpec
 from mjhab.learning.runs.supervised import train_supervised
 from mjhab.learning.runs.training import BrokenLossError
 
 
-@dataclass(frozen=True)
-class TrainingResult:
-    """Result of a training run.
-
-    summary: results as JSON data. report: path of the HTML report. interrupted: Ctrl-C ended the run.
-    """
-
-    summary: dict[str, Any]
-    report: Path
-    interrupted: bool
-
-
-def train(request: Request, out: Path, resume: bool = False) -> TrainingResult:
+def train_imitation(spec: ImitationSpec) -> TrainingResult:
     """Train a student, evaluate it, and write everything into a folder. Ctrl-C writes a checkpoint.
 
     Args:
-        request: what to train.
-        out: the folder.
-        resume: continue the run in ``out``; the result equals that of an uninterrupted run.
+        spec: what to train; the result of a resumed run equals that of an uninterrupted one.
 
     Raises:
         UsageError: data, folder or scene do not fit.
         BrokenLossError: the loss became NaN; the weights from before it are kept.
     """
     interrupted = False
-    with refused_leaves_nothing(out), open_session(request, out, resume) as session:
+    with refused_leaves_nothing(spec.out), open_session(spec) as session:
         try:
             _learn(session)
             session.save()
             # Random weights are not judged.
-            if request.eval_episodes and session.trainer.step:
-                session.evaluate(request.eval_episodes, last=True)
+            if spec.eval_episodes and session.trainer.step:
+                session.evaluate(spec.eval_episodes, last=True)
                 session.save()
         except (KeyboardInterrupt, BrokenLossError) as error:
             # Neither an interrupt nor a broken loss changes weights; before the data are read there is nothing to keep.
@@ -76,10 +61,10 @@ def summarize(session: Session) -> dict[str, Any]:
     the latest complete one. ``checkpoint`` is None while there is none; ``trained`` tells whether the network was ever
     updated, and ``shortage`` what a budget lacks that ends before the first update.
     """
-    dagger = session.request.config.dagger
+    dagger = session.spec.config.dagger
     judged = session.judged
     return {
-        "algorithm": session.request.config.algorithm,
+        "algorithm": session.spec.config.algorithm,
         "preset": session.config.preset,
         "steps": session.trainer.step,
         "samples": session.progress.samples,
@@ -103,7 +88,7 @@ def summarize(session: Session) -> dict[str, Any]:
 
 def _learn(session: Session) -> None:
     """Run the algorithm until it has finished or the time budget is spent."""
-    dagger = session.request.config.dagger
+    dagger = session.spec.config.dagger
     try:
         if dagger is not None:
             train_dagger(session, dagger)

@@ -9,7 +9,8 @@ from typing import Annotated
 import tyro
 
 from mjhab.cli.options.common import Assets, Name, Number, ProfileOptions
-from mjhab.cli.options.policies.train import Minutes
+
+Minutes = Annotated[float, tyro.conf.arg(metavar="MINUTES")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,10 +70,10 @@ class _Play:
         self.worlds = worlds
         self._session = session
         self._env = demonstration_env(
-            session.request.scene,
+            session.spec.scene,
             session.config,
             worlds,
-            session.request.threads,
+            session.spec.threads,
             DEMONSTRATION_SEED + session.seed,
         )
         self._sight = Sight(self._env, session.layout, session.config.privileged_critic)

@@ -45,17 +45,17 @@ def replay_recorded(
     """Simulate recorded episodes again and store them in a replay buffer.
 
     Args:
-        session: of the run; its request names shards and filter.
+        session: of the run; its spec names shards and filter.
         make: makes a buffer for a number of worlds and a number of control steps per world.
         tell: called with the number of finished episodes and the number of all episodes.
 
     Raises:
         UsageError: no episode passes the filter; or an episode has another subtask, robot or control mode than the
-            run; or it has another profile or other rewards and the request does not set ``recompute_rewards``.
+            run; or it has another profile or other rewards and the spec does not set ``recompute_rewards``.
     """
-    request = session.request
-    where = Filter(request.where or SUCCESSES)
-    found = select(list(request.data), where)
+    spec = session.spec
+    where = Filter(spec.where or SUCCESSES)
+    found = select(list(spec.data), where)
     if not found.matched:
         raise nothing_to_learn()
     total = len(found.matched)
@@ -107,7 +107,7 @@ def check_episode(session: ReinforcementSession, episode: RecordedEpisode) -> No
                 f"episode {episode.name} of {episode.shard.path} was recorded with {name} {env[name]!r}, but the run "
                 f"uses {wanted!r}; exclude such episodes with --where."
             )
-    if session.request.recompute_rewards:
+    if session.spec.recompute_rewards:
         return
     wrong = []
     profile = recorded_profile(episode)
@@ -144,7 +144,7 @@ class _Player:
         self._env = recorded_env(
             run,
             num_envs=worlds,
-            threads=session.request.threads,
+            threads=session.spec.threads,
             reward_mode=config.reward_mode,
             **image_options(session.config.inputs),
         )

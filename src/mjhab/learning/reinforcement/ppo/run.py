@@ -31,7 +31,7 @@ class PpoRun(AlgorithmRun):
             self.config,
             session.layout,
             session.privileged_width,
-            session.request.seed,
+            session.spec.seed,
             session.start,
         ).to(worlds.device)
         self.actor = agent.actor

@@ -43,7 +43,7 @@ class SacRun(AlgorithmRun):
             self.config,
             session.layout,
             session.privileged_width,
-            session.request.seed,
+            session.spec.seed,
             start,
         ).to(worlds.device)
         self.actor = self.agent.actor

@@ -378,10 +378,7 @@ def test_horizon_and_stillness_of_training_may_differ_from_the_profile(
 def test_a_stillness_of_the_command_goes_before_that_of_the_preset(
     tmp_path: Path,
 ) -> None:
-    told = request(dataclasses.replace(TINY, stillness="absolute"))
-    told = dataclasses.replace(
-        told, scene=dataclasses.replace(told.scene, stillness="published")
-    )
+    told = request(dataclasses.replace(TINY, stillness="absolute"), stillness="published")
     with sessions.open_reinforcement(dataclasses.replace(told, out=tmp_path)) as session:
         assert session.env.task_config.stillness == "published"
 

@@ -191,13 +191,16 @@ def judge(spec: TableSpec, judging: EvalSpec, sinks: Sinks) -> Path:
     from mjhab.learning.runs.evaluation import EVALUATION_SEED
 
     assert judging.out is not None
+    shared = {
+        "num_envs": spec.worlds,
+        "seed": EVALUATION_SEED + spec.seed,
+        "split": spec.split,
+        "assets": spec.assets,
+        "threads": spec.threads,
+    }
     full = dataclasses.replace(
         judging,
-        worlds=spec.worlds,
-        seed=EVALUATION_SEED + spec.seed,
-        split=spec.split,
-        assets=spec.assets,
-        threads=spec.threads,
+        env={**judging.env, **shared},
         films=spec.films,
         resume=(judging.out / CONFIG).is_file(),
     )

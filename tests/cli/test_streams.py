@@ -36,7 +36,9 @@ def test_an_evaluation_is_whole_where_stderr_cannot_be_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert callable(unwritable)
-    monkeypatch.setattr(evaluate, "make_env", lambda spec, options: FakeEnv(spec.worlds))
+    monkeypatch.setattr(
+        evaluate, "make_env", lambda spec, options: FakeEnv(spec.asked.num_envs)
+    )
     monkeypatch.setattr(sys, "stderr", unwritable())
     run = ["eval", "--policy", "zero", "--episodes", "4", "--worlds", "2", "--films", "0"]
     assert main([*run, "--out", str(tmp_path / "run"), "--json"]) == 0

@@ -195,7 +195,7 @@ def test_a_checkpoint_that_was_never_trained_is_told(
     save_student(path, make_student(config(), layout()), about)
     facts = inspect_policy(str(path))
     assert ("never trained (0 updates)" in facts.caution) == warns
-    told = resolved_config(EvalSpec(policy=str(path), subtask="pick"), facts)
+    told = resolved_config(EvalSpec.of(policy=str(path), subtask="pick"), facts)
     assert told.get("policy_caution", "") == facts.caution
 
 

@@ -158,9 +158,12 @@ class EpisodeRecord:
         """Control steps to the first success of the episode (of a whole task: to its end), None without success."""
         if not self.success_once:
             return None
-        last = self.subtasks[-1] if self.subtasks else None
-        needed = last.steps_to_success if last else None
-        return self.steps if last is None or needed is None else last.start_step + needed
+        if not self.subtasks:
+            found = (step for step, name in self.events if name == "success")
+            return min(found, default=self.steps)
+        last = self.subtasks[-1]
+        needed = last.steps_to_success
+        return self.steps if needed is None else last.start_step + needed
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for ``json.dumps``; keys are the field names, without the OPTIONAL ones that are empty."""

@@ -71,7 +71,7 @@ OBJECT = "extra/obj_pose_wrt_base"
         (
             "Pick",
             OBJECT,
-            "Pick: its object (position, quaternion with w >= 0); zero once",
+            "Pick: its object (position, quaternion with w >= 0, in the axes of object_axes); zero once",
         ),
         ("Pick", GOAL, "zero in Pick (position); zero once"),
         ("Place", GOAL, "Place: where its object goes"),

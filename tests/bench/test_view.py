@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from mjhab.bench.specs import ViewSpec
+from mjhab.bench.specs import ViewBenchSpec
 from mjhab.bench.view import measure_view
 from mjhab.core.errors import UsageError
 
 
 def test_frames_and_bytes_are_counted() -> None:
-    measured = measure_view(ViewSpec(worlds=(1, 4), seconds=0.5, threads=1))
+    measured = measure_view(ViewBenchSpec(worlds=(1, 4), seconds=0.5, threads=1))
     assert list(measured) == ["1", "4"]
     for found in measured.values():
         assert found["opening_mb"] > 0.3, "a home has more bytes"
@@ -19,6 +19,6 @@ def test_frames_and_bytes_are_counted() -> None:
 
 def test_what_cannot_be_shown_is_told() -> None:
     with pytest.raises(UsageError, match="worlds must be at least 1"):
-        measure_view(ViewSpec(worlds=(0,)))
+        measure_view(ViewBenchSpec(worlds=(0,)))
     with pytest.raises(UsageError, match="expret"):
-        measure_view(ViewSpec(worlds=(1,), policy="expret"))
+        measure_view(ViewBenchSpec(worlds=(1,), policy="expret"))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.conventions.names import Conventions
 from mjhab.learning.configs import InputConfig, NetworkConfig
 from mjhab.learning.layout import Layout
 from mjhab.learning.reinforcement.configs import (
@@ -77,6 +78,10 @@ class Toy:
     def link_state(self) -> np.ndarray:
         """There is no link."""
         return np.zeros((self.num_envs, 5), np.float32)
+
+    def state_as(self, conventions: Conventions) -> np.ndarray:
+        """The state has neither objects nor joints: it is the same in all conventions."""
+        return self._obs()["state"]
 
     @property
     def state(self) -> Any:

@@ -34,7 +34,7 @@ class Session:
         self.worlds = Worlds(env, sight, 0, rules)
         self.layout = LAYOUT
         self.privileged_width = sight.privileged_width
-        self.request = SimpleNamespace(seed=0, round_episodes=0)
+        self.spec = SimpleNamespace(seed=0, round_episodes=0)
         self.seed = 0
         self.start = None
         self.saved: Any = None

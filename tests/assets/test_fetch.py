@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
+import signal
 import socket
 import zipfile
 from collections.abc import Iterator
@@ -134,8 +135,13 @@ def test_a_broken_run_is_continued_by_the_next(hub: FakeHub, tmp_path: Path) -> 
 
 def test_ctrl_c_ends_a_file_in_its_middle(hub: FakeHub, tmp_path: Path) -> None:
     hub.faults[BIG_PATH] = ["ctrl-c"]
-    with pytest.raises(KeyboardInterrupt):
-        fetch(SOURCE, tmp_path)
+    # A shell starts its background jobs with SIGINT ignored, and the test suite may be one.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            fetch(SOURCE, tmp_path)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert not list(tmp_path.rglob("big.glb")) and len(ranges(hub)) == 1
     fetch(SOURCE, tmp_path)
     assert installed(tmp_path) == FILES and no_leftovers(tmp_path)

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-unit test-generate test-sentences test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-rsl-rl test-rllib test-browser test-wheel docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-sentences test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-rsl-rl test-rllib test-browser release-check docs check format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -137,20 +137,8 @@ docs: $(DOCS)/.ready  ## the documentation as a site, with a reference made of d
 	$(DOCS)/bin/mkdocs build --clean
 	@echo "Open in a browser (no network needed): $(CURDIR)/runs/site/index.html"
 
-WHEEL := .venv-wheel
-WHEEL_OUT := runs/wheel
-$(WHEEL)/.ready: $(SETUP_FILES) $(shell find src -type f -not -name '*.pyc' -not -path '*.egg-info*') | $(BIN)/python
-	@echo "mjhab: building a wheel and installing it, and nothing else, into $(WHEEL)"
-	@rm -rf $(WHEEL) $(WHEEL_OUT) build && mkdir -p $(WHEEL_OUT)
-	@$(PIP) wheel -q --no-deps --wheel-dir $(WHEEL_OUT) .
-	@"$(PYTHON)" -m venv $(WHEEL)
-	@$(WHEEL)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt $(WHEEL_OUT)/mjhab-*.whl
-	@touch $@
-
-test-wheel: $(WHEEL)/.ready  ## the package without its checkout: demo, report, homes, package data
-	@# From another folder and without the paths of this one, so that nothing of the checkout can be imported.
-	cd / && env -u PYTHONPATH $(CURDIR)/$(WHEEL)/bin/python -I $(CURDIR)/tests/packaging/check_wheel.py \
-	  $(CURDIR)/src/mjhab $(CURDIR)/$(WHEEL_OUT)/demo
+release-check:  ## build sdist and wheel, install the wheel alone into an empty environment, run demo and examples there
+	"$(PYTHON)" tests/packaging/release_check.py
 
 SB3 := .venv-sb3
 $(SB3)/.ready: $(SETUP_FILES) | $(BIN)/python
@@ -259,4 +247,4 @@ clean:  ## remove caches and build products (runs and .venv stay)
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
-	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(WHEEL) $(SB3) $(SKRL) $(MANISKILL) $(RSL_RL) $(RLLIB) $(TORCHRL) $(ROBOSUITE) src/*.egg-info
+	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(SB3) $(SKRL) $(MANISKILL) $(RSL_RL) $(RLLIB) $(TORCHRL) $(ROBOSUITE) src/*.egg-info

@@ -2,7 +2,7 @@
 
     python tests/packaging/release_check.py [--keep FOLDER]
 
-Copies the tracked files of the checkout into a temporary folder, builds sdist and wheel there (the wheel from the sdist,
+Copies the tracked files into a temporary folder, builds sdist and wheel there (the wheel from the sdist,
 as registries have it), installs the wheel and nothing else into an empty environment with the versions of
 constraints.txt, and runs `check_wheel.py` in it: package data, demo, every example. Ends with 1 at the first failure.
 Standard library only: nothing has to be installed before.
@@ -48,7 +48,7 @@ def faults(tree: Path, version: str) -> list[str]:
     unreleased = re.search(
         r"^## \[Unreleased\]\n(.*?)^## ", log, re.DOTALL | re.MULTILINE
     )
-    if unreleased and unreleased[1].strip():
+    if unreleased and "\n- " in unreleased[1]:
         found.append(f"CHANGELOG.md: lines under [Unreleased] belong to [{version}]")
     return found
 

@@ -13,7 +13,6 @@ from scipy.ndimage import distance_transform_edt
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.experts.arm.motion import DRIVE_LOOKAHEAD_M
 from mjhab.experts.base.navigation import FloorClearance, Planner
 from mjhab.experts.base.pilot import SPEED_LAG_S, YAW_LAG_S, Pilot
 
@@ -79,9 +78,7 @@ def test_planned_ways_are_clear_and_driven_to_the_goal(seed, yaw, final):
     np.testing.assert_allclose(path[[0, -1]], [start, goal])
     for a, b in pairwise(path):
         assert planner.line_clearance(a, b[None])[0] >= planner.radius - 1e-9
-    steps, track = drive(
-        Pilot(path, final, 1, DRIVE_LOOKAHEAD_M), np.array([*start, yaw])
-    )
+    steps, track = drive(Pilot(path, final, 1, 0.2), np.array([*start, yaw]))
     assert steps >= 0
     assert np.linalg.norm(track[-1, :2] - goal) <= 0.05
     assert abs(wrap(track[-1, 2] - final)) <= 0.1

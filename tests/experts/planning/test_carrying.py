@@ -19,6 +19,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import FIRM, Care
+from mjhab.experts.arm.held import CORNER_RADIUS_M, held_spheres, holds
 from mjhab.experts.base.route import (
     MIN_MAP_CLEARANCE_M,
     Route,
@@ -27,7 +28,6 @@ from mjhab.experts.base.route import (
     arm_gone,
     drive_of,
     follow,
-    holds,
     plan_route,
     simulate,
     torso_gone,
@@ -38,7 +38,6 @@ from mjhab.experts.planning.base_poses import (
     base_poses,
     overreach,
 )
-from mjhab.experts.planning.carry import CORNER_RADIUS_M, held_spheres
 from mjhab.experts.planning.workplace import Scene, Work, surroundings
 from mjhab.experts.skills.pick_plans import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.skills.place import DROP_HEIGHTS_M, Release, hand_goals, place

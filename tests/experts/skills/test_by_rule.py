@@ -10,7 +10,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
-from mjhab.experts.arm import motion
+from mjhab.experts.base.ajar import planner
 from mjhab.experts.policy import ExpertPolicy
 from mjhab.experts.skills import pick_by_rule, place_by_rule
 from mjhab.experts.skills.by_rule import DISTANCES_M
@@ -88,7 +88,7 @@ def test_the_stance_faces_the_object_at_a_fixed_distance() -> None:
         assert np.linalg.norm(pos) < 0.15
         np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-9)
         assert (
-            motion.planner(view.home).clearance_at(stance.base[:2])
+            planner(view, shut=True).clearance_at(stance.base[:2])
             > view.robot.footprint.wide
         )
 

@@ -24,6 +24,7 @@ from mjhab.episodes.grasps.candidates import (
 )
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
+from mjhab.experts.arm.held import held_spheres
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import Pilot
 from mjhab.experts.base.route import (
@@ -34,7 +35,7 @@ from mjhab.experts.base.route import (
     plan_route,
 )
 from mjhab.experts.planning.base_poses import way_out
-from mjhab.experts.planning.carry import grip, held_spheres, inside_depth
+from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.planning.workplace import Scene, surroundings
 from mjhab.experts.skills.pick_plans import (
     FREE_OFFSET_M,
@@ -191,10 +192,10 @@ def test_height_below_centre(shape: ObjectShape, rot: np.ndarray, height: float)
 
 
 def test_gripper_action_for_an_opening():
-    assert grip(ROBOT, 0.10) == pytest.approx(1.0) and grip(
+    assert motion.gripper_at(ROBOT, 0.10) == pytest.approx(1.0) and motion.gripper_at(
         ROBOT, -0.02
     ) == pytest.approx(-1.0)
-    assert grip(ROBOT, 0.04) == pytest.approx(0.0)
+    assert motion.gripper_at(ROBOT, 0.04) == pytest.approx(0.0)
 
 
 def test_plan_of_a_pick_is_clear_of_the_furniture():
@@ -213,7 +214,7 @@ def test_plan_of_a_pick_is_clear_of_the_furniture():
     pos, rot = ROBOT.chain.tip_pose(stance.at[None])
     np.testing.assert_allclose(pos[0], goals.pos[stance.goal], atol=0.01)
     np.testing.assert_allclose(rot[0], goals.rot[stance.goal], atol=0.1)
-    assert motion.planner(view.home).clearance_at(stance.at[:2]) >= 0.27
+    assert planner(view, shut=True).clearance_at(stance.at[:2]) >= 0.27
 
 
 def test_failed_base_poses_are_avoided():

@@ -10,6 +10,8 @@ import numpy as np
 from mjhab.core.rotations import frame_from_axes
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
+from mjhab.experts.base.ajar import planner
+from mjhab.experts.base.route import drive_to
 
 STAND_OFF_M = 0.75
 DRIVE_FROM_M = 0.9
@@ -49,14 +51,14 @@ def come_near(view: WorldView, middle: np.ndarray) -> Script:
     here = view.base[:2]
     if np.linalg.norm(here - middle) <= DRIVE_FROM_M:
         return
-    planner = motion.planner(view.home)
+    floor = planner(view, shut=True)
     angles = np.linspace(-np.pi, np.pi, 24, endpoint=False)
     ring = middle + STAND_OFF_M * np.column_stack([np.cos(angles), np.sin(angles)])
     for spot in sorted(ring, key=lambda xy: float(np.linalg.norm(xy - here))):
-        if planner.plan(here, spot) is not None:
+        if floor.plan(here, spot) is not None:
             toward = middle - spot
             pose = np.array([*spot, np.arctan2(toward[1], toward[0])])
-            yield from motion.drive_to(view, pose, gripper=motion.CLOSED)
+            yield from drive_to(view, pose, gripper=motion.CLOSED)
             return
 
 

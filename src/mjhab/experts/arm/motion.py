@@ -14,14 +14,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from mjhab.core.joints import BASE, BASE_XY
+from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.envs.parts.world_view import HomeShapes, WorldView
+from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.base.navigation import FloorClearance, Planner
-from mjhab.experts.base.pilot import Pilot
 from mjhab.robots.robot import Robot
 
 Motion = Generator[np.ndarray, None, bool]
@@ -30,8 +28,6 @@ Until = Callable[[WorldView], bool]
 OPEN = 1.0
 CLOSED = -1.0
 """Gripper commands."""
-DRIVE_LOOKAHEAD_M = 0.2
-"""Look-ahead distance of the `Pilot` of `drive_to`."""
 QUIET_RAD_S = 0.3
 """Speed of every arm joint below which the arm counts as settled."""
 OPENED_M = 0.004
@@ -64,22 +60,6 @@ def arm_spheres(robot: Robot) -> RobotSpheres:
     whole = spheres(robot)
     return whole.only(
         [name for name in whole.chain.links if name not in robot.trunk_links]
-    )
-
-
-def planner(home: HomeShapes) -> Planner:
-    """Path planner of the base for a home with its doors and drawers closed; built once per home."""
-    return home.derived.get("planner", lambda: _planner(home))
-
-
-def _planner(home: HomeShapes) -> Planner:
-    # Time limits are short: little comfort clearance gives short paths.
-    return Planner(
-        FloorClearance(home.map_origin, home.map_cell, home.map_clearance),
-        radius=home.robot.footprint.wide,
-        comfort=0.12,
-        caution=2.0,
-        narrow=home.robot.footprint.narrow,
     )
 
 
@@ -200,28 +180,6 @@ def move_joints(
         if np.abs(goal - view.q)[columns].max() <= tolerance:
             return True
         yield action(view, goal, gripper=gripper, speed=speed)
-    return False
-
-
-def drive_to(
-    view: WorldView, goal: np.ndarray, *, gripper: float, max_steps: int = 120
-) -> Motion:
-    """Drive the base around furniture to ``goal`` (3,) x, y [m], yaw [rad], with the arm in its present configuration.
-
-    Returns whether the base arrived; False when there is no path.
-    """
-    path = planner(view.home).plan(view.base[:2], goal[BASE_XY])
-    if path is None:
-        return False
-    if np.linalg.norm(path[-1] - goal[:2]) > 1e-6:
-        path = np.concatenate([path, goal[None, :2]])
-    pilot = Pilot(path, float(goal[2]), direction=1, lookahead=DRIVE_LOOKAHEAD_M)
-    posture = view.q
-    for _ in range(max_steps):
-        forward, turn, arrived = pilot.step(view.base)
-        yield action(view, posture, gripper=gripper, drive=(forward, turn))
-        if arrived:
-            return True
     return False
 
 

@@ -1,4 +1,4 @@
-"""Maps of free floor in which open doors and drawers are obstacles."""
+"""Path planners of a home, with its doors and drawers closed or as they are."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 
 from mjhab.core.boxes import nearest_box_distance
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
-from mjhab.experts.arm import motion
 from mjhab.experts.arm.clearance import Boxes
 from mjhab.experts.base.navigation import FloorClearance, Planner
 
@@ -14,18 +13,34 @@ OVERHANG_M = 0.05
 """Added to the clearance to open drawers and doors: at their height the robot is narrower than at its base."""
 
 
-def planner(view: WorldView) -> Planner:
-    """Path planner of the world's home, with the doors and drawers that are open now as obstacles."""
-    ajar = {name: round(view.link_q(name), 1) for name in view.home.links}
-    ajar_now = tuple((name, q) for name, q in ajar.items() if q > 0.05)
-    if not ajar_now:
-        return motion.planner(view.home)
+def planner(view: WorldView, *, shut: bool = False) -> Planner:
+    """Path planner of the world's home, with the doors and drawers that are open now as obstacles.
+
+    Args:
+        view: the world.
+        shut: count all doors and drawers as closed.
+    """
     home = view.home
+    ajar = () if shut else tuple((k, round(view.link_q(k), 1)) for k in home.links)
+    ajar_now = tuple((name, q) for name, q in ajar if q > 0.05)
+    if not ajar_now:
+        return home.derived.get("planner", lambda: _planner(home))
     return home.derived.get(("planner", ajar_now), lambda: _planner_with(home, ajar_now))
 
 
+def _planner(home: HomeShapes) -> Planner:
+    # Time limits are short: little comfort clearance gives short paths.
+    return Planner(
+        FloorClearance(home.map_origin, home.map_cell, home.map_clearance),
+        radius=home.robot.footprint.wide,
+        comfort=0.12,
+        caution=2.0,
+        narrow=home.robot.footprint.narrow,
+    )
+
+
 def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Planner:
-    plain = motion.planner(home)
+    plain = home.derived.get("planner", lambda: _planner(home))
     boxes = Boxes.join([home.links[name].boxes(q) for name, q in ajar])
     nx, ny = plain.clearance.shape
     x = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell

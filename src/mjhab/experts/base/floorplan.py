@@ -17,8 +17,8 @@ from mjhab.core.joints import BASE
 from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import motion
+from mjhab.experts.arm.held import held_spheres
 from mjhab.experts.base.ajar import planner
-from mjhab.experts.planning.carry import held_spheres
 
 BASE_CLEARANCE_M = 0.29
 """Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m."""

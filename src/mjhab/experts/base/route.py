@@ -15,6 +15,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
 from mjhab.experts.arm.gentle import Care, eased
+from mjhab.experts.arm.held import holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import MAX_SPEED_M_S, Pilot, simulate
@@ -294,6 +295,20 @@ def follow(
     return False
 
 
+def drive_to(view: WorldView, goal: np.ndarray, *, gripper: float) -> Motion:
+    """Drive the base around furniture to ``goal`` (3,) x, y [m], yaw [rad], with the arm in its present configuration.
+
+    Returns whether the base arrived; False when there is no path, or the robot is blocked.
+    """
+    found = drive_of(view, goal, direction=1)
+    if found is None:
+        return False
+    path, direction, lookahead, poses = found
+    arm = view.q
+    route = Route(path, float(goal[2]), direction, lookahead, arm, 0, len(poses), 0.0)
+    return (yield from follow(view, route, gripper=gripper))
+
+
 class _ArmWay:
     """Sequence of goals of the arm while a route is executed, from configuration ``start`` (J,)."""
 
@@ -313,11 +328,6 @@ class _ArmWay:
                 return via[self._at]
             self._at += 1
         return via[self._at] if self._at < len(via) else self._route.arm
-
-
-def holds(view: WorldView, obj: str) -> bool:
-    """Whether a finger presses an object with more than 0.1 N."""
-    return bool((view.finger_forces(obj) > 0.1).any())
 
 
 def _direction(pose: np.ndarray, path: np.ndarray, yaw: float) -> int:

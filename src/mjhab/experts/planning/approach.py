@@ -14,6 +14,7 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
+from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import simulate
 from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
 from mjhab.experts.style import wait_for
@@ -220,7 +221,7 @@ def fold(
     q = view.q
     rest = motion.rest_goal(view)
     boxes = obstacles(view, q[None], shut)
-    floor = motion.planner(view.home)
+    floor = planner(view, shut=True)
     best: Route | None = None
     for way in ways:
         goal = q[BASE] - way * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW]), 0.0])

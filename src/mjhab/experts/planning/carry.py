@@ -5,26 +5,26 @@ Lengths [m], angles [rad], world frame. Letters: J joints, H spheres.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
-from mjhab.core.rotations import mat_from_quat, wrap
+from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.arm.gentle import care_for
+from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import (
     BLOCKED_FORCE_N,
     BLOCKED_STEPS,
     Route,
     RouteWish,
     follow,
-    holds,
     plan_route,
 )
 from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
@@ -59,16 +59,8 @@ STUCK_STEPS = 6
 fingers."""
 IN_CLEARANCE_M = 0.012
 """Clearance above which the arm keeps its planned configuration while the base drives in."""
-CORNER_RADIUS_M = 0.012
-"""Radius of the spheres in the corners of a held box."""
 MAX_CORRECTION_RAD = 0.5
 """Largest change of a joint that corrects a lateral error of the base."""
-
-
-def grip(robot: Robot, opening: float) -> float:
-    """Gripper action for a distance between the pads [m]."""
-    low, high = robot.limits.gripper
-    return float(np.clip(2.0 * (opening / 2 - low) / (high - low) - 1.0, -1.0, 1.0))
 
 
 def inside_depth(view: WorldView, point: np.ndarray) -> float:
@@ -206,29 +198,6 @@ def _room_in(robot: Robot, goal: np.ndarray, way: float, boxes: Boxes) -> float:
     return float(motion.spheres(robot).clearance(q, boxes).min())
 
 
-def held_spheres(view: WorldView, obj: str) -> tuple[np.ndarray, np.ndarray]:
-    """Spheres that cover the bounding box of an object in the hand: centres (H, 3) in the tool frame, radii (H,)."""
-    pos, rot = motion.tcp(view)
-    pose = view.object_pose(obj)
-    half = np.array(view.object_type(obj).half)
-    radius = max(float(half.min()), 0.5 * float(np.sort(half)[1]))
-    axes = []
-    for size in half:
-        room = max(size - radius, 0.0)
-        axes.append(np.linspace(-room, room, 1 + int(np.ceil(2 * room / (1.3 * radius)))))
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    size = np.full(len(grid), radius)
-    if view.object_shape(obj).kind in ("box", "mesh"):
-        # The larger spheres leave out the corners, and a collision of a corner knocks the object out of the hand.
-        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * (
-            half - CORNER_RADIUS_M
-        )
-        grid = np.concatenate([grid, corners])
-        size = np.append(size, np.full(len(corners), CORNER_RADIUS_M))
-    world = pose[:3] + grid @ mat_from_quat(pose[3:]).T
-    return (world - pos) @ rot, size
-
-
 def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     """Bring the arm to its rest pose; the base drives backwards as far as obstacles require.
 
@@ -285,7 +254,7 @@ def plan_home(
     now = view.q
     goal = motion.rest_goal(view)
     care = care_for(view) if holding else None
-    cells = motion.planner(view.home)
+    cells = planner(view, shut=True)
     best: Route | None = None
     for back in ways:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])

@@ -23,6 +23,7 @@ from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.base.ajar import planner
 from mjhab.robots.kinematics import Chain
 from mjhab.robots.robot import Robot
 
@@ -334,7 +335,7 @@ def rank(
         else np.concatenate([stances.q[:, :, BASE_XY], also], axis=1)
     )
     room = (
-        motion.planner(view.home)
+        planner(view, shut=True)
         .clearance_at(frame.point(places))
         .min(axis=1, initial=np.inf)
     )

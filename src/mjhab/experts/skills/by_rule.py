@@ -20,6 +20,7 @@ from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.pilot import Pilot
 from mjhab.experts.planning.reach import clear_ones
 from mjhab.experts.planning.workplace import Scene
@@ -125,12 +126,12 @@ def find_stance(
     """
     if not len(hands.pos):
         return None
-    planner = motion.planner(view.home)
+    floor = planner(view, shut=True)
     for base in _bases(view, point):
         found = _nearest_to_rest(view, scene, base, hands)
         if found is None:
             continue
-        path = planner.plan(view.base[:2], base[:2])
+        path = floor.plan(view.base[:2], base[:2])
         if path is not None and np.linalg.norm(path[-1] - base[:2]) < PATH_END_M:
             return RuledStance(base, path, *found)
     return None
@@ -143,10 +144,10 @@ def _bases(view: WorldView, point: np.ndarray) -> Iterator[np.ndarray]:
         grid.ravel() for grid in np.meshgrid(angles, DISTANCES_M, indexing="ij")
     )
     xy = point[:2] - distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-    planner = motion.planner(view.home)
-    cost = planner.costs(view.base[:2])[planner.cells(xy)]
+    floor = planner(view, shut=True)
+    cost = floor.costs(view.base[:2])[floor.cells(xy)]
     cost = cost + DISTANCE_PRICE * np.abs(distance - DISTANCES_M[0])
-    cost[planner.clearance_at(xy) < planner.radius + STANCE_ROOM_M] = np.inf
+    cost[floor.clearance_at(xy) < floor.radius + STANCE_ROOM_M] = np.inf
     order = np.argsort(cost, kind="stable")[:MAX_STANCES]
     for k in order[np.isfinite(cost[order])]:
         yield np.array([*xy[k], yaw[k]])

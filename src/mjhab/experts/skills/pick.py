@@ -14,8 +14,9 @@ from mjhab.core.joints import BASE, BASE_XY
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
+from mjhab.experts.arm.held import holds
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.route import BLOCKED_FORCE_N, follow, holds
+from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
 from mjhab.experts.planning.carry import (
     HASTY_SPEED_M_S,
     OUT_SPEED_M_S,
@@ -24,7 +25,6 @@ from mjhab.experts.planning.carry import (
     drive_in,
     drive_out,
     go_home,
-    grip,
     hurry_home,
     inside_depth,
 )
@@ -258,7 +258,7 @@ def _take(
     on a shelf, was shifted on the way."""
     start = view.object_pose(obj)[:3]
     goal = goals.take(np.array([stance.goal]))
-    opening = grip(view.robot, float(goal.opening[0]) + 0.004)
+    opening = motion.gripper_at(view.robot, float(goal.opening[0]) + 0.004)
     arrived = yield from follow(view, stance.route, gripper=opening)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE_N:
         yield from go_home(view, obj, holding=False)

@@ -18,8 +18,17 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.pinch import ObjectShape
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import care_for
+from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.arm.release import (
+from mjhab.experts.base.route import follow
+from mjhab.experts.planning.carry import (
+    ReachIn,
+    drive_in,
+    go_home,
+    inside_depth,
+)
+from mjhab.experts.planning.reach import hand_room, settle_reach, stances
+from mjhab.experts.planning.release import (
     TIGHT_PLAY_M,
     away_speed,
     drawn_back,
@@ -27,16 +36,6 @@ from mjhab.experts.arm.release import (
     play,
     tipped,
 )
-from mjhab.experts.base.route import follow, holds
-from mjhab.experts.planning.carry import (
-    ReachIn,
-    drive_in,
-    go_home,
-    grip,
-    held_spheres,
-    inside_depth,
-)
-from mjhab.experts.planning.reach import hand_room, settle_reach, stances
 from mjhab.experts.planning.sampled import Found, roomier
 from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
@@ -415,7 +414,7 @@ def _put(
     yield from motion.move_tcp(view, down)
     until = wait_for(view, motion.is_quiet)
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2, until=until)
-    opening = grip(view.robot, let_go_width(view, obj, pos, rot))
+    opening = motion.gripper_at(view.robot, let_go_width(view, obj, pos, rot))
     speed = away_speed(view)
     until = wait_for(view, motion.has_opened(opening))
     yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5, until=until)

@@ -7,9 +7,9 @@ import numpy as np
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.gentle import care_for, eased
+from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
-from mjhab.experts.base.route import holds
-from mjhab.experts.planning.carry import held_spheres, inside_depth
+from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.planning.workplace import Scene, surroundings
 from mjhab.experts.skills import place as search
 from mjhab.experts.skills.by_rule import (

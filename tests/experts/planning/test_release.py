@@ -13,7 +13,8 @@ import mjhab.envs as envs
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_rotation_vector, quat_from_mat
 from mjhab.episodes.grasps.candidates import ObjectShape
-from mjhab.experts.arm import ik, motion, release
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.planning import release
 from mjhab.experts.planning.workplace import surroundings
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.robots.fetch.robot import ROBOT

@@ -13,7 +13,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
 from mjhab.experts.base.driving import BRISK, simulate
 from mjhab.experts.base.floorplan import BASE_CLEARANCE_M, SLICES_M, Arm, Floorplan
-from mjhab.experts.base.lattice import YAWS, Lattice, Leg
+from mjhab.experts.base.lattice import YAWS, Lattice, PathSegment
 from mjhab.experts.skills import navigate
 from mjhab.tasks.plan import Subtask
 
@@ -45,8 +45,8 @@ def ending_at(lattice: Lattice, xy: tuple[float, float]) -> np.ndarray:
     return np.where(np.repeat(near[None], 16, axis=0), 0.0, np.inf)
 
 
-def driven(legs: list[Leg], pose: np.ndarray) -> np.ndarray:
-    return simulate(pose, legs, 0.1, BRISK)
+def driven(segments: list[PathSegment], pose: np.ndarray) -> np.ndarray:
+    return simulate(pose, segments, 0.1, BRISK)
 
 
 def two_rooms() -> Map:
@@ -98,8 +98,8 @@ def test_robot_backs_out_of_a_passage_too_narrow_to_turn_in():
     pose = np.array([4.5, 2.0, 0.0])
     found = lattice.search(pose, ending_at(lattice, (1.5, 2.0)))
     assert found is not None
-    inside = [leg for leg in found[1] if leg.points[0, 0] > 3.1]
-    assert inside and all(leg.direction == -1 for leg in inside)
+    inside = [segment for segment in found[1] if segment.points[0, 0] > 3.1]
+    assert inside and all(segment.direction == -1 for segment in inside)
     assert plan.room(driven(found[1], pose)).min() > -0.03
 
 
@@ -115,8 +115,8 @@ def test_rooms_of_all_cells_agree_with_the_room_of_poses():
 @pytest.mark.parametrize("start, end", [(0.1, 3.0), (3.0, -3.0), (-1.0, -2.9)])
 def test_facing_is_by_the_short_way(start: float, end: float):
     pose = np.array([1.5, 2.0, start])
-    (leg,) = navigate.turns(pose[:2], start, float(wrap(end - start)))[-1:]
-    assert abs(wrap(leg.yaw - end)) < 1e-9
+    (segment,) = navigate.turns(pose[:2], start, float(wrap(end - start)))[-1:]
+    assert abs(wrap(segment.yaw - end)) < 1e-9
 
 
 # -- in homes ----------------------------------------------------------------------------------------------------------
@@ -190,11 +190,11 @@ def test_plans_anew_when_a_door_opens_in_its_way(
     """By looking; and without it, by running into the door, which is pushed aside or gone round."""
     env = build("set_table")
     met = []
-    plan_trip = navigate.plan_trip
+    plan_trajectory = navigate.plan_trajectory
 
     def spy(*args):
         met.append(len(args[4]))
-        return plan_trip(*args)
+        return plan_trajectory(*args)
 
     def open_the_door(env: SequentialTaskEnv) -> None:
         qpos = env.sim.qpos[0].copy()
@@ -202,7 +202,7 @@ def test_plans_anew_when_a_door_opens_in_its_way(
         env.sim.write_qpos(0, qpos)
         env.state = env.sim.state()
 
-    monkeypatch.setattr(navigate, "plan_trip", spy)
+    monkeypatch.setattr(navigate, "plan_trajectory", spy)
     monkeypatch.setattr(
         navigate, "DOOR_MOVED", navigate.DOOR_MOVED if watches else np.inf
     )

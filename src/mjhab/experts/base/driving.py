@@ -1,4 +1,4 @@
-"""Driving along a path of legs: base commands, the choice of curves or turns on the spot, simulated base poses.
+"""Driving along a path of segments: base commands, the choice of curves or turns on the spot, simulated base poses.
 
 Lengths [m], angles [rad], world frame. Letters: T control steps, P points.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.base.floorplan import Floorplan, turn_between
-from mjhab.experts.base.lattice import Leg, length
+from mjhab.experts.base.lattice import PathSegment, length
 from mjhab.experts.base.pilot import SPEED_LAG_S, Pilot
 
 WANTED_CLEARANCE_M = 0.02
@@ -24,7 +24,7 @@ CLOSENESS_PRICE_S_M2 = 5000.0
 AMPLE_CLEARANCE_M = 0.08
 """Clearance of a straight line with which it may replace way points that have more."""
 TURN_END_RATE_RAD_S = 0.5
-"""Yaw rate below which a turn between two legs counts as done; `Pilot` commands it 0.1 rad before the end."""
+"""Yaw rate below which a turn between two segments counts as done; `Pilot` commands it 0.1 rad before the end."""
 MAX_SPLITS = 8
 """Greatest number of curves that are replaced by turns on the spot for lack of clearance."""
 MAX_CURVE_RAD = 2.0
@@ -56,27 +56,27 @@ GENTLE = Pace(0.7, 1.5, 0.5, 1.2, 3.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Trip:
+class BaseTrajectory:
     """A planned drive.
 
     Attributes:
-        legs: pieces of the path, in order.
+        segments: pieces of the path, in order.
         lookahead: look-ahead distance of `Pilot` [m].
         pace: limits on the commands.
         poses: (T, 3) simulated base poses x, y, yaw, one per control step.
     """
 
-    legs: Sequence[Leg]
+    segments: Sequence[PathSegment]
     lookahead: float
     pace: Pace
     poses: np.ndarray
 
 
 class Driver:
-    """Controller that drives legs one after the other; ``leg`` is the present one, None at the end.
+    """Controller that drives segments one after the other; ``segment`` is the present one, None at the end.
 
     Args:
-        legs: pieces of the path.
+        segments: pieces of the path.
         lookahead: look-ahead distance of `Pilot` [m].
         pace: limits on the commands.
         v: present forward speed of the base [m/s].
@@ -85,37 +85,41 @@ class Driver:
 
     def __init__(
         self,
-        legs: Sequence[Leg],
+        segments: Sequence[PathSegment],
         lookahead: float,
         pace: Pace,
         v: float = 0.0,
         w: float = 0.0,
     ) -> None:
-        self._legs = list(legs)
+        self._segments = list(segments)
         self._lookahead = lookahead
         self._pace = pace
         self._v = v
         self._w = w
-        self.leg: Leg | None = None
+        self.segment: PathSegment | None = None
         self._begin()
 
     def _begin(self) -> None:
-        self.leg = leg = self._legs.pop(0) if self._legs else None
-        if leg is not None:
+        self.segment = segment = self._segments.pop(0) if self._segments else None
+        if segment is not None:
             self._pilot = Pilot(
-                leg.points, leg.yaw, leg.direction, self._lookahead, self._pace.speed
+                segment.points,
+                segment.yaw,
+                segment.direction,
+                self._lookahead,
+                self._pace.speed,
             )
-            self._left = 60 + int(length(leg) / (0.2 * STEP_SECONDS))
+            self._left = 60 + int(length(segment) / (0.2 * STEP_SECONDS))
 
     def step(self, pose: np.ndarray) -> tuple[float, float]:
         """Forward speed [m/s] and yaw rate [rad/s] for the base at ``pose`` (3,). Call once per control step."""
         v = w = 0.0
-        while self.leg is not None:
+        while self.segment is not None:
             v, w, done = self._pilot.step(pose)
             self._left -= 1
-            # Only the last leg has to end exactly: the others pass on to the next leg when their turn is nearly done.
+            # Only the last segment has to end exactly: the others pass on to the next segment when their turn is nearly done.
             done = done or (
-                bool(self._legs) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S
+                bool(self._segments) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S
             )
             if not done and self._left >= 0:
                 break
@@ -137,95 +141,106 @@ def towards(wish: float, now: float, gain: float) -> float:
 
 
 def plan_drive(
-    plan: Floorplan, pose: np.ndarray, legs: Sequence[Leg], pace: Pace
-) -> Trip:
-    """Plan the quickest drive along legs that keeps about the clearance that the legs have.
+    plan: Floorplan, pose: np.ndarray, segments: Sequence[PathSegment], pace: Pace
+) -> BaseTrajectory:
+    """Plan the quickest drive along segments that keeps about the clearance that the segments have.
 
     The drive uses curves, and turns on the spot where a curve comes too close to an obstacle.
 
     Args:
         plan: free space.
         pose: (3,) present base pose x, y, yaw.
-        legs: the path, with turns on the spot.
+        segments: the path, with turns on the spot.
         pace: limits on the commands.
     """
-    curves = _joined(legs)
+    curves = _joined(segments)
     pulled = _pulled(plan, curves)
     asked = min(WANTED_CLEARANCE_M, float(plan.room(pose[None])[0]) - 0.03)
-    best: tuple[float, Trip] | None = None
-    for choice, lookahead in ((pulled, 0.3), (pulled, 0.2), (curves, 0.2), (legs, 0.1)):
-        tried: Sequence[Leg] | None = choice
+    best: tuple[float, BaseTrajectory] | None = None
+    for choice, lookahead in (
+        (pulled, 0.3),
+        (pulled, 0.2),
+        (curves, 0.2),
+        (segments, 0.1),
+    ):
+        tried: Sequence[PathSegment] | None = choice
         for _ in range(MAX_SPLITS):
-            trip = Trip(tried, lookahead, pace, simulate(pose, tried, lookahead, pace))
-            room = plan.room(trip.poses)
+            trajectory = BaseTrajectory(
+                tried, lookahead, pace, simulate(pose, tried, lookahead, pace)
+            )
+            room = plan.room(trajectory.poses)
             lack = max(asked - float(room.min(initial=np.inf)), 0.0)
-            cost = STEP_SECONDS * len(trip.poses) + CLOSENESS_PRICE_S_M2 * lack**2
+            cost = STEP_SECONDS * len(trajectory.poses) + CLOSENESS_PRICE_S_M2 * lack**2
             if best is None or cost < best[0]:
-                best = (cost, trip)
+                best = (cost, trajectory)
             if lack == 0.0:
                 return best[1]
-            tried = _split(tried, trip.poses[int(np.argmin(room)), :2])
+            tried = _split(tried, trajectory.poses[int(np.argmin(room)), :2])
             if tried is None:
                 break
     assert best is not None
     return best[1]
 
 
-def _split(legs: Sequence[Leg], near: np.ndarray) -> list[Leg] | None:
+def _split(segments: Sequence[PathSegment], near: np.ndarray) -> list[PathSegment] | None:
     """Legs with the way point nearest to ``near`` (2,) driven as a turn on the spot; None when none is left."""
     best: tuple[float, int, int] | None = None
-    for i, leg in enumerate(legs):
-        for k in range(1, len(leg.points) - 1):
-            gap = float(np.linalg.norm(leg.points[k] - near))
+    for i, segment in enumerate(segments):
+        for k in range(1, len(segment.points) - 1):
+            gap = float(np.linalg.norm(segment.points[k] - near))
             if best is None or gap < best[0]:
                 best = (gap, i, k)
     if best is None:
         return None
     _, i, k = best
-    leg = legs[i]
-    way = leg.points[k + 1] - leg.points[k]
-    yaw = float(wrap(np.arctan2(way[1], way[0]) + (0.0 if leg.direction > 0 else np.pi)))
+    segment = segments[i]
+    way = segment.points[k + 1] - segment.points[k]
+    yaw = float(
+        wrap(np.arctan2(way[1], way[0]) + (0.0 if segment.direction > 0 else np.pi))
+    )
     parts = [
-        Leg(leg.points[: k + 1], leg.direction, yaw),
-        Leg(leg.points[k:], leg.direction, leg.yaw),
+        PathSegment(segment.points[: k + 1], segment.direction, yaw),
+        PathSegment(segment.points[k:], segment.direction, segment.yaw),
     ]
-    return [*legs[:i], *parts, *legs[i + 1 :]]
+    return [*segments[:i], *parts, *segments[i + 1 :]]
 
 
-def _joined(legs: Sequence[Leg]) -> list[Leg]:
+def _joined(segments: Sequence[PathSegment]) -> list[PathSegment]:
     """Legs with consecutive ones in the same direction joined into one, if the turn between them is moderate."""
-    out: list[Leg] = []
-    pending: list[Leg] = []
-    for leg in legs:
-        if not length(leg):
-            pending.append(leg)
+    out: list[PathSegment] = []
+    pending: list[PathSegment] = []
+    for segment in segments:
+        if not length(segment):
+            pending.append(segment)
             continue
         last = out[-1] if out else None
-        smooth = last is not None and length(last) and last.direction == leg.direction
+        smooth = last is not None and length(last) and last.direction == segment.direction
         if (
             last is not None
             and smooth
-            and abs(turn_between(last.yaw, leg.yaw)) < MAX_CURVE_RAD
+            and abs(turn_between(last.yaw, segment.yaw)) < MAX_CURVE_RAD
             and len(pending) < 2
         ):
-            out[-1] = Leg(
-                np.concatenate([last.points, leg.points[1:]]), leg.direction, leg.yaw
+            out[-1] = PathSegment(
+                np.concatenate([last.points, segment.points[1:]]),
+                segment.direction,
+                segment.yaw,
             )
         else:
-            out += [*pending, leg]
+            out += [*pending, segment]
         pending = []
     return out + pending
 
 
-def _pulled(plan: Floorplan, legs: Sequence[Leg]) -> list[Leg]:
+def _pulled(plan: Floorplan, segments: Sequence[PathSegment]) -> list[PathSegment]:
     """Legs without the points that a straight line with as much or ample clearance can skip."""
     out = []
-    for leg in legs:
+    for segment in segments:
         kept = [0]
-        back = 0.0 if leg.direction > 0 else np.pi
-        while kept[-1] < len(leg.points) - 1:
-            kept.append(_farthest(plan, leg.points, kept[-1], back))
-        out.append(Leg(leg.points[kept], leg.direction, leg.yaw))
+        back = 0.0 if segment.direction > 0 else np.pi
+        while kept[-1] < len(segment.points) - 1:
+            kept.append(_farthest(plan, segment.points, kept[-1], back))
+        out.append(PathSegment(segment.points[kept], segment.direction, segment.yaw))
     return out
 
 
@@ -254,16 +269,16 @@ def _line_room(plan: Floorplan, points: np.ndarray, back: float) -> float:
 
 
 def simulate(
-    pose: np.ndarray, legs: Sequence[Leg], lookahead: float, pace: Pace
+    pose: np.ndarray, segments: Sequence[PathSegment], lookahead: float, pace: Pace
 ) -> np.ndarray:
-    """Simulate the base poses (T, 3) of a drive from ``pose`` (3,) along legs, one per control step."""
+    """Simulate the base poses (T, 3) of a drive from ``pose`` (3,) along segments, one per control step."""
     pose = pose.copy()
     speed = 0.0
     rate = 0.0
     share = 1.0 - np.exp(-STEP_SECONDS / SPEED_LAG_S)
     poses = []
-    driver = Driver(legs, lookahead, pace)
-    while driver.leg is not None:
+    driver = Driver(segments, lookahead, pace)
+    while driver.segment is not None:
         forward, turn = driver.step(pose)
         speed += share * (forward - speed)
         rate += share * (turn - rate)

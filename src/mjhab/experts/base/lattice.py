@@ -48,7 +48,7 @@ MAX_ENTRY_M = 0.12
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class PathSegment:
     """A piece of a path.
 
     Attributes:
@@ -85,7 +85,7 @@ class Lattice:
 
     def search(
         self, pose: np.ndarray, price: np.ndarray
-    ) -> tuple[float, list[Leg]] | None:
+    ) -> tuple[float, list[PathSegment]] | None:
         """Search the path with the least cost from a base pose to any node, including the node's end cost.
 
         Args:
@@ -93,7 +93,7 @@ class Lattice:
             price: (H, X, Y) cost of each node as the end of the path [s], infinite where it must not end.
 
         Returns:
-            Cost [s] and legs, or None when no node with a finite end cost can be reached.
+            Cost [s] and segments, or None when no node with a finite end cost can be reached.
         """
         entries = self._entries(pose)
         if not entries:
@@ -121,7 +121,7 @@ class Lattice:
         while before[way[-1]] != size:
             way.append(int(before[way[-1]]))
         way.reverse()
-        return float(total[best]), self._legs(pose, entries[way[0]][1:], way)
+        return float(total[best]), self._segments(pose, entries[way[0]][1:], way)
 
     def _make_edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Start nodes, end nodes and costs [s] of all moves between nodes with enough clearance."""
@@ -214,55 +214,61 @@ class Lattice:
             else -1
         )
 
-    def _legs(
+    def _segments(
         self, pose: np.ndarray, entry: tuple[float, float], way: Sequence[int]
-    ) -> list[Leg]:
+    ) -> list[PathSegment]:
         """Legs along the nodes ``way``, with a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(way), self.shape)
         far, turn = entry
         here = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])])
         yaw = float(pose[2])
-        legs = [Leg(np.stack([pose[:2], here]), -1 if far < 0 else 1, yaw)] if far else []
+        segments = (
+            [PathSegment(np.stack([pose[:2], here]), -1 if far < 0 else 1, yaw)]
+            if far
+            else []
+        )
         for k in range(1, len(way)):
             if h[k] != h[k - 1]:
                 turn += turn_between(float(YAWS[h[k - 1]]), float(YAWS[h[k]]))
                 continue
-            legs += turns(here, yaw, turn)
+            segments += turns(here, yaw, turn)
             there = self.points[x[k], y[k]]
             yaw = float(YAWS[h[k]])
             turn = 0.0
             direction = (
                 1 if (x[k] - x[k - 1], y[k] - y[k - 1]) == tuple(MOVES[h[k]]) else -1
             )
-            last = legs[-1] if legs else None
+            last = segments[-1] if segments else None
             if (
                 last is not None
                 and length(last)
                 and last.direction == direction
                 and last.yaw == yaw
             ):
-                legs[-1] = Leg(np.stack([last.points[0], there]), direction, yaw)
+                segments[-1] = PathSegment(
+                    np.stack([last.points[0], there]), direction, yaw
+                )
             else:
-                legs.append(Leg(np.stack([here, there]), direction, yaw))
+                segments.append(PathSegment(np.stack([here, there]), direction, yaw))
             here = there
-        return legs + turns(here, yaw, turn)
+        return segments + turns(here, yaw, turn)
 
 
-def turns(xy: np.ndarray, start: float, turn: float) -> list[Leg]:
+def turns(xy: np.ndarray, start: float, turn: float) -> list[PathSegment]:
     """Legs that turn on the spot at ``xy`` (2,) by a signed angle.
 
-    Each leg turns by less than pi, because a leg gives only its final heading and the base takes the shorter turn.
+    Each segment turns by less than pi, because a segment gives only its final heading and the base takes the shorter turn.
     """
     if abs(turn) < 1e-6:
         return []
     pieces = 1 + int(abs(turn) / 2.2)
     yaws = [float(wrap(start + turn * (k + 1) / pieces)) for k in range(pieces)]
-    return [Leg(np.stack([xy, xy]), 1, yaw) for yaw in yaws]
+    return [PathSegment(np.stack([xy, xy]), 1, yaw) for yaw in yaws]
 
 
-def length(leg: Leg) -> float:
-    """Length of a leg [m], 0 for a turn on the spot."""
-    return float(np.linalg.norm(np.diff(leg.points, axis=0), axis=1).sum())
+def length(segment: PathSegment) -> float:
+    """Length of a segment [m], 0 for a turn on the spot."""
+    return float(np.linalg.norm(np.diff(segment.points, axis=0), axis=1).sum())
 
 
 def _windows(

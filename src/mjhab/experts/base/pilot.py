@@ -117,8 +117,8 @@ def _way_along(
     path: np.ndarray, yaw: float, direction: int, lookahead: float, speed: float
 ) -> Way:
     path = np.ascontiguousarray(path, dtype=np.float64)
-    legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(legs)])
+    segments = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(segments)])
     ending = path[-1] - [
         np.interp(along[-1] - _ENDING, along, path[:, k]) for k in range(2)
     ]

@@ -17,9 +17,16 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
-from mjhab.experts.base.driving import BRISK, GENTLE, Driver, Trip, plan_drive, towards
+from mjhab.experts.base.driving import (
+    BRISK,
+    GENTLE,
+    BaseTrajectory,
+    Driver,
+    plan_drive,
+    towards,
+)
 from mjhab.experts.base.floorplan import Arm, Floorplan, turn_between
-from mjhab.experts.base.lattice import YAWS, Lattice, Leg, turns
+from mjhab.experts.base.lattice import YAWS, Lattice, PathSegment, turns
 from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS
 from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
@@ -135,15 +142,15 @@ def navigate(view: WorldView) -> Motion:
     aim = Aim.of(view)
     while True:
         yield motion.action(view, posture, gripper=gripper)
-        trip = plan_trip(view, aim, posture, held, felt)
-        if trip is None:
+        trajectory = plan_trajectory(view, aim, posture, held, felt)
+        if trajectory is None:
             yield from motion.hold(view, 10, gripper=gripper, goal=posture)
             felt = felt[:0]
             continue
-        met = yield from _drive(view, trip, posture, gripper)
+        met = yield from _drive(view, trajectory, posture, gripper)
         if met is not None:
             felt = np.concatenate([felt, met])
-            yield from _back_off(view, posture, gripper, trip)
+            yield from _back_off(view, posture, gripper, trajectory)
         elif _arrived(view, aim):
             yield from _stand(view, aim, posture, gripper)
 
@@ -175,9 +182,9 @@ def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:
     return np.where(way > LONG_DETOUR_M, np.minimum(way, MAX_DETOUR_M), 0.0)
 
 
-def plan_trip(
+def plan_trajectory(
     view: WorldView, aim: Aim, posture: np.ndarray, held: str, felt: np.ndarray
-) -> Trip | None:
+) -> BaseTrajectory | None:
     """Plan the drive with the least cost to a pose that faces the goal.
 
     Args:
@@ -199,26 +206,32 @@ def plan_trip(
             view.base, aim.price(lattice, detours(view, aim, lattice.points))
         )
         if found is not None:
-            legs = _facing(plan, aim, view.base, found[1])
-            return plan_drive(plan, view.base, legs, GENTLE if held else BRISK)
+            segments = _facing(plan, aim, view.base, found[1])
+            return plan_drive(plan, view.base, segments, GENTLE if held else BRISK)
     return None
 
 
-def _facing(plan: Floorplan, aim: Aim, pose: np.ndarray, legs: list[Leg]) -> list[Leg]:
+def _facing(
+    plan: Floorplan, aim: Aim, pose: np.ndarray, segments: list[PathSegment]
+) -> list[PathSegment]:
     """Legs from ``pose`` (3,) with a final turn that faces the goal, where there is room for it."""
-    end, yaw = (legs[-1].points[-1], legs[-1].yaw) if legs else (pose[:2], float(pose[2]))
+    end, yaw = (
+        (segments[-1].points[-1], segments[-1].yaw)
+        if segments
+        else (pose[:2], float(pose[2]))
+    )
     last = turn_between(yaw, float(aim.bearing(end)))
     return (
-        [*legs, *turns(end, yaw, last)]
-        if not legs or plan.turning(end, yaw, last) >= 0.0
-        else legs
+        [*segments, *turns(end, yaw, last)]
+        if not segments or plan.turning(end, yaw, last) >= 0.0
+        else segments
     )
 
 
 def _drive(
-    view: WorldView, trip: Trip, posture: np.ndarray, gripper: float
+    view: WorldView, trajectory: BaseTrajectory, posture: np.ndarray, gripper: float
 ) -> Generator[np.ndarray, None, np.ndarray | None]:
-    """Drive the legs of a trip; end early when a door or drawer moves.
+    """Drive the segments of a trajectory; end early when a door or drawer moves.
 
     Returns:
         (1, 3) x, y, radius of an unknown obstacle that stopped the robot; None if nothing did.
@@ -227,9 +240,14 @@ def _drive(
     track = [view.base]
     tried = 0
     joints = _joints(view)
-    driver = Driver(trip.legs, trip.lookahead, trip.pace, *motion.base_speeds(view))
-    while driver.leg is not None:
-        leg = driver.leg
+    driver = Driver(
+        trajectory.segments,
+        trajectory.lookahead,
+        trajectory.pace,
+        *motion.base_speeds(view),
+    )
+    while driver.segment is not None:
+        segment = driver.segment
         (forward, turn) = driver.step(view.base)
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
         track.append(view.base)
@@ -238,7 +256,7 @@ def _drive(
         if pressed >= BLOCKED_STEPS or (
             tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])
         ):
-            return _ahead(view, leg)
+            return _ahead(view, segment)
         if np.abs(_joints(view) - joints).max(initial=0.0) > DOOR_MOVED:
             return None
     return None
@@ -250,12 +268,12 @@ def _still(track: Sequence[np.ndarray]) -> bool:
     return bool(np.abs([*moved[:2], wrap(moved[2])]).max() < STUCK_M)
 
 
-def _ahead(view: WorldView, leg: Leg) -> np.ndarray:
-    """Assumed obstacle (1, 3) x, y, radius that stops the robot on a leg: in front of the base or of the hand."""
+def _ahead(view: WorldView, segment: PathSegment) -> np.ndarray:
+    """Assumed obstacle (1, 3) x, y, radius that stops the robot on a segment: in front of the base or of the hand."""
     q = view.q
-    ahead = leg.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
+    ahead = segment.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     arm_felt = (
-        leg.direction > 0
+        segment.direction > 0
         and view.link_forces[list(view.robot.arm_force_rows)].sum()
         > 0.5 * view.link_forces.sum()
     )
@@ -267,11 +285,13 @@ def _ahead(view: WorldView, leg: Leg) -> np.ndarray:
     return np.array([[*at, FELT_RADIUS_M]])
 
 
-def _back_off(view: WorldView, posture: np.ndarray, gripper: float, trip: Trip) -> Motion:
-    """Drive back for 14 control steps towards an earlier position of the trip."""
+def _back_off(
+    view: WorldView, posture: np.ndarray, gripper: float, trajectory: BaseTrajectory
+) -> Motion:
+    """Drive back for 14 control steps towards an earlier position of the trajectory."""
     q = view.q
-    gap = np.linalg.norm(trip.poses[:, :2] - q[BASE_XY], axis=1)
-    passed = trip.poses[: int(np.argmin(gap)) + 1] if len(gap) else trip.poses
+    gap = np.linalg.norm(trajectory.poses[:, :2] - q[BASE_XY], axis=1)
+    passed = trajectory.poses[: int(np.argmin(gap)) + 1] if len(gap) else trajectory.poses
     away = passed[np.linalg.norm(passed[:, :2] - q[BASE_XY], axis=1) > 0.2]
     origin = (
         away[-1, :2]
@@ -284,7 +304,7 @@ def _back_off(view: WorldView, posture: np.ndarray, gripper: float, trip: Trip) 
     speed, _ = motion.base_speeds(view)
     for _ in range(14):
         speed = towards(
-            float(np.copysign(0.3, ahead)), speed, trip.pace.rise * STEP_SECONDS
+            float(np.copysign(0.3, ahead)), speed, trajectory.pace.rise * STEP_SECONDS
         )
         yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))
     return True

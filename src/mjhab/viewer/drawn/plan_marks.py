@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.experts.base.driving import Trip
+from mjhab.experts.base.driving import BaseTrajectory
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning.workplace import HandGoals, Stance
 
@@ -40,10 +40,15 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
     held = list(_held(script))
     stance = next((value for value in held if isinstance(value, Stance)), None)
     goals = next((value for value in held if isinstance(value, HandGoals)), None)
-    trip = next((value for value in held if isinstance(value, Trip)), None)
-    if trip is not None and len(trip.poses):
+    trajectory = next(
+        (value for value in held if isinstance(value, BaseTrajectory)), None
+    )
+    if trajectory is not None and len(trajectory.poses):
         return PlanMarks(
-            trip.poses[:, :2].copy(), trip.poses[-1].copy(), _hand_poses(None), None
+            trajectory.poses[:, :2].copy(),
+            trajectory.poses[-1].copy(),
+            _hand_poses(None),
+            None,
         )
     routes = [value for value in held if isinstance(value, Route)]
     route = routes[0] if routes else stance.route if stance is not None else None

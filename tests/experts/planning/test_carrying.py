@@ -38,7 +38,7 @@ from mjhab.experts.planning.base_poses import (
     base_poses,
     overreach,
 )
-from mjhab.experts.planning.workplace import Scene, Work, surroundings
+from mjhab.experts.planning.workplace import ReachQuery, Scene, surroundings
 from mjhab.experts.skills.pick_plans import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.skills.place import DROP_HEIGHTS_M, Release, hand_goals, place
 from mjhab.robots.fetch.robot import ROBOT
@@ -236,13 +236,15 @@ def test_bases_are_only_where_something_can_be_reached():
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
     for wanted, far in itertools.product((goals, shifted), (False, True)):
-        work = Work(point=goal, goals=wanted, scene=scene, far=far)
+        work = ReachQuery(point=goal, goals=wanted, scene=scene, far=far)
         bases, steps = base_poses(view, work)
         assert len(bases) and np.isfinite(steps).all()
         assert (overreach(ROBOT.reach, bases, wanted).min(axis=1) < MAX_OVERREACH_M).all()
     # Far off only where there is no other way, or to save one.
-    near_by = base_poses(view, Work(point=goal, goals=goals, scene=scene))
-    anywhere = base_poses(view, Work(point=goal, goals=goals, scene=scene, far=True))
+    near_by = base_poses(view, ReachQuery(point=goal, goals=goals, scene=scene))
+    anywhere = base_poses(
+        view, ReachQuery(point=goal, goals=goals, scene=scene, far=True)
+    )
     moved = np.linalg.norm(near_by[0][:, :2] - view.q[:2], axis=1) > 1e-9
     assert (
         moved.any()

@@ -12,7 +12,7 @@ from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import drive_steps
-from mjhab.experts.planning.workplace import HandGoals, Scene, Work
+from mjhab.experts.planning.workplace import HandGoals, ReachQuery, Scene
 from mjhab.robots.robot import ArmReach, Footprint
 
 OUT_CLEARANCE_M = 0.03
@@ -52,7 +52,7 @@ def way_out(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:
     return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
-def base_poses(view: WorldView, work: Work) -> tuple[np.ndarray, np.ndarray]:
+def base_poses(view: WorldView, work: ReachQuery) -> tuple[np.ndarray, np.ndarray]:
     """Base poses (B, 3) from which a hand pose may be reached, and the estimated control steps (B,) to drive there."""
     point = work.point
     drive_in = work.drive_in
@@ -109,7 +109,7 @@ def base_poses(view: WorldView, work: Work) -> tuple[np.ndarray, np.ndarray]:
 
 
 def given_poses(
-    view: WorldView, work: Work, poses: np.ndarray
+    view: WorldView, work: ReachQuery, poses: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The base ``poses`` (B, 3) with free floor that reach a hand pose, and the control steps (B,) of a straight drive
     to them."""

@@ -24,7 +24,7 @@ from mjhab.experts.planning.base_poses import (
     overreach,
     way_out,
 )
-from mjhab.experts.planning.workplace import Blocked, HandGoals, Scene, Stance, Work
+from mjhab.experts.planning.workplace import Blocked, HandGoals, ReachQuery, Scene, Stance
 from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import Robot
 
@@ -40,7 +40,7 @@ _KEPT = 50
 
 
 def stances(
-    view: WorldView, work: Work, blocked: list[Blocked] | None = None
+    view: WorldView, work: ReachQuery, blocked: list[Blocked] | None = None
 ) -> list[Stance]:
     """At most `MAX_STANCES` ways to bring the hand to one of the requested poses, quickest first.
 
@@ -147,7 +147,11 @@ def _seeds(robot: Robot) -> np.ndarray:
 
 
 def _configurations(
-    view: WorldView, work: Work, bases: np.ndarray, goal: np.ndarray, price: np.ndarray
+    view: WorldView,
+    work: ReachQuery,
+    bases: np.ndarray,
+    goal: np.ndarray,
+    price: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Configurations that reach hand poses from base poses, cheapest first.
 
@@ -195,7 +199,9 @@ def _configurations(
     return q, goal
 
 
-def _before(q: np.ndarray, goal: np.ndarray, work: Work) -> tuple[np.ndarray, np.ndarray]:
+def _before(
+    q: np.ndarray, goal: np.ndarray, work: ReachQuery
+) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (N, J) at the start of the straight approach, and whether (N,) they and the drive in are clear.
 
     The torso is already at its final height, because it follows small changes too slowly.
@@ -237,7 +243,7 @@ def _before(q: np.ndarray, goal: np.ndarray, work: Work) -> tuple[np.ndarray, np
 
 
 def _routed(
-    view: WorldView, work: Work, q: np.ndarray, pre: np.ndarray, goal: np.ndarray
+    view: WorldView, work: ReachQuery, q: np.ndarray, pre: np.ndarray, goal: np.ndarray
 ) -> list[Stance]:
     """Stances with collision-free routes to ``pre`` (N, J); if there are none, the one with the most clearance.
 

@@ -119,7 +119,7 @@ class Blocked:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Work:
+class ReachQuery:
     """A request for a base pose, an arm motion and a route.
 
     Attributes:

@@ -31,7 +31,13 @@ from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
 from mjhab.experts.planning.carry import ReachIn, drive_in
 from mjhab.experts.planning.reach import settle_reach, stances
-from mjhab.experts.planning.workplace import CLEARANCES_M, HandGoals, Scene, Stance, Work
+from mjhab.experts.planning.workplace import (
+    CLEARANCES_M,
+    HandGoals,
+    ReachQuery,
+    Scene,
+    Stance,
+)
 from mjhab.robots.parts import Gripper
 
 Graspable = Callable[[np.ndarray, float], int]
@@ -152,7 +158,7 @@ def plan_nudge(
         for room, nearer in ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02)):
             best: tuple[float, Stance, float] | None = None
             for depth in DEPTHS_M if len(goals) else ():
-                work = Work(
+                work = ReachQuery(
                     point=pose[:3],
                     goals=goals,
                     scene=scene,

@@ -30,9 +30,9 @@ from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
     Blocked,
     HandGoals,
+    ReachQuery,
     Scene,
     Stance,
-    Work,
     surroundings,
 )
 from mjhab.experts.skills.nudge import in_steps
@@ -121,7 +121,7 @@ def plan_pick(
         tried = len(grasps)
         goals = _diverse(grasps)
         for back in _ways_in(depth, attempt):
-            work = Work(
+            work = ReachQuery(
                 point=pose[:3],
                 goals=goals,
                 scene=scene,
@@ -196,7 +196,7 @@ def plan_inside(
         goals = _diverse(every.take(rows))
         for bases, ways in ((ahead, AHEAD_WAYS_M), (None, INSIDE_WAYS_M)):
             for back in ways:
-                work = Work(
+                work = ReachQuery(
                     point=pose[:3],
                     goals=goals,
                     scene=scene,

@@ -41,9 +41,9 @@ from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
     Blocked,
     HandGoals,
+    ReachQuery,
     Scene,
     Stance,
-    Work,
     surroundings,
 )
 from mjhab.experts.skills.pick import pick_up
@@ -245,7 +245,7 @@ def plan_place(
         # A place that is no shelf can still have a board above it.
         goals = roomy(view, obj, goal, near, Release(shelf=True, any_side=True))
     blocked: list[Blocked] = []
-    work = Work(
+    work = ReachQuery(
         point=goal,
         goals=goals,
         scene=scene,

@@ -236,8 +236,8 @@ def test_bases_are_only_where_something_can_be_reached():
     away = goals.pos + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
     shifted = type(goals)(away, goals.rot, goals.pre, goals.opening, goals.score)
     for wanted, far in itertools.product((goals, shifted), (False, True)):
-        work = ReachQuery(point=goal, goals=wanted, scene=scene, far=far)
-        bases, steps = base_poses(view, work)
+        query = ReachQuery(point=goal, goals=wanted, scene=scene, far=far)
+        bases, steps = base_poses(view, query)
         assert len(bases) and np.isfinite(steps).all()
         assert (overreach(ROBOT.reach, bases, wanted).min(axis=1) < MAX_OVERREACH_M).all()
     # Far off only where there is no other way, or to save one.

@@ -117,7 +117,7 @@ class Driver:
         while self.segment is not None:
             v, w, done = self._pilot.step(pose)
             self._left -= 1
-            # Only the last segment has to end exactly: the others pass on to the next segment when their turn is nearly done.
+            # Only the last segment has to end exactly: the others pass on to the next when their turn is nearly done.
             done = done or (
                 bool(self._segments) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S
             )
@@ -183,7 +183,7 @@ def plan_drive(
 
 
 def _split(segments: Sequence[PathSegment], near: np.ndarray) -> list[PathSegment] | None:
-    """Legs with the way point nearest to ``near`` (2,) driven as a turn on the spot; None when none is left."""
+    """Segments with the way point nearest to ``near`` (2,) driven as a turn on the spot; None when none is left."""
     best: tuple[float, int, int] | None = None
     for i, segment in enumerate(segments):
         for k in range(1, len(segment.points) - 1):
@@ -206,7 +206,7 @@ def _split(segments: Sequence[PathSegment], near: np.ndarray) -> list[PathSegmen
 
 
 def _joined(segments: Sequence[PathSegment]) -> list[PathSegment]:
-    """Legs with consecutive ones in the same direction joined into one, if the turn between them is moderate."""
+    """Segments with consecutive ones in the same direction joined into one, if the turn between them is moderate."""
     out: list[PathSegment] = []
     pending: list[PathSegment] = []
     for segment in segments:
@@ -233,7 +233,7 @@ def _joined(segments: Sequence[PathSegment]) -> list[PathSegment]:
 
 
 def _pulled(plan: Floorplan, segments: Sequence[PathSegment]) -> list[PathSegment]:
-    """Legs without the points that a straight line with as much or ample clearance can skip."""
+    """Segments without the points that a straight line with as much or ample clearance can skip."""
     out = []
     for segment in segments:
         kept = [0]

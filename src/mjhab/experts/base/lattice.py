@@ -217,7 +217,7 @@ class Lattice:
     def _segments(
         self, pose: np.ndarray, entry: tuple[float, float], way: Sequence[int]
     ) -> list[PathSegment]:
-        """Legs along the nodes ``way``, with a turn on the spot wherever the heading changes."""
+        """Segments along the nodes ``way``, with a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(way), self.shape)
         far, turn = entry
         here = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])])
@@ -255,9 +255,9 @@ class Lattice:
 
 
 def turns(xy: np.ndarray, start: float, turn: float) -> list[PathSegment]:
-    """Legs that turn on the spot at ``xy`` (2,) by a signed angle.
+    """Segments that turn on the spot at ``xy`` (2,) by a signed angle.
 
-    Each segment turns by less than pi, because a segment gives only its final heading and the base takes the shorter turn.
+    Each turns by less than pi, because a segment gives only its final heading and the base takes the shorter turn.
     """
     if abs(turn) < 1e-6:
         return []

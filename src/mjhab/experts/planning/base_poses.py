@@ -52,10 +52,10 @@ def way_out(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:
     return gap.reshape(len(bases), -1).min(axis=1) - size
 
 
-def base_poses(view: WorldView, work: ReachQuery) -> tuple[np.ndarray, np.ndarray]:
+def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarray]:
     """Base poses (B, 3) from which a hand pose may be reached, and the estimated control steps (B,) to drive there."""
-    point = work.point
-    drive_in = work.drive_in
+    point = query.point
+    drive_in = query.drive_in
     r, angle, off = np.meshgrid(
         np.arange(0.5, 1.26, 0.075),
         np.arange(32) * np.pi / 16,
@@ -85,13 +85,13 @@ def base_poses(view: WorldView, work: ReachQuery) -> tuple[np.ndarray, np.ndarra
         np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2]))
         >= cells.narrow
     )
-    good &= floor_room(view.robot.footprint, poses, work.scene.near) > 0.0
-    if work.avoid is not None and len(work.avoid):
-        gap = np.linalg.norm((poses[:, None] - work.avoid) * [1.0, 1.0, 0.3], axis=2).min(
-            axis=1
-        )
+    good &= floor_room(view.robot.footprint, poses, query.scene.near) > 0.0
+    if query.avoid is not None and len(query.avoid):
+        gap = np.linalg.norm(
+            (poses[:, None] - query.avoid) * [1.0, 1.0, 0.3], axis=2
+        ).min(axis=1)
         good &= gap > 0.10
-    good[good] = in_sight(poses[good], point, work.scene.near)
+    good[good] = in_sight(poses[good], point, query.scene.near)
     poses = poses[good]
     back = back[good]
     far_off = far_off[good]
@@ -102,29 +102,29 @@ def base_poses(view: WorldView, work: ReachQuery) -> tuple[np.ndarray, np.ndarra
     )
     # All the nearest base poses may be on a side from which no hand pose can be reached.
     reachable = np.isfinite(steps) & (
-        overreach(view.robot.reach, poses, work.goals) < MAX_OVERREACH_M
+        overreach(view.robot.reach, poses, query.goals) < MAX_OVERREACH_M
     ).any(axis=1)
-    reachable &= ~far_off | work.far | ~(reachable & ~far_off).any()
+    reachable &= ~far_off | query.far | ~(reachable & ~far_off).any()
     return _spread(poses[reachable], steps[reachable])
 
 
 def given_poses(
-    view: WorldView, work: ReachQuery, poses: np.ndarray
+    view: WorldView, query: ReachQuery, poses: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The base ``poses`` (B, 3) with free floor that reach a hand pose, and the control steps (B,) of a straight drive
     to them."""
     cells = planner(view)
     here = float(cells.clearance_at(view.base[None, :2])[0])
-    back = work.drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    back = query.drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
     room = np.minimum(
         cells.clearance_at(poses[:, :2]), cells.clearance_at(poses[:, :2] - back)
     )
-    near = overreach(view.robot.reach, poses, work.goals).min(axis=1) < MAX_OVERREACH_M
+    near = overreach(view.robot.reach, poses, query.goals).min(axis=1) < MAX_OVERREACH_M
     free = near & (room >= min(cells.narrow, here))
     poses = poses[free]
     way = np.linalg.norm(poses[:, :2] - back[free] - view.base[:2], axis=1)
     # As `drive_steps` without turns, and the drive in as in `base_poses`.
-    return poses, 20.0 * way / 0.6 + 6.0 * work.drive_in / 0.3
+    return poses, 20.0 * way / 0.6 + 6.0 * query.drive_in / 0.3
 
 
 def in_sight(poses: np.ndarray, point: np.ndarray, boxes: Boxes) -> np.ndarray:

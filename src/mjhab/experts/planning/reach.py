@@ -40,43 +40,43 @@ _KEPT = 50
 
 
 def stances(
-    view: WorldView, work: ReachQuery, blocked: list[Blocked] | None = None
+    view: WorldView, query: ReachQuery, blocked: list[Blocked] | None = None
 ) -> list[Stance]:
     """At most `MAX_STANCES` ways to bring the hand to one of the requested poses, quickest first.
 
     Args:
         view: world to plan in.
-        work: the request.
+        query: the request.
         blocked: if given, hand poses that can be reached but have no collision-free route are appended, for
             `sampled.roomier`.
     """
     bases, drive = (
-        base_poses(view, work)
-        if work.bases is None
-        else given_poses(view, work, work.bases)
+        base_poses(view, query)
+        if query.bases is None
+        else given_poses(view, query, query.bases)
     )
     if not len(bases):
         return []
-    if work.drive_in and len(work.scene.target):
-        out = way_out(bases, work.scene, work.drive_in)
+    if query.drive_in and len(query.scene.target):
+        out = way_out(bases, query.scene, query.drive_in)
         rows = np.flatnonzero(out > min(OUT_CLEARANCE_M, float(out.max()) - 0.005))
         bases = bases[rows]
         drive = drive[rows]
-    base, goal, score = _pairs(view.robot, bases, work.point, work.goals)
+    base, goal, score = _pairs(view.robot, bases, query.point, query.goals)
     if not len(base):
         return []
     price = drive[base] - 10.0 * score
-    q, goal = _configurations(view, work, bases[base], goal, price)
-    rows = clear_ones(q, work.scene, work.room)
+    q, goal = _configurations(view, query, bases[base], goal, price)
+    rows = clear_ones(q, query.scene, query.room)
     q = q[rows]
     goal = goal[rows]
-    pre, fine = _before(q, goal, work)
+    pre, fine = _before(q, goal, query)
     q = q[fine]
     pre = pre[fine]
     goal = goal[fine]
-    found = _routed(view, work, q, pre, goal)
+    found = _routed(view, query, q, pre, goal)
     if blocked is not None and len(q) and not (found and found[0].route.room >= 0.0):
-        blocked.append(Blocked(work.goals, goal, pre, q, work.scene, work.drive_in))
+        blocked.append(Blocked(query.goals, goal, pre, q, query.scene, query.drive_in))
     return found
 
 
@@ -148,7 +148,7 @@ def _seeds(robot: Robot) -> np.ndarray:
 
 def _configurations(
     view: WorldView,
-    work: ReachQuery,
+    query: ReachQuery,
     bases: np.ndarray,
     goal: np.ndarray,
     price: np.ndarray,
@@ -157,7 +157,7 @@ def _configurations(
 
     Args:
         view: world to plan in.
-        work: the request.
+        query: the request.
         bases: (P, 3) base poses.
         goal: (P,) index of the hand pose of every base pose.
         price: (P,) control steps to drive there, minus the value of the hand pose.
@@ -167,7 +167,7 @@ def _configurations(
     """
     body = view.robot
     now = view.q
-    goals = work.goals
+    goals = query.goals
     robot = body.chain
     dofs = ik.columns(robot)
     seeds = np.repeat(_seeds(body)[None], len(bases), axis=0)
@@ -183,8 +183,8 @@ def _configurations(
     q = ik.unwind(robot, found.q, now)
     q[..., BASE] = bases[:, None]
     cost = price[:, None] + 0.6 * ik.travel_steps(robot, now, q, dofs)
-    if work.home:
-        cost = cost + work.home * motion.steps_home(body, q)
+    if query.home:
+        cost = cost + query.home * motion.steps_home(body, q)
     # A stretched arm cannot correct an error of the base pose.
     cost = cost + _STRETCHED_PRICE * np.maximum(
         0.0, 0.9 - np.abs(q[..., body.elbow_column])
@@ -200,7 +200,7 @@ def _configurations(
 
 
 def _before(
-    q: np.ndarray, goal: np.ndarray, work: ReachQuery
+    q: np.ndarray, goal: np.ndarray, query: ReachQuery
 ) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (N, J) at the start of the straight approach, and whether (N,) they and the drive in are clear.
 
@@ -208,8 +208,8 @@ def _before(
     """
     if not len(q):
         return q, np.zeros(0, bool)
-    scene = work.scene
-    goals = work.goals
+    scene = query.scene
+    goals = query.goals
     robot = scene.body.chain
     dofs = ik.columns(robot, torso=False)
     options = ik.Options(
@@ -227,7 +227,7 @@ def _before(
     hand_links = scene.body.hand_links
     hand = whole.only(hand_links)
     arm = whole.only([n for n in whole.chain.links if n not in hand_links])
-    for back in np.arange(0.0, work.drive_in + 0.01, 0.12):
+    for back in np.arange(0.0, query.drive_in + 0.01, 0.12):
         shifted = pre[fine].copy()
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
         shifted[:, 1] -= back * np.sin(shifted[:, 2])
@@ -235,21 +235,21 @@ def _before(
             room = np.minimum(
                 arm.clearance(shifted, scene.all), whole.self_clearance(shifted)
             )
-            room = np.minimum(room, hand.clearance(shifted, scene.all) + work.nearer)
+            room = np.minimum(room, hand.clearance(shifted, scene.all) + query.nearer)
         else:
             room = whole.clearance(shifted, scene.all)
-        fine[fine] = room > work.room
+        fine[fine] = room > query.room
     return pre, fine
 
 
 def _routed(
-    view: WorldView, work: ReachQuery, q: np.ndarray, pre: np.ndarray, goal: np.ndarray
+    view: WorldView, query: ReachQuery, q: np.ndarray, pre: np.ndarray, goal: np.ndarray
 ) -> list[Stance]:
     """Stances with collision-free routes to ``pre`` (N, J); if there are none, the one with the most clearance.
 
     ``q`` (N, J), ``goal`` (N,): configurations at the hand poses, cheapest first, and indices of the hand poses.
     """
-    scene = work.scene
+    scene = query.scene
     robot = scene.robot()
     boxes = scene.all
     clear: list[Stance] = []
@@ -259,7 +259,7 @@ def _routed(
         if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
         seen.append(q[i, BASE])
-        back = work.drive_in * np.array(
+        back = query.drive_in * np.array(
             [np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0]
         )
         route = plan_route(
@@ -278,7 +278,7 @@ def _routed(
 
     def steps(stance: Stance) -> float:
         back = float(motion.steps_home(view.robot, stance.at))
-        return stance.route.steps + work.home * back
+        return stance.route.steps + query.home * back
 
     return sorted(clear, key=steps) or tight[:1]
 

@@ -139,7 +139,7 @@ def plan_around(
     postures = _postures(view.robot, start, end)
     postures = postures[_clear_drives(postures, poses, here)]
     best: tuple[int, int, int, np.ndarray, int] | None = None
-    for first, last in _segments(start, end, postures, here, there):
+    for first, last in _arm_paths(start, end, postures, here, there):
         found = _timed(first, last, poses, here, there)
         if best is None or found[0] < best[0]:
             best = *found, np.concatenate([first[1:], last[1:-1]]), len(first) - 2
@@ -229,7 +229,7 @@ def _along(robot: Robot, way: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _segments(
+def _arm_paths(
     start: np.ndarray, end: np.ndarray, postures: np.ndarray, here: Free, there: Free
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pairs of arm paths (P, J): from ``start`` (J,) into one of ``postures`` (V, J), and out of it to ``end`` (J,).
@@ -253,14 +253,14 @@ def _segments(
     # RRT-Connect for one of the two paths, for postures whose other path is straight and free.
     for i in np.flatnonzero(out ^ back)[: 0 if found else POSTURES_SEARCHED]:
         first = (
-            _segment(start, before[i], here)
+            _straight(start, before[i], here)
             if out[i]
             else arm_way(start, before[i], here)
         )
         last = (
             None
             if first is None
-            else _segment(after[i], end, there)
+            else _straight(after[i], end, there)
             if back[i]
             else arm_way(after[i], end, there)
         )
@@ -269,7 +269,7 @@ def _segments(
     return found
 
 
-def _segment(start: np.ndarray, end: np.ndarray, free: Free) -> np.ndarray | None:
+def _straight(start: np.ndarray, end: np.ndarray, free: Free) -> np.ndarray | None:
     """Straight path (2, J) between two configurations (J,); None if it collides."""
     return np.stack([start, end]) if free.edge(start, end) else None
 

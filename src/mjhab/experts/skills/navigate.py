@@ -214,7 +214,7 @@ def plan_trajectory(
 def _facing(
     plan: Floorplan, aim: Aim, pose: np.ndarray, segments: list[PathSegment]
 ) -> list[PathSegment]:
-    """Legs from ``pose`` (3,) with a final turn that faces the goal, where there is room for it."""
+    """Segments from ``pose`` (3,) with a final turn that faces the goal, where there is room for it."""
     end, yaw = (
         (segments[-1].points[-1], segments[-1].yaw)
         if segments

@@ -158,7 +158,7 @@ def plan_nudge(
         for room, nearer in ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02)):
             best: tuple[float, Stance, float] | None = None
             for depth in DEPTHS_M if len(goals) else ():
-                work = ReachQuery(
+                query = ReachQuery(
                     point=pose[:3],
                     goals=goals,
                     scene=scene,
@@ -166,7 +166,7 @@ def plan_nudge(
                     room=room,
                     nearer=nearer,
                 )
-                for stance in stances(view, work):
+                for stance in stances(view, query):
                     steps = in_steps(depth) + stance.route.steps
                     if stance.route.room > _MAX_DEFICIT_M and (
                         best is None or steps < best[0]

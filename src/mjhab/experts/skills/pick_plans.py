@@ -121,7 +121,7 @@ def plan_pick(
         tried = len(grasps)
         goals = _diverse(grasps)
         for back in _ways_in(depth, attempt):
-            work = ReachQuery(
+            query = ReachQuery(
                 point=pose[:3],
                 goals=goals,
                 scene=scene,
@@ -130,7 +130,7 @@ def plan_pick(
                 room=CLEARANCES_M[min(attempt, 2)],
                 nearer=nearer,
             )
-            found = stances(view, work, blocked)
+            found = stances(view, query, blocked)
             if found and (best is None or found[0].route.room > best[0].route.room):
                 best = found[0], goals, back
             if best is not None and (not depth or best[0].route.room >= 0.0):
@@ -196,7 +196,7 @@ def plan_inside(
         goals = _diverse(every.take(rows))
         for bases, ways in ((ahead, AHEAD_WAYS_M), (None, INSIDE_WAYS_M)):
             for back in ways:
-                work = ReachQuery(
+                query = ReachQuery(
                     point=pose[:3],
                     goals=goals,
                     scene=scene,
@@ -207,7 +207,7 @@ def plan_inside(
                     home=_HOME_WEIGHT,
                     bases=bases,
                 )
-                for stance in stances(view, work):
+                for stance in stances(view, query):
                     found = stance, goals, back
                     if best is None or _cost(view, found) < _cost(view, best):
                         best = found

@@ -245,7 +245,7 @@ def plan_place(
         # A place that is no shelf can still have a board above it.
         goals = roomy(view, obj, goal, near, Release(shelf=True, any_side=True))
     blocked: list[Blocked] = []
-    work = ReachQuery(
+    query = ReachQuery(
         point=goal,
         goals=goals,
         scene=scene,
@@ -256,7 +256,7 @@ def plan_place(
         far=attempt.hurry,
         home=HOME_WEIGHT,
     )
-    found = stances(view, work, blocked)
+    found = stances(view, query, blocked)
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 

@@ -13,7 +13,7 @@ import mjhab.envs as envs
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts import make_expert
 from mjhab.experts.skills.pick_plans import plan_pick
-from mjhab.experts.style import Manner, StyledView
+from mjhab.experts.style import ActionNoise, StyledView
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.records import EpisodeRecord
@@ -182,15 +182,15 @@ def test_the_hand_comes_from_where_it_was_asked_to(wish: str, low: float, high: 
     assert low <= goals.rot[stance.goal, 2, 0] <= high
 
 
-def executed(manner: Manner, action: np.ndarray) -> np.ndarray:
-    return manner.disturb(manner.slow(action))
+def executed(action_noise: ActionNoise, action: np.ndarray) -> np.ndarray:
+    return action_noise.disturb(action_noise.slow(action))
 
 
 def test_a_manner_slows_by_stretching_time():
-    manner = Manner(Style(speed=0.5), ROBOT.action, np.random.default_rng(0))
-    assert [manner.due() for _ in range(6)] == [False, True] * 3
+    action_noise = ActionNoise(Style(speed=0.5), ROBOT.action, np.random.default_rng(0))
+    assert [action_noise.due() for _ in range(6)] == [False, True] * 3
     action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
-    out = executed(manner, action)
+    out = executed(action_noise, action)
     assert out[7] == action[7]
     np.testing.assert_array_equal(
         np.delete(out, 7), np.delete(action, 7) * np.float32(0.5)
@@ -199,9 +199,9 @@ def test_a_manner_slows_by_stretching_time():
 
 def test_bursts_of_noise_disturb_a_robot_at_rest_and_pause():
     style = Style(noise=0.1, base_noise=0.1, noise_kind="bursts")
-    manner = Manner(style, ROBOT.action, np.random.default_rng(0))
+    action_noise = ActionNoise(style, ROBOT.action, np.random.default_rng(0))
     still = np.zeros(13, np.float32)
-    out = np.array([executed(manner, still) for _ in range(400)])
+    out = np.array([executed(action_noise, still) for _ in range(400)])
     disturbed = out.any(axis=1)
     assert 0.3 < disturbed.mean() < 0.7
     assert np.diff(disturbed.astype(int)).any() and not out[:, ROBOT.action.gripper].any()
@@ -213,14 +213,14 @@ def test_bursts_of_noise_disturb_a_robot_at_rest_and_pause():
 
 
 def test_a_plain_manner_gives_the_very_action():
-    manner = Manner(PLAIN, ROBOT.action, np.random.default_rng(0))
+    action_noise = ActionNoise(PLAIN, ROBOT.action, np.random.default_rng(0))
     action = np.linspace(-1.0, 1.0, 13).astype(np.float32)
-    assert manner.due() and manner.due()
-    np.testing.assert_array_equal(executed(manner, action), action)
+    assert action_noise.due() and action_noise.due()
+    np.testing.assert_array_equal(executed(action_noise, action), action)
 
 
 def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
-    manner = Manner(
+    action_noise = ActionNoise(
         Style(noise=0.1, base_noise=0.1, noise_kind="step"),
         ROBOT.action,
         np.random.default_rng(0),
@@ -228,22 +228,22 @@ def test_noise_fades_where_the_robot_hardly_moves_and_spares_what_it_should():
     action = np.zeros(13, np.float32)
     action[0] = 0.5
     action[7] = -1.0
-    moved = np.array([executed(manner, action) for _ in range(2000)]) - action
+    moved = np.array([executed(action_noise, action) for _ in range(2000)]) - action
     np.testing.assert_allclose(moved[:, :7].std(axis=0), 0.1, rtol=0.15)
     assert not moved[:, 7:].any()
     action[0] = 0.025
     np.testing.assert_allclose(
-        np.array([executed(manner, action)[1] for _ in range(2000)]).std(),
+        np.array([executed(action_noise, action)[1] for _ in range(2000)]).std(),
         0.01,
         rtol=0.15,
     )
 
 
 def test_smooth_noise_drifts():
-    manner = Manner(Style(noise=0.1), ROBOT.action, np.random.default_rng(0))
+    action_noise = ActionNoise(Style(noise=0.1), ROBOT.action, np.random.default_rng(0))
     action = np.zeros(13, np.float32)
     action[0] = 0.5
-    x = np.array([executed(manner, action)[1] for _ in range(4000)])
+    x = np.array([executed(action_noise, action)[1] for _ in range(4000)])
     assert x.std() == pytest.approx(0.1, rel=0.2)
     assert np.corrcoef(x[:-1], x[1:])[0, 1] == pytest.approx(0.86, abs=0.05)
 

@@ -16,7 +16,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.experts.arm import motion
 from mjhab.experts.gaze import Gaze
-from mjhab.experts.style import Manner, StyledView
+from mjhab.experts.style import ActionNoise, StyledView
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import Subtask
 from mjhab.tasks.style import TARGET, Styles, recorded
@@ -109,7 +109,7 @@ class ExpertPolicy:
         for name in _kinds_in(env):
             script_of(name)
         self._views = [StyledView(env, w) for w in range(env.num_envs)]
-        self._manners: list[Manner | None] = [None] * env.num_envs
+        self._action_noises: list[ActionNoise | None] = [None] * env.num_envs
         self._scripts: list[Script | None] = [None] * env.num_envs
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
         self._columns = env.layout.robot.action
@@ -121,7 +121,7 @@ class ExpertPolicy:
     def reset(self, mask: np.ndarray) -> None:
         """Forget the scripts and the actions of the worlds in ``mask`` (W,)."""
         for w in np.flatnonzero(mask):
-            self._scripts[w] = self._tokens[w] = self._manners[w] = None
+            self._scripts[w] = self._tokens[w] = self._action_noises[w] = None
         for actions in (self._last, self._wished, self._intended):
             actions[mask] = 0.0
 
@@ -156,27 +156,27 @@ class ExpertPolicy:
         if subtask is None or view.done:
             still = np.zeros(self._columns.dim, np.float32)
             return still, still
-        manner = self._manner(w, view)
+        action_noise = self._action_noise(w, view)
         token = view.token
-        if manner.holds:
+        if action_noise.holds:
             gripper = (
                 motion.CLOSED
                 if subtask.must_hold or spec_of(subtask.kind).starts_holding
                 else motion.OPEN
             )
             still = motion.action(view, motion.rest_goal(view), gripper=gripper)
-            return still, manner.wait(still)
+            return still, action_noise.wait(still)
         begins = self._tokens[w] != token
         if begins:
             self._tokens[w] = token
             self._scripts[w] = self._start(subtask, view)
-        if manner.due() or begins:
+        if action_noise.due() or begins:
             with _blamed(subtask.name):
                 self._wished[w] = self._from_script(w, view)
-        intended = manner.slow(self._wished[w])
+        intended = action_noise.slow(self._wished[w])
         if view.style.look == TARGET and not self._is_moved(subtask):
             intended = self._gaze.turn(view, intended)
-        return intended, manner.disturb(intended)
+        return intended, action_noise.disturb(intended)
 
     def _is_moved(self, subtask: Subtask) -> bool:
         """Whether the environment does a subtask by a teleport instead of the robot's actions."""
@@ -195,19 +195,19 @@ class ExpertPolicy:
             )
         return begun
 
-    def _manner(self, w: int, view: StyledView) -> Manner:
-        """`Manner` of the running episode of world ``w``; the first call in an episode draws its style."""
-        manner = self._manners[w]
-        if manner is None:
+    def _action_noise(self, w: int, view: StyledView) -> ActionNoise:
+        """`ActionNoise` of the running episode of world ``w``; the first call in an episode draws its style."""
+        action_noise = self._action_noises[w]
+        if action_noise is None:
             seed, index, _ = view.token
             view.style = self._styles.draw(seed, index)
-            self._manners[w] = manner = Manner(
+            self._action_noises[w] = action_noise = ActionNoise(
                 view.style,
                 self._columns,
                 stream(seed, "style", "actions", index),
                 begun=view.steps > 0,
             )
-        return manner
+        return action_noise
 
     def _from_script(self, w: int, view: StyledView) -> np.ndarray:
         script = self._scripts[w]

@@ -1,4 +1,4 @@
-"""Styles of acting: scripts read the style from their view, and `Manner` slows and disturbs their actions.
+"""Styles of acting: scripts read the style from their view, and `ActionNoise` slows and disturbs their actions.
 
 An intended action comes from the script; the executed action is the intended one with noise.
 """
@@ -63,7 +63,7 @@ def of_kind(grasps: Grasps, kind: str) -> Grasps:
     )
 
 
-class Manner:
+class ActionNoise:
     """Slows, disturbs and delays the actions of one episode.
 
     Args:

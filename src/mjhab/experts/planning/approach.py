@@ -27,7 +27,7 @@ STRADDLE_M = 0.068
 """Distance from the tool centre to a handle at which the fingertips do not reach it yet."""
 ALONG_BAR_M = 0.04
 """Largest distance along the bar between the planned and the actual grasp."""
-FOLD_CLEARANCE_M = 0.005
+RETRACT_CLEARANCE_M = 0.005
 """Least clearance of a route on which the arm moves to its rest pose."""
 RETREAT_CLEARANCE_M = 0.29
 """Least clearance of the base on the floor when it drives backwards."""
@@ -204,7 +204,7 @@ def let_go(
     )
 
 
-def fold(
+def retract(
     view: WorldView,
     ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6),
     shut: JointedLink | None = None,
@@ -239,7 +239,7 @@ def fold(
         )
         if found is not None and (best is None or found.room > best.room + 0.002):
             best = found
-        if found is not None and found.room > FOLD_CLEARANCE_M:
+        if found is not None and found.room > RETRACT_CLEARANCE_M:
             break
     if best is not None:
         yield from follow(view, best, gripper=gripper, tolerance=0.03)

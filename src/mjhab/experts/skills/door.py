@@ -104,7 +104,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
     search = functools.partial(door_stances.pull_stances, further=further)
     while view.steps_left > 40:
         if view.link_q(link.id) >= enough:
-            if (yield from leaving.fold_beside(view, link, enough, motion.CLOSED)):
+            if (yield from leaving.retract_beside(view, link, enough, motion.CLOSED)):
                 return True
             yield from leaving.settle(view, link, motion.CLOSED)
             continue
@@ -130,7 +130,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         if view.links_run_free and link.handle.thickness > WIDE_BAR_M:
             yield from leaving.loosen(view, loose)
         yield from approach.let_go(view, 0.12, gripper=loose)
-    return (yield from approach.fold(view, gripper=motion.CLOSED))
+    return (yield from approach.retract(view, gripper=motion.CLOSED))
 
 
 def close_door(view: WorldView, link: JointedLink) -> Motion:
@@ -169,7 +169,7 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
                 break
         else:
             yield from approach.retreat(view, 0.06)
-    return (yield from approach.fold(view))
+    return (yield from approach.retract(view))
 
 
 def _sweep(view: WorldView, link: JointedLink) -> Motion:
@@ -278,7 +278,7 @@ def _follow_arc(
 def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
     """Fold the arm while a released door swings shut. Returns False when the door comes to rest ajar."""
     last = np.inf
-    for action in approach.fold(view, shut=link, gripper=motion.CLOSED):
+    for action in approach.retract(view, shut=link, gripper=motion.CLOSED):
         now = view.link_q(link.id)
         if now > AJAR_SHARE * link.range[1] and abs(now - last) < AT_REST_RAD:
             return False

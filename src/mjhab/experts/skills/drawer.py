@@ -44,9 +44,9 @@ PULL_STEP_M = 0.018
 """Motion of the drawer per control step that the arm can follow."""
 PULL_LEAD_M = 0.05
 """Largest distance of the hand's goal ahead of the drawer."""
-FOLD_POINTS = 16
+RETRACT_POINTS = 16
 """Configurations of the motion back to rest at which its clearance is checked."""
-FOLD_ROOM_M = 0.02
+RETRACT_ROOM_M = 0.02
 """Least clearance of the arm during that motion."""
 PULL_STEPS = 60
 """Control steps after which a pull is given up and the handle grasped again."""
@@ -64,7 +64,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     gripper = motion.CLOSED if pulls or view.links_run_free else motion.OPEN
     while view.steps_left > 30:
         if view.link_q(link.id) >= enough:
-            if (yield from leaving.fold_beside(view, link, enough, gripper)):
+            if (yield from leaving.retract_beside(view, link, enough, gripper)):
                 return True
             yield from leaving.settle(view, link, motion.CLOSED)
             continue
@@ -78,7 +78,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
             continue
         yield from _drive_link(view, link, OPEN_TO_SHARE * full, -SPEED_M_S)
         yield from approach.let_go(view, BACK_OFF_M)
-    return (yield from approach.fold(view, gripper=gripper))
+    return (yield from approach.retract(view, gripper=gripper))
 
 
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
@@ -111,7 +111,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
         yield from approach.go(view, best[1], motion.CLOSED)
         yield from _drive_link(view, link, goal, SPEED_M_S, press=6)
         yield from approach.retreat(view, BACK_OFF_M)
-    return (yield from approach.fold(view))
+    return (yield from approach.retract(view))
 
 
 def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
@@ -262,11 +262,11 @@ def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
                 )
             )
     every = Stances.join(found)
-    keep = _folds(robot, every.q[:, -1], link.boxes(float(opened[-1])))
+    keep = _retracts(robot, every.q[:, -1], link.boxes(float(opened[-1])))
     return Stances(every.q[keep], every.steps[keep], every.back[keep])
 
 
-def _folds(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
+def _retracts(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
     """(N,) bool: the arm can fold to rest without a collision after the base has backed up by `BACK_OFF_M`.
 
     Args:
@@ -278,10 +278,10 @@ def _folds(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
     start[:, 0] += BACK_OFF_M
     rest = ik.unwind(robot.chain, robot.rest, start)
     rest[:, BASE] = start[:, BASE]
-    share = np.linspace(0.0, 1.0, FOLD_POINTS)[:, None]
+    share = np.linspace(0.0, 1.0, RETRACT_POINTS)[:, None]
     ways = start[:, None] + share * (rest - start)[:, None]
     gaps = motion.spheres(robot).clearance(ways.reshape(-1, ways.shape[-1]), boxes)
-    return gaps.reshape(len(end), FOLD_POINTS).min(axis=1) > FOLD_ROOM_M
+    return gaps.reshape(len(end), RETRACT_POINTS).min(axis=1) > RETRACT_ROOM_M
 
 
 def _push_stances(robot: Robot, link: JointedLink) -> Stances:

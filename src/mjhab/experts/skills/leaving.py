@@ -33,11 +33,11 @@ def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
     return (yield from motion.hold(view, STILL_STEPS, gripper=gripper, until=still))
 
 
-def fold_beside(
+def retract_beside(
     view: WorldView, link: JointedLink, enough: float, gripper: float
 ) -> Motion:
     """Bring the arm to rest beside an open link. Returns False as soon as the link is open by less than ``enough``."""
-    for action in approach.fold(view, gripper=gripper):
+    for action in approach.retract(view, gripper=gripper):
         if view.link_q(link.id) < enough:
             return False
         yield action

@@ -178,8 +178,8 @@ def test_the_hand_comes_from_where_it_was_asked_to(wish: str, low: float, high: 
     assert view.subtask is not None
     found = plan_pick(view, view.subtask.obj, np.zeros((0, 3)), 0, wish)
     assert found is not None
-    stance, goals, _ = found
-    assert low <= goals.rot[stance.goal, 2, 0] <= high
+    placement, goals, _ = found
+    assert low <= goals.rot[placement.goal, 2, 0] <= high
 
 
 def executed(action_noise: ActionNoise, action: np.ndarray) -> np.ndarray:

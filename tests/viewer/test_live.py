@@ -352,7 +352,7 @@ def test_the_expert_tells_its_plan() -> None:
         view = env_of(made).view(0)
         base = view.q
         np.testing.assert_allclose(plan.path[0], base[:2], atol=0.05)
-        assert plan.stance is not None and len(plan.hands) and plan.chosen is not None
+        assert plan.placement is not None and len(plan.hands) and plan.chosen is not None
         assert view.subtask is not None
         goal = view.object_pose(view.subtask.obj)[:3]
         assert np.linalg.norm(plan.hands[:, :3, 3] - goal, axis=1).max() < 0.5

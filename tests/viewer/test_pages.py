@@ -169,7 +169,7 @@ def test_the_expert_plans_in_recorded_states(viewer: Viewer) -> None:
     np.testing.assert_allclose(
         plan.path[0], source.track.moments[0].qpos[base], atol=0.05
     )
-    assert plan.stance is not None and len(plan.hands)
+    assert plan.placement is not None and len(plan.hands)
     source.show_expert_plan(False)
     assert source.plan_at(0) is None
 

@@ -18,7 +18,7 @@ from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
 from mjhab.experts.planning.arm_ways import Free, arm_way
 from mjhab.experts.planning.sampled import plan_around, roomier
-from mjhab.experts.planning.workplace import Blocked, HandGoals, Scene, Stance
+from mjhab.experts.planning.workplace import BasePlacement, Blocked, HandGoals, Scene
 from mjhab.robots.fetch.robot import ROBOT
 
 PAN = 5
@@ -134,15 +134,17 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
     blocked = [Blocked(goals, np.zeros(1, int), arm[None], arm[None], scene, 0.0)]
     view = view_of(LEFT)
 
-    def stance(room: float) -> tuple[Stance, HandGoals, float]:
+    def placement(room: float) -> tuple[BasePlacement, HandGoals, float]:
         return (
-            Stance(0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, room)),
+            BasePlacement(
+                0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, room)
+            ),
             goals,
             0.0,
         )
 
-    good = stance(0.01)
-    bad = stance(-0.07)
+    good = placement(0.01)
+    bad = placement(-0.07)
     assert roomier(view, good, blocked) is good
     around = roomier(view, bad, blocked)
     assert around is not None and around is not bad and around[0].route.via is not None

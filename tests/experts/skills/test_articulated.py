@@ -14,8 +14,8 @@ from mjhab.envs.parts.world_view import JointedLink, WorldView, home_shapes
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
-from mjhab.experts.planning import stances
-from mjhab.experts.skills import door, door_stances, drawer
+from mjhab.experts.planning import link_motions
+from mjhab.experts.skills import door, door_motions, drawer
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import Styles
 
@@ -165,7 +165,7 @@ def plan_link(env: SequentialTaskEnv, name: str) -> JointedLink:
 
 def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DRAWER)
-    found = stances.cached(ROBOT, link, "pull", drawer._pull_stances)
+    found = link_motions.cached(ROBOT, link, "pull", drawer._pull_motions)
     pos, rot = ROBOT.chain.tip_pose(found.q[:, 1])
     handle, bar, out = link.handle_pose(0.0)
     assert len(found) > 20
@@ -176,8 +176,8 @@ def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
 
 def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found = stances.cached(ROBOT, link, "pull", door_stances.pull_stances)
-    angles = door_stances.pull_angles(link)
+    found = link_motions.cached(ROBOT, link, "pull", door_motions.pull_motions)
+    angles = door_motions.pull_angles(link)
     assert len(found) > 20
     assert angles[-1] > 0.75 * link.range[1]
     for k in range(1, len(angles)):
@@ -187,8 +187,8 @@ def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
 
 def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found = stances.cached(ROBOT, link, "push_open", door_stances.push_open)
-    angles = door_stances.push_angles(link, half=False)
+    found = link_motions.cached(ROBOT, link, "push_open", door_motions.push_open)
+    angles = door_motions.push_angles(link, half=False)
     assert len(found) > 20
     hand = motion.spheres(ROBOT).only(("wrist_roll_link", "gripper_link"))
     assert hand.clearance(found.q[:, 0], link.boxes(link.range[1])).min() > 0.03
@@ -203,9 +203,9 @@ def test_stances_belong_to_one_piece_of_furniture(env: SequentialTaskEnv) -> Non
     link = plan_link(env, DRAWER)
     handle = replace(link.handle, half_length=link.handle.half_length + 0.01)
     other = JointedLink(link.id, replace(link.spec, handle=handle), link.origin, link.rot)
-    none = stances.Stances(np.zeros((0, 1, 15)), np.zeros(0), np.zeros(0))
-    stances.cached(ROBOT, link, "pull", drawer._pull_stances)
-    assert len(stances.cached(ROBOT, other, "pull", lambda *_: none)) == 0
+    none = placements.LinkMotions(np.zeros((0, 1, 15)), np.zeros(0), np.zeros(0))
+    link_motions.cached(ROBOT, link, "pull", drawer._pull_motions)
+    assert len(link_motions.cached(ROBOT, other, "pull", lambda *_: none)) == 0
 
 
 @pytest.mark.parametrize("speed", [0.3, 0.8, 1.5])
@@ -222,7 +222,7 @@ def test_thrown_door_coasts(speed: float) -> None:
 
 def test_frame_round_trip(env: SequentialTaskEnv) -> None:
     link = home_shapes(env.layout, env.layout.pack.homes[-1].name).links[DOOR]
-    frame = stances.Frame.of(link)
+    frame = link_motions.Frame.of(link)
     pose = np.array([0.7, -0.4, 2.0])
     world = frame.base(pose)
     c = np.cos(frame.yaw)
@@ -235,9 +235,9 @@ def test_frame_round_trip(env: SequentialTaskEnv) -> None:
 
 
 def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
-    q = stances.cached(ROBOT, plan_link(env, DRAWER), "pull", drawer._pull_stances).q[
-        :, 1
-    ]
+    q = link_motions.cached(
+        ROBOT, plan_link(env, DRAWER), "pull", drawer._pull_motions
+    ).q[:, 1]
     moved = door._withdrawn(ROBOT, q, 0.05)
     (start, rot) = ROBOT.chain.tip_pose(q)
     (end, _) = ROBOT.chain.tip_pose(moved)
@@ -249,7 +249,13 @@ def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
 def test_quickest_seeds_are_kept() -> None:
     row = np.array([1, 0, 0, 0, 1])
     travel = np.array([5.0, 3.0, 1.0, 2.0, 4.0])
-    assert stances._quickest(row, travel, 2).tolist() == [True, False, True, True, True]
+    assert link_motions._quickest(row, travel, 2).tolist() == [
+        True,
+        False,
+        True,
+        True,
+        True,
+    ]
 
 
 @pytest.mark.parametrize("angle", [1.8, 2.3])
@@ -257,7 +263,7 @@ def test_sweeps_come_from_outside_and_end_at_the_closed_door(
     env: SequentialTaskEnv, angle: float
 ) -> None:
     link = plan_link(env, DOOR)
-    found = door_stances.sweeps(ROBOT, link, angle)
+    found = door_motions.sweeps(ROBOT, link, angle)
     arm = motion.spheres(ROBOT)
     clear = arm.clearance(found.q[:, 0], link.boxes(angle))
     near = arm.clearance(found.q[:, -1], link.boxes(0.0))

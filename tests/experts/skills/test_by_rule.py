@@ -81,14 +81,14 @@ def test_the_stance_faces_the_object_at_a_fixed_distance() -> None:
         obj = view.subtask.obj
         found = pick_by_rule.plan(view, obj)
         assert found is not None
-        stance, pos, rot = found
-        ahead = view.object_pose(obj)[:2] - stance.base[:2]
+        placement, pos, rot = found
+        ahead = view.object_pose(obj)[:2] - placement.base[:2]
         assert min(abs(np.linalg.norm(ahead) - d) for d in DISTANCES_M) < 1e-6
-        assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(stance.base[2])
+        assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(placement.base[2])
         assert np.linalg.norm(pos) < 0.15
         np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-9)
         assert (
-            planner(view, shut=True).clearance_at(stance.base[:2])
+            planner(view, shut=True).clearance_at(placement.base[:2])
             > view.robot.footprint.wide
         )
 

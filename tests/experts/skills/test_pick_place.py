@@ -203,18 +203,18 @@ def test_plan_of_a_pick_is_clear_of_the_furniture():
     obj = the_object(view)
     found = plan_pick(view, obj, np.zeros((0, 3)))
     assert found is not None
-    stance, goals, _ = found
+    placement, goals, _ = found
     near, target = surroundings(view, obj, view.object_pose(obj)[:3])
     assert (
         motion.spheres(ROBOT).clearance(
-            stance.pre[None], type(near).join([near, target])
+            placement.pre[None], type(near).join([near, target])
         )[0]
         > 0.0
     )
-    pos, rot = ROBOT.chain.tip_pose(stance.at[None])
-    np.testing.assert_allclose(pos[0], goals.pos[stance.goal], atol=0.01)
-    np.testing.assert_allclose(rot[0], goals.rot[stance.goal], atol=0.1)
-    assert planner(view, shut=True).clearance_at(stance.at[:2]) >= 0.27
+    pos, rot = ROBOT.chain.tip_pose(placement.at[None])
+    np.testing.assert_allclose(pos[0], goals.pos[placement.goal], atol=0.01)
+    np.testing.assert_allclose(rot[0], goals.rot[placement.goal], atol=0.1)
+    assert planner(view, shut=True).clearance_at(placement.at[:2]) >= 0.27
 
 
 def test_failed_base_poses_are_avoided():
@@ -368,13 +368,13 @@ def test_place_picks_up_again_what_it_lost():
 def test_a_grasp_out_of_reach_from_where_the_base_stays_is_given_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stance = SimpleNamespace(at=np.zeros(6))
+    placement = SimpleNamespace(at=np.zeros(6))
     plans: list[int] = []
 
     def plan(view: object, obj: str, failed: np.ndarray, *rest: object) -> object:
         plans.append(len(failed))
         assert len(plans) < 10, "plans again and again within one control step"
-        return None if len(failed) else (stance, None, 0.0)
+        return None if len(failed) else (placement, None, 0.0)
 
     def at_once(*args: object, **options: object) -> Iterator[np.ndarray]:
         yield from ()

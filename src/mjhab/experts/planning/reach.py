@@ -24,7 +24,13 @@ from mjhab.experts.planning.base_poses import (
     overreach,
     way_out,
 )
-from mjhab.experts.planning.workplace import Blocked, HandGoals, ReachQuery, Scene, Stance
+from mjhab.experts.planning.workplace import (
+    BasePlacement,
+    Blocked,
+    HandGoals,
+    ReachQuery,
+    Scene,
+)
 from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import Robot
 
@@ -33,16 +39,16 @@ MAX_DEFICIT_M = -0.055
 0.045 m on."""
 _STRETCHED_PRICE = 60.0
 """Price of a nearly straight elbow [control steps per radian]."""
-MAX_STANCES = 3
+MAX_PLACEMENTS = 3
 _PER_BASE = 8
 _SEEDS = 5
 _KEPT = 50
 
 
-def stances(
+def placements(
     view: WorldView, query: ReachQuery, blocked: list[Blocked] | None = None
-) -> list[Stance]:
-    """At most `MAX_STANCES` ways to bring the hand to one of the requested poses, quickest first.
+) -> list[BasePlacement]:
+    """At most `MAX_PLACEMENTS` ways to bring the hand to one of the requested poses, quickest first.
 
     Args:
         view: world to plan in.
@@ -244,7 +250,7 @@ def _before(
 
 def _routed(
     view: WorldView, query: ReachQuery, q: np.ndarray, pre: np.ndarray, goal: np.ndarray
-) -> list[Stance]:
+) -> list[BasePlacement]:
     """Stances with collision-free routes to ``pre`` (N, J); if there are none, the one with the most clearance.
 
     ``q`` (N, J), ``goal`` (N,): configurations at the hand poses, cheapest first, and indices of the hand poses.
@@ -252,8 +258,8 @@ def _routed(
     scene = query.scene
     robot = scene.robot()
     boxes = scene.all
-    clear: list[Stance] = []
-    tight: list[Stance] = []
+    clear: list[BasePlacement] = []
+    tight: list[BasePlacement] = []
     seen: list[np.ndarray] = []
     for i in range(len(q)):
         if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
@@ -268,23 +274,23 @@ def _routed(
         if route is None:
             continue
         (clear if route.room >= 0.0 else tight).append(
-            Stance(int(goal[i]), pre[i], q[i], route)
+            BasePlacement(int(goal[i]), pre[i], q[i], route)
         )
-        if len(clear) >= MAX_STANCES or len(clear) + len(tight) >= 3 * MAX_STANCES:
+        if len(clear) >= MAX_PLACEMENTS or len(clear) + len(tight) >= 3 * MAX_PLACEMENTS:
             break
     tight = sorted(
         (s for s in tight if s.route.room > MAX_DEFICIT_M), key=lambda s: -s.route.room
     )
 
-    def steps(stance: Stance) -> float:
-        back = float(motion.steps_home(view.robot, stance.at))
-        return stance.route.steps + query.home * back
+    def steps(placement: BasePlacement) -> float:
+        back = float(motion.steps_home(view.robot, placement.at))
+        return placement.route.steps + query.home * back
 
     return sorted(clear, key=steps) or tight[:1]
 
 
 def settle_reach(
-    view: WorldView, stance: Stance, pos: np.ndarray, rot: np.ndarray
+    view: WorldView, placement: BasePlacement, pos: np.ndarray, rot: np.ndarray
 ) -> np.ndarray | None:
     """Configurations for hand positions from the actual base pose, which differs from the planned one.
 
@@ -292,7 +298,7 @@ def settle_reach(
 
     Args:
         view: world to act in.
-        stance: planned configurations.
+        placement: planned configurations.
         pos: (M, 3) hand positions.
         rot: (3, 3) rotation of the hand.
 
@@ -303,9 +309,9 @@ def settle_reach(
     torso = list(view.robot.torso_columns)
     arm = ik.columns(robot, torso=False)
     for free in (arm, ik.columns(robot)):
-        seed = np.stack([stance.pre, stance.at])
+        seed = np.stack([placement.pre, placement.at])
         seed[:, BASE] = view.base
-        first = ik.solve(robot, ik.TipGoals(pos[:1], rot[None], free, stance.at), seed)
+        first = ik.solve(robot, ik.TipGoals(pos[:1], rot[None], free, placement.at), seed)
         for start in first.q[0, first.ok[0]]:
             seeds = np.concatenate([start[None], seed])
             seeds[:, torso] = start[torso]

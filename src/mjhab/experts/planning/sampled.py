@@ -32,7 +32,7 @@ from mjhab.experts.base.route import (
     within_reach,
 )
 from mjhab.experts.planning.arm_ways import PLANNING_SEED, Free, arm_way
-from mjhab.experts.planning.workplace import Blocked, HandGoals, Stance
+from mjhab.experts.planning.workplace import BasePlacement, Blocked, HandGoals
 from mjhab.robots.robot import Robot
 
 MAX_POSTURES = 1000
@@ -56,7 +56,7 @@ _PLACES = 14
 """Base poses of a drive at which a posture is checked."""
 
 
-Found = tuple[Stance, HandGoals, float]
+Found = tuple[BasePlacement, HandGoals, float]
 """A stance, the hand poses that it refers to, and the length of the straight drive in at the end [m]."""
 
 
@@ -98,7 +98,7 @@ def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
                 view, pre[BASE] - back, pre, robot, boxes, care=reach.scene.care
             )
             if route is not None and (best is None or route.steps < best.route.steps):
-                best = Stance(int(goal), pre, at, route)
+                best = BasePlacement(int(goal), pre, at, route)
         if best is not None and best.route.steps + MIN_TOTAL_STEPS <= view.steps_left:
             return best, reach.goals, reach.drive_in
     return None

@@ -87,7 +87,7 @@ class Scene:
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
+class BasePlacement:
     """A way to reach one of several hand poses.
 
     Attributes:

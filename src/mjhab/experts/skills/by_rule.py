@@ -33,11 +33,11 @@ BEARINGS = 36
 """Number of directions around the place that are tried."""
 DISTANCE_PRICE = 4.0
 """Cost of a deviation from the best distance, in metres of driving per metre."""
-MAX_STANCES = 40
+MAX_PLACEMENTS = 40
 """Greatest number of base poses that are tried."""
 LOOKAHEAD_M = 0.3
 """Look-ahead distance of `Pilot`."""
-STANCE_ROOM_M = 0.01
+PLACEMENT_CLEARANCE_M = 0.01
 """Clearance of a stance beyond what the base needs to drive."""
 PATH_END_M = 0.02
 """Greatest distance between a stance and the end of the planned path to it."""
@@ -67,7 +67,7 @@ TURN_SPEED_RAD_S = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class RuledStance:
+class RuledPlacement:
     """A base pose from which a hand pose is reached.
 
     Attributes:
@@ -110,9 +110,9 @@ class Hands:
     price: np.ndarray
 
 
-def find_stance(
+def find_placement(
     view: WorldView, scene: Scene, point: np.ndarray, hands: Hands
-) -> RuledStance | None:
+) -> RuledPlacement | None:
     """Find the nearest stance from which one of the hand poses is reached.
 
     Args:
@@ -133,7 +133,7 @@ def find_stance(
             continue
         path = floor.plan(view.base[:2], base[:2])
         if path is not None and np.linalg.norm(path[-1] - base[:2]) < PATH_END_M:
-            return RuledStance(base, path, *found)
+            return RuledPlacement(base, path, *found)
     return None
 
 
@@ -147,8 +147,8 @@ def _bases(view: WorldView, point: np.ndarray) -> Iterator[np.ndarray]:
     floor = planner(view, shut=True)
     cost = floor.costs(view.base[:2])[floor.cells(xy)]
     cost = cost + DISTANCE_PRICE * np.abs(distance - DISTANCES_M[0])
-    cost[floor.clearance_at(xy) < floor.radius + STANCE_ROOM_M] = np.inf
-    order = np.argsort(cost, kind="stable")[:MAX_STANCES]
+    cost[floor.clearance_at(xy) < floor.radius + PLACEMENT_CLEARANCE_M] = np.inf
+    order = np.argsort(cost, kind="stable")[:MAX_PLACEMENTS]
     for k in order[np.isfinite(cost[order])]:
         yield np.array([*xy[k], yaw[k]])
 

@@ -15,11 +15,11 @@ from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.planning import approach, link_path, stances
+from mjhab.experts.planning import approach, link_motions, link_path
+from mjhab.experts.planning.link_motions import Frame, LinkMotions
 from mjhab.experts.planning.link_path import LinkPath
-from mjhab.experts.planning.stances import Frame, Stances
-from mjhab.experts.skills import door_stances, leaving
-from mjhab.experts.skills.door_stances import (
+from mjhab.experts.skills import door_motions, leaving
+from mjhab.experts.skills.door_motions import (
     HALF_OPEN_SHARE,
     OPEN_TO_SHARE,
     PRESS_AHEAD_RAD,
@@ -60,7 +60,7 @@ ENTER_STEPS = 22
 """Greatest number of control steps on the line behind the door."""
 BEHIND_WAY_M = 0.25
 """Length of the straight line of the hand behind an open door."""
-STANCES_TRIED = 16
+MOTIONS_TRIED = 16
 """Number of stances whose clearance is checked."""
 JOINT_STEP_RAD = 0.037
 """Largest motion of an arm joint per control step while the hand pushes the door shut."""
@@ -101,15 +101,15 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
     further = round(style_of(view).open_further, 2)
     end = (OPEN_TO_SHARE + OPEN_SPARE_SHARE + further) * link.range[1]
     job = f"pull {further}" if further else "pull"
-    search = functools.partial(door_stances.pull_stances, further=further)
+    search = functools.partial(door_motions.pull_motions, further=further)
     while view.steps_left > 40:
         if view.link_q(link.id) >= enough:
             if (yield from leaving.retract_beside(view, link, enough, motion.CLOSED)):
                 return True
             yield from leaving.settle(view, link, motion.CLOSED)
             continue
-        found = stances.cached(view.robot, link, job, search)
-        path = _reachable(view, link, found, door_stances.pull_angles(link, further))
+        found = link_motions.cached(view.robot, link, job, search)
+        path = _reachable(view, link, found, door_motions.pull_angles(link, further))
         if path is None:
             return False
         around, loose = (
@@ -134,7 +134,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
 
 
 def close_door(view: WorldView, link: JointedLink) -> Motion:
-    """Close a hinged door: reach behind it and accelerate it along its arc, then fold the arm while it swings shut.
+    """Close a hinged door: reach behind it and accelerate it along its arc, then retract the arm while it swings shut.
 
     With the style ``close=push`` the hand pushes the door all the way. Both are repeated while the door is ajar. With
     ``close=sweep`` the base drives against the door with the arm at rest, where there is room for it.
@@ -145,11 +145,11 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
     while view.steps_left > 40 and view.link_q(link.id) > AJAR_SHARE * link.range[1]:
         start = view.link_q(link.id) + PRESS_AHEAD_RAD
         half = start < HALF_OPEN_SHARE * link.range[1]
-        search = door_stances.push_half_open if half else door_stances.push_open
-        angles = door_stances.push_angles(link, half)
+        search = door_motions.push_half_open if half else door_motions.push_open
+        angles = door_motions.push_angles(link, half)
         found, angles = _from_angle(
             view.robot,
-            stances.cached(view.robot, link, search.__name__, search),
+            link_motions.cached(view.robot, link, search.__name__, search),
             angles,
             min(start, angles[0]),
         )
@@ -179,10 +179,10 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
     """
     # Stances are cached per angle: rounding up limits the number of searches.
     angle = float(np.ceil(10.0 * view.link_q(link.id))) / 10.0
-    search = functools.partial(door_stances.sweeps, angle=angle)
-    found = stances.cached(view.robot, link, f"sweep {angle:.1f}", search)
+    search = functools.partial(door_motions.sweeps, angle=angle)
+    found = link_motions.cached(view.robot, link, f"sweep {angle:.1f}", search)
     path = _reachable(
-        view, link, found, np.linspace(1.0, 0.0, door_stances.SWEEP_WAY_POINTS)
+        view, link, found, np.linspace(1.0, 0.0, door_motions.SWEEP_WAY_POINTS)
     )
     if path is None:
         return False
@@ -276,7 +276,7 @@ def _follow_arc(
 
 
 def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
-    """Fold the arm while a released door swings shut. Returns False when the door comes to rest ajar."""
+    """Retract the arm while a released door swings shut. Returns False when the door comes to rest ajar."""
     last = np.inf
     for action in approach.retract(view, shut=link, gripper=motion.CLOSED):
         now = view.link_q(link.id)
@@ -357,7 +357,7 @@ def _pace(path: LinkPath, angle: float, way: float) -> float:
 def _reachable(
     view: WorldView,
     link: JointedLink,
-    found: Stances,
+    found: LinkMotions,
     angles: np.ndarray,
     back: float = 0.0,
 ) -> LinkPath | None:
@@ -373,9 +373,9 @@ def _reachable(
     Returns:
         The motion in the world, with the route to it; None if there is none.
     """
-    goals, _ = stances.rank(view, Frame.of(link), found)
+    goals, _ = link_motions.rank(view, Frame.of(link), found)
     walls = Boxes.join([view.home.boxes, view.link_boxes((link.id,))])
-    goals = goals[_distinct(goals[:, 0, :3])[:STANCES_TRIED]]
+    goals = goals[_distinct(goals[:, 0, :3])[:MOTIONS_TRIED]]
     free = np.array(
         [g for g in goals if motion.spheres(view.robot).clearance(g, walls).min() > 0.01]
     )
@@ -406,14 +406,17 @@ def _withdrawn(body: Robot, q: np.ndarray, back: float) -> np.ndarray:
     good = (
         found.ok[:, 0]
         & near
-        & (motion.spheres(body).self_clearance(found.q[:, 0]) > stances.SELF_CLEARANCE_M)
+        & (
+            motion.spheres(body).self_clearance(found.q[:, 0])
+            > link_motions.SELF_CLEARANCE_M
+        )
     )
     return np.where(good[:, None], found.q[:, 0], q)
 
 
 def _from_angle(
-    body: Robot, found: Stances, angles: np.ndarray, start: float
-) -> tuple[Stances, np.ndarray]:
+    body: Robot, found: LinkMotions, angles: np.ndarray, start: float
+) -> tuple[LinkMotions, np.ndarray]:
     """Cut closing motions so that they start at the door angle ``start``; returns them and their angles."""
     k = int(np.searchsorted(-angles, -start))
     if k == 0:
@@ -423,4 +426,4 @@ def _from_angle(
     robot = body.chain
     steps = ik.travel_steps(robot, body.rest, first, ik.columns(robot))
     q = np.concatenate([first[:, None], found.q[:, k:]], axis=1)
-    return Stances(q, steps, found.back), np.append(start, angles[k:])
+    return LinkMotions(q, steps, found.back), np.append(start, angles[k:])

@@ -11,9 +11,9 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.planning import approach, link_path, stances
+from mjhab.experts.planning import approach, link_motions, link_path
+from mjhab.experts.planning.link_motions import HandPaths, LinkMotions
 from mjhab.experts.planning.link_path import LinkPath
-from mjhab.experts.planning.stances import HandPaths, Stances
 from mjhab.experts.skills import leaving
 from mjhab.experts.style import style_of
 from mjhab.robots.robot import Robot
@@ -23,7 +23,7 @@ Motion = motion.Motion
 PRE_GRASP_M = 0.11
 """Distance from which the open hand moves straight onto the handle."""
 BACK_OFF_M = 0.08
-"""Distance between handle and hand at which the arm folds."""
+"""Distance between handle and hand at which the arm retracts."""
 AROUND_BAR_M = 0.045
 """Distance between the open fingers beyond the thickness of the bar; bars in a recess leave no more."""
 CLOSED_SHARE = 0.01
@@ -100,10 +100,10 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
                 view, BACK_OFF_M, gripper=_around(view.robot, link)
             )
             continue
-        found = stances.cached(view.robot, link, "push", _push_stances)
+        found = link_motions.cached(view.robot, link, "push", _push_motions)
         moved = found.shifted(view.link_q(link.id))
-        goals, _ = stances.rank(
-            view, stances.Frame.of(link), moved, found.q[:, :1, BASE_XY]
+        goals, _ = link_motions.rank(
+            view, link_motions.Frame.of(link), moved, found.q[:, :1, BASE_XY]
         )
         best = approach.best_route(view, goals[:, 0])
         if best is None:
@@ -116,10 +116,10 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
 
 def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     """Grasp the bar from a stance from which the base can drive until the drawer is open by ``goal`` [m]."""
-    found = stances.cached(view.robot, link, "pull", _pull_stances)
+    found = link_motions.cached(view.robot, link, "pull", _pull_motions)
     q = view.link_q(link.id)
     end = found.q[:, :1, BASE_XY] + np.array([goal, 0.0])
-    goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q), end)
+    goals, _ = link_motions.rank(view, link_motions.Frame.of(link), found.shifted(q), end)
     best = approach.best_route(view, goals[:, 0])
     if best is None:
         return False
@@ -127,15 +127,15 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     gripper = _around(view.robot, link)
     yield from approach.go(view, best[1], gripper)
     _, turn = view.robot.chain.tip_pose(posture[1])
-    rot = stances.hand(-link.handle_pose(q)[2], turn[0, :, 1])
+    rot = link_motions.hand(-link.handle_pose(q)[2], turn[0, :, 1])
     return (yield from approach.take(view, link, rot, posture[1], gripper=gripper))
 
 
 def _arm_path(view: WorldView, link: JointedLink) -> LinkPath | None:
     """Plan the motion in which the arm pulls the drawer from its present opening; None if none is collision-free."""
-    found = stances.cached(view.robot, link, "pull by arm", _arm_stances)
+    found = link_motions.cached(view.robot, link, "pull by arm", _arm_motions)
     q = view.link_q(link.id)
-    goals, _ = stances.rank(view, stances.Frame.of(link), found.shifted(q))
+    goals, _ = link_motions.rank(view, link_motions.Frame.of(link), found.shifted(q))
     best = approach.best_route(view, goals[:, 0])
     if best is None:
         return None
@@ -215,26 +215,26 @@ def _square(handle: np.ndarray, near: np.ndarray, side: np.ndarray) -> np.ndarra
     return np.stack([x.ravel(), y.ravel(), np.full(x.size, np.pi)], axis=1)
 
 
-def _pull_stances(robot: Robot, link: JointedLink) -> Stances:
+def _pull_motions(robot: Robot, link: JointedLink) -> LinkMotions:
     """Find stances at the closed drawer: hand in front of the handle, then on it, fingers above and below the bar."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.62, 0.96, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + PRE_GRASP_M * out, handle])
     boxes = [link.boxes(0.0)] * 2
-    sides = [stances.hand(-out, np.array([0.0, 0.0, up])) for up in (1.0, -1.0)]
-    return Stances.join([_still(robot, base, pos, rot, boxes) for rot in sides])
+    sides = [link_motions.hand(-out, np.array([0.0, 0.0, up])) for up in (1.0, -1.0)]
+    return LinkMotions.join([_still(robot, base, pos, rot, boxes) for rot in sides])
 
 
 def _arm_values(link: JointedLink) -> np.ndarray:
-    """Joint values (1 + PULL_POINTS,) [m] of the way points of `_arm_stances`; at first the hand is before the bar."""
+    """Joint values (1 + PULL_POINTS,) [m] of the way points of `_arm_motions`; at first the hand is before the bar."""
     return np.append(
         -PRE_GRASP_M,
         np.linspace(0.0, (OPEN_TO_SHARE + 0.05) * link.range[1], PULL_POINTS),
     )
 
 
-def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
-    """Find stances as `_pull_stances`, followed by the pull, in which arm and base move together."""
+def _arm_motions(robot: Robot, link: JointedLink) -> LinkMotions:
+    """Find stances as `_pull_motions`, followed by the pull, in which arm and base move together."""
     out = link.handle_pose(0.0)[2]
     values = _arm_values(link)
     handles = [link.handle_pose(max(float(value), 0.0))[0] for value in values]
@@ -249,9 +249,9 @@ def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
         paths = np.repeat(base[:, None], len(values), axis=1)
         paths[:, :, 0] += driven
         for up in (1.0, -1.0):
-            rot = stances.hand(-out, np.array([0.0, 0.0, up]))
+            rot = link_motions.hand(-out, np.array([0.0, 0.0, up]))
             found.append(
-                stances.track(
+                link_motions.track(
                     robot,
                     HandPaths(
                         paths,
@@ -261,13 +261,13 @@ def _arm_stances(robot: Robot, link: JointedLink) -> Stances:
                     boxes,
                 )
             )
-    every = Stances.join(found)
+    every = LinkMotions.join(found)
     keep = _retracts(robot, every.q[:, -1], link.boxes(float(opened[-1])))
-    return Stances(every.q[keep], every.steps[keep], every.back[keep])
+    return LinkMotions(every.q[keep], every.steps[keep], every.back[keep])
 
 
 def _retracts(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
-    """(N,) bool: the arm can fold to rest without a collision after the base has backed up by `BACK_OFF_M`.
+    """(N,) bool: the arm can retract to rest without a collision after the base has backed up by `BACK_OFF_M`.
 
     Args:
         robot: the robot.
@@ -284,7 +284,7 @@ def _retracts(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
     return gaps.reshape(len(end), RETRACT_POINTS).min(axis=1) > RETRACT_ROOM_M
 
 
-def _push_stances(robot: Robot, link: JointedLink) -> Stances:
+def _push_motions(robot: Robot, link: JointedLink) -> LinkMotions:
     """Find stances at the closed drawer with the closed fingers in front of the bar; an open drawer shifts them."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.58, 0.92, 0.04), np.linspace(-0.24, 0.24, 9))
@@ -293,7 +293,7 @@ def _push_stances(robot: Robot, link: JointedLink) -> Stances:
         robot,
         base,
         pos,
-        stances.hand(-out, np.array([0.0, 0.0, 1.0])),
+        link_motions.hand(-out, np.array([0.0, 0.0, 1.0])),
         [link.boxes(0.0)] * 2,
         mode="approach",
     )
@@ -306,7 +306,7 @@ def _still(
     rot: np.ndarray,
     boxes: list,
     mode: motion.ik.Mode = "pose",
-) -> Stances:
+) -> LinkMotions:
     """Find stances with unmoved base poses (N, 3) for K hand positions ``pos`` (K, 3) at one rotation (3, 3).
 
     ``boxes``: K obstacles, one `Boxes` per hand position.
@@ -319,4 +319,4 @@ def _still(
         np.broadcast_to(rot, (n, k, 3, 3)),
         mode,
     )
-    return stances.track(robot, paths, boxes)
+    return link_motions.track(robot, paths, boxes)

@@ -30,13 +30,13 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
 from mjhab.experts.planning.carry import ReachIn, drive_in
-from mjhab.experts.planning.reach import settle_reach, stances
+from mjhab.experts.planning.reach import placements, settle_reach
 from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
+    BasePlacement,
     HandGoals,
     ReachQuery,
     Scene,
-    Stance,
 )
 from mjhab.robots.parts import Gripper
 
@@ -88,12 +88,12 @@ _MAX_DEFICIT_M = -0.03
 class Nudge:
     """A planned push.
 
-    stance: reaches one of ``goals``. goals: hand poses at the end of the longest possible push. depth: distance of the
+    placement: reaches one of ``goals``. goals: hand poses at the end of the longest possible push. depth: distance of the
     straight drive before the push [m]. turn: planned angle of the box [rad]. inward, outer: (2,) unit vectors into the
     shelf and from the centre of the box to the pushed end.
     """
 
-    stance: Stance
+    placement: BasePlacement
     goals: HandGoals
     depth: float
     turn: float
@@ -156,7 +156,7 @@ def plan_nudge(
         height = 2.0 * (pose[2] - scene.support_z)
         goals = _goals(view.robot.gripper, push, pose[:2], scene.support_z, height)
         for room, nearer in ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02)):
-            best: tuple[float, Stance, float] | None = None
+            best: tuple[float, BasePlacement, float] | None = None
             for depth in DEPTHS_M if len(goals) else ():
                 query = ReachQuery(
                     point=pose[:3],
@@ -166,12 +166,12 @@ def plan_nudge(
                     room=room,
                     nearer=nearer,
                 )
-                for stance in stances(view, query):
-                    steps = in_steps(depth) + stance.route.steps
-                    if stance.route.room > _MAX_DEFICIT_M and (
+                for placement in placements(view, query):
+                    steps = in_steps(depth) + placement.route.steps
+                    if placement.route.room > _MAX_DEFICIT_M and (
                         best is None or steps < best[0]
                     ):
-                        best = steps, stance, depth
+                        best = steps, placement, depth
             if best is not None:
                 return Nudge(best[1], goals, best[2], push.turn, inward, push.outer)
     return None
@@ -316,21 +316,21 @@ def nudge(
     view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Graspable
 ) -> Motion:
     """Drive there and push until the box can be grasped. Returns whether it turned."""
-    stance = plan.stance
-    goal = plan.stance.goal
+    placement = plan.placement
+    goal = plan.placement.goal
     pos = plan.goals.pos[goal]
     rot = plan.goals.rot[goal]
     pre = plan.goals.pre[goal]
-    arrived = yield from follow(view, stance.route, gripper=motion.OPEN)
+    arrived = yield from follow(view, placement.route, gripper=motion.OPEN)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE_N:
         return False
-    reach = ReachIn(stance.pre, pre, rot)
+    reach = ReachIn(placement.pre, pre, rot)
     if plan.depth and not (
         yield from drive_in(view, reach, boxes, gripper=motion.OPEN, hasty=True)
     ):
         return False
-    joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
-    rest = stance.at if joints is None else joints[1]
+    joints = settle_reach(view, placement, np.stack([pre, pos]), rot)
+    rest = placement.at if joints is None else joints[1]
     hand = _PushingHand(rot, float(pos[2]), rest)
     return (yield from _push(view, obj, plan, hand, graspable))
 

@@ -30,8 +30,8 @@ from mjhab.experts.planning.carry import (
 )
 from mjhab.experts.planning.reach import hand_room, settle_reach
 from mjhab.experts.planning.workplace import (
+    BasePlacement,
     HandGoals,
-    Stance,
 )
 from mjhab.experts.skills.nudge import nudge, plan_nudge
 from mjhab.experts.skills.pick_plans import (
@@ -119,8 +119,8 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             )
             failed = failed[:0]
             continue
-        stance, goals, depth = found
-        taken = yield from _take(view, obj, stance, goals, depth, hasty=inside)
+        placement, goals, depth = found
+        taken = yield from _take(view, obj, placement, goals, depth, hasty=inside)
         short = taken is None and not short
         if short:
             # The base stopped a little too far away, or the object moved: another grasp from the present base pose is
@@ -131,8 +131,8 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             shelf = bool(depth) or inside
             if (yield from _carry(view, obj, shelf=shelf, hasty=inside, keep=keep)):
                 return True
-        failed = np.concatenate([failed, stance.at[None, BASE]])
-        yield from _draw_back(view, obj, stance, depth)
+        failed = np.concatenate([failed, placement.at[None, BASE]])
+        yield from _draw_back(view, obj, placement, depth)
 
 
 def _is_held(view: WorldView, obj: str) -> bool:
@@ -169,14 +169,19 @@ def _carry(view: WorldView, obj: str, *, shelf: bool, hasty: bool, keep: bool) -
     return False
 
 
-def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motion:
+def _draw_back(
+    view: WorldView, obj: str, placement: BasePlacement, depth: float
+) -> Motion:
     """Leave the place of a failed grasp, to which the base drove straight in over up to ``depth`` [m]."""
     # A hand that presses against furniture is not moved before the base has driven out.
     if not (depth and view.link_forces.sum() > BLOCKED_FORCE_N):
         yield from _let_go(view)
     if (
         not depth
-        or (come_in := depth - float(np.linalg.norm(view.base[:2] - stance.at[BASE_XY])))
+        or (
+            come_in := depth
+            - float(np.linalg.norm(view.base[:2] - placement.at[BASE_XY]))
+        )
         < INSIDE_M
     ):
         return True
@@ -187,7 +192,7 @@ def _draw_back(view: WorldView, obj: str, stance: Stance, depth: float) -> Motio
 
 def _planned(
     view: WorldView, obj: str, failed: np.ndarray, attempt: int, inside: bool
-) -> tuple[Stance, HandGoals, float] | None:
+) -> tuple[BasePlacement, HandGoals, float] | None:
     """`plan_pick` with the kind of grasp of the style, else with any.
 
     ``inside``: the object was just turned by a push, and the base still stands before the shelf.
@@ -249,7 +254,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
 def _take(
     view: WorldView,
     obj: str,
-    stance: Stance,
+    placement: BasePlacement,
     goals: HandGoals,
     depth: float,
     hasty: bool = False,
@@ -257,9 +262,9 @@ def _take(
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach or,
     on a shelf, was shifted on the way."""
     start = view.object_pose(obj)[:3]
-    goal = goals.take(np.array([stance.goal]))
+    goal = goals.take(np.array([placement.goal]))
     opening = motion.gripper_at(view.robot, float(goal.opening[0]) + 0.004)
-    arrived = yield from follow(view, stance.route, gripper=opening)
+    arrived = yield from follow(view, placement.route, gripper=opening)
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE_N:
         yield from go_home(view, obj, holding=False)
         return False
@@ -269,7 +274,7 @@ def _take(
         if not (
             yield from drive_in(
                 view,
-                ReachIn(stance.pre, goal.pre[0], goal.rot[0]),
+                ReachIn(placement.pre, goal.pre[0], goal.rot[0]),
                 boxes,
                 gripper=opening,
                 hasty=hasty,
@@ -278,7 +283,9 @@ def _take(
             return False
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return None if depth else False
-    joints = settle_reach(view, stance, np.stack([goal.pre[0], goal.pos[0]]), goal.rot[0])
+    joints = settle_reach(
+        view, placement, np.stack([goal.pre[0], goal.pos[0]]), goal.rot[0]
+    )
     if joints is None:
         return None
     # Boxes leave enough room between the fingers: where little time is left they are taken quickly.

@@ -20,8 +20,8 @@ from mjhab.experts.skills.by_rule import (
     Drive,
     Funnel,
     Hands,
-    RuledStance,
-    find_stance,
+    RuledPlacement,
+    find_placement,
     move_hand,
 )
 from mjhab.experts.style import style_of
@@ -61,8 +61,8 @@ def pick_by_rule(view: WorldView) -> Motion:
     found = plan(view, obj)
     if found is None:
         return (yield from search.pick(view))
-    stance, pos, rot = found
-    pilot = stance.pilot()
+    placement, pos, rot = found
+    pilot = placement.pilot()
     height = float(view.object_pose(obj)[2])
     arrived = False
     while True:
@@ -73,14 +73,14 @@ def pick_by_rule(view: WorldView) -> Motion:
         pose = view.object_pose(obj)
         if (view.finger_forces(obj) > PRESSED_N).all():
             yield _carry(view, bool(pose[2] < height + LIFT_M), drive)
-        elif stance.far(view):
+        elif placement.far(view):
             yield motion.action(
                 view, motion.rest_goal(view), gripper=motion.OPEN, drive=drive
             )
         else:
             turned = mat_from_quat(pose[3:])
             hand = turned @ rot
-            funnel = Funnel(pose[:3] + turned @ pos, hand, hand[:, 0], stance.ready)
+            funnel = Funnel(pose[:3] + turned @ pos, hand, hand[:, 0], placement.ready)
             yield _grasp(view, funnel, drive)
 
 
@@ -104,7 +104,9 @@ def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> np.ndarray:
     return funnel.step(view, motion.CLOSED if there else motion.OPEN, drive)
 
 
-def plan(view: WorldView, obj: str) -> tuple[RuledStance, np.ndarray, np.ndarray] | None:
+def plan(
+    view: WorldView, obj: str
+) -> tuple[RuledPlacement, np.ndarray, np.ndarray] | None:
     """Choose a stance, and a grasp in the frame of the object: tcp position (3,) and rotation (3, 3); None if none."""
     pose = view.object_pose(obj)
     if inside_depth(view, pose[:3]):
@@ -120,9 +122,9 @@ def plan(view: WorldView, obj: str) -> tuple[RuledStance, np.ndarray, np.ndarray
     lifted = every.pos + np.array([0.0, 0.0, LIFT_M])
     before = every.pos - STANDOFF_M * every.rot[:, :, 0]
     hands = Hands(every.pos, every.rot, before, lifted, -SCORE_PRICE * every.score)
-    stance = find_stance(view, scene, pose[:3], hands)
-    if stance is None:
+    placement = find_placement(view, scene, pose[:3], hands)
+    if placement is None:
         return None
     turned = mat_from_quat(pose[3:])
-    pos = turned.T @ (every.pos[stance.row] - pose[:3])
-    return stance, pos, turned.T @ every.rot[stance.row]
+    pos = turned.T @ (every.pos[placement.row] - pose[:3])
+    return placement, pos, turned.T @ every.rot[placement.row]

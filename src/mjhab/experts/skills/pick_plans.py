@@ -24,15 +24,15 @@ from mjhab.experts.planning.carry import (
     SHELF_DEPTH_M,
     inside_depth,
 )
-from mjhab.experts.planning.reach import hand_room, stances
+from mjhab.experts.planning.reach import hand_room, placements
 from mjhab.experts.planning.sampled import roomier
 from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
+    BasePlacement,
     Blocked,
     HandGoals,
     ReachQuery,
     Scene,
-    Stance,
     surroundings,
 )
 from mjhab.experts.skills.nudge import in_steps
@@ -76,7 +76,7 @@ _HOME_WEIGHT = 0.8
 
 def plan_pick(
     view: WorldView, obj: str, failed: np.ndarray, attempt: int = 0, wish: str = ANY
-) -> tuple[Stance, HandGoals, float] | None:
+) -> tuple[BasePlacement, HandGoals, float] | None:
     """Plan a grasp of an object.
 
     Args:
@@ -130,7 +130,7 @@ def plan_pick(
                 room=CLEARANCES_M[min(attempt, 2)],
                 nearer=nearer,
             )
-            found = stances(view, query, blocked)
+            found = placements(view, query, blocked)
             if found and (best is None or found[0].route.room > best[0].route.room):
                 best = found[0], goals, back
             if best is not None and (not depth or best[0].route.room >= 0.0):
@@ -172,7 +172,7 @@ def shelf_grasps(
 
 def plan_inside(
     view: WorldView, obj: str, failed: np.ndarray
-) -> tuple[Stance, HandGoals, float] | None:
+) -> tuple[BasePlacement, HandGoals, float] | None:
     """Like `plan_pick` for an object on a shelf after a push: the grasp with the fewest control steps until the arm is
     at rest again."""
     pose = view.object_pose(obj)
@@ -207,8 +207,8 @@ def plan_inside(
                     home=_HOME_WEIGHT,
                     bases=bases,
                 )
-                for stance in stances(view, query):
-                    found = stance, goals, back
+                for placement in placements(view, query):
+                    found = placement, goals, back
                     if best is None or _cost(view, found) < _cost(view, best):
                         best = found
             if best is not None and best[0].route.room >= 0.0:
@@ -216,12 +216,12 @@ def plan_inside(
     return best
 
 
-def _cost(view: WorldView, found: tuple[Stance, HandGoals, float]) -> float:
+def _cost(view: WorldView, found: tuple[BasePlacement, HandGoals, float]) -> float:
     """Control steps of a plan of `plan_inside`, much more if its route lacks clearance."""
-    stance, _, back = found
-    steps = stance.route.steps + in_steps(back)
-    home = _HOME_WEIGHT * float(motion.steps_home(view.robot, stance.at))
-    return steps + home + 1e4 * max(-stance.route.room, 0.0)
+    placement, _, back = found
+    steps = placement.route.steps + in_steps(back)
+    home = _HOME_WEIGHT * float(motion.steps_home(view.robot, placement.at))
+    return steps + home + 1e4 * max(-placement.route.room, 0.0)
 
 
 def balanced(grasps: Grasps, centre: np.ndarray) -> Grasps:

@@ -27,7 +27,7 @@ from mjhab.experts.planning.carry import (
     go_home,
     inside_depth,
 )
-from mjhab.experts.planning.reach import hand_room, settle_reach, stances
+from mjhab.experts.planning.reach import hand_room, placements, settle_reach
 from mjhab.experts.planning.release import (
     TIGHT_PLAY_M,
     away_speed,
@@ -39,11 +39,11 @@ from mjhab.experts.planning.release import (
 from mjhab.experts.planning.sampled import Found, roomier
 from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
+    BasePlacement,
     Blocked,
     HandGoals,
     ReachQuery,
     Scene,
-    Stance,
     surroundings,
 )
 from mjhab.experts.skills.pick import pick_up
@@ -157,22 +157,22 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
             if nothing >= (2 if inside_depth(view, goal) else len(DROP_HEIGHTS_M)):
                 yield from motion.hold(view, WAIT_STEPS, gripper=motion.CLOSED)
             continue
-        (stance, goals, depth) = best
+        (placement, goals, depth) = best
         best = None
         hurry = False
-        if (yield from _put(view, obj, stance, goals, depth)):
+        if (yield from _put(view, obj, placement, goals, depth)):
             return True
-        failed = np.concatenate([failed, stance.at[None, BASE]])
+        failed = np.concatenate([failed, placement.at[None, BASE]])
     return False
 
 
 def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
     """Rank of a plan: whether it leaves enough time to return to rest, and the room of its route [m]."""
-    stance, _, depth = found
+    placement, _, depth = found
     after = (INSIDE_AFTER_STEPS if depth else AFTER_STEPS) + float(
-        motion.steps_home(view.robot, stance.at)
+        motion.steps_home(view.robot, placement.at)
     )
-    return stance.route.steps + after <= view.steps_left, stance.route.room
+    return placement.route.steps + after <= view.steps_left, placement.route.room
 
 
 def _rest(view: WorldView) -> Motion:
@@ -256,7 +256,7 @@ def plan_place(
         far=attempt.hurry,
         home=HOME_WEIGHT,
     )
-    found = stances(view, query, blocked)
+    found = placements(view, query, blocked)
     return roomier(view, (found[0], goals, depth) if found else None, blocked)
 
 
@@ -374,24 +374,24 @@ def _on_surface(view: WorldView, goal: np.ndarray, xy: np.ndarray) -> bool:
 
 
 def _put(
-    view: WorldView, obj: str, stance: Stance, goals: HandGoals, depth: float
+    view: WorldView, obj: str, placement: BasePlacement, goals: HandGoals, depth: float
 ) -> Motion:
     """Execute a plan: drive to the stance, lower the object, release it, retreat. Returns whether it is released."""
-    pos = goals.pos[stance.goal]
-    rot = goals.rot[stance.goal]
-    pre = goals.pre[stance.goal]
+    pos = goals.pos[placement.goal]
+    rot = goals.rot[placement.goal]
+    pre = goals.pre[placement.goal]
     closed = motion.CLOSED
-    yield from follow(view, stance.route, gripper=closed, held=obj)
+    yield from follow(view, placement.route, gripper=closed, held=obj)
     if not holds(view, obj):
         return False
     if depth:
         boxes, _ = surroundings(view, obj, pos)
-        yield from drive_in(view, ReachIn(stance.pre, pre, rot), boxes, gripper=closed)
-    joints = settle_reach(view, stance, np.stack([pre, pos]), rot)
+        yield from drive_in(view, ReachIn(placement.pre, pre, rot), boxes, gripper=closed)
+    joints = settle_reach(view, placement, np.stack([pre, pos]), rot)
     if joints is None:
         # The release pose is out of reach from here: use the planned posture, which deviates as the base does.
-        joints, (pos, pre), rot = _beside(view, stance, goals)
-        if np.linalg.norm(pos - goals.pos[stance.goal]) > MAX_BESIDE_M:
+        joints, (pos, pre), rot = _beside(view, placement, goals)
+        if np.linalg.norm(pos - goals.pos[placement.goal]) > MAX_BESIDE_M:
             return False
     for speed in SOFT_START:
         yield from motion.move_joints(
@@ -437,7 +437,7 @@ def _put(
 
 
 def _beside(
-    view: WorldView, stance: Stance, goals: HandGoals
+    view: WorldView, placement: BasePlacement, goals: HandGoals
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Planned arm postures at the present base pose, for a base that stands beside its stance.
 
@@ -445,7 +445,7 @@ def _beside(
         Configurations (2, J) above and at the release pose; tcp positions (2, 3) at and above it, in this order; and
         the tcp rotation (3, 3) at the release pose.
     """
-    q = np.stack([stance.pre, stance.at])
+    q = np.stack([placement.pre, placement.at])
     q[:, BASE] = view.base
     chain = view.robot.chain
     frames = chain.forward(q)

@@ -16,8 +16,8 @@ from mjhab.experts.skills.by_rule import (
     STANDOFF_M,
     Funnel,
     Hands,
-    RuledStance,
-    find_stance,
+    RuledPlacement,
+    find_placement,
     move_hand,
 )
 from mjhab.experts.style import style_of
@@ -54,8 +54,8 @@ def place_by_rule(view: WorldView) -> Motion:
     found = plan(view, obj, np.array(subtask.goal_pos)) if holds(view, obj) else None
     if found is None:
         return (yield from search.place(view))
-    stance, funnel = found
-    pilot = stance.pilot()
+    placement, funnel = found
+    pilot = placement.pilot()
     care = care_for(view)
     arrived = False
     opens = False
@@ -75,7 +75,7 @@ def place_by_rule(view: WorldView) -> Motion:
             )
         elif opens:
             yield _away(view, funnel, holds(view, obj))
-        elif stance.far(view):
+        elif placement.far(view):
             yield motion.action(
                 view, motion.rest_goal(view), gripper=motion.CLOSED, drive=drive
             )
@@ -93,7 +93,7 @@ def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
 
 def plan(
     view: WorldView, obj: str, goal: np.ndarray
-) -> tuple[RuledStance, Funnel] | None:
+) -> tuple[RuledPlacement, Funnel] | None:
     """Choose a stance and a release pose for an object at ``goal`` (3,) [m]; None on shelves and if none is found."""
     if inside_depth(view, goal):
         return None
@@ -107,9 +107,9 @@ def plan(
     away = goals.pos - AWAY_M * goals.rot[:, :, 0]
     above = goals.pos - STANDOFF_M * DOWN
     hands = Hands(goals.pos, goals.rot, above, away, -SCORE_PRICE * goals.score)
-    stance = find_stance(view, scene, goal, hands)
-    if stance is None:
+    placement = find_placement(view, scene, goal, hands)
+    if placement is None:
         return None
-    return stance, Funnel(
-        goals.pos[stance.row], goals.rot[stance.row], DOWN, stance.ready
+    return placement, Funnel(
+        goals.pos[placement.row], goals.rot[placement.row], DOWN, placement.ready
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.experts.base.driving import BaseTrajectory
 from mjhab.experts.base.route import Route
-from mjhab.experts.planning.workplace import HandGoals, Stance
+from mjhab.experts.planning.workplace import BasePlacement, HandGoals
 
 MAX_CANDIDATES = 40
 
@@ -21,13 +21,13 @@ class PlanMarks:
 
     Attributes:
         path: (P, 2) planned positions of the base [m].
-        stance: (3,) x, y [m], yaw [rad] of the base at the end of the path, or None.
+        placement: (3,) x, y [m], yaw [rad] of the base at the end of the path, or None.
         hands: (G, 4, 4) candidate poses of the gripper, best first, at most `MAX_CANDIDATES`.
         chosen: index of the chosen candidate, or None.
     """
 
     path: np.ndarray
-    stance: np.ndarray | None
+    placement: np.ndarray | None
     hands: np.ndarray
     chosen: int | None
 
@@ -38,7 +38,7 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
     A script keeps its plan in local variables of its nested generators. They are searched by type, innermost first.
     """
     held = list(_held(script))
-    stance = next((value for value in held if isinstance(value, Stance)), None)
+    placement = next((value for value in held if isinstance(value, BasePlacement)), None)
     goals = next((value for value in held if isinstance(value, HandGoals)), None)
     trajectory = next(
         (value for value in held if isinstance(value, BaseTrajectory)), None
@@ -51,16 +51,16 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
             None,
         )
     routes = [value for value in held if isinstance(value, Route)]
-    route = routes[0] if routes else stance.route if stance is not None else None
-    if route is None and stance is None and goals is None:
+    route = routes[0] if routes else placement.route if placement is not None else None
+    if route is None and placement is None and goals is None:
         return None
     path = route.path if route is not None else np.zeros((0, 2))
     place = None
-    if stance is not None:
-        place = stance.at[:3].copy()
+    if placement is not None:
+        place = placement.at[:3].copy()
     elif route is not None:
         place = np.append(route.path[-1], route.yaw)
-    chosen = int(stance.goal) if stance is not None and goals is not None else None
+    chosen = int(placement.goal) if placement is not None and goals is not None else None
     return PlanMarks(np.array(path), place, _hand_poses(goals), chosen)
 
 

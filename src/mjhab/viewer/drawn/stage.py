@@ -136,8 +136,8 @@ class Stage:
             yield scene.add_line_segments(
                 "/plan/path", lines, PATH_COLOR, thickness=PATH_WIDTH_M
             )
-        if plan.stance is not None:
-            x, y, yaw = plan.stance.tolist()
+        if plan.placement is not None:
+            x, y, yaw = plan.placement.tolist()
             turn = (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
             yield scene.add_cylinder(
                 "/plan/stance",

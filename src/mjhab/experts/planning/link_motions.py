@@ -42,7 +42,7 @@ SEEDS_FOLLOWED = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Stances:
+class LinkMotions:
     """N alternative motions of base and arm that open or close a link.
 
     Attributes:
@@ -59,20 +59,20 @@ class Stances:
         return len(self.q)
 
     @staticmethod
-    def join(parts: Sequence[Stances]) -> Stances:
+    def join(parts: Sequence[LinkMotions]) -> LinkMotions:
         """The stances of several sets with the same number of way points."""
-        return Stances(
+        return LinkMotions(
             *(
                 np.concatenate([getattr(p, k) for p in parts])
                 for k in ("q", "steps", "back")
             )
         )
 
-    def shifted(self, along: float) -> Stances:
+    def shifted(self, along: float) -> LinkMotions:
         """The same motions for furniture that is displaced outward by ``along`` [m]."""
         moved = self.q.copy()
         moved[:, :, 0] += along
-        return Stances(moved, self.steps, self.back)
+        return LinkMotions(moved, self.steps, self.back)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,21 +109,21 @@ class Frame:
         )
 
 
-_FOUND: dict[tuple[Robot, Hashable, float, str], Stances] = {}
+_FOUND: dict[tuple[Robot, Hashable, float, str], LinkMotions] = {}
 
 
 def cached(
     robot: Robot,
     link: JointedLink,
     job: str,
-    search: Callable[[Robot, JointedLink], Stances],
-) -> Stances:
+    search: Callable[[Robot, JointedLink], LinkMotions],
+) -> LinkMotions:
     """The stances of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
     height = float(link.origin[2])
     key = (robot, link.spec, height, job)
     if key not in _FOUND:
         plain = JointedLink(link.id, link.spec, np.array([0.0, 0.0, height]), np.eye(3))
-        path = cache_dir() / "stances" / f"{_digest(robot, plain, job)}.npz"
+        path = cache_dir() / "link_motions" / f"{_digest(robot, plain, job)}.npz"
         found = _read(path)
         if found is None:
             found = search(robot, plain)
@@ -144,16 +144,16 @@ def _digest(robot: Robot, link: JointedLink, job: str) -> str:
     return digest.hexdigest()[:24]
 
 
-def _read(path: Path) -> Stances | None:
+def _read(path: Path) -> LinkMotions | None:
     """Stances of a cache file; None when there is none or it cannot be read: they are then searched for anew."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
-            return Stances(arrays["q"], arrays["steps"], arrays["back"])
+            return LinkMotions(arrays["q"], arrays["steps"], arrays["back"])
     except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile):
         return None
 
 
-def _write(path: Path, found: Stances) -> None:
+def _write(path: Path, found: LinkMotions) -> None:
     """Keep stances in a cache file."""
     arrays = {"q": found.q, "steps": found.steps, "back": found.back}
     write_cached(
@@ -200,7 +200,7 @@ def track(
     boxes: Sequence[Boxes] | None = None,
     *,
     tries: int = 12,
-) -> Stances:
+) -> LinkMotions:
     """Arm motions along way points while the base moves, for many paths at once.
 
     Args:
@@ -221,7 +221,7 @@ def track(
         path, row = _drop([*path, following], row, reached)
         path, row = _drop(path, row, _clear(body, path[-1], boxes[k] if boxes else None))
     if not len(row):
-        return Stances(
+        return LinkMotions(
             np.zeros((0, paths.base.shape[1], body.chain.size)), np.zeros(0), np.zeros(0)
         )
     return _soonest(body, path, row)
@@ -273,7 +273,7 @@ def _next_configurations(
     return q, step.ok[:, 0] & (jump < MAX_JUMP_RAD)
 
 
-def _soonest(body: Robot, path: list[np.ndarray], row: np.ndarray) -> Stances:
+def _soonest(body: Robot, path: list[np.ndarray], row: np.ndarray) -> LinkMotions:
     """Of every path the stance (K times (R, Q)) with the least steps from and to rest."""
     robot = body.chain
     dofs = ik.columns(robot)
@@ -282,7 +282,7 @@ def _soonest(body: Robot, path: list[np.ndarray], row: np.ndarray) -> Stances:
     order = np.lexsort((travel + back, row))
     _, first = np.unique(row[order], return_index=True)
     chosen = order[first]
-    return Stances(np.stack(path, axis=1)[chosen], travel[chosen], back[chosen])
+    return LinkMotions(np.stack(path, axis=1)[chosen], travel[chosen], back[chosen])
 
 
 def _quickest(row: np.ndarray, travel: np.ndarray, count: int) -> np.ndarray:
@@ -319,7 +319,7 @@ def motion_steps(robot: Chain, q: np.ndarray) -> np.ndarray:
 
 
 def rank(
-    view: WorldView, frame: Frame, stances: Stances, also: np.ndarray | None = None
+    view: WorldView, frame: Frame, placements: LinkMotions, also: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The stances with free floor, the ones soonest reached first.
 
@@ -330,26 +330,26 @@ def rank(
         Configurations (M, K, Q) with the base columns in the world, and the estimated steps (M,) to get there.
     """
     places = (
-        stances.q[:, :, BASE_XY]
+        placements.q[:, :, BASE_XY]
         if also is None
-        else np.concatenate([stances.q[:, :, BASE_XY], also], axis=1)
+        else np.concatenate([placements.q[:, :, BASE_XY], also], axis=1)
     )
     room = (
         planner(view, shut=True)
         .clearance_at(frame.point(places))
         .min(axis=1, initial=np.inf)
     )
-    first = frame.base(stances.q[:, 0])
-    steps = np.maximum(stances.steps, drive_steps(view.base, first[:, BASE]))
+    first = frame.base(placements.q[:, 0])
+    steps = np.maximum(placements.steps, drive_steps(view.base, first[:, BASE]))
     cost = (
         steps
-        + motion_steps(view.robot.chain, stances.q)
-        + stances.back
+        + motion_steps(view.robot.chain, placements.q)
+        + placements.back
         + 300.0 * np.maximum(COMFORT_CLEARANCE_M - room, 0.0)
     )
     order = np.argsort(cost, kind="stable")
     order = order[room[order] >= MIN_BASE_CLEARANCE_M]
-    return frame.base(stances.q[order]), cost[order]
+    return frame.base(placements.q[order]), cost[order]
 
 
 def drive_steps(start: np.ndarray, goals: np.ndarray) -> np.ndarray:

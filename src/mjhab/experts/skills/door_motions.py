@@ -1,6 +1,6 @@
 """Searches, in the plan frame of a door, for stances from which it can be pulled open or pushed shut.
 
-The plan frame is that of `planning.stances.Frame`. Lengths [m], angles [rad]. Letters: N base paths, K way points.
+The plan frame is that of `planning.link_motions.Frame`. Lengths [m], angles [rad]. Letters: N base paths, K way points.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from mjhab.core.joints import BASE
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink
 from mjhab.experts.arm import ik, motion
-from mjhab.experts.planning import stances
-from mjhab.experts.planning.stances import HandPaths, Stances
+from mjhab.experts.planning import link_motions
+from mjhab.experts.planning.link_motions import HandPaths, LinkMotions
 from mjhab.robots.robot import Robot
 
 PRE_GRASP_M = 0.11
@@ -64,7 +64,7 @@ SWEEP_WAY_POINTS = 6
 
 
 def pull_angles(link: JointedLink, further: float = 0.0) -> np.ndarray:
-    """Door angles (10,) [rad] of the way points of `pull_stances`; at the first the hand is in front of the bar.
+    """Door angles (10,) [rad] of the way points of `pull_motions`; at the first the hand is in front of the bar.
 
     ``further``: share of the range beyond `OPEN_TO_SHARE` to which the door is pulled.
     """
@@ -159,7 +159,7 @@ def _with_door(link: JointedLink, angle: float) -> Boxes:
 def _level(yaw: np.ndarray) -> np.ndarray:
     """Hand rotations (K, 3, 3): horizontal, opposite to the directions ``yaw`` (K,), with the fingers side by side."""
     forward = -np.stack([np.cos(yaw), np.sin(yaw), 0.0 * yaw], axis=-1)
-    return stances.hand(
+    return link_motions.hand(
         forward, np.stack([-forward[:, 1], forward[:, 0], 0.0 * yaw], axis=-1)
     )
 
@@ -180,10 +180,10 @@ def _search(
     hands: _HandPath,
     tries: int,
     mode: ik.Mode = "pose",
-) -> Stances:
+) -> LinkMotions:
     """Find stances that follow one hand path, among the base paths (N, K, 3) within arm's reach of it.
 
-    ``tries``: see `stances.track`. ``mode``: part of the orientation that counts, see `ik.Mode`.
+    ``tries``: see `link_motions.track`. ``mode``: part of the orientation that counts, see `ik.Mode`.
     """
     base = base[_in_reach(robot, base, hands.pos)]
     n = len(base)
@@ -194,10 +194,10 @@ def _search(
         mode,
     )
     doors = [_with_door(link, float(a)) for a in hands.angles]
-    return stances.track(robot, paths, doors, tries=tries)
+    return link_motions.track(robot, paths, doors, tries=tries)
 
 
-def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stances:
+def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkMotions:
     """Find stances for pulling a door open: hand in front of the bar, on it, and along its arc.
 
     The hand rotates less than the door, because the bar can rotate between the finger pads.
@@ -228,20 +228,20 @@ def pull_stances(robot: Robot, link: JointedLink, further: float = 0.0) -> Stanc
         found.append(
             _search(robot, link, base, _HandPath(pos, _level(yaw), angles), tries=5)
         )
-    return Stances.join(found)
+    return LinkMotions.join(found)
 
 
-def push_open(robot: Robot, link: JointedLink) -> Stances:
+def push_open(robot: Robot, link: JointedLink) -> LinkMotions:
     """Find stances for pushing a door shut that may be open up to its limit."""
-    return _push_stances(robot, link, half=False)
+    return _push_motions(robot, link, half=False)
 
 
-def push_half_open(robot: Robot, link: JointedLink) -> Stances:
+def push_half_open(robot: Robot, link: JointedLink) -> LinkMotions:
     """Find stances for pushing a door shut that is open by less than `HALF_OPEN_SHARE`."""
-    return _push_stances(robot, link, half=True)
+    return _push_motions(robot, link, half=True)
 
 
-def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
+def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
     """Stances with the closed fingers on the outside of the door above its bar, from the open to the closed door."""
     angles = push_angles(link, half)
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
@@ -278,10 +278,10 @@ def _push_stances(robot: Robot, link: JointedLink, half: bool) -> Stances:
         # Few stances reach behind a wide open door: more tries there.
         tries = 5 if half else 8
         found.append(_search(robot, link, base, hands, tries=tries, mode="approach"))
-    return Stances.join(found)
+    return LinkMotions.join(found)
 
 
-def sweeps(robot: Robot, link: JointedLink, angle: float) -> Stances:
+def sweeps(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
     """Find straight drives with the arm at rest that push a door shut from its outside.
 
     The door is a plane that turns around its hinge, the robot a set of circles seen from above: those of its spheres
@@ -333,7 +333,7 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> Stances:
     q = np.repeat(q, len(found), axis=0)
     q[..., BASE] = np.array(found).reshape(len(found), SWEEP_WAY_POINTS, 3)
     length = np.linalg.norm(q[:, -1, :2] - q[:, 0, :2], axis=1)
-    return Stances(q, np.zeros(len(q)), length / SWEEP_SPEED_M_S / STEP_SECONDS)
+    return LinkMotions(q, np.zeros(len(q)), length / SWEEP_SPEED_M_S / STEP_SECONDS)
 
 
 def _drives(m: float) -> np.ndarray:

@@ -25,7 +25,7 @@ from mjhab.sim.mujoco.scratch import Scratch
 from tests.tasks.build import config_of
 
 KEYED = (compiling, generator, stable, mesh_levels, home_cache)
-"""Modules with results in the cache; experts.planning.link_motions and scenes.replica_cad.looks do it in the same way."""
+"""Modules with results in the cache; experts.planning.link_motions and scenes.replica_cad.looks do it likewise."""
 ELSEWHERE = b"the arithmetic of another machine"
 
 

@@ -103,7 +103,7 @@ class Style:
         default=SEARCH,
         metadata={
             "words": (SEARCH, RULE),
-            "about": "how Pick and Place find stance, hand pose and way: a search for the quickest that are free, or, "
+            "about": "how Pick and Place find base, hand pose and path: a search for the quickest that are free, or, "
             "on open surfaces, a rule that depends on what can be observed",
         },
     )

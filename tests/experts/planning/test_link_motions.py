@@ -1,4 +1,4 @@
-"""Stances of doors and drawers: searched for once for every link, robot and height."""
+"""Motions of doors and drawers: searched for once for every link, robot and height."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def base_height(robot: Robot, link: JointedLink) -> LinkMotions:
 @pytest.fixture
 def link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> JointedLink:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
-    monkeypatch.setattr(placements, "_FOUND", {})
+    monkeypatch.setattr(link_motions, "_FOUND", {})
     pack = open_pack("builtin")
     return home_shapes(Layout(pack, ()), pack.homes[0].name).links["fridge/top_door"]
 
@@ -63,7 +63,7 @@ def test_stances_are_searched_anew_for_other_code_of_the_shapes_of_links(
         named.extend(names)
         return b""
 
-    monkeypatch.setattr(placements, "code_digest", note)
+    monkeypatch.setattr(link_motions, "code_digest", note)
     link_motions.cached(ROBOT, link, "height", height)
     for user in (JointedLink, Robot, LinkMotions):
         module = user.__module__.removeprefix("mjhab.")

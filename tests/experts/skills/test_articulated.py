@@ -1,4 +1,4 @@
-"""Opening and closing drawers and doors: whole episodes with the expert, and the geometry its stances rest on."""
+"""Opening and closing drawers and doors: whole episodes with the expert, and the geometry its motions rest on."""
 
 from __future__ import annotations
 
@@ -199,11 +199,11 @@ def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
     ).all()  # on its outside
 
 
-def test_stances_belong_to_one_piece_of_furniture(env: SequentialTaskEnv) -> None:
+def test_motions_belong_to_one_piece_of_furniture(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DRAWER)
     handle = replace(link.handle, half_length=link.handle.half_length + 0.01)
     other = JointedLink(link.id, replace(link.spec, handle=handle), link.origin, link.rot)
-    none = placements.LinkMotions(np.zeros((0, 1, 15)), np.zeros(0), np.zeros(0))
+    none = link_motions.LinkMotions(np.zeros((0, 1, 15)), np.zeros(0), np.zeros(0))
     link_motions.cached(ROBOT, link, "pull", drawer._pull_motions)
     assert len(link_motions.cached(ROBOT, other, "pull", lambda *_: none)) == 0
 

@@ -1,1 +1,1 @@
-"""Planning of stances, base poses, approaches to objects and handles, and arm paths around obstacles."""
+"""Planning of base placements, base poses, approaches to objects and handles, and arm paths around obstacles."""

@@ -1,4 +1,4 @@
-"""Motions that drawers and doors have in common: driving to a stance, grasping a handle, releasing it.
+"""Motions that drawers and doors have in common: driving to a base placement, grasping a handle, releasing it.
 
 Lengths [m], angles [rad], world frame. Letters: M configurations, J joints, T samples of a route.
 """
@@ -32,7 +32,7 @@ RETRACT_CLEARANCE_M = 0.005
 RETREAT_CLEARANCE_M = 0.29
 """Least clearance of the base on the floor when it drives backwards."""
 ROUTES_TRIED = 5
-"""Number of stances for which a route is planned."""
+"""Number of base placements for which a route is planned."""
 MAX_ROUTES_TRIED = 12
 """The same while no route without a collision has been found."""
 ARM_REACH_M = 1.3
@@ -42,7 +42,7 @@ MAX_ROUTE_DEFICIT_M = 0.012
 AMBIGUOUS_TURN_RAD = 2.8
 """Largest turn at the end of a route. With a larger one the base may turn the other way, through unchecked poses."""
 SECOND_CHOICE_STEPS = 8.0
-"""Cost of using the second configuration of a stance instead of the first [control steps]."""
+"""Cost of using the second configuration of a base placement instead of the first [control steps]."""
 BLOCKED_PRICE_STEPS = 1000.0
 """Cost of a route with a collision [control steps]."""
 

@@ -2,7 +2,7 @@
 
 All poses are in the frame of the furniture ("plan frame"): origin on the floor below the link's origin at joint
 position 0, +x outward. Furniture is the same in every home, so that the results of a search can be kept; a home only
-decides which of the stances are on free floor. Letters: N stances, K way points, Q joint columns, R configurations.
+decides which of the motions are on free floor. Letters: N motions, K way points, Q joint columns, R configurations.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ BOX_CLEARANCE_M = 0.02
 MAX_JUMP_RAD = 0.7
 """Largest change of a joint between two way points."""
 MIN_BASE_CLEARANCE_M = 0.285
-"""Clearance that the base must have at a stance."""
+"""Clearance that the base must have at a motion."""
 COMFORT_CLEARANCE_M = 0.36
 """Clearance that the base should have there."""
 SEEDS_FOLLOWED = 3
@@ -60,7 +60,7 @@ class LinkMotions:
 
     @staticmethod
     def join(parts: Sequence[LinkMotions]) -> LinkMotions:
-        """The stances of several sets with the same number of way points."""
+        """The motions of several sets with the same number of way points."""
         return LinkMotions(
             *(
                 np.concatenate([getattr(p, k) for p in parts])
@@ -118,7 +118,7 @@ def cached(
     job: str,
     search: Callable[[Robot, JointedLink], LinkMotions],
 ) -> LinkMotions:
-    """The stances of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
+    """The motions of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
     height = float(link.origin[2])
     key = (robot, link.spec, height, job)
     if key not in _FOUND:
@@ -133,7 +133,7 @@ def cached(
 
 
 def _digest(robot: Robot, link: JointedLink, job: str) -> str:
-    """Hash of what the stances depend on: robot, link and job, the code of the search and its arithmetic."""
+    """Hash of what the motions depend on: robot, link and job, the code of the search and its arithmetic."""
     digest = hashlib.sha256(
         code_digest("core", "robots", "envs.parts.world_view", "experts")
         + arithmetic_digest()
@@ -145,7 +145,7 @@ def _digest(robot: Robot, link: JointedLink, job: str) -> str:
 
 
 def _read(path: Path) -> LinkMotions | None:
-    """Stances of a cache file; None when there is none or it cannot be read: they are then searched for anew."""
+    """Motions of a cache file; None when there is none or it cannot be read: they are then searched for anew."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
             return LinkMotions(arrays["q"], arrays["steps"], arrays["back"])
@@ -154,7 +154,7 @@ def _read(path: Path) -> LinkMotions | None:
 
 
 def _write(path: Path, found: LinkMotions) -> None:
-    """Keep stances in a cache file."""
+    """Keep motions in a cache file."""
     arrays = {"q": found.q, "steps": found.steps, "back": found.back}
     write_cached(
         path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
@@ -210,7 +210,7 @@ def track(
         tries: seeds for the first way point.
 
     Returns:
-        The stances that reach every way point, for each path the one the arm gets to soonest from rest.
+        The motions that reach every way point, for each path the one the arm gets to soonest from rest.
     """
     first, row = _first_configurations(body, paths, tries)
     path, row = _drop([first], row, _clear(body, first, boxes[0] if boxes else None))
@@ -274,7 +274,7 @@ def _next_configurations(
 
 
 def _soonest(body: Robot, path: list[np.ndarray], row: np.ndarray) -> LinkMotions:
-    """Of every path the stance (K times (R, Q)) with the least steps from and to rest."""
+    """Of every path the motion (K times (R, Q)) with the least steps from and to rest."""
     robot = body.chain
     dofs = ik.columns(robot)
     travel = ik.travel_steps(robot, body.rest, path[0], dofs)
@@ -321,7 +321,7 @@ def motion_steps(robot: Chain, q: np.ndarray) -> np.ndarray:
 def rank(
     view: WorldView, frame: Frame, placements: LinkMotions, also: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The stances with free floor, the ones soonest reached first.
+    """The motions with free floor, the ones soonest reached first.
 
     Args:
         also: (N, P, 2) more places the base passes through, plan frame.

@@ -251,7 +251,7 @@ def _before(
 def _routed(
     view: WorldView, query: ReachQuery, q: np.ndarray, pre: np.ndarray, goal: np.ndarray
 ) -> list[BasePlacement]:
-    """Stances with collision-free routes to ``pre`` (N, J); if there are none, the one with the most clearance.
+    """Base placements with collision-free routes to ``pre`` (N, J); if there are none, the one with the most clearance.
 
     ``q`` (N, J), ``goal`` (N,): configurations at the hand poses, cheapest first, and indices of the hand poses.
     """

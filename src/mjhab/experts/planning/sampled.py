@@ -57,7 +57,7 @@ _PLACES = 14
 
 
 Found = tuple[BasePlacement, HandGoals, float]
-"""A stance, the hand poses that it refers to, and the length of the straight drive in at the end [m]."""
+"""A base placement, the hand poses that it refers to, and the length of the straight drive in at the end [m]."""
 
 
 def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Found | None:

@@ -1,4 +1,4 @@
-"""Requests and results of the search for stances: hand poses, obstacles around them, base poses and routes.
+"""Requests and results of the search for base placements: hand poses, obstacles around them, base poses and routes.
 
 Lengths [m], angles [rad], world frame. Letters: G hand poses, A avoided base poses, N configurations, J joints.
 """

@@ -1,8 +1,8 @@
-"""Common part of Pick and Place by a rule: choice of stance and hand pose, and a feedback law for the hand.
+"""Common part of Pick and Place by a rule: choice of base placement and hand pose, and a feedback law for the hand.
 
 The action of such a script depends on the observable state and hardly on the past. A policy imitates it better than a
-search, which chooses one of many stances, hand poses and paths: where demonstrations in the same situation differ, a
-policy learns their mean. The stance is the nearest base pose from which the place is straight ahead at a fixed
+search, which chooses one of many base placements, hand poses and paths: where demonstrations in the same situation
+differ, a policy learns their mean. The base placement is the nearest base pose from which the place is straight ahead at a fixed
 distance. The hand pose is the one nearest to the hand's orientation at rest. The hand approaches within a funnel: the
 farther it is beside the straight line to its goal, the farther it stays back.
 
@@ -38,19 +38,19 @@ MAX_PLACEMENTS = 40
 LOOKAHEAD_M = 0.3
 """Look-ahead distance of `Pilot`."""
 PLACEMENT_CLEARANCE_M = 0.01
-"""Clearance of a stance beyond what the base needs to drive."""
+"""Clearance of a base placement beyond what the base needs to drive."""
 PATH_END_M = 0.02
-"""Greatest distance between a stance and the end of the planned path to it."""
+"""Greatest distance between a base placement and the end of the planned path to it."""
 PITCH = np.deg2rad(60.0)
 """Preferred angle of the hand below the horizontal, that of the hand at rest."""
 ROLL_WEIGHT = 0.5
 """Weight of the angle between the closing direction and the robot's left, relative to the angle to `PITCH`."""
 MAX_GOALS = 12
-"""Number of hand poses at a stance for which inverse kinematics is solved."""
+"""Number of hand poses at a base placement for which inverse kinematics is solved."""
 LEAST_ROOM_M = 0.0
 """Least clearance of the arm at the hand pose."""
 ARM_FROM_M = 0.35
-"""Distance between base and stance below which the arm leaves its rest position."""
+"""Distance between base and base placement below which the arm leaves its rest position."""
 STANDOFF_M = 0.12
 """Greatest distance that the hand keeps from its goal along the approach direction."""
 FUNNEL_SLOPE = 4.0
@@ -113,7 +113,7 @@ class Hands:
 def find_placement(
     view: WorldView, scene: Scene, point: np.ndarray, hands: Hands
 ) -> RuledPlacement | None:
-    """Find the nearest stance from which one of the hand poses is reached.
+    """Find the nearest base placement from which one of the hand poses is reached.
 
     Args:
         view: the world.
@@ -122,7 +122,7 @@ def find_placement(
         hands: candidate hand poses.
 
     Returns:
-        The stance; None if no hand pose is reached from any base pose.
+        The base placement; None if no hand pose is reached from any base pose.
     """
     if not len(hands.pos):
         return None

@@ -61,7 +61,7 @@ ENTER_STEPS = 22
 BEHIND_WAY_M = 0.25
 """Length of the straight line of the hand behind an open door."""
 MOTIONS_TRIED = 16
-"""Number of stances whose clearance is checked."""
+"""Number of motions whose clearance is checked."""
 JOINT_STEP_RAD = 0.037
 """Largest motion of an arm joint per control step while the hand pushes the door shut."""
 PULL_STEP_RAD = 0.046
@@ -97,7 +97,7 @@ SWEPT_M = 0.02
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Open a hinged door: grasp the bar, follow its arc, release it, return to rest; again after a slip."""
     enough = OPEN_ENOUGH_SHARE * link.range[1]
-    # Stances are cached per value: rounding limits the number of searches over a continuous range of styles.
+    # Motions are cached per value: rounding limits the number of searches over a continuous range of styles.
     further = round(style_of(view).open_further, 2)
     end = (OPEN_TO_SHARE + OPEN_SPARE_SHARE + further) * link.range[1]
     job = f"pull {further}" if further else "pull"
@@ -177,7 +177,7 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
 
     Returns whether the door is shut.
     """
-    # Stances are cached per angle: rounding up limits the number of searches.
+    # Motions are cached per angle: rounding up limits the number of searches.
     angle = float(np.ceil(10.0 * view.link_q(link.id))) / 10.0
     search = functools.partial(door_motions.sweeps, angle=angle)
     found = link_motions.cached(view.robot, link, f"sweep {angle:.1f}", search)
@@ -361,12 +361,12 @@ def _reachable(
     angles: np.ndarray,
     back: float = 0.0,
 ) -> LinkPath | None:
-    """Select the stance that is reached first among those whose whole motion is collision-free in this home.
+    """Select the motion that is reached first among those whose whole motion is collision-free in this home.
 
     Args:
         view: the world.
         link: the door.
-        found: stances in the plan frame.
+        found: motions in the plan frame.
         angles: (K,) door angles of their way points [rad].
         back: length of the hand's straight line to the first way point; 0 for none.
 

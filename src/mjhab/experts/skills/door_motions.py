@@ -1,4 +1,4 @@
-"""Searches, in the plan frame of a door, for stances from which it can be pulled open or pushed shut.
+"""Searches, in the plan frame of a door, for motions from which it can be pulled open or pushed shut.
 
 The plan frame is that of `planning.link_motions.Frame`. Lengths [m], angles [rad]. Letters: N base paths, K way points.
 """
@@ -181,7 +181,7 @@ def _search(
     tries: int,
     mode: ik.Mode = "pose",
 ) -> LinkMotions:
-    """Find stances that follow one hand path, among the base paths (N, K, 3) within arm's reach of it.
+    """Find motions that follow one hand path, among the base paths (N, K, 3) within arm's reach of it.
 
     ``tries``: see `link_motions.track`. ``mode``: part of the orientation that counts, see `ik.Mode`.
     """
@@ -198,7 +198,7 @@ def _search(
 
 
 def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkMotions:
-    """Find stances for pulling a door open: hand in front of the bar, on it, and along its arc.
+    """Find motions for pulling a door open: hand in front of the bar, on it, and along its arc.
 
     The hand rotates less than the door, because the bar can rotate between the finger pads.
 
@@ -232,17 +232,17 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
 
 
 def push_open(robot: Robot, link: JointedLink) -> LinkMotions:
-    """Find stances for pushing a door shut that may be open up to its limit."""
+    """Find motions for pushing a door shut that may be open up to its limit."""
     return _push_motions(robot, link, half=False)
 
 
 def push_half_open(robot: Robot, link: JointedLink) -> LinkMotions:
-    """Find stances for pushing a door shut that is open by less than `HALF_OPEN_SHARE`."""
+    """Find motions for pushing a door shut that is open by less than `HALF_OPEN_SHARE`."""
     return _push_motions(robot, link, half=True)
 
 
 def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
-    """Stances with the closed fingers on the outside of the door above its bar, from the open to the closed door."""
+    """Motions with the closed fingers on the outside of the door above its bar, from the open to the closed door."""
     angles = push_angles(link, half)
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
     ways = (-1.0, -0.8, -0.6, -0.4)
@@ -275,7 +275,7 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
                 + (handle.half_length + ABOVE_BAR_M) * bar
             )
         hands = _HandPath(np.array(pos), _level(m * yaw), angles)
-        # Few stances reach behind a wide open door: more tries there.
+        # Few motions reach behind a wide open door: more tries there.
         tries = 5 if half else 8
         found.append(_search(robot, link, base, hands, tries=tries, mode="approach"))
     return LinkMotions.join(found)
@@ -293,7 +293,7 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
         angle: present angle of the door [rad].
 
     Returns:
-        Stances with `SWEEP_WAY_POINTS` way points.
+        Motions with `SWEEP_WAY_POINTS` way points.
     """
     low, high = _panel(link)
     m = _hand_side(link)

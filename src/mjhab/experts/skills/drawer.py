@@ -115,7 +115,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
 
 
 def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
-    """Grasp the bar from a stance from which the base can drive until the drawer is open by ``goal`` [m]."""
+    """Grasp the bar from a motion from which the base can drive until the drawer is open by ``goal`` [m]."""
     found = link_motions.cached(view.robot, link, "pull", _pull_motions)
     q = view.link_q(link.id)
     end = found.q[:, :1, BASE_XY] + np.array([goal, 0.0])
@@ -216,7 +216,7 @@ def _square(handle: np.ndarray, near: np.ndarray, side: np.ndarray) -> np.ndarra
 
 
 def _pull_motions(robot: Robot, link: JointedLink) -> LinkMotions:
-    """Find stances at the closed drawer: hand in front of the handle, then on it, fingers above and below the bar."""
+    """Find motions at the closed drawer: hand in front of the handle, then on it, fingers above and below the bar."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.62, 0.96, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + PRE_GRASP_M * out, handle])
@@ -234,13 +234,13 @@ def _arm_values(link: JointedLink) -> np.ndarray:
 
 
 def _arm_motions(robot: Robot, link: JointedLink) -> LinkMotions:
-    """Find stances as `_pull_motions`, followed by the pull, in which arm and base move together."""
+    """Find motions as `_pull_motions`, followed by the pull, in which arm and base move together."""
     out = link.handle_pose(0.0)[2]
     values = _arm_values(link)
     handles = [link.handle_pose(max(float(value), 0.0))[0] for value in values]
     pos = np.stack([handles[0] + PRE_GRASP_M * out, *handles[1:]])
     boxes = [link.boxes(max(float(value), 0.0)) for value in values]
-    # Wide to both sides: a nearby stance needs less turning on the way, and turns are hard to imitate.
+    # Wide to both sides: a nearby motion needs less turning on the way, and turns are hard to imitate.
     base = _square(handles[0], np.arange(0.78, 1.03, 0.04), np.linspace(-0.54, 0.54, 19))
     opened = np.clip(values, 0.0, None)
     found = []
@@ -285,7 +285,7 @@ def _retracts(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
 
 
 def _push_motions(robot: Robot, link: JointedLink) -> LinkMotions:
-    """Find stances at the closed drawer with the closed fingers in front of the bar; an open drawer shifts them."""
+    """Find motions at the closed drawer with the closed fingers in front of the bar; an open drawer shifts them."""
     handle, _, out = link.handle_pose(0.0)
     base = _square(handle, np.arange(0.58, 0.92, 0.04), np.linspace(-0.24, 0.24, 9))
     pos = np.stack([handle + 0.09 * out, handle + 0.04 * out])
@@ -307,7 +307,7 @@ def _still(
     boxes: list,
     mode: motion.ik.Mode = "pose",
 ) -> LinkMotions:
-    """Find stances with unmoved base poses (N, 3) for K hand positions ``pos`` (K, 3) at one rotation (3, 3).
+    """Find motions with unmoved base poses (N, 3) for K hand positions ``pos`` (K, 3) at one rotation (3, 3).
 
     ``boxes``: K obstacles, one `Boxes` per hand position.
     """

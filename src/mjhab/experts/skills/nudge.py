@@ -88,9 +88,12 @@ _MAX_DEFICIT_M = -0.03
 class Nudge:
     """A planned push.
 
-    placement: reaches one of ``goals``. goals: hand poses at the end of the longest possible push. depth: distance of the
-    straight drive before the push [m]. turn: planned angle of the box [rad]. inward, outer: (2,) unit vectors into the
-    shelf and from the centre of the box to the pushed end.
+    Attributes:
+        placement: reaches one of ``goals``.
+        goals: hand poses at the end of the longest possible push.
+        depth: distance of the straight drive before the push [m].
+        turn: planned angle of the box [rad].
+        inward, outer: (2,) unit vectors into the shelf and from the centre of the box to the pushed end.
     """
 
     placement: BasePlacement

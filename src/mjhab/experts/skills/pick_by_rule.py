@@ -107,7 +107,7 @@ def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> np.ndarray:
 def plan(
     view: WorldView, obj: str
 ) -> tuple[RuledPlacement, np.ndarray, np.ndarray] | None:
-    """Choose a stance, and a grasp in the frame of the object: tcp position (3,) and rotation (3, 3); None if none."""
+    """Choose a base placement, and a grasp in the object's frame: tcp position (3,), rotation (3, 3); None if none."""
     pose = view.object_pose(obj)
     if inside_depth(view, pose[:3]):
         return None

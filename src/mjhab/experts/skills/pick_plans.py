@@ -87,8 +87,8 @@ def plan_pick(
         wish: kind of grasp, see `tasks.style.Style.grasp`.
 
     Returns:
-        Stance, the grasps to which its ``goal`` refers, and the distance of the straight drive at the end [m]; None if
-        no grasp can be reached.
+        Base placement, the grasps to which its ``goal`` refers, and the distance of the straight drive at the end [m];
+        None if no grasp can be reached.
     """
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)

@@ -193,7 +193,7 @@ class Attempt:
         number: number of attempts before it.
         failed: (N, 3) base poses from which attempts have failed.
         drop: height above an open surface from which the object is dropped [m].
-        hurry: drive faster and to nearer stances, because time or clearance is short.
+        hurry: drive faster and to nearer base placements, because time or clearance is short.
     """
 
     number: int
@@ -223,7 +223,7 @@ def plan_place(
     """Plan how to place an object near ``goal`` (3,) [m].
 
     Returns:
-        Stance, the hand poses that it refers to, and the length of the straight drive in [m]; None if none is found.
+        Base placement, the hand poses that it refers to, and the length of the straight drive in [m]; None if none.
     """
     near, _ = surroundings(view, obj, goal)
     support = float(goal[2]) - view.object_type(obj).half[2]
@@ -376,7 +376,7 @@ def _on_surface(view: WorldView, goal: np.ndarray, xy: np.ndarray) -> bool:
 def _put(
     view: WorldView, obj: str, placement: BasePlacement, goals: HandGoals, depth: float
 ) -> Motion:
-    """Execute a plan: drive to the stance, lower the object, release it, retreat. Returns whether it is released."""
+    """Drive to the base placement, lower the object, release it, retreat. Returns whether it is released."""
     pos = goals.pos[placement.goal]
     rot = goals.rot[placement.goal]
     pre = goals.pre[placement.goal]
@@ -439,7 +439,7 @@ def _put(
 def _beside(
     view: WorldView, placement: BasePlacement, goals: HandGoals
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Planned arm postures at the present base pose, for a base that stands beside its stance.
+    """Planned arm postures at the present base pose, for a base that stands beside its base placement.
 
     Returns:
         Configurations (2, J) above and at the release pose; tcp positions (2, 3) at and above it, in this order; and

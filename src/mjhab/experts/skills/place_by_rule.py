@@ -44,7 +44,7 @@ def place(view: WorldView) -> Motion:
 
 
 def place_by_rule(view: WorldView) -> Motion:
-    """Place the held object at its goal by the rule; by a search on shelves and where the rule finds no stance.
+    """Place the held object at its goal by the rule; by a search on shelves and where the rule finds no base placement.
 
     Ends when the object is lost: to pick it up again would need a search.
     """
@@ -94,7 +94,7 @@ def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
 def plan(
     view: WorldView, obj: str, goal: np.ndarray
 ) -> tuple[RuledPlacement, Funnel] | None:
-    """Choose a stance and a release pose for an object at ``goal`` (3,) [m]; None on shelves and if none is found."""
+    """Choose a base placement and a release pose for an object at ``goal`` (3,) [m]; None on shelves or if none is found."""
     if inside_depth(view, goal):
         return None
     near, _ = surroundings(view, obj, goal)

@@ -1,4 +1,4 @@
-"""The expert's plan for the active subtask as marks: path of the base, its stance, candidate grasp poses."""
+"""The expert's plan for the active subtask as marks: path of the base, its base placement, candidate grasp poses."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ class Stage:
             self._contacts.batched_positions = positions
 
     def mark_plan(self, plan: PlanMarks | None) -> None:
-        """Draw the path, stance and grasp candidates of the expert's plan; None removes them."""
+        """Draw the path, base placement and grasp candidates of the expert's plan; None removes them."""
         if plan is self._plan:
             return
         self._plan = plan
@@ -140,7 +140,7 @@ class Stage:
             x, y, yaw = plan.placement.tolist()
             turn = (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
             yield scene.add_cylinder(
-                "/plan/stance",
+                "/plan/placement",
                 radius=STANCE_RADIUS_M,
                 height=0.01,
                 color=PATH_COLOR,

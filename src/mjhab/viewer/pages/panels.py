@@ -129,7 +129,9 @@ class Panels:
             lambda _: self._on["next"]()
         )
         plan = gui.add_checkbox(
-            "Expert plan", False, hint="way, stance and grasps that the expert plans"
+            "Expert plan",
+            False,
+            hint="path, base placement and grasps that the expert plans",
         )
         _when_changed(plan, self._on["expert_plan"])
         if self._live:

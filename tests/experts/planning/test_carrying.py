@@ -147,7 +147,7 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
     boxes = Boxes.of(np.zeros((0, 3)), np.zeros((0, 3)))
     ahead = view.q[:3] + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
 
-    def room(middle: float, care: Care | None) -> float:
+    def clearance(middle: float, care: Care | None) -> float:
         def clearance(at: np.ndarray) -> np.ndarray:
             ends = (np.linalg.norm(at - view.q[:2], axis=1) < 0.1) | (
                 np.linalg.norm(at - ahead[:2], axis=1) < 0.1
@@ -162,10 +162,10 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
             view, ahead, view.q, motion.arm_spheres(ROBOT), boxes, RouteWish(care=care)
         )
         assert found is not None and found.care is care
-        return found.room
+        return found.clearance
 
-    assert room(0.4, FIRM) >= 0.0 and room(0.2, None) >= 0.0
-    assert room(0.2, FIRM) == pytest.approx(0.2 - MIN_MAP_CLEARANCE_M)
+    assert clearance(0.4, FIRM) >= 0.0 and clearance(0.2, None) >= 0.0
+    assert clearance(0.2, FIRM) == pytest.approx(0.2 - MIN_MAP_CLEARANCE_M)
 
 
 def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():

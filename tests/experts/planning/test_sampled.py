@@ -17,7 +17,7 @@ from mjhab.experts.base import route
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
 from mjhab.experts.planning.arm_ways import Free, arm_way
-from mjhab.experts.planning.sampled import plan_around, roomier
+from mjhab.experts.planning.sampled import clearer, plan_around
 from mjhab.experts.planning.workplace import BasePlacement, Blocked, HandGoals, Scene
 from mjhab.robots.fetch.robot import ROBOT
 
@@ -107,7 +107,7 @@ def test_drives_with_another_posture_where_the_arm_does_not_pass(
     view = view_of(LEFT)
     robot = motion.spheres(ROBOT)
     straight = route.plan_route(view, goal, arm, robot, posts)
-    assert straight is not None and straight.room < sampled.MAX_DEFICIT_M
+    assert straight is not None and straight.clearance < sampled.MAX_DEFICIT_M
     found = plan_around(view, goal, arm, robot, posts)
     assert (
         found is not None
@@ -134,10 +134,10 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
     blocked = [Blocked(goals, np.zeros(1, int), arm[None], arm[None], scene, 0.0)]
     view = view_of(LEFT)
 
-    def placement(room: float) -> tuple[BasePlacement, HandGoals, float]:
+    def placement(clearance: float) -> tuple[BasePlacement, HandGoals, float]:
         return (
             BasePlacement(
-                0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, room)
+                0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, clearance)
             ),
             goals,
             0.0,
@@ -145,12 +145,12 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
 
     good = placement(0.01)
     bad = placement(-0.07)
-    assert roomier(view, good, blocked) is good
-    around = roomier(view, bad, blocked)
+    assert clearer(view, good, blocked) is good
+    around = clearer(view, bad, blocked)
     assert around is not None and around is not bad and around[0].route.via is not None
-    assert roomier(view, None, blocked) is not None and roomier(view, None, []) is None
+    assert clearer(view, None, blocked) is not None and clearer(view, None, []) is None
     view.steps_left = around[0].route.steps + sampled.MIN_TOTAL_STEPS - 1  # type: ignore[misc]
-    assert roomier(view, bad, blocked) is bad
+    assert clearer(view, bad, blocked) is bad
 
 
 def test_ompl_is_loaded_only_when_it_is_needed():

@@ -75,7 +75,7 @@ def test_way_leads_through_the_doorway_and_nothing_touches():
     assert not two_rooms()[
         cells[:, 0], cells[:, 1]
     ].any()  # nor does the arm go through the wall
-    assert plan.room(track).min() > -0.03
+    assert plan.clearance(track).min() > -0.03
 
 
 def test_no_way_through_a_wall():
@@ -100,16 +100,16 @@ def test_robot_backs_out_of_a_passage_too_narrow_to_turn_in():
     assert found is not None
     inside = [segment for segment in found[1] if segment.points[0, 0] > 3.1]
     assert inside and all(segment.direction == -1 for segment in inside)
-    assert plan.room(driven(found[1], pose)).min() > -0.03
+    assert plan.clearance(driven(found[1], pose)).min() > -0.03
 
 
 def test_rooms_of_all_cells_agree_with_the_room_of_poses():
     plan = floorplan(two_rooms())
-    room = plan.rooms(YAWS)
+    clearance = plan.clearances(YAWS)
     for h, i, j in [(0, 40, 40), (3, 58, 30), (8, 66, 60), (13, 20, 70)]:
         pose = np.array([(i + 0.5) * CELL, (j + 0.5) * CELL, YAWS[h]])
         # The arm of a whole map goes from cell to cell.
-        assert abs(plan.room(pose[None])[0] - room[h, i, j]) < 0.75 * CELL
+        assert abs(plan.clearance(pose[None])[0] - clearance[h, i, j]) < 0.75 * CELL
 
 
 @pytest.mark.parametrize("start, end", [(0.1, 3.0), (3.0, -3.0), (-1.0, -2.9)])

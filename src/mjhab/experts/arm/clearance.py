@@ -215,11 +215,11 @@ def _cover(geom: Any) -> list[tuple[np.ndarray, float]]:
     if geom.shape != "box" or size <= _THICK_RADIUS_M:
         return [(points, size)]
     half = np.asarray(geom.size, dtype=np.float64)
-    room = np.maximum(half - _EDGE_RADIUS_M, 0.0)
-    axes = [np.linspace(-r, r, 2 + int(r / _EDGE_RADIUS_M)) for r in room]
+    span = np.maximum(half - _EDGE_RADIUS_M, 0.0)
+    axes = [np.linspace(-r, r, 2 + int(r / _EDGE_RADIUS_M)) for r in span]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     edges = grid[
-        np.delete(np.abs(grid) >= room - 1e-9, np.argmax(half), axis=1).all(axis=1)
+        np.delete(np.abs(grid) >= span - 1e-9, np.argmax(half), axis=1).all(axis=1)
     ]
     rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
     return [
@@ -259,12 +259,12 @@ def _fill(geom: Any) -> tuple[np.ndarray, float]:
     return local @ rot.T + np.asarray(geom.pos, dtype=np.float64), small
 
 
-def _grid(room: np.ndarray, radius: float) -> np.ndarray:
-    """Grid of points (P, 3) within ± ``room`` (3,) [m], at most 1.2 ``radius`` apart along each axis."""
-    count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in room]
+def _grid(span: np.ndarray, radius: float) -> np.ndarray:
+    """Grid of points (P, 3) within ± ``span`` (3,) [m], at most 1.2 ``radius`` apart along each axis."""
+    count = [1 + int(np.ceil(2 * r / (1.2 * radius) - 1e-9)) for r in span]
     axes = [
         np.linspace(-r, r, n) if n > 1 else np.zeros(1)
-        for r, n in zip(room, count, strict=True)
+        for r, n in zip(span, count, strict=True)
     ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 

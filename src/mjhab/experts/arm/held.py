@@ -30,8 +30,8 @@ def held_spheres(view: WorldView, obj: str) -> tuple[np.ndarray, np.ndarray]:
     radius = max(float(half.min()), 0.5 * float(np.sort(half)[1]))
     axes = []
     for size in half:
-        room = max(size - radius, 0.0)
-        axes.append(np.linspace(-room, room, 1 + int(np.ceil(2 * room / (1.3 * radius)))))
+        span = max(size - radius, 0.0)
+        axes.append(np.linspace(-span, span, 1 + int(np.ceil(2 * span / (1.3 * radius)))))
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     size = np.full(len(grid), radius)
     if view.object_shape(obj).kind in ("box", "mesh"):

@@ -155,7 +155,7 @@ def plan_drive(
     """
     curves = _joined(segments)
     pulled = _pulled(plan, curves)
-    asked = min(WANTED_CLEARANCE_M, float(plan.room(pose[None])[0]) - 0.03)
+    asked = min(WANTED_CLEARANCE_M, float(plan.clearance(pose[None])[0]) - 0.03)
     best: tuple[float, BaseTrajectory] | None = None
     for choice, lookahead in (
         (pulled, 0.3),
@@ -168,14 +168,14 @@ def plan_drive(
             trajectory = BaseTrajectory(
                 tried, lookahead, pace, simulate(pose, tried, lookahead, pace)
             )
-            room = plan.room(trajectory.poses)
-            lack = max(asked - float(room.min(initial=np.inf)), 0.0)
+            clearance = plan.clearance(trajectory.poses)
+            lack = max(asked - float(clearance.min(initial=np.inf)), 0.0)
             cost = STEP_SECONDS * len(trajectory.poses) + CLOSENESS_PRICE_S_M2 * lack**2
             if best is None or cost < best[0]:
                 best = (cost, trajectory)
             if lack == 0.0:
                 return best[1]
-            tried = _split(tried, trajectory.poses[int(np.argmin(room)), :2])
+            tried = _split(tried, trajectory.poses[int(np.argmin(clearance)), :2])
             if tried is None:
                 break
     assert best is not None
@@ -250,14 +250,14 @@ def _farthest(plan: Floorplan, points: np.ndarray, i: int, back: float) -> int:
     ``back``: 0 forwards, pi backwards.
     """
     for j in range(len(points) - 1, i + 1, -1):
-        if _line_room(plan, points[[i, j]], back) >= min(
-            AMPLE_CLEARANCE_M, _line_room(plan, points[i : j + 1], back)
+        if _line_clearance(plan, points[[i, j]], back) >= min(
+            AMPLE_CLEARANCE_M, _line_clearance(plan, points[i : j + 1], back)
         ):
             return j
     return i + 1
 
 
-def _line_room(plan: Floorplan, points: np.ndarray, back: float) -> float:
+def _line_clearance(plan: Floorplan, points: np.ndarray, back: float) -> float:
     """Least clearance on straight lines between ``points`` (P, 2), facing along them (``back`` pi: against them)."""
     poses = []
     for a, b in pairwise(points):
@@ -265,7 +265,7 @@ def _line_room(plan: Floorplan, points: np.ndarray, back: float) -> float:
         share = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(way) / 0.05))[:, None]
         yaw = np.arctan2(way[1], way[0]) + back
         poses.append(np.column_stack([a + share * way, np.full(len(share), yaw)]))
-    return float(plan.room(np.concatenate(poses)).min())
+    return float(plan.clearance(np.concatenate(poses)).min())
 
 
 def simulate(

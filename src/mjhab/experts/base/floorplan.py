@@ -158,7 +158,7 @@ class Floorplan:
         )
         return dataclasses.replace(self, base=self.base + base, arm=less)
 
-    def room(self, poses: np.ndarray) -> np.ndarray:
+    def clearance(self, poses: np.ndarray) -> np.ndarray:
         """Clearance (N,) of base and arm beyond what they need at base poses (N, 3); negative: too close."""
         poses = np.atleast_2d(poses)
         found = self._at(self.base, poses[:, :2], -BASE_CLEARANCE_M)
@@ -173,16 +173,16 @@ class Floorplan:
         return found
 
     def turning(self, xy: np.ndarray, start: float, turn: float) -> float:
-        """Least `room` while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
+        """Least `clearance` while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
         yaw = start + np.linspace(0.0, turn, 2 + int(abs(turn) / 0.1))
         return float(
-            self.room(
+            self.clearance(
                 np.column_stack([np.full(len(yaw), xy[0]), np.full(len(yaw), xy[1]), yaw])
             ).min()
         )
 
-    def rooms(self, yaws: np.ndarray) -> np.ndarray:
-        """`room` (H, X, Y) at the centres of all cells for headings (H,); arm spheres are rounded to whole cells."""
+    def clearances(self, yaws: np.ndarray) -> np.ndarray:
+        """`clearance` (H, X, Y) at the centres of all cells for headings (H,); arm spheres are rounded to whole cells."""
         pad = 1 + int(
             np.ceil(
                 float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0))

@@ -67,18 +67,18 @@ class Lattice:
 
     Attributes:
         points: (X, Y, 2) positions of the grid points.
-        room: (H, X, Y) clearance of base and arm at the nodes beyond what they need.
+        clearance: (H, X, Y) clearance of base and arm at the nodes beyond what they need.
         shape: (H, X, Y).
     """
 
     def __init__(self, plan: Floorplan) -> None:
         self.plan = plan
         between = YAWS + 0.5 * (np.roll(YAWS, -1) - YAWS) % np.pi
-        fine = plan.rooms(np.concatenate([YAWS, between]))
+        fine = plan.clearances(np.concatenate([YAWS, between]))
         self._fine = fine[:16]
         self._between = fine[16:, ::CELLS_PER_STEP, ::CELLS_PER_STEP]
-        self.room = self._fine[:, ::CELLS_PER_STEP, ::CELLS_PER_STEP]
-        self.shape = self.room.shape
+        self.clearance = self._fine[:, ::CELLS_PER_STEP, ::CELLS_PER_STEP]
+        self.shape = self.clearance.shape
         index = np.moveaxis(np.indices(self.shape[1:]), 0, -1)
         self.points = plan.origin + (CELLS_PER_STEP * index + 0.5) * plan.cell
         self._edges = self._make_edges()
@@ -126,8 +126,10 @@ class Lattice:
     def _make_edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Start nodes, end nodes and costs [s] of all moves between nodes with enough clearance."""
         number = np.arange(int(np.prod(self.shape))).reshape(self.shape)
-        fits = self.room >= 0.0
-        lack = np.clip((COMFORT_CLEARANCE_M - self.room) / COMFORT_CLEARANCE_M, 0.0, 1.0)
+        fits = self.clearance >= 0.0
+        lack = np.clip(
+            (COMFORT_CLEARANCE_M - self.clearance) / COMFORT_CLEARANCE_M, 0.0, 1.0
+        )
         dear = 1.0 + CAUTION_FACTOR * lack**2
         parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         for h, (dx, dy) in enumerate(MOVES.tolist()):
@@ -170,7 +172,7 @@ class Lattice:
 
         A robot that is too close to an obstacle may move wherever it does not get closer.
         """
-        asked = min(0.0, float(self.plan.room(pose[None])[0]) - 0.015)
+        asked = min(0.0, float(self.plan.clearance(pose[None])[0]) - 0.015)
         ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
         found: dict[int, tuple[float, float, float]] = {}
         for far in START_WAYS_M.tolist():
@@ -178,7 +180,7 @@ class Lattice:
             line = np.column_stack(
                 [pose[:2] + share * far * ahead, np.full(len(share), pose[2])]
             )
-            if self.plan.room(line).min() < asked:
+            if self.plan.clearance(line).min() < asked:
                 continue
             pay = abs(far) / SPEED_M_S * (BACKWARDS_FACTOR if far < 0 else 1.0) + (
                 0.5 if far else 0.0
@@ -206,7 +208,7 @@ class Lattice:
         x = np.clip(x.ravel(), 0, self.shape[1] - 1)
         y = np.clip(y.ravel(), 0, self.shape[2] - 1)
         gap = np.linalg.norm(self.points[x, y] - xy, axis=1)
-        gap = np.where(self.room[h, x, y] >= 0.0, gap, np.inf)
+        gap = np.where(self.clearance[h, x, y] >= 0.0, gap, np.inf)
         best = int(np.argmin(gap))
         return (
             int((h * self.shape[1] + x[best]) * self.shape[2] + y[best])

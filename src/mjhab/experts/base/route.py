@@ -66,7 +66,7 @@ class Route:
         arm: (J,) configuration at the end, of which arm and torso count.
         delay: control step at which the arm starts its (last) motion.
         steps: predicted duration [control steps].
-        room: least clearance along the route beyond the wanted one [m]; negative: a deficit.
+        clearance: least clearance along the route beyond the wanted one [m]; negative: a deficit.
         speed: largest forward speed [m/s].
         via: (V, J) intermediate postures of the arm, see `sampled`; None for a straight motion in joint space.
         carried: index in ``via`` of the posture that the arm keeps until the step ``delay``.
@@ -81,7 +81,7 @@ class Route:
     arm: np.ndarray
     delay: int
     steps: int
-    room: float
+    clearance: float
     speed: float = MAX_SPEED_M_S
     via: np.ndarray | None = None
     carried: int = 0
@@ -121,7 +121,7 @@ def plan_route(
     """Plan the quickest collision-free route to a base pose with the arm in a configuration.
 
     The arm starts at once if the clearance suffices, otherwise later. If it does not suffice even with the arm
-    unmoved during the whole drive, the route with the most clearance is returned; its ``room`` is then negative.
+    unmoved during the whole drive, the route with the most clearance is returned; its ``clearance`` is then negative.
 
     Args:
         view: the world.
@@ -142,7 +142,7 @@ def plan_route(
     path, direction, lookahead, poses = found
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before = float(robot.clearance(start[None], boxes)[0])
-    own = _own_room(start, arm, robot)
+    own = _own_clearance(start, arm, robot)
     if care and not wish.straight:
         cells = planner(view).clearance_at(poses[:, :2])
         own = min(own, float(cells.min() - min(MIN_MAP_CLEARANCE_M, cells[0], cells[-1])))
@@ -156,7 +156,7 @@ def plan_route(
             np.where(some < len(poses) - 1, wish.margin_m + DRIVE_ERROR_M, wish.margin_m),
             before - 0.004,
         )
-        room = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
+        clearance = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
         return Route(
             path,
             float(goal[2]),
@@ -165,17 +165,17 @@ def plan_route(
             arm,
             delay,
             len(swept),
-            room,
+            clearance,
             care=care,
         )
 
     early = at(0.0)
-    if early.room >= 0.0 or len(poses) == 1:
+    if early.clearance >= 0.0 or len(poses) == 1:
         return early
     late = at(1.0)
-    if late.room < 0.0:
-        return max(early, late, key=lambda route: route.room)
-    return next((route for route in map(at, _SHARES) if route.room >= 0.0), late)
+    if late.clearance < 0.0:
+        return max(early, late, key=lambda route: route.clearance)
+    return next((route for route in map(at, _SHARES) if route.clearance >= 0.0), late)
 
 
 def drive_of(
@@ -355,10 +355,10 @@ def _smoothest(
     best: tuple[float, float, np.ndarray] | None = None
     for lookahead in lookaheads:
         poses = simulate(view.base, path, yaw, direction, lookahead, care)
-        room = float(cells.clearance_at(poses[:, :2]).min())
-        if best is None or room > best[0]:
-            best = (room, lookahead, poses)
-        if room >= MIN_MAP_CLEARANCE_M:
+        clearance = float(cells.clearance_at(poses[:, :2]).min())
+        if best is None or clearance > best[0]:
+            best = (clearance, lookahead, poses)
+        if clearance >= MIN_MAP_CLEARANCE_M:
             break
     assert best is not None
     return best[1], best[2]
@@ -421,7 +421,7 @@ def within_reach(boxes: Boxes, way: np.ndarray) -> Boxes:
     return near.take(near.center[:, 2] + near.half.max(axis=1) > LOW_HEIGHT_M)
 
 
-def _own_room(start: np.ndarray, arm: np.ndarray, robot: RobotSpheres) -> float:
+def _own_clearance(start: np.ndarray, arm: np.ndarray, robot: RobotSpheres) -> float:
     """Least clearance of the arm to the trunk between ``start`` and ``arm`` (J,), beyond `SELF_CLEARANCE_M`."""
     gap = robot.self_clearance(start + np.linspace(0.0, 1.0, 10)[:, None] * (arm - start))
     return float(gap.min() - min(SELF_CLEARANCE_M, gap[0] - 0.004))

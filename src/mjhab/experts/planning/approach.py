@@ -114,7 +114,7 @@ def best_route(
 
 def _cost(view: WorldView, route: Route, door: Boxes | None) -> float:
     """Duration of a route [control steps], plus `BLOCKED_PRICE_STEPS` and more if it has a collision."""
-    lack = max(-route.room, 0.0)
+    lack = max(-route.clearance, 0.0)
     if door is not None and lack < MAX_ROUTE_DEFICIT_M:
         gap = _hand(view.robot).clearance(_passed(view, route), door).min()
         lack += max(MAX_ROUTE_DEFICIT_M - float(gap), 0.0)
@@ -237,9 +237,11 @@ def retract(
             boxes,
             RouteWish(direction=-1, straight=True),
         )
-        if found is not None and (best is None or found.room > best.room + 0.002):
+        if found is not None and (
+            best is None or found.clearance > best.clearance + 0.002
+        ):
             best = found
-        if found is not None and found.room > RETRACT_CLEARANCE_M:
+        if found is not None and found.clearance > RETRACT_CLEARANCE_M:
             break
     if best is not None:
         yield from follow(view, best, gripper=gripper, tolerance=0.03)

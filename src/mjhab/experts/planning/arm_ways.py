@@ -36,7 +36,7 @@ class Free:
         body: the robot, for its joints.
         robot: spheres of the robot, with those of the held object.
         boxes: obstacles.
-        room: least clearance to the boxes [m].
+        clearance: least clearance to the boxes [m].
         own: least clearance of arm and trunk [m].
         drive: least clearance to the boxes while the base drives [m].
     """
@@ -44,28 +44,28 @@ class Free:
     body: Robot
     robot: RobotSpheres
     boxes: Boxes
-    room: float
+    clearance: float
     own: float
     drive: float
 
     @classmethod
     def near(cls, body: Robot, q: np.ndarray, robot: RobotSpheres, boxes: Boxes) -> Free:
         """The definition with the clearances of `plan_route`, or nearly those of configuration ``q`` (J,) if less."""
-        room = float(robot.clearance(q, boxes)[0]) - 0.004
+        clearance = float(robot.clearance(q, boxes)[0]) - 0.004
         own = float(robot.self_clearance(q[None])[0]) - 0.004
         return cls(
             body,
             robot,
             boxes,
-            min(MARGIN_M, room),
+            min(MARGIN_M, clearance),
             min(SELF_CLEARANCE_M, own),
-            min(MARGIN_M + DRIVE_ERROR_M, room),
+            min(MARGIN_M + DRIVE_ERROR_M, clearance),
         )
 
     def spare(self, q: np.ndarray) -> np.ndarray:
         """Clearance (N,) [m] of configurations ``q`` (N, J) beyond the least one, while the base stands."""
         return np.minimum(
-            self.robot.clearance(q, self.boxes) - self.room,
+            self.robot.clearance(q, self.boxes) - self.clearance,
             self.robot.self_clearance(q) - self.own,
         )
 

@@ -85,7 +85,7 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
         np.minimum(cells.clearance_at(back), cells.clearance_at(poses[:, :2]))
         >= cells.narrow
     )
-    good &= floor_room(view.robot.footprint, poses, query.scene.near) > 0.0
+    good &= floor_clearance(view.robot.footprint, poses, query.scene.near) > 0.0
     if query.avoid is not None and len(query.avoid):
         gap = np.linalg.norm(
             (poses[:, None] - query.avoid) * [1.0, 1.0, 0.3], axis=2
@@ -116,11 +116,11 @@ def given_poses(
     cells = planner(view)
     here = float(cells.clearance_at(view.base[None, :2])[0])
     back = query.drive_in * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
-    room = np.minimum(
+    clearance = np.minimum(
         cells.clearance_at(poses[:, :2]), cells.clearance_at(poses[:, :2] - back)
     )
     near = overreach(view.robot.reach, poses, query.goals).min(axis=1) < MAX_OVERREACH_M
-    free = near & (room >= min(cells.narrow, here))
+    free = near & (clearance >= min(cells.narrow, here))
     poses = poses[free]
     way = np.linalg.norm(poses[:, :2] - back[free] - view.base[:2], axis=1)
     # As `drive_steps` without turns, and the drive in as in `base_poses`.
@@ -142,7 +142,7 @@ def in_sight(poses: np.ndarray, point: np.ndarray, boxes: Boxes) -> np.ndarray:
     return gap.reshape(len(share), len(poses)).min(axis=0) > 0.02
 
 
-def floor_room(footprint: Footprint, poses: np.ndarray, boxes: Boxes) -> np.ndarray:
+def floor_clearance(footprint: Footprint, poses: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Clearance (B,) [m] between the base at poses (B, 3) and small boxes on the floor, which no map contains: objects
     that fell."""
     low = boxes.take(

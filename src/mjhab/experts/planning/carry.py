@@ -170,7 +170,7 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
     way = float((goal[:2] - q[BASE_XY]) @ ahead)
     end = goal.copy()
     end[:2] = q[BASE_XY] + ahead * way
-    if _room_in(view.robot, end, way, boxes) > IN_CLEARANCE_M:
+    if _clearance_in(view.robot, end, way, boxes) > IN_CLEARANCE_M:
         return end
     found = ik.solve(
         robot,
@@ -183,13 +183,13 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
         found.ok[0, 0]
         and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MAX_CORRECTION_RAD
     )
-    better = near and _room_in(view.robot, found.q[0, 0], way, boxes) > _room_in(
-        view.robot, end, way, boxes
-    )
+    better = near and _clearance_in(
+        view.robot, found.q[0, 0], way, boxes
+    ) > _clearance_in(view.robot, end, way, boxes)
     return ik.unwind(robot, found.q[0, 0], q) if better else end
 
 
-def _room_in(robot: Robot, goal: np.ndarray, way: float, boxes: Boxes) -> float:
+def _clearance_in(robot: Robot, goal: np.ndarray, way: float, boxes: Boxes) -> float:
     """Least clearance [m] of the robot while its base drives the last ``way`` [m] straight to ``goal`` (J,)."""
     q = np.repeat(goal[None], 6, axis=0)
     q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
@@ -233,7 +233,7 @@ def hurry_home(view: WorldView, obj: str) -> Motion:
         return False
     robot = motion.spheres(view.robot).with_held(*held_spheres(view, obj))
     route = plan_home(view, obj, robot, holding=True, ways=OUT_WAYS_M)
-    if route is None or route.room < 0.0:
+    if route is None or route.clearance < 0.0:
         return False
     yield from follow(view, route, gripper=motion.CLOSED, held=obj)
     return True
@@ -264,11 +264,11 @@ def plan_home(
         route = plan_route(view, end, goal, robot, boxes, wish)
         if route is None:
             continue
-        if route.room >= 0.0:
+        if route.clearance >= 0.0:
             return route
-        if best is None or route.room > best.room:
+        if best is None or route.clearance > best.clearance:
             best = route
-    if holding and best is not None and best.room < MAX_DEFICIT_M:
+    if holding and best is not None and best.clearance < MAX_DEFICIT_M:
         for back in AROUND_BACK_WAYS_M:
             end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
             around = plan_around(view, end, goal, robot, boxes, care=care)

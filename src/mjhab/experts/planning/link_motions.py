@@ -334,7 +334,7 @@ def rank(
         if also is None
         else np.concatenate([placements.q[:, :, BASE_XY], also], axis=1)
     )
-    room = (
+    clearance = (
         planner(view, shut=True)
         .clearance_at(frame.point(places))
         .min(axis=1, initial=np.inf)
@@ -345,10 +345,10 @@ def rank(
         steps
         + motion_steps(view.robot.chain, placements.q)
         + placements.back
-        + 300.0 * np.maximum(COMFORT_CLEARANCE_M - room, 0.0)
+        + 300.0 * np.maximum(COMFORT_CLEARANCE_M - clearance, 0.0)
     )
     order = np.argsort(cost, kind="stable")
-    order = order[room[order] >= MIN_BASE_CLEARANCE_M]
+    order = order[clearance[order] >= MIN_BASE_CLEARANCE_M]
     return frame.base(placements.q[order]), cost[order]
 
 

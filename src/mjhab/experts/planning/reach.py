@@ -54,7 +54,7 @@ def placements(
         view: world to plan in.
         query: the request.
         blocked: if given, hand poses that can be reached but have no collision-free route are appended, for
-            `sampled.roomier`.
+            `sampled.clearer`.
     """
     bases, drive = (
         base_poses(view, query)
@@ -73,7 +73,7 @@ def placements(
         return []
     price = drive[base] - 10.0 * score
     q, goal = _configurations(view, query, bases[base], goal, price)
-    rows = clear_ones(q, query.scene, query.room)
+    rows = clear_ones(q, query.scene, query.clearance)
     q = q[rows]
     goal = goal[rows]
     pre, fine = _before(q, goal, query)
@@ -81,15 +81,15 @@ def placements(
     pre = pre[fine]
     goal = goal[fine]
     found = _routed(view, query, q, pre, goal)
-    if blocked is not None and len(q) and not (found and found[0].route.room >= 0.0):
+    if blocked is not None and len(q) and not (found and found[0].route.clearance >= 0.0):
         blocked.append(Blocked(query.goals, goal, pre, q, query.scene, query.drive_in))
     return found
 
 
-def clear_ones(q: np.ndarray, scene: Scene, room: float) -> np.ndarray:
-    """Indices of at most `_KEPT` of the configurations ``q`` (N, J), in order, that keep a clearance of ``room`` [m].
+def clear_ones(q: np.ndarray, scene: Scene, clearance: float) -> np.ndarray:
+    """Indices of at most `_KEPT` of the configurations ``q`` (N, J), in order, that keep a clearance of ``clearance`` [m].
 
-    Arm and held object are checked. The hand is not, see `hand_room`.
+    Arm and held object are checked. The hand is not, see `hand_clearance`.
     """
     whole = motion.spheres(scene.body)
     hand_links = scene.body.hand_links
@@ -98,8 +98,8 @@ def clear_ones(q: np.ndarray, scene: Scene, room: float) -> np.ndarray:
     found: list[np.ndarray] = []
     for start in range(0, len(q), _KEPT):
         rows = np.arange(start, min(start + _KEPT, len(q)))
-        rows = rows[arm.clearance(q[rows], scene.near) > room]
-        rows = rows[whole.self_clearance(q[rows]) > room] if len(rows) else rows
+        rows = rows[arm.clearance(q[rows], scene.near) > clearance]
+        rows = rows[whole.self_clearance(q[rows]) > clearance] if len(rows) else rows
         if load is not None and len(rows):
             rows = rows[load.clearance(q[rows], scene.beside) > -0.004]
         found.append(rows)
@@ -108,7 +108,9 @@ def clear_ones(q: np.ndarray, scene: Scene, room: float) -> np.ndarray:
     return np.concatenate(found)[:_KEPT] if found else np.zeros(0, np.int64)
 
 
-def hand_room(gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes) -> np.ndarray:
+def hand_clearance(
+    gripper: Gripper, goals: HandGoals | Grasps, boxes: Boxes
+) -> np.ndarray:
     """Clearance (G,) [m] of hand and wrist from boxes on the straight approach to the goals."""
     hand = approach_clearance(
         goals.pos, goals.rot, goals.opening, goals.pre, boxes, gripper
@@ -238,13 +240,15 @@ def _before(
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
         shifted[:, 1] -= back * np.sin(shifted[:, 2])
         if back == 0.0:
-            room = np.minimum(
+            clearance = np.minimum(
                 arm.clearance(shifted, scene.all), whole.self_clearance(shifted)
             )
-            room = np.minimum(room, hand.clearance(shifted, scene.all) + query.nearer)
+            clearance = np.minimum(
+                clearance, hand.clearance(shifted, scene.all) + query.nearer
+            )
         else:
-            room = whole.clearance(shifted, scene.all)
-        fine[fine] = room > query.room
+            clearance = whole.clearance(shifted, scene.all)
+        fine[fine] = clearance > query.clearance
     return pre, fine
 
 
@@ -273,13 +277,14 @@ def _routed(
         )
         if route is None:
             continue
-        (clear if route.room >= 0.0 else tight).append(
+        (clear if route.clearance >= 0.0 else tight).append(
             BasePlacement(int(goal[i]), pre[i], q[i], route)
         )
         if len(clear) >= MAX_PLACEMENTS or len(clear) + len(tight) >= 3 * MAX_PLACEMENTS:
             break
     tight = sorted(
-        (s for s in tight if s.route.room > MAX_DEFICIT_M), key=lambda s: -s.route.room
+        (s for s in tight if s.route.clearance > MAX_DEFICIT_M),
+        key=lambda s: -s.route.clearance,
     )
 
     def steps(placement: BasePlacement) -> float:

@@ -98,9 +98,9 @@ def let_go_width(view: WorldView, obj: str, pos: np.ndarray, rot: np.ndarray) ->
     widths = now + np.array([0.0, *EXTRA_OPENINGS_M])
     at = np.repeat(pos[None], len(widths), axis=0)
     turn = np.repeat(rot[None], len(widths), axis=0)
-    room = approach_clearance(at, turn, widths, at, near, view.robot.gripper)
+    clearance = approach_clearance(at, turn, widths, at, near, view.robot.gripper)
     return float(
-        widths[1:][room[1:] > min(DRAW_BACK_CLEARANCE_M, room[0] - 0.004)].max(
+        widths[1:][clearance[1:] > min(DRAW_BACK_CLEARANCE_M, clearance[0] - 0.004)].max(
             initial=widths[1]
         )
     )
@@ -141,14 +141,14 @@ def drawn_back(
         view.q[None],
     )
     q = np.concatenate([view.q[None], found.q[:, 0]])
-    room = np.minimum(
+    clearance = np.minimum(
         np.minimum(whole.self_clearance(q), arm.clearance(q, near)),
         hand.clearance(q, near),
     )
     gap = hand.clearance(q, target)
     fine = (
         found.ok[:, 0]
-        & (room[1:] > min(DRAW_BACK_CLEARANCE_M, room[0] - 0.004))
+        & (clearance[1:] > min(DRAW_BACK_CLEARANCE_M, clearance[0] - 0.004))
         & (gap[1:] > gap[0] - 0.004)
     )
     fine = np.logical_and.accumulate(fine.reshape(len(ways), -1), axis=1)

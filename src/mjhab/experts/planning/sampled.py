@@ -46,7 +46,7 @@ WAYS_TIMED = 6
 POSTURES_SEARCHED = 1
 """Postures for which RRT-Connect searches the motion into them, or out of them, if the straight one collides."""
 MAX_DEFICIT_M = -0.03
-"""Straight routes with less ``room`` than this (negative: a deficit, see `Route`) are replaced by sampled ones, which
+"""Straight routes with less ``clearance`` than this (negative: a deficit, see `Route`) are replaced by sampled ones, which
 take longer."""
 MIN_WAY_STEPS = 30
 """Least number of control steps of a sampled route."""
@@ -60,7 +60,7 @@ Found = tuple[BasePlacement, HandGoals, float]
 """A base placement, the hand poses that it refers to, and the length of the straight drive in at the end [m]."""
 
 
-def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Found | None:
+def clearer(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Found | None:
     """Replace a reach whose route collides by one with a sampled route.
 
     Args:
@@ -72,7 +72,7 @@ def roomier(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Fou
         ``found`` if its route has enough clearance, if time is short, or if no sampled route is found.
     """
     if (
-        found is not None and found[0].route.room >= MAX_DEFICIT_M
+        found is not None and found[0].route.clearance >= MAX_DEFICIT_M
     ) or view.steps_left < MIN_WAY_STEPS + MIN_TOTAL_STEPS:
         return found
     return _way_around(view, blocked) or found
@@ -199,7 +199,9 @@ def _timed(
         )
         arm[:, BASE] = poses[np.clip(t - lead, 0, drive - 1)]
         moving = (t > lead) & (t < lead + drive - 1)
-        asked = np.where(moving, here.drive, np.where(t <= lead, here.room, there.room))
+        asked = np.where(
+            moving, here.drive, np.where(t <= lead, here.clearance, there.clearance)
+        )
         gap = np.minimum(
             here.robot.clearance(arm, here.boxes) - asked,
             here.robot.self_clearance(arm) - min(here.own, there.own),

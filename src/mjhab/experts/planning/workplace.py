@@ -129,7 +129,7 @@ class ReachQuery:
         drive_in: distance [m] that the base drives straight forward at the end, with the arm already stretched out, for
             instance into a fridge. The route ends at this distance before the work place.
         avoid: (A, 3) base poses from which an earlier attempt failed.
-        room: least clearance [m] at the work, see `CLEARANCES_M`.
+        clearance: least clearance [m] at the work, see `CLEARANCES_M`.
         nearer: how much nearer [m] than that the hand may come just before its work.
         home: weight of the control steps from the work back to rest.
         far: stand far off even where one may stand nearer: that can save a long way.
@@ -141,7 +141,7 @@ class ReachQuery:
     scene: Scene
     drive_in: float = 0.0
     avoid: np.ndarray | None = None
-    room: float = CLEARANCES_M[0]
+    clearance: float = CLEARANCES_M[0]
     nearer: float = 0.0
     home: float = 0.0
     far: bool = False

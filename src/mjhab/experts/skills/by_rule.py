@@ -2,9 +2,9 @@
 
 The action of such a script depends on the observable state and hardly on the past. A policy imitates it better than a
 search, which chooses one of many base placements, hand poses and paths: where demonstrations in the same situation
-differ, a policy learns their mean. The base placement is the nearest base pose from which the place is straight ahead at a fixed
-distance. The hand pose is the one nearest to the hand's orientation at rest. The hand approaches within a funnel: the
-farther it is beside the straight line to its goal, the farther it stays back.
+differ, a policy learns their mean. The base placement is the nearest base pose from which the place is straight ahead
+at a fixed distance. The hand pose is the one nearest to the hand's orientation at rest. The hand approaches within a
+funnel: the farther it is beside the straight line to its goal, the farther it stays back.
 
 Lengths [m], angles [rad], world frame. Letters: G hand poses, P way points, J joints.
 """
@@ -47,7 +47,7 @@ ROLL_WEIGHT = 0.5
 """Weight of the angle between the closing direction and the robot's left, relative to the angle to `PITCH`."""
 MAX_GOALS = 12
 """Number of hand poses at a base placement for which inverse kinematics is solved."""
-LEAST_ROOM_M = 0.0
+MIN_CLEARANCE_M = 0.0
 """Least clearance of the arm at the hand pose."""
 ARM_FROM_M = 0.35
 """Distance between base and base placement below which the arm leaves its rest position."""
@@ -178,7 +178,7 @@ def _nearest_to_rest(
             chain, ik.TipGoals(pos[rows], rot[rows], ik.columns(chain), q), seeds
         )
         good = np.flatnonzero(found.ok[:, 0])
-        good = good[clear_ones(found.q[good, 0], scene, LEAST_ROOM_M)]
+        good = good[clear_ones(found.q[good, 0], scene, MIN_CLEARANCE_M)]
         rows = rows[good]
         seeds = found.q[good]
         ready = ready or dict(zip(rows.tolist(), seeds[:, 0], strict=True))

@@ -113,8 +113,8 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
         if path is None:
             return False
         around, loose = (
-            motion.gripper_at(view.robot, link.handle.thickness + room)
-            for room in (AROUND_BAR_M, LET_GO_BAR_M)
+            motion.gripper_at(view.robot, link.handle.thickness + spare)
+            for spare in (AROUND_BAR_M, LET_GO_BAR_M)
         )
         yield from approach.go(view, path.route, around)
         rot = path.hand_at(path.values[1])[1]

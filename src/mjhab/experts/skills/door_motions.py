@@ -303,11 +303,11 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
     s = np.sin(base[..., 2, None])
     x = base[..., 0, None] + c * centers[:, 0] - s * centers[:, 1]
     y = m * (base[..., 1, None] + s * centers[:, 0] + c * centers[:, 1])
-    room = radius + high[0]
+    gap = radius + high[0]
     far = np.hypot(x, y)
     bearing = np.arctan2(y, x)
-    meets = far**2 - room**2 < (float(np.abs([low[1], high[1]]).max()) + radius) ** 2
-    widest = bearing + np.arccos(np.minimum(room / np.maximum(far, 1e-9), 1.0))
+    meets = far**2 - gap**2 < (float(np.abs([low[1], high[1]]).max()) + radius) ** 2
+    widest = bearing + np.arccos(np.minimum(gap / np.maximum(far, 1e-9), 1.0))
     widest = np.where(meets, widest, np.inf).min(axis=2)
     # Positions before the last one that is clear of the door do not matter: the sweep begins there.
     first = _last_clear(widest > angle + SWEEP_CLEAR_RAD)

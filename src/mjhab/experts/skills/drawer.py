@@ -46,7 +46,7 @@ PULL_LEAD_M = 0.05
 """Largest distance of the hand's goal ahead of the drawer."""
 RETRACT_POINTS = 16
 """Configurations of the motion back to rest at which its clearance is checked."""
-RETRACT_ROOM_M = 0.02
+RETRACT_CLEARANCE_M = 0.02
 """Least clearance of the arm during that motion."""
 PULL_STEPS = 60
 """Control steps after which a pull is given up and the handle grasped again."""
@@ -281,7 +281,7 @@ def _retracts(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
     share = np.linspace(0.0, 1.0, RETRACT_POINTS)[:, None]
     ways = start[:, None] + share * (rest - start)[:, None]
     gaps = motion.spheres(robot).clearance(ways.reshape(-1, ways.shape[-1]), boxes)
-    return gaps.reshape(len(end), RETRACT_POINTS).min(axis=1) > RETRACT_ROOM_M
+    return gaps.reshape(len(end), RETRACT_POINTS).min(axis=1) > RETRACT_CLEARANCE_M
 
 
 def _push_motions(robot: Robot, link: JointedLink) -> LinkMotions:

@@ -123,11 +123,11 @@ class Aim(NamedTuple):
         )
         pay = pay + 3.0 * (lattice.plan.hidden(xy[good], self.point, 0.1) > 0.0)
         pay = pay + DETOUR_PRICE_S_M * detour[good]
-        room = lattice.room[:, good]
+        clearance = lattice.clearance[:, good]
         out[:, good] = np.where(
             off[:, good] <= MAX_GRID_BEARING_RAD, pay + 1.5 * off[:, good], np.inf
         )
-        out[:, good] += 10.0 * np.maximum(0.1 - room, 0.0)
+        out[:, good] += 10.0 * np.maximum(0.1 - clearance, 0.0)
         return out
 
 

@@ -158,7 +158,7 @@ def plan_nudge(
     for push in _pushes(pose, shape, scene, inward, graspable):
         height = 2.0 * (pose[2] - scene.support_z)
         goals = _goals(view.robot.gripper, push, pose[:2], scene.support_z, height)
-        for room, nearer in ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02)):
+        for clearance, nearer in ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02)):
             best: tuple[float, BasePlacement, float] | None = None
             for depth in DEPTHS_M if len(goals) else ():
                 query = ReachQuery(
@@ -166,12 +166,12 @@ def plan_nudge(
                     goals=goals,
                     scene=scene,
                     drive_in=depth,
-                    room=room,
+                    clearance=clearance,
                     nearer=nearer,
                 )
                 for placement in placements(view, query):
                     steps = in_steps(depth) + placement.route.steps
-                    if placement.route.room > _MAX_DEFICIT_M and (
+                    if placement.route.clearance > _MAX_DEFICIT_M and (
                         best is None or steps < best[0]
                     ):
                         best = steps, placement, depth

@@ -28,14 +28,14 @@ from mjhab.experts.planning.carry import (
     hurry_home,
     inside_depth,
 )
-from mjhab.experts.planning.reach import hand_room, settle_reach
+from mjhab.experts.planning.reach import hand_clearance, settle_reach
 from mjhab.experts.planning.workplace import (
     BasePlacement,
     HandGoals,
 )
 from mjhab.experts.skills.nudge import nudge, plan_nudge
 from mjhab.experts.skills.pick_plans import (
-    GRASP_ROOM_M,
+    GRASP_CLEARANCES_M,
     direction_to,
     plan_inside,
     plan_pick,
@@ -234,12 +234,12 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     def graspable(after: np.ndarray, more: float) -> int:
         straight = float(inward[0]), float(inward[1])
         every = shelf_grasps(
-            shape, after, scene, straight, around, GRASP_ROOM_M[0][0] + more
+            shape, after, scene, straight, around, GRASP_CLEARANCES_M[0][0] + more
         )
         return int(
             (
-                hand_room(view.robot.gripper, every, around)
-                > GRASP_ROOM_M[0][1] + 1.5 * more
+                hand_clearance(view.robot.gripper, every, around)
+                > GRASP_CLEARANCES_M[0][1] + 1.5 * more
             ).sum()
         )
 

@@ -24,8 +24,8 @@ from mjhab.experts.planning.carry import (
     SHELF_DEPTH_M,
     inside_depth,
 )
-from mjhab.experts.planning.reach import hand_room, placements
-from mjhab.experts.planning.sampled import roomier
+from mjhab.experts.planning.reach import hand_clearance, placements
+from mjhab.experts.planning.sampled import clearer
 from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
     BasePlacement,
@@ -45,11 +45,13 @@ FREE_OFFSET_M = 0.015
 between the pads, and it slips out when something pushes it from above."""
 OFFSET_PRICE_PER_M = 15.0
 """Score lost per metre beyond `FREE_OFFSET_M`."""
-GRASP_ROOM_M = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
+GRASP_CLEARANCES_M = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03, 0.014))
 """Required clearances [m] of the first, second and third search: between gripper and neighbours; on a shelf between
 hand with wrist and neighbours (the spheres of the wrist are up to 8 mm too large); and the reduction of the arm's
 clearance that applies to the hand."""
-OPTIONS = Options(palm_gap=0.012, floor_gap=0.008, least_clear_m=GRASP_ROOM_M[-1][0])
+OPTIONS = Options(
+    palm_gap=0.012, floor_gap=0.008, least_clear_m=GRASP_CLEARANCES_M[-1][0]
+)
 # On a shelf there is little room: more directions around the object, a short approach, and boxes nearly as wide as the
 # hand opens. Below a low board no approach from above is possible: bowls are grasped by the rim from the front.
 SHELF_OPTIONS = replace(
@@ -97,7 +99,12 @@ def plan_pick(
     around = scene.beside.near(pose[:3], 0.5)
     if depth:
         every = shelf_grasps(
-            shape, pose, scene, direction_to(view, pose), around, GRASP_ROOM_M[-1][0]
+            shape,
+            pose,
+            scene,
+            direction_to(view, pose),
+            around,
+            GRASP_CLEARANCES_M[-1][0],
         )
     else:
         every = grasp_candidates(
@@ -107,14 +114,14 @@ def plan_pick(
             options=OPTIONS,
         )
     every = balanced(of_kind(every, wish), pose[:3])
-    room = hand_room(view.robot.gripper, every, around) if depth else None
+    clearance = hand_clearance(view.robot.gripper, every, around) if depth else None
     best = None
     tried = 0
     blocked: list[Blocked] = []
-    for asked, hand, nearer in GRASP_ROOM_M[min(attempt, 1) :]:
+    for asked, hand, nearer in GRASP_CLEARANCES_M[min(attempt, 1) :]:
         keep = every.clear >= asked
         grasps = every.take(
-            np.flatnonzero(keep if room is None else keep & (room > hand))
+            np.flatnonzero(keep if clearance is None else keep & (clearance > hand))
         )
         if len(grasps) <= tried:
             continue
@@ -127,15 +134,17 @@ def plan_pick(
                 scene=scene,
                 drive_in=back,
                 avoid=failed,
-                room=CLEARANCES_M[min(attempt, 2)],
+                clearance=CLEARANCES_M[min(attempt, 2)],
                 nearer=nearer,
             )
             found = placements(view, query, blocked)
-            if found and (best is None or found[0].route.room > best[0].route.room):
+            if found and (
+                best is None or found[0].route.clearance > best[0].route.clearance
+            ):
                 best = found[0], goals, back
-            if best is not None and (not depth or best[0].route.room >= 0.0):
-                return roomier(view, best, blocked)
-    return roomier(view, best, blocked)
+            if best is not None and (not depth or best[0].route.clearance >= 0.0):
+                return clearer(view, best, blocked)
+    return clearer(view, best, blocked)
 
 
 def shelf_grasps(
@@ -181,16 +190,21 @@ def plan_inside(
     shape = view.object_shape(obj)
     every = balanced(
         shelf_grasps(
-            shape, pose, scene, direction_to(view, pose), around, GRASP_ROOM_M[-1][0]
+            shape,
+            pose,
+            scene,
+            direction_to(view, pose),
+            around,
+            GRASP_CLEARANCES_M[-1][0],
         ),
         pose[:3],
     )
-    room = hand_room(view.robot.gripper, every, around)
+    clearance = hand_clearance(view.robot.gripper, every, around)
     best = None
     yaw = view.base[2]
     ahead = view.base + AHEAD_M[:, None] * np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    for (asked, hand, nearer), arm in zip(GRASP_ROOM_M, CLEARANCES_M, strict=True):
-        rows = np.flatnonzero((every.clear >= asked) & (room > hand))
+    for (asked, hand, nearer), arm in zip(GRASP_CLEARANCES_M, CLEARANCES_M, strict=True):
+        rows = np.flatnonzero((every.clear >= asked) & (clearance > hand))
         if not len(rows):
             continue
         goals = _diverse(every.take(rows))
@@ -202,7 +216,7 @@ def plan_inside(
                     scene=scene,
                     drive_in=back,
                     avoid=failed,
-                    room=arm,
+                    clearance=arm,
                     nearer=nearer,
                     home=_HOME_WEIGHT,
                     bases=bases,
@@ -211,7 +225,7 @@ def plan_inside(
                     found = placement, goals, back
                     if best is None or _cost(view, found) < _cost(view, best):
                         best = found
-            if best is not None and best[0].route.room >= 0.0:
+            if best is not None and best[0].route.clearance >= 0.0:
                 return best
     return best
 
@@ -221,7 +235,7 @@ def _cost(view: WorldView, found: tuple[BasePlacement, HandGoals, float]) -> flo
     placement, _, back = found
     steps = placement.route.steps + in_steps(back)
     home = _HOME_WEIGHT * float(motion.steps_home(view.robot, placement.at))
-    return steps + home + 1e4 * max(-placement.route.room, 0.0)
+    return steps + home + 1e4 * max(-placement.route.clearance, 0.0)
 
 
 def balanced(grasps: Grasps, centre: np.ndarray) -> Grasps:

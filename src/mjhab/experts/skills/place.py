@@ -27,7 +27,7 @@ from mjhab.experts.planning.carry import (
     go_home,
     inside_depth,
 )
-from mjhab.experts.planning.reach import hand_room, placements, settle_reach
+from mjhab.experts.planning.reach import hand_clearance, placements, settle_reach
 from mjhab.experts.planning.release import (
     TIGHT_PLAY_M,
     away_speed,
@@ -36,7 +36,7 @@ from mjhab.experts.planning.release import (
     play,
     tipped,
 )
-from mjhab.experts.planning.sampled import Found, roomier
+from mjhab.experts.planning.sampled import Found, clearer
 from mjhab.experts.planning.workplace import (
     CLEARANCES_M,
     BasePlacement,
@@ -92,7 +92,7 @@ MAX_BESIDE_M = 0.09
 GOAL_SHARE = 0.87
 """Share of the goal tolerance within which the object must come to rest after it has tipped over."""
 MAX_DEFICIT_M = -0.01
-"""Routes with less ``room`` than this (negative: a deficit) may shake the object loose: others are tried first."""
+"""Routes with less ``clearance`` than this (negative: a deficit) may shake the object loose: others are tried first."""
 AFTER_STEPS = 35
 """Control steps to put an object down and to retreat."""
 INSIDE_AFTER_STEPS = 70
@@ -172,7 +172,7 @@ def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
     after = (INSIDE_AFTER_STEPS if depth else AFTER_STEPS) + float(
         motion.steps_home(view.robot, placement.at)
     )
-    return placement.route.steps + after <= view.steps_left, placement.route.room
+    return placement.route.steps + after <= view.steps_left, placement.route.clearance
 
 
 def _rest(view: WorldView) -> Motion:
@@ -240,10 +240,12 @@ def plan_place(
     late = attempt.number > 1
     inside = depth > 0.0
     release = Release(inside, inside or late, 0.0 if depth else attempt.drop)
-    goals = roomy(view, obj, goal, near, release)
+    goals = clear_hand_goals(view, obj, goal, near, release)
     if not len(goals) and not depth:
         # A place that is no shelf can still have a board above it.
-        goals = roomy(view, obj, goal, near, Release(shelf=True, any_side=True))
+        goals = clear_hand_goals(
+            view, obj, goal, near, Release(shelf=True, any_side=True)
+        )
     blocked: list[Blocked] = []
     query = ReachQuery(
         point=goal,
@@ -251,23 +253,24 @@ def plan_place(
         scene=scene,
         drive_in=depth,
         avoid=attempt.failed,
-        room=CLEARANCES_M[min(attempt.number, 2)],
+        clearance=CLEARANCES_M[min(attempt.number, 2)],
         nearer=HAND_NEARER_M,
         far=attempt.hurry,
         home=HOME_WEIGHT,
     )
     found = placements(view, query, blocked)
-    return roomier(view, (found[0], goals, depth) if found else None, blocked)
+    return clearer(view, (found[0], goals, depth) if found else None, blocked)
 
 
-def roomy(
+def clear_hand_goals(
     view: WorldView, obj: str, goal: np.ndarray, near: Boxes, release: Release
 ) -> HandGoals:
     """Those of the `hand_goals` at which the hand is clear of the boxes ``near``."""
     goals = hand_goals(view, obj, goal, release)
     return goals.take(
         np.flatnonzero(
-            hand_room(view.robot.gripper, goals, near.near(goal, 0.8)) > HAND_CLEARANCE_M
+            hand_clearance(view.robot.gripper, goals, near.near(goal, 0.8))
+            > HAND_CLEARANCE_M
         )
     )
 

@@ -94,11 +94,11 @@ def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
 def plan(
     view: WorldView, obj: str, goal: np.ndarray
 ) -> tuple[RuledPlacement, Funnel] | None:
-    """Choose a base placement and a release pose for an object at ``goal`` (3,) [m]; None on shelves or if none is found."""
+    """Choose a base placement and a release pose for an object at ``goal`` (3,) [m]; None on shelves or if none fits."""
     if inside_depth(view, goal):
         return None
     near, _ = surroundings(view, obj, goal)
-    goals = search.roomy(
+    goals = search.clear_hand_goals(
         view, obj, goal, near, search.Release(shelf=False, any_side=False)
     )
     support = float(goal[2]) - view.object_type(obj).half[2]

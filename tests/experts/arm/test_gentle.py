@@ -39,7 +39,7 @@ def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(object
 def test_a_hurry_asks_for_less_care_of_what_is_heavy():
     heavy = view_with(box=(0.5, 0.05))
     light = view_with(bowl=(0.15, 0.08))
-    assert care_for(heavy, hurry=True) == BRISK and care_for(light, hurry=True) == FIRM
+    assert care_for(heavy, fast=True) == BRISK and care_for(light, fast=True) == FIRM
     assert WEAK.change < BRISK.change < FIRM.change and WEAK.spin <= BRISK.spin
 
 

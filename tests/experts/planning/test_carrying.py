@@ -261,7 +261,7 @@ def test_place_looks_at_every_way_before_it_waits(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(place_module, "plan_place", lambda *args: asked.append(args[3]))
     next(place(view))
     # In its place, then in a hurry and on any side, then from above.
-    assert [(each.number, each.drop, each.hurry) for each in asked] == [
+    assert [(each.number, each.drop, each.fast) for each in asked] == [
         (0, 0.0, False),
         (1, 0.0, True),
         (2, 0.0, True),

@@ -39,12 +39,12 @@ limits apply. Measured: a box of 0.5 kg, grasped 51 mm off its centre, slips in 
 `BRISK` is the compromise for short time limits."""
 
 
-def care_for(view: WorldView, hurry: bool = False) -> Care:
+def care_for(view: WorldView, fast: bool = False) -> Care:
     """Choose the limits for the object nearest to the tcp.
 
     Args:
         view: the world.
-        hurry: use `BRISK` instead of `WEAK` for a weak grasp.
+        fast: use `BRISK` instead of `WEAK` for a weak grasp.
     """
     tcp = view.tcp_pose[:3]
     far = {
@@ -56,7 +56,7 @@ def care_for(view: WorldView, hurry: bool = False) -> Care:
     held = min(far, key=lambda name: far[name])
     if view.object_type(held).mass * far[held] <= WEAK_GRIP_KG_M:
         return FIRM
-    return BRISK if hurry else WEAK
+    return BRISK if fast else WEAK
 
 
 @kernel

@@ -173,7 +173,7 @@ class Floorplan:
         return found
 
     def turning(self, xy: np.ndarray, start: float, turn: float) -> float:
-        """Least `clearance` while the base turns on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
+        """Least `clearance` during a turn on the spot at ``xy`` (2,) from heading ``start`` by ``turn`` (signed)."""
         yaw = start + np.linspace(0.0, turn, 2 + int(abs(turn) / 0.1))
         return float(
             self.clearance(
@@ -182,7 +182,7 @@ class Floorplan:
         )
 
     def clearances(self, yaws: np.ndarray) -> np.ndarray:
-        """`clearance` (H, X, Y) at the centres of all cells for headings (H,); arm spheres are rounded to whole cells."""
+        """`clearance` (H, X, Y) at all cells' centres for headings (H,); arm spheres are rounded to whole cells."""
         pad = 1 + int(
             np.ceil(
                 float(np.linalg.norm(self.arm.offset, axis=1).max(initial=0.0))

@@ -36,7 +36,7 @@ BACK_WAYS_M = (0.0, 0.2, 0.4, 0.6, 0.8)
 OUT_WAYS_M = (0.42, 0.55, 0.7)
 """The same from the inside of a shelf."""
 OUT_STEPS = 25
-"""Control steps of a drive out of a shelf at `HASTY_SPEED_M_S`, and to come to rest at the end."""
+"""Control steps of a drive out of a shelf at `FAST_SPEED_M_S`, and to come to rest at the end."""
 HOME_DELAY = 1.2
 """Control steps that the arm needs to its rest pose, as a multiple of `motion.steps_home`."""
 AROUND_BACK_WAYS_M = (0.0, 0.3)
@@ -49,9 +49,9 @@ IN_SPEED_M_S = 0.35
 """Speed of the base while it drives straight in."""
 OUT_SPEED_M_S = 0.5
 """Speed of the base while it drives straight out."""
-HASTY_SPEED_M_S = 0.7
+FAST_SPEED_M_S = 0.7
 """Speed of the base in both directions when few control steps are left."""
-HASTY_END_M = (0.04, 0.025)
+FAST_END_M = (0.04, 0.025)
 """When few control steps are left, a drive ends within the first distance of its goal, once the base moves less than
 the second one per control step. The motion of the arm that follows corrects the remaining error."""
 STUCK_STEPS = 6
@@ -83,7 +83,7 @@ class ReachIn:
 
 
 def drive_in(
-    view: WorldView, reach: ReachIn, boxes: Boxes, *, gripper: float, hasty: bool = False
+    view: WorldView, reach: ReachIn, boxes: Boxes, *, gripper: float, fast: bool = False
 ) -> Motion:
     """Drive straight ahead towards the base pose of a configuration, with the arm already stretched out.
 
@@ -95,12 +95,12 @@ def drive_in(
         reach: configuration at the end of the drive, and the pose of the hand there.
         boxes: obstacles.
         gripper: gripper action, -1..1.
-        hasty: drive faster and accept a larger error at the end.
+        fast: drive faster and accept a larger error at the end.
 
     Returns:
         Whether the base arrived; False when it is blocked.
     """
-    near, slow = HASTY_END_M if hasty else (0.02, 0.006)
+    near, slow = FAST_END_M if fast else (0.02, 0.006)
     goal = _lined_up(view, reach, boxes)
     yield from motion.move_joints(
         view, goal, gripper=gripper, tolerance=0.05, max_steps=12
@@ -121,8 +121,8 @@ def drive_in(
         if pressed >= BLOCKED_STEPS or still >= STUCK_STEPS:
             return False
         wish = (
-            min(HASTY_SPEED_M_S, 5.0 * (left - 1.5 * moved))
-            if hasty
+            min(FAST_SPEED_M_S, 5.0 * (left - 1.5 * moved))
+            if fast
             else min(IN_SPEED_M_S, 3.0 * (left - 2.0 * moved))
         )
         pace = max(wish, 0.04 if left > 0.02 else 0.0)
@@ -224,7 +224,7 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
 
 
-def hurry_home(view: WorldView, obj: str) -> Motion:
+def go_home_fast(view: WorldView, obj: str) -> Motion:
     """Bring the arm to rest while the base still drives out of a shelf, if one after the other takes too long and a
     collision-free way is found. Returns whether it set out; the object may be lost then."""
     if view.steps_left > OUT_STEPS + HOME_DELAY * float(

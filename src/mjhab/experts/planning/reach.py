@@ -35,7 +35,7 @@ from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import Robot
 
 MAX_DEFICIT_M = -0.055
-"""Routes whose room is less than this (negative: a deficit) touch something. `plan_route` counts room from a margin of
+"""Routes with less ``clearance`` than this (negative: a deficit) touch something. `plan_route` counts it from a margin of
 0.045 m on."""
 _STRETCHED_PRICE = 60.0
 """Price of a nearly straight elbow [control steps per radian]."""
@@ -87,7 +87,7 @@ def placements(
 
 
 def clear_ones(q: np.ndarray, scene: Scene, clearance: float) -> np.ndarray:
-    """Indices of at most `_KEPT` of the configurations ``q`` (N, J), in order, that keep a clearance of ``clearance`` [m].
+    """Indices of at most `_KEPT` of the configurations ``q`` (N, J), in order, that keep a ``clearance`` [m].
 
     Arm and held object are checked. The hand is not, see `hand_clearance`.
     """

@@ -46,8 +46,8 @@ WAYS_TIMED = 6
 POSTURES_SEARCHED = 1
 """Postures for which RRT-Connect searches the motion into them, or out of them, if the straight one collides."""
 MAX_DEFICIT_M = -0.03
-"""Straight routes with less ``clearance`` than this (negative: a deficit, see `Route`) are replaced by sampled ones, which
-take longer."""
+"""Straight routes with less ``clearance`` than this (negative: a deficit, see `Route`) are replaced by sampled
+ones, which take longer."""
 MIN_WAY_STEPS = 30
 """Least number of control steps of a sampled route."""
 MIN_TOTAL_STEPS = 70

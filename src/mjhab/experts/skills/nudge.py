@@ -329,7 +329,7 @@ def nudge(
         return False
     reach = ReachIn(placement.pre, pre, rot)
     if plan.depth and not (
-        yield from drive_in(view, reach, boxes, gripper=motion.OPEN, hasty=True)
+        yield from drive_in(view, reach, boxes, gripper=motion.OPEN, fast=True)
     ):
         return False
     joints = settle_reach(view, placement, np.stack([pre, pos]), rot)

@@ -18,14 +18,14 @@ from mjhab.experts.arm.held import holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
 from mjhab.experts.planning.carry import (
-    HASTY_SPEED_M_S,
+    FAST_SPEED_M_S,
     OUT_SPEED_M_S,
     SHELF_DEPTH_M,
     ReachIn,
     drive_in,
     drive_out,
     go_home,
-    hurry_home,
+    go_home_fast,
     inside_depth,
 )
 from mjhab.experts.planning.reach import hand_clearance, settle_reach
@@ -53,12 +53,12 @@ SHELF_LIFT_M = 0.025
 """The same on a shelf."""
 LIFT_STEPS = 16
 """Control steps after which a lift by the arm alone is given up."""
-HASTY_LIFT_STEPS = 7
+FAST_LIFT_STEPS = 7
 """The same on a shelf when few control steps are left."""
 LATE_IN_STEPS = 130
-"""With fewer control steps left, the base drives into a shelf at `HASTY_SPEED_M_S`."""
+"""With fewer control steps left, the base drives into a shelf at `FAST_SPEED_M_S`."""
 LATE_OUT_STEPS = 60
-"""With fewer control steps left, the base drives out of a shelf at `HASTY_SPEED_M_S`."""
+"""With fewer control steps left, the base drives out of a shelf at `FAST_SPEED_M_S`."""
 FINE_OPENING_M = 0.094
 """Opening of the hand above which less than 3 mm of free space are left on either side of the object."""
 FINE_CLOSING_M = 0.004
@@ -120,7 +120,7 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             failed = failed[:0]
             continue
         placement, goals, depth = found
-        taken = yield from _take(view, obj, placement, goals, depth, hasty=inside)
+        taken = yield from _take(view, obj, placement, goals, depth, fast=inside)
         short = taken is None and not short
         if short:
             # The base stopped a little too far away, or the object moved: another grasp from the present base pose is
@@ -129,7 +129,7 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             continue
         if taken:
             shelf = bool(depth) or inside
-            if (yield from _carry(view, obj, shelf=shelf, hasty=inside, keep=keep)):
+            if (yield from _carry(view, obj, shelf=shelf, fast=inside, keep=keep)):
                 return True
         failed = np.concatenate([failed, placement.at[None, BASE]])
         yield from _draw_back(view, obj, placement, depth)
@@ -147,19 +147,17 @@ def _carry_on(view: WorldView, obj: str, keep: bool) -> Motion:
         pos, rot = motion.tcp(view)
         up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if shelf else LIFT_M])
         yield from _lift(view, obj, up, rot, view.q, shelf)
-    return (yield from _carry(view, obj, shelf=shelf, hasty=False, keep=keep))
+    return (yield from _carry(view, obj, shelf=shelf, fast=False, keep=keep))
 
 
-def _carry(view: WorldView, obj: str, *, shelf: bool, hasty: bool, keep: bool) -> Motion:
+def _carry(view: WorldView, obj: str, *, shelf: bool, fast: bool, keep: bool) -> Motion:
     """Bring a lifted object out of a ``shelf`` and the arm to rest, and hold it there until it is lost.
 
     Returns whether the object is out and still held where it need not be kept (``keep``, see `pick_up`); else False.
     """
-    if shelf and not (keep and (yield from hurry_home(view, obj))):
+    if shelf and not (keep and (yield from go_home_fast(view, obj))):
         speed = (
-            HASTY_SPEED_M_S
-            if hasty or view.steps_left < LATE_OUT_STEPS
-            else OUT_SPEED_M_S
+            FAST_SPEED_M_S if fast or view.steps_left < LATE_OUT_STEPS else OUT_SPEED_M_S
         )
         yield from drive_out(view, SHELF_DEPTH_M, gripper=motion.CLOSED, speed=speed)
     if not keep and holds(view, obj):
@@ -257,7 +255,7 @@ def _take(
     placement: BasePlacement,
     goals: HandGoals,
     depth: float,
-    hasty: bool = False,
+    fast: bool = False,
 ) -> Generator[np.ndarray, None, bool | None]:
     """Drive there, reach, close, lift. Returns whether the object is in the hand; None where it is out of reach or,
     on a shelf, was shifted on the way."""
@@ -270,14 +268,14 @@ def _take(
         return False
     if depth:
         boxes = scene_of(view, obj).all
-        hasty = hasty or view.steps_left < LATE_IN_STEPS
+        fast = fast or view.steps_left < LATE_IN_STEPS
         if not (
             yield from drive_in(
                 view,
                 ReachIn(placement.pre, goal.pre[0], goal.rot[0]),
                 boxes,
                 gripper=opening,
-                hasty=hasty,
+                fast=fast,
             )
         ):
             return False
@@ -290,7 +288,7 @@ def _take(
         return None
     # Boxes leave enough room between the fingers: where little time is left they are taken quickly.
     fine = _is_fine(goal)
-    quick = hasty and view.object_shape(obj).kind == "box"
+    quick = fast and view.object_shape(obj).kind == "box"
     if not (yield from _reach(view, goal, joints, opening, fine and not quick)):
         return False
     fine = fine and not (quick and _is_along(view, obj, goal))
@@ -310,7 +308,7 @@ def _take(
     )
     if not closed:
         return False
-    up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if depth or hasty else LIFT_M])
+    up = pos + np.array([0.0, 0.0, SHELF_LIFT_M if depth or fast else LIFT_M])
     return (yield from _lift(view, obj, up, rot, joints[1], quick))
 
 
@@ -368,16 +366,16 @@ def _lift(
     up: np.ndarray,
     rot: np.ndarray,
     rest: np.ndarray,
-    hasty: bool,
+    fast: bool,
 ) -> Motion:
     """Lift what the hand holds to ``up`` (3,), ``rot`` (3, 3) kept; ``rest`` (J,): preferred posture.
 
-    ``hasty``: on a shelf, a lift that the arm cannot do in a few steps is left out.
+    ``fast``: on a shelf, a lift that the arm cannot do in a few steps is left out.
     """
-    steps = HASTY_LIFT_STEPS if hasty else LIFT_STEPS
+    steps = FAST_LIFT_STEPS if fast else LIFT_STEPS
     if (
         not (yield from motion.raise_tcp(view, up, rot, rest=rest, max_steps=steps))
-        and not hasty
+        and not fast
     ):
         # The arm is at its limit; the torso is slower.
         yield from motion.move_tcp(

@@ -128,7 +128,7 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
     """Place the held object at ``goal`` (3,) [m]. Returns whether the hand has released it."""
     style = style_of(view)
     failed = np.zeros((0, 3))
-    hurry = False
+    fast = False
     nothing = 0
     best: Found | None = None
     for attempt in range(20):
@@ -139,7 +139,7 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
             if style.release == DROP_IT
             else DROP_HEIGHTS_M[nothing % len(DROP_HEIGHTS_M)]
         )
-        tried = Attempt(attempt, failed, drop, hurry)
+        tried = Attempt(attempt, failed, drop, fast)
         found = plan_place(view, obj, goal, tried)
         if found is None and style.release == DROP_IT:
             found = plan_place(view, obj, goal, replace(tried, drop=0.0))
@@ -148,7 +148,7 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
         ):
             best = found
         if attempt < 2 and (best is None or _worth(view, best) < (True, MAX_DEFICIT_M)):
-            hurry = True
+            fast = True
             continue
         if best is None:
             failed = failed[:0]
@@ -159,7 +159,7 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
             continue
         (placement, goals, depth) = best
         best = None
-        hurry = False
+        fast = False
         if (yield from _put(view, obj, placement, goals, depth)):
             return True
         failed = np.concatenate([failed, placement.at[None, BASE]])
@@ -167,7 +167,7 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
 
 
 def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
-    """Rank of a plan: whether it leaves enough time to return to rest, and the room of its route [m]."""
+    """Rank of a plan: whether it leaves enough time to return to rest, and the clearance of its route [m]."""
     placement, _, depth = found
     after = (INSIDE_AFTER_STEPS if depth else AFTER_STEPS) + float(
         motion.steps_home(view.robot, placement.at)
@@ -193,13 +193,13 @@ class Attempt:
         number: number of attempts before it.
         failed: (N, 3) base poses from which attempts have failed.
         drop: height above an open surface from which the object is dropped [m].
-        hurry: drive faster and to nearer base placements, because time or clearance is short.
+        fast: drive faster and to nearer base placements, because time or clearance is short.
     """
 
     number: int
     failed: np.ndarray
     drop: float = 0.0
-    hurry: bool = False
+    fast: bool = False
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ def plan_place(
         support,
         view.robot,
         held_spheres(view, obj),
-        care_for(view, attempt.hurry),
+        care_for(view, attempt.fast),
     )
     depth = inside_depth(view, goal)
     # Under a shelf the object often fits only on another side or tilted.
@@ -255,7 +255,7 @@ def plan_place(
         avoid=attempt.failed,
         clearance=CLEARANCES_M[min(attempt.number, 2)],
         nearer=HAND_NEARER_M,
-        far=attempt.hurry,
+        far=attempt.fast,
         home=HOME_WEIGHT,
     )
     found = placements(view, query, blocked)

@@ -94,7 +94,7 @@ def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
 def plan(
     view: WorldView, obj: str, goal: np.ndarray
 ) -> tuple[RuledPlacement, Funnel] | None:
-    """Choose a base placement and a release pose for an object at ``goal`` (3,) [m]; None on shelves or if none fits."""
+    """Choose base placement and release pose for an object at ``goal`` (3,) [m]; None on shelves or if none fits."""
     if inside_depth(view, goal):
         return None
     near, _ = surroundings(view, obj, goal)

@@ -16,7 +16,7 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.base import route
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
-from mjhab.experts.planning.arm_ways import Free, arm_way
+from mjhab.experts.planning.arm_paths import Free, arm_path
 from mjhab.experts.planning.sampled import clearer, plan_around
 from mjhab.experts.planning.workplace import BasePlacement, Blocked, HandGoals, Scene
 from mjhab.robots.fetch.robot import ROBOT
@@ -48,30 +48,30 @@ def view_of(q: np.ndarray) -> WorldView:
     return SimpleNamespace(robot=ROBOT, q=q, base=q[:3], steps_left=200)  # type: ignore[return-value]
 
 
-def spare(way: np.ndarray, what: Free) -> float:
+def spare(path: np.ndarray, what: Free) -> float:
     """Least room on a way, looked at much closer than the planner does."""
-    pieces = [a + np.linspace(0, 1, 60)[:, None] * (b - a) for a, b in pairwise(way)]
+    pieces = [a + np.linspace(0, 1, 60)[:, None] * (b - a) for a, b in pairwise(path)]
     return float(what.spare(np.concatenate(pieces)).min())
 
 
 def test_arm_goes_around_a_wall_that_the_straight_motion_hits():
     what = free(WALL)
     assert spare(np.stack([LEFT, RIGHT]), what) < -0.03 and not what.edge(LEFT, RIGHT)
-    way = arm_way(LEFT, RIGHT, what)
-    assert way is not None and len(way) > 2
-    assert np.array_equal(way[0], LEFT) and np.array_equal(way[-1], RIGHT)
-    assert spare(way, what) > -0.005
+    path = arm_path(LEFT, RIGHT, what)
+    assert path is not None and len(path) > 2
+    assert np.array_equal(path[0], LEFT) and np.array_equal(path[-1], RIGHT)
+    assert spare(path, what) > -0.005
     dofs = ik.columns(ROBOT.chain)
-    inside = (way >= ROBOT.chain.lower - 1e-9) & (way <= ROBOT.chain.upper + 1e-9)
-    assert inside[:, dofs].all() and (np.delete(way - LEFT, dofs, axis=1) == 0.0).all()
+    inside = (path >= ROBOT.chain.lower - 1e-9) & (path <= ROBOT.chain.upper + 1e-9)
+    assert inside[:, dofs].all() and (np.delete(path - LEFT, dofs, axis=1) == 0.0).all()
 
 
 def test_a_way_is_the_same_whatever_was_planned_before():
-    first = arm_way(LEFT, RIGHT, free(WALL))
+    first = arm_path(LEFT, RIGHT, free(WALL))
     for end in (turned(-0.7), turned(-1.2)):
-        assert arm_way(LEFT, end, free(WALL)) is not None
-    assert arm_way(LEFT, RIGHT, free(SOLID), rounds=7) is None
-    again = arm_way(LEFT, RIGHT, free(WALL))
+        assert arm_path(LEFT, end, free(WALL)) is not None
+    assert arm_path(LEFT, RIGHT, free(SOLID), rounds=7) is None
+    again = arm_path(LEFT, RIGHT, free(WALL))
     assert first is not None and again is not None and first.tobytes() == again.tobytes()
 
 
@@ -81,9 +81,9 @@ def test_gives_up_after_so_many_rounds(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(
         Free, "edge", lambda self, a, b: looked.append(1) or edge(self, a, b)
     )
-    assert arm_way(LEFT, RIGHT, free(SOLID), rounds=20) is None
+    assert arm_path(LEFT, RIGHT, free(SOLID), rounds=20) is None
     few = len(looked)
-    assert arm_way(LEFT, RIGHT, free(SOLID), rounds=60) is None
+    assert arm_path(LEFT, RIGHT, free(SOLID), rounds=60) is None
     assert 0 < few < len(looked) - few < 20 * 60
 
 
@@ -185,8 +185,8 @@ def test_arm_passes_the_postures_of_a_route_one_after_the_other():
     low[9] = 1.3
     via = np.stack([low, turned(-0.3)])
     here = np.zeros((2, 2))
-    way = Route(here, 0.0, 1, 0.3, RIGHT, 30, 120, 0.0, via=via, carried=0, lead=20)
-    drive = route.follow(view, way, gripper=motion.OPEN)  # type: ignore[arg-type]
+    path = Route(here, 0.0, 1, 0.3, RIGHT, 30, 120, 0.0, via=via, carried=0, lead=20)
+    drive = route.follow(view, path, gripper=motion.OPEN)  # type: ignore[arg-type]
     arrived = None
     while arrived is None:
         try:
@@ -202,7 +202,7 @@ def test_arm_passes_the_postures_of_a_route_one_after_the_other():
     )
     # It starts gently, when the base has arrived as well.
     speed = np.abs(np.diff(np.array(view.passed), axis=0)).max(axis=1)
-    for start in (0, way.lead):
+    for start in (0, path.lead):
         np.testing.assert_allclose(
             speed[start : start + 4] / speed.max(), [0.25, 0.5, 0.75, 1.0], atol=0.01
         )

@@ -271,12 +271,12 @@ def straight_line(
         Positions (N, 3) and rotations (N, 3, 3). Translation and rotation advance by the same share of what remains,
         so that both end together.
     """
-    way = goal - pos
+    offset = goal - pos
     spin = rotation_vector(goal_rot @ rot.swapaxes(-1, -2))
-    far = np.linalg.norm(way, axis=1) / reach
+    far = np.linalg.norm(offset, axis=1) / reach
     wide = np.linalg.norm(spin, axis=1) / turn
     share = 1.0 / np.maximum(np.maximum(far, wide), 1.0)
-    return pos + share[:, None] * way, mat_from_rotation_vector(
+    return pos + share[:, None] * offset, mat_from_rotation_vector(
         share[:, None] * spin
     ) @ rot
 

@@ -194,9 +194,9 @@ def _split(segments: Sequence[PathSegment], near: np.ndarray) -> list[PathSegmen
         return None
     _, i, k = best
     segment = segments[i]
-    way = segment.points[k + 1] - segment.points[k]
+    offset = segment.points[k + 1] - segment.points[k]
     yaw = float(
-        wrap(np.arctan2(way[1], way[0]) + (0.0 if segment.direction > 0 else np.pi))
+        wrap(np.arctan2(offset[1], offset[0]) + (0.0 if segment.direction > 0 else np.pi))
     )
     parts = [
         PathSegment(segment.points[: k + 1], segment.direction, yaw),
@@ -261,10 +261,10 @@ def _line_clearance(plan: Floorplan, points: np.ndarray, back: float) -> float:
     """Least clearance on straight lines between ``points`` (P, 2), facing along them (``back`` pi: against them)."""
     poses = []
     for a, b in pairwise(points):
-        way = b - a
-        share = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(way) / 0.05))[:, None]
-        yaw = np.arctan2(way[1], way[0]) + back
-        poses.append(np.column_stack([a + share * way, np.full(len(share), yaw)]))
+        offset = b - a
+        share = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(offset) / 0.05))[:, None]
+        yaw = np.arctan2(offset[1], offset[0]) + back
+        poses.append(np.column_stack([a + share * offset, np.full(len(share), yaw)]))
     return float(plan.clearance(np.concatenate(poses)).min())
 
 

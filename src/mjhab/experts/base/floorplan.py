@@ -222,12 +222,12 @@ class Floorplan:
         level = self.sight[
             int(np.clip((goal[2] + 0.15 - SLICES_M[0]) / _STEP, 0, len(SLICES_M) - 1))
         ]
-        way = goal[:2] - points
-        far = np.linalg.norm(way, axis=1)
+        offset = goal[:2] - points
+        far = np.linalg.norm(offset, axis=1)
         share = np.linspace(0.0, 1.0, 24)[:, None] * np.clip(
             1.0 - near / np.maximum(far, 1e-9), 0.0, 1.0
         )
-        i, j = self.cells(points + share[..., None] * way)
+        i, j = self.cells(points + share[..., None] * offset)
         return level[i, j].mean(axis=0)
 
     def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

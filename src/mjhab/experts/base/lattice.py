@@ -37,7 +37,7 @@ COMFORT_CLEARANCE_M = 0.15
 """Clearance below which costs increase."""
 CAUTION_FACTOR = 3.0
 """Without spare clearance, a metre costs 1 + CAUTION_FACTOR times as much as with `COMFORT_CLEARANCE_M`."""
-START_WAYS_M = np.array(
+START_DISTANCES_M = np.array(
     [0.0, -0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, 0.1, 0.2, 0.3, 0.4]
 )
 """Candidates for the length of the straight piece before the first turn, negative backwards."""
@@ -117,11 +117,11 @@ class Lattice:
         best = int(np.argmin(total))
         if not np.isfinite(total[best]):
             return None
-        way = [best]
-        while before[way[-1]] != size:
-            way.append(int(before[way[-1]]))
-        way.reverse()
-        return float(total[best]), self._segments(pose, entries[way[0]][1:], way)
+        path = [best]
+        while before[path[-1]] != size:
+            path.append(int(before[path[-1]]))
+        path.reverse()
+        return float(total[best]), self._segments(pose, entries[path[0]][1:], path)
 
     def _make_edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Start nodes, end nodes and costs [s] of all moves between nodes with enough clearance."""
@@ -175,7 +175,7 @@ class Lattice:
         asked = min(0.0, float(self.plan.clearance(pose[None])[0]) - 0.015)
         ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
         found: dict[int, tuple[float, float, float]] = {}
-        for far in START_WAYS_M.tolist():
+        for far in START_DISTANCES_M.tolist():
             share = np.linspace(0.0, 1.0, 2 + int(abs(far) / 0.05))[:, None]
             line = np.column_stack(
                 [pose[:2] + share * far * ahead, np.full(len(share), pose[2])]
@@ -217,10 +217,10 @@ class Lattice:
         )
 
     def _segments(
-        self, pose: np.ndarray, entry: tuple[float, float], way: Sequence[int]
+        self, pose: np.ndarray, entry: tuple[float, float], path: Sequence[int]
     ) -> list[PathSegment]:
-        """Segments along the nodes ``way``, with a turn on the spot wherever the heading changes."""
-        h, x, y = np.unravel_index(np.asarray(way), self.shape)
+        """Segments along the nodes ``path``, with a turn on the spot wherever the heading changes."""
+        h, x, y = np.unravel_index(np.asarray(path), self.shape)
         far, turn = entry
         here = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])])
         yaw = float(pose[2])
@@ -229,7 +229,7 @@ class Lattice:
             if far
             else []
         )
-        for k in range(1, len(way)):
+        for k in range(1, len(path)):
             if h[k] != h[k - 1]:
                 turn += turn_between(float(YAWS[h[k - 1]]), float(YAWS[h[k]]))
                 continue

@@ -76,7 +76,7 @@ class Planner:
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
         price = np.where(self.free, 1.0 + caution * lack**2, NARROW_FACTOR)
         self._graph = grid_graph(passable, self.cell, price=price)
-        self._ways = MemoryCache("distance fields", KEPT_SOURCES)
+        self._fields = MemoryCache("distance fields", KEPT_SOURCES)
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:
         """Clearance (...,) [m] of the cells that contain world points (..., 2); 0 outside the map."""
@@ -105,7 +105,7 @@ class Planner:
         entry = self.nearest_free(start)
         source = self._node(entry)
         target = self._node(goal)
-        cost, before = self._ways_from(source)
+        cost, before = self._fields_from(source)
         if not np.isfinite(cost[target]):
             return None
         nodes = [target]
@@ -128,7 +128,7 @@ class Planner:
 
     def costs(self, start: np.ndarray) -> np.ndarray:
         """Cost (nx, ny) of the paths from ``start`` (2,) to all cells: metres, weighted by clearance; inf if none."""
-        cost, _ = self._ways_from(self._node(self.nearest_free(start)))
+        cost, _ = self._fields_from(self._node(self.nearest_free(start)))
         return cost.reshape(self.clearance.shape)
 
     def costs_to(self, cells: np.ndarray) -> np.ndarray:
@@ -168,14 +168,14 @@ class Planner:
             kept.append(i)
         return points[kept]
 
-    def _ways_from(self, source: int) -> tuple[np.ndarray, np.ndarray]:
+    def _fields_from(self, source: int) -> tuple[np.ndarray, np.ndarray]:
         """Costs of the paths from a node to all nodes, and the predecessor of each node.
 
         The latest results are kept, because many goals are compared from the same start.
         """
-        return self._ways.get(source, lambda: self._find_ways(source))
+        return self._fields.get(source, lambda: self._find_fields(source))
 
-    def _find_ways(self, source: int) -> tuple[np.ndarray, np.ndarray]:
+    def _find_fields(self, source: int) -> tuple[np.ndarray, np.ndarray]:
         found = dijkstra(
             self._graph, directed=False, indices=source, return_predecessors=True
         )

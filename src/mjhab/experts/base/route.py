@@ -198,7 +198,9 @@ def drive_of(
         Way points (P, 2), direction, look-ahead distance and predicted base poses (T, 3), one per control step; None
         when furniture separates base and goal.
     """
-    path = np.stack([view.base[:2], goal[:2]]) if straight else _way(view, goal[:2])
+    path = (
+        np.stack([view.base[:2], goal[:2]]) if straight else _path_around(view, goal[:2])
+    )
     if path is None:
         return None
     direction = direction or _direction(view.base, path, float(goal[2]))
@@ -208,9 +210,9 @@ def drive_of(
 
 def drive_steps(now: np.ndarray, poses: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Estimate the control steps (B,) from pose ``now`` (3,) to ``poses`` (B, 3) on paths of ``length`` (B,) [m]."""
-    way = poses[:, :2] - now[:2]
-    far = np.linalg.norm(way, axis=1)
-    bearing = np.arctan2(way[:, 1], way[:, 0])
+    offset = poses[:, :2] - now[:2]
+    far = np.linalg.norm(offset, axis=1)
+    bearing = np.arctan2(offset[:, 1], offset[:, 0])
     first = np.abs(wrap(bearing - now[2]))
     last = np.abs(wrap(poses[:, 2] - bearing))
     turn = np.where(
@@ -221,7 +223,7 @@ def drive_steps(now: np.ndarray, poses: np.ndarray, length: np.ndarray) -> np.nd
     return 20.0 * (length / 0.6 + turn / 2.0) + np.where(far < 0.03, 0.0, 8.0)
 
 
-def _way(view: WorldView, goal: np.ndarray) -> np.ndarray | None:
+def _path_around(view: WorldView, goal: np.ndarray) -> np.ndarray | None:
     """Way points (P, 2) to ``goal`` (2,) around furniture and open doors and drawers; None if there is no path."""
     path = planner(view).plan(view.base[:2], goal)
     if path is not None and np.linalg.norm(path[-1] - goal) > 1e-6:
@@ -332,12 +334,12 @@ class _ArmWay:
 
 def _direction(pose: np.ndarray, path: np.ndarray, yaw: float) -> int:
     """Direction of a drive from ``pose`` (3,): -1 (backwards) only on short paths and when that takes less turning."""
-    way = path[1] - path[0]
+    offset = path[1] - path[0]
     last = path[-1] - path[-2]
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     if length < 0.03:
         return 1
-    first = abs(wrap(np.arctan2(way[1], way[0]) - pose[2]))
+    first = abs(wrap(np.arctan2(offset[1], offset[0]) - pose[2]))
     turn = float(first + abs(wrap(yaw - np.arctan2(last[1], last[0]))))
     return -1 if length < 1.0 and turn > np.pi + 0.3 else 1
 
@@ -368,18 +370,18 @@ def _swept(
     robot: Robot, start: np.ndarray, poses: np.ndarray, arm: np.ndarray, delay: int
 ) -> np.ndarray:
     """Predicted configurations (T, Q) of a route, one per control step, until base and arm have arrived."""
-    way = arm - start
-    way[BASE] = 0.0
+    offset = arm - start
+    offset[BASE] = 0.0
     columns = list(robot.arm_columns)
     torso = list(robot.torso_columns)
     delta = robot.limits.joint_delta
-    arm_share = arm_gone(float(np.abs(way[columns]).max()), delta)
-    torso_share = torso_gone(float(np.abs(way[torso]).max(initial=0.0)), delta)
+    arm_share = arm_gone(float(np.abs(offset[columns]).max()), delta)
+    torso_share = torso_gone(float(np.abs(offset[torso]).max(initial=0.0)), delta)
     steps = np.arange(max(len(poses), delay + max(len(arm_share), len(torso_share))) + 1)
-    gone = np.ones((len(steps), len(way)))
+    gone = np.ones((len(steps), len(offset)))
     gone[:, columns] = arm_share[np.clip(steps - delay, 0, len(arm_share) - 1), None]
     gone[:, torso] = torso_share[np.clip(steps - delay, 0, len(torso_share) - 1), None]
-    out = start + gone * way
+    out = start + gone * offset
     out[:, BASE] = poses[np.minimum(steps, len(poses) - 1)]
     return out
 
@@ -413,10 +415,10 @@ def torso_gone(far: float, delta: float) -> np.ndarray:
     return np.array([*gone, far]) / far if far > 0.0 else np.ones(1)
 
 
-def within_reach(boxes: Boxes, way: np.ndarray) -> Boxes:
-    """Boxes that the robot can touch near the straight line between two base positions ``way`` (2, 2)."""
-    middle = way.mean(axis=0)
-    far = float(np.linalg.norm(way[1] - way[0])) / 2
+def within_reach(boxes: Boxes, offset: np.ndarray) -> Boxes:
+    """Boxes that the robot can touch near the straight line between two base positions ``offset`` (2, 2)."""
+    middle = offset.mean(axis=0)
+    far = float(np.linalg.norm(offset[1] - offset[0])) / 2
     near = boxes.near(np.array([*middle, 0.9]), far + 1.35)
     return near.take(near.center[:, 2] + near.half.max(axis=1) > LOW_HEIGHT_M)
 

@@ -134,10 +134,12 @@ def _hand(robot: Robot) -> RobotSpheres:
 
 def _turn_at_end(route: Route) -> float:
     """Angle by which the base turns in place at the end of a route [rad]."""
-    way = route.path[-1] - route.path[-2]
-    if np.linalg.norm(way) < 0.03:
+    distance = route.path[-1] - route.path[-2]
+    if np.linalg.norm(distance) < 0.03:
         return 0.0
-    heading = np.arctan2(way[1], way[0]) + (0.0 if route.direction > 0 else np.pi)
+    heading = np.arctan2(distance[1], distance[0]) + (
+        0.0 if route.direction > 0 else np.pi
+    )
     return float(np.abs(wrap(route.yaw - heading)))
 
 
@@ -172,20 +174,20 @@ def creep(
 
 
 def let_go(
-    view: WorldView, way: float, *, gripper: float = motion.OPEN, speed: float = 0.3
+    view: WorldView, distance: float, *, gripper: float = motion.OPEN, speed: float = 0.3
 ) -> Motion:
-    """Open the hand, then move it backwards along its own axis by ``way`` [m] with base and arm.
+    """Open the hand, then move it backwards along its own axis by ``distance`` [m] with base and arm.
 
     Args:
         view: world to act in.
-        way: distance of the motion [m].
+        distance: distance of the motion [m].
         gripper: gripper action, -1..1.
         speed: of the hand [m/s].
     """
     until = wait_for(view, motion.has_opened(gripper))
     yield from motion.hold(view, 4, gripper=gripper, until=until)
     pos, rot = motion.tcp(view)
-    goal = pos - way * rot[:, 0]
+    goal = pos - distance * rot[:, 0]
     along = float(-rot[:2, 0] @ np.array([np.cos(view.base[2]), np.sin(view.base[2])]))
     return (
         yield from motion.move_tcp(
@@ -206,7 +208,7 @@ def let_go(
 
 def retract(
     view: WorldView,
-    ways: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6),
+    distances: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6),
     shut: JointedLink | None = None,
     gripper: float = motion.OPEN,
 ) -> Motion:
@@ -214,7 +216,7 @@ def retract(
 
     Args:
         view: world to act in.
-        ways: distances that the base may drive backwards [m], tried in this order.
+        distances: distances that the base may drive backwards [m], tried in this order.
         shut: a door that counts as closed.
         gripper: gripper action. Close the fingers near the edge of a door, which open fingers could catch.
     """
@@ -223,9 +225,11 @@ def retract(
     boxes = obstacles(view, q[None], shut)
     floor = planner(view, shut=True)
     best: Route | None = None
-    for way in ways:
-        goal = q[BASE] - way * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW]), 0.0])
-        if way > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
+    for distance in distances:
+        goal = q[BASE] - distance * np.array(
+            [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW]), 0.0]
+        )
+        if distance > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
             RETREAT_CLEARANCE_M, float(floor.clearance_at(q[BASE_XY]))
         ):
             break
@@ -248,13 +252,13 @@ def retract(
     return (yield from motion.to_rest(view, gripper=gripper))
 
 
-def retreat(view: WorldView, way: float, speed: float = 0.4) -> Motion:
-    """Drive ``way`` [m] backwards at ``speed`` [m/s] with the arm held. Returns whether the base arrived."""
+def retreat(view: WorldView, distance: float, speed: float = 0.4) -> Motion:
+    """Drive ``distance`` [m] backwards at ``speed`` [m/s] with the arm held. Returns whether the base arrived."""
     posture = view.q
     start = view.base[:2]
     heading = float(view.base[2])
     for _ in range(20):
-        if np.linalg.norm(view.base[:2] - start) >= way:
+        if np.linalg.norm(view.base[:2] - start) >= distance:
             return True
         yield creep(view, posture, heading, -speed, motion.CLOSED)
     return False

@@ -24,7 +24,7 @@ MAX_OVERREACH_M = 0.05
 _BASES = 24
 
 
-def way_out(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:
+def exit_clearance(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:
     """Clearance (B,) [m] of the object, lifted by 2.5 cm, while the base drives straight backwards with it.
 
     Args:
@@ -95,9 +95,9 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     poses = poses[good]
     back = back[good]
     far_off = far_off[good]
-    way = cells.costs(view.base[:2])[cells.cells(back)]
+    length = cells.costs(view.base[:2])[cells.cells(back)]
     steps = (
-        drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), way)
+        drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), length)
         + 6.0 * drive_in / 0.3
     )
     # All the nearest base poses may be on a side from which no hand pose can be reached.
@@ -122,9 +122,9 @@ def given_poses(
     near = overreach(view.robot.reach, poses, query.goals).min(axis=1) < MAX_OVERREACH_M
     free = near & (clearance >= min(cells.narrow, here))
     poses = poses[free]
-    way = np.linalg.norm(poses[:, :2] - back[free] - view.base[:2], axis=1)
+    length = np.linalg.norm(poses[:, :2] - back[free] - view.base[:2], axis=1)
     # As `drive_steps` without turns, and the drive in as in `base_poses`.
-    return poses, 20.0 * way / 0.6 + 6.0 * query.drive_in / 0.3
+    return poses, 20.0 * length / 0.6 + 6.0 * query.drive_in / 0.3
 
 
 def in_sight(poses: np.ndarray, point: np.ndarray, boxes: Boxes) -> np.ndarray:

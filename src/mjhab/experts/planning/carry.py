@@ -31,15 +31,15 @@ from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
 from mjhab.experts.planning.workplace import surroundings
 from mjhab.robots.robot import Robot
 
-BACK_WAYS_M = (0.0, 0.2, 0.4, 0.6, 0.8)
+BACK_DISTANCES_M = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Distances that the base may drive backwards while the arm moves to its rest pose."""
-OUT_WAYS_M = (0.42, 0.55, 0.7)
+OUT_DISTANCES_M = (0.42, 0.55, 0.7)
 """The same from the inside of a shelf."""
 OUT_STEPS = 25
 """Control steps of a drive out of a shelf at `FAST_SPEED_M_S`, and to come to rest at the end."""
 HOME_DELAY = 1.2
 """Control steps that the arm needs to its rest pose, as a multiple of `motion.steps_home`."""
-AROUND_BACK_WAYS_M = (0.0, 0.3)
+AROUND_BACK_DISTANCES_M = (0.0, 0.3)
 """The same for routes of `plan_around`, on which the arm passes through other postures."""
 SHELF_DEPTH_M = 0.42
 """Distance that the base drives straight in with the arm stretched out, to reach into a fridge."""
@@ -133,9 +133,9 @@ def drive_in(
 
 
 def drive_out(
-    view: WorldView, way: float, *, gripper: float, speed: float = OUT_SPEED_M_S
+    view: WorldView, distance: float, *, gripper: float, speed: float = OUT_SPEED_M_S
 ) -> Motion:
-    """Drive straight backwards over ``way`` [m] at up to ``speed`` [m/s] with the arm held.
+    """Drive straight backwards over ``distance`` [m] at up to ``speed`` [m/s] with the arm held.
 
     Returns:
         Whether the base arrived; False when it is blocked.
@@ -145,7 +145,7 @@ def drive_out(
     heading = float(view.base[2])
     pressed = 0
     for step in range(40):
-        left = way - float(np.linalg.norm(view.base[:2] - start))
+        left = distance - float(np.linalg.norm(view.base[:2] - start))
         if left < 0.04:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
@@ -167,10 +167,10 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
     q = view.q
     robot = view.robot.chain
     ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
-    way = float((goal[:2] - q[BASE_XY]) @ ahead)
+    distance = float((goal[:2] - q[BASE_XY]) @ ahead)
     end = goal.copy()
-    end[:2] = q[BASE_XY] + ahead * way
-    if _clearance_in(view.robot, end, way, boxes) > IN_CLEARANCE_M:
+    end[:2] = q[BASE_XY] + ahead * distance
+    if _clearance_in(view.robot, end, distance, boxes) > IN_CLEARANCE_M:
         return end
     found = ik.solve(
         robot,
@@ -184,15 +184,15 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
         and np.abs(found.q[0, 0] - end)[BASE.stop :].max() < MAX_CORRECTION_RAD
     )
     better = near and _clearance_in(
-        view.robot, found.q[0, 0], way, boxes
-    ) > _clearance_in(view.robot, end, way, boxes)
+        view.robot, found.q[0, 0], distance, boxes
+    ) > _clearance_in(view.robot, end, distance, boxes)
     return ik.unwind(robot, found.q[0, 0], q) if better else end
 
 
-def _clearance_in(robot: Robot, goal: np.ndarray, way: float, boxes: Boxes) -> float:
-    """Least clearance [m] of the robot while its base drives the last ``way`` [m] straight to ``goal`` (J,)."""
+def _clearance_in(robot: Robot, goal: np.ndarray, distance: float, boxes: Boxes) -> float:
+    """Least clearance [m] of the robot while its base drives the last ``distance`` [m] straight to ``goal`` (J,)."""
     q = np.repeat(goal[None], 6, axis=0)
-    q[:, BASE_XY] -= np.linspace(0.0, way, 6)[:, None] * np.array(
+    q[:, BASE_XY] -= np.linspace(0.0, distance, 6)[:, None] * np.array(
         [np.cos(goal[2]), np.sin(goal[2])]
     )
     return float(motion.spheres(robot).clearance(q, boxes).min())
@@ -232,7 +232,7 @@ def go_home_fast(view: WorldView, obj: str) -> Motion:
     ):
         return False
     robot = motion.spheres(view.robot).with_held(*held_spheres(view, obj))
-    route = plan_home(view, obj, robot, holding=True, ways=OUT_WAYS_M)
+    route = plan_home(view, obj, robot, holding=True, distances=OUT_DISTANCES_M)
     if route is None or route.clearance < 0.0:
         return False
     yield from follow(view, route, gripper=motion.CLOSED, held=obj)
@@ -245,7 +245,7 @@ def plan_home(
     robot: RobotSpheres,
     *,
     holding: bool,
-    ways: tuple[float, ...] = BACK_WAYS_M,
+    distances: tuple[float, ...] = BACK_DISTANCES_M,
 ) -> Route | None:
     """A collision-free route to the rest pose with the shortest drive backwards, else the one with the most clearance;
     None when there is none."""
@@ -256,7 +256,7 @@ def plan_home(
     care = care_for(view) if holding else None
     cells = planner(view, shut=True)
     best: Route | None = None
-    for back in ways:
+    for back in distances:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
@@ -269,7 +269,7 @@ def plan_home(
         if best is None or route.clearance > best.clearance:
             best = route
     if holding and best is not None and best.clearance < MAX_DEFICIT_M:
-        for back in AROUND_BACK_WAYS_M:
+        for back in AROUND_BACK_DISTANCES_M:
             end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
             around = plan_around(view, end, goal, robot, boxes, care=care)
             if around is not None and around.steps <= view.steps_left:

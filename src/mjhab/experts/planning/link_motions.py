@@ -354,9 +354,9 @@ def rank(
 
 def drive_steps(start: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """Rough number of control steps (N,) to drive from ``start`` (3,) to ``goals`` (N, 3): turn, go, turn."""
-    way = goals[:, :2] - start[:2]
-    far = np.linalg.norm(way, axis=1)
-    heading = np.arctan2(way[:, 1], way[:, 0])
+    offset = goals[:, :2] - start[:2]
+    far = np.linalg.norm(offset, axis=1)
+    heading = np.arctan2(offset[:, 1], offset[:, 0])
     forward = np.abs(wrap(heading - start[2])) + np.abs(wrap(goals[:, 2] - heading))
     backward = np.abs(wrap(heading + np.pi - start[2])) + np.abs(
         wrap(goals[:, 2] - heading - np.pi)

@@ -20,9 +20,9 @@ from mjhab.experts.planning.base_poses import (
     MAX_OVERREACH_M,
     OUT_CLEARANCE_M,
     base_poses,
+    exit_clearance,
     given_poses,
     overreach,
-    way_out,
 )
 from mjhab.experts.planning.workplace import (
     BasePlacement,
@@ -35,8 +35,8 @@ from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import Robot
 
 MAX_DEFICIT_M = -0.055
-"""Routes with less ``clearance`` than this (negative: a deficit) touch something. `plan_route` counts it from a margin of
-0.045 m on."""
+"""Routes with less ``clearance`` than this (negative: a deficit) touch something. `plan_route` counts it from a
+margin of 0.045 m on."""
 _STRETCHED_PRICE = 60.0
 """Price of a nearly straight elbow [control steps per radian]."""
 MAX_PLACEMENTS = 3
@@ -64,7 +64,7 @@ def placements(
     if not len(bases):
         return []
     if query.drive_in and len(query.scene.target):
-        out = way_out(bases, query.scene, query.drive_in)
+        out = exit_clearance(bases, query.scene, query.drive_in)
         rows = np.flatnonzero(out > min(OUT_CLEARANCE_M, float(out.max()) - 0.005))
         bases = bases[rows]
         drive = drive[rows]

@@ -129,11 +129,11 @@ def drawn_back(
     arm = whole.only([name for name in whole.chain.links if name not in hand_links])
     near, target = surroundings(view, obj, pos)
     heading = float(view.base[2])
-    ways = np.array(
+    directions = np.array(
         [-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]]
     )
-    ways = ways - (ways @ rot[:, 1])[:, None] * rot[:, 1]
-    spots = (pos + np.array(DRAW_BACK_M)[:, None] * ways[:, None]).reshape(-1, 3)
+    directions = directions - (directions @ rot[:, 1])[:, None] * rot[:, 1]
+    spots = (pos + np.array(DRAW_BACK_M)[:, None] * directions[:, None]).reshape(-1, 3)
     turns = np.repeat(rot[None], len(spots), axis=0)
     found = ik.solve(
         robot,
@@ -151,13 +151,13 @@ def drawn_back(
         & (clearance[1:] > min(DRAW_BACK_CLEARANCE_M, clearance[0] - 0.004))
         & (gap[1:] > gap[0] - 0.004)
     )
-    fine = np.logical_and.accumulate(fine.reshape(len(ways), -1), axis=1)
+    fine = np.logical_and.accumulate(fine.reshape(len(directions), -1), axis=1)
     free = fine & (gap[1:].reshape(fine.shape) > FREE_CLEARANCE_M)
     far = fine.sum(axis=1) - 1
-    spots = spots.reshape(len(ways), -1, 3)
+    spots = spots.reshape(len(directions), -1, 3)
     if free.any():
         far = free.argmax(axis=1)
-        way = int(free.any(axis=1).argmax())
+        chosen = int(free.any(axis=1).argmax())
     else:
-        way = int(far.argmax())
-    return spots[way, max(int(far[way]), 0)]
+        chosen = int(far.argmax())
+    return spots[chosen, max(int(far[chosen]), 0)]

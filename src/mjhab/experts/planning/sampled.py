@@ -31,7 +31,7 @@ from mjhab.experts.base.route import (
     torso_gone,
     within_reach,
 )
-from mjhab.experts.planning.arm_ways import PLANNING_SEED, Free, arm_way
+from mjhab.experts.planning.arm_paths import PLANNING_SEED, Free, arm_path
 from mjhab.experts.planning.workplace import BasePlacement, Blocked, HandGoals
 from mjhab.robots.robot import Robot
 
@@ -75,10 +75,10 @@ def clearer(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Fou
         found is not None and found[0].route.clearance >= MAX_DEFICIT_M
     ) or view.steps_left < MIN_WAY_STEPS + MIN_TOTAL_STEPS:
         return found
-    return _way_around(view, blocked) or found
+    return _path_around(view, blocked) or found
 
 
-def _way_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
+def _path_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
     """Quickest sampled route to the first of the ``blocked`` reaches for which one leaves `MIN_TOTAL_STEPS`."""
     for reach in blocked:
         robot = reach.scene.robot()
@@ -211,13 +211,13 @@ def _timed(
     return late
 
 
-def _along(robot: Robot, way: np.ndarray) -> np.ndarray:
-    """Predicted configurations (N, J), one per control step, of an arm that follows the path ``way`` (P, J)."""
+def _along(robot: Robot, path: np.ndarray) -> np.ndarray:
+    """Predicted configurations (N, J), one per control step, of an arm that follows the path ``path`` (P, J)."""
     torso = list(robot.torso_columns)
     arm = list(robot.arm_columns)
     delta = robot.limits.joint_delta
     parts = []
-    for start, end in pairwise(way):
+    for start, end in pairwise(path):
         far = np.abs(end - start)
         gone = [
             arm_gone(float(far[arm].max()), delta),
@@ -257,14 +257,14 @@ def _arm_paths(
         first = (
             _straight(start, before[i], here)
             if out[i]
-            else arm_way(start, before[i], here)
+            else arm_path(start, before[i], here)
         )
         last = (
             None
             if first is None
             else _straight(after[i], end, there)
             if back[i]
-            else arm_way(after[i], end, there)
+            else arm_path(after[i], end, there)
         )
         if first is not None and last is not None:
             return [(first, last)]

@@ -181,9 +181,7 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
     angle = float(np.ceil(10.0 * view.link_q(link.id))) / 10.0
     search = functools.partial(door_motions.sweeps, angle=angle)
     found = link_motions.cached(view.robot, link, f"sweep {angle:.1f}", search)
-    path = _reachable(
-        view, link, found, np.linspace(1.0, 0.0, door_motions.SWEEP_WAY_POINTS)
-    )
+    path = _reachable(view, link, found, np.linspace(1.0, 0.0, door_motions.SWEEP_POINTS))
     if path is None:
         return False
     yield from approach.go(view, path.route, motion.OPEN)

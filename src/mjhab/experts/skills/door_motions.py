@@ -59,7 +59,7 @@ SWEEP_OUTSIDE_M = 0.04
 """Least distance from the outside of the door at which a part of the robot comes past its edge."""
 SWEEP_END_RAD = -0.03
 """Door angle at which a sweep ends: a little beyond the closed door, so that the arm presses it."""
-SWEEP_WAY_POINTS = 6
+SWEEP_POINTS = 6
 """Way points of a sweep."""
 
 
@@ -97,7 +97,7 @@ def _line(
     near: np.ndarray,
     side: np.ndarray,
     headings: Iterable[float],
-    ways: tuple[float, ...],
+    lengths: tuple[float, ...],
     share: np.ndarray,
 ) -> np.ndarray:
     """Generate straight base paths (N, K, 3) for all combinations of start point, heading and length.
@@ -106,12 +106,12 @@ def _line(
         near: (X,) x of the start points.
         side: (Y,) y of the start points.
         headings: directions of the paths; the base faces the opposite direction.
-        ways: lengths of the paths, negative towards the furniture.
+        lengths: lengths of the paths, negative towards the furniture.
         share: (K,) share of the path at every way point.
     """
     out = []
-    for x, y, heading, way in product(near, side, headings, ways):
-        back = np.array([np.cos(heading), np.sin(heading)]) * way
+    for x, y, heading, length in product(near, side, headings, lengths):
+        back = np.array([np.cos(heading), np.sin(heading)]) * length
         out.append(
             np.c_[
                 np.array([x, y]) + share[:, None] * back,
@@ -214,9 +214,13 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
     m = _hand_side(link)
     thick = link.handle.thickness > THICK_BAR_M
     headings = m * np.array([0.6, 0.9, 1.2, 1.5] if thick else [0.3, 0.6, 0.9])
-    ways = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
+    lengths = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
     base = _line(
-        np.arange(0.8, 1.25, 0.1), m * np.arange(-0.85, 0.15, 0.15), headings, ways, share
+        np.arange(0.8, 1.25, 0.1),
+        m * np.arange(-0.85, 0.15, 0.15),
+        headings,
+        lengths,
+        share,
     )
     found = []
     for first, last in (
@@ -245,11 +249,11 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
     """Motions with the closed fingers on the outside of the door above its bar, from the open to the closed door."""
     angles = push_angles(link, half)
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
-    ways = (-1.0, -0.8, -0.6, -0.4)
+    lengths = (-1.0, -0.8, -0.6, -0.4)
     m = _hand_side(link)
     headings = m * np.array([0.2, 0.45, 0.7, 0.95, 1.2])
     base = _line(
-        np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, ways, share
+        np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, lengths, share
     )
     handle = link.handle
     face = _panel(link)[1][0]
@@ -293,7 +297,7 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
         angle: present angle of the door [rad].
 
     Returns:
-        Motions with `SWEEP_WAY_POINTS` way points.
+        Motions with `SWEEP_POINTS` way points.
     """
     low, high = _panel(link)
     m = _hand_side(link)
@@ -326,12 +330,12 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
     wrong &= (row > first[:, None]) & (row <= last[:, None])
     fits = (first >= 0) & shut.any(axis=1) & ~wrong.any(axis=1)
     found = [
-        np.linspace(base[i, first[i]], base[i, last[i]], SWEEP_WAY_POINTS)
+        np.linspace(base[i, first[i]], base[i, last[i]], SWEEP_POINTS)
         for i in np.flatnonzero(fits)
     ]
-    q = np.repeat(robot.rest[None, None], SWEEP_WAY_POINTS, axis=1)
+    q = np.repeat(robot.rest[None, None], SWEEP_POINTS, axis=1)
     q = np.repeat(q, len(found), axis=0)
-    q[..., BASE] = np.array(found).reshape(len(found), SWEEP_WAY_POINTS, 3)
+    q[..., BASE] = np.array(found).reshape(len(found), SWEEP_POINTS, 3)
     length = np.linalg.norm(q[:, -1, :2] - q[:, 0, :2], axis=1)
     return LinkMotions(q, np.zeros(len(q)), length / SWEEP_SPEED_M_S / STEP_SECONDS)
 

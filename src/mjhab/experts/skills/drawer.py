@@ -34,7 +34,7 @@ HELD_SPEED_M_S = 0.3
 """Speed at which a drawer is closed by its handle; faster, the hand gets stuck in the recess of the bar."""
 OPEN_TO_SHARE = 0.95
 """Share of the range to which a drawer is pulled; 0.9 counts as open."""
-ARM_WAYS_M = (0.4, 0.36)
+ARM_DISTANCES_M = (0.4, 0.36)
 """Candidates for the part of the motion that the arm does with the style ``pull=arm``; the base does the rest."""
 OPEN_ENOUGH_SHARE = 0.92
 """Share of the range from which on a drawer counts as open for the script."""
@@ -188,12 +188,12 @@ def _drive_link(
     """
     posture = view.q
     heading = float(view.base[2])
-    way = -1.0 if speed > 0 else 1.0
+    sign = -1.0 if speed > 0 else 1.0
     last = view.link_q(link.id)
     still = 0
     for _ in range(70):
         now = view.link_q(link.id)
-        left = way * (goal - now)
+        left = sign * (goal - now)
         if left <= 0:
             press -= 1
         if press < 0 and left <= 0:
@@ -244,8 +244,8 @@ def _arm_motions(robot: Robot, link: JointedLink) -> LinkMotions:
     base = _square(handles[0], np.arange(0.78, 1.03, 0.04), np.linspace(-0.54, 0.54, 19))
     opened = np.clip(values, 0.0, None)
     found = []
-    for way in ARM_WAYS_M:
-        driven = opened * (1.0 - way / opened[-1])
+    for sign in ARM_DISTANCES_M:
+        driven = opened * (1.0 - sign / opened[-1])
         paths = np.repeat(base[:, None], len(values), axis=1)
         paths[:, :, 0] += driven
         for up in (1.0, -1.0):
@@ -279,8 +279,8 @@ def _retracts(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
     rest = ik.unwind(robot.chain, robot.rest, start)
     rest[:, BASE] = start[:, BASE]
     share = np.linspace(0.0, 1.0, RETRACT_POINTS)[:, None]
-    ways = start[:, None] + share * (rest - start)[:, None]
-    gaps = motion.spheres(robot).clearance(ways.reshape(-1, ways.shape[-1]), boxes)
+    paths = start[:, None] + share * (rest - start)[:, None]
+    gaps = motion.spheres(robot).clearance(paths.reshape(-1, paths.shape[-1]), boxes)
     return gaps.reshape(len(end), RETRACT_POINTS).min(axis=1) > RETRACT_CLEARANCE_M
 
 

@@ -178,8 +178,8 @@ def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:
     work[work] = in_sight(centres[work], aim.point, walls)
     if not work.any():
         return np.zeros(points.shape[:2])
-    way = cells.costs_to(work)[cells.cells(points)]
-    return np.where(way > LONG_DETOUR_M, np.minimum(way, MAX_DETOUR_M), 0.0)
+    length = cells.costs_to(work)[cells.cells(points)]
+    return np.where(length > LONG_DETOUR_M, np.minimum(length, MAX_DETOUR_M), 0.0)
 
 
 def plan_trajectory(

@@ -278,8 +278,8 @@ def _goals(
 ) -> HandGoals:
     """Hand poses at the end of a push, on a shelf at ``floor``, of a box of some ``height``."""
     most = min(push.turn + 0.25, 1.2)
-    way = (push.radius * np.sin(most) + 0.02) * push.inward
-    way = way - 0.2 * push.radius * (1.0 - np.cos(most)) * push.outer
+    travel = (push.radius * np.sin(most) + 0.02) * push.inward
+    travel = travel - 0.2 * push.radius * (1.0 - np.cos(most)) * push.outer
     pos = []
     rot = []
     score = []
@@ -307,7 +307,7 @@ def _goals(
     ahead = np.array([*push.inward, 0.0])
     opening = np.full(len(at), hand.opening)
     return HandGoals(
-        at + np.array([*way, 0.0]),
+        at + np.array([*travel, 0.0]),
         np.array(rot).reshape(-1, 3, 3),
         at - START_GAP_M * ahead,
         opening,

@@ -218,12 +218,12 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     scene = scene_of(view, obj)
     if not inside_depth(view, pose[:3]):
         return False
-    way = direction_to(view, pose)
+    toward = direction_to(view, pose)
     place = min(
         (p for p in view.home.receptacles if p.kind == "shelf"),
         key=lambda p: float(np.linalg.norm(pose[:3] - p.pos)),
     )
-    turns = np.round((np.arctan2(way[1], way[0]) - place.yaw) / (np.pi / 2))
+    turns = np.round((np.arctan2(toward[1], toward[0]) - place.yaw) / (np.pi / 2))
     angle = place.yaw + turns * np.pi / 2
     inward = np.array([np.cos(angle), np.sin(angle)])
     shape = view.object_shape(obj)

@@ -66,11 +66,11 @@ SHELF_OPTIONS = replace(
 LOW_SHELF_OPTIONS = replace(SHELF_OPTIONS, leans=(0.4, 0.6, 0.8))
 SHELF_BLUNT_M = 0.004
 """Length of the tips of the pads that does not count as contact on a shelf."""
-INSIDE_WAYS_M = (0.0, 0.1, 0.2, SHELF_DEPTH_M)
+INSIDE_DISTANCES_M = (0.0, 0.1, 0.2, SHELF_DEPTH_M)
 """Distances that the base may drive straight into the shelf after a push."""
 AHEAD_M = np.arange(0.0, 0.17, 0.04)
 """Distances straight ahead of where the base stands after a push, from which a grasp is tried first."""
-AHEAD_WAYS_M = (0.0, 0.12, 0.2, 0.3)
+AHEAD_DISTANCES_M = (0.0, 0.12, 0.2, 0.3)
 """Distances of the straight drive to these."""
 _HOME_WEIGHT = 0.8
 """Weight of the control steps from the grasp back to rest after a push, when few are left."""
@@ -127,7 +127,7 @@ def plan_pick(
             continue
         tried = len(grasps)
         goals = _diverse(grasps)
-        for back in _ways_in(depth, attempt):
+        for back in _distances_in(depth, attempt):
             query = ReachQuery(
                 point=pose[:3],
                 goals=goals,
@@ -208,8 +208,8 @@ def plan_inside(
         if not len(rows):
             continue
         goals = _diverse(every.take(rows))
-        for bases, ways in ((ahead, AHEAD_WAYS_M), (None, INSIDE_WAYS_M)):
-            for back in ways:
+        for bases, distances in ((ahead, AHEAD_DISTANCES_M), (None, INSIDE_DISTANCES_M)):
+            for back in distances:
                 query = ReachQuery(
                     point=pose[:3],
                     goals=goals,
@@ -256,12 +256,12 @@ def scene_of(view: WorldView, obj: str) -> Scene:
 
 def direction_to(view: WorldView, pose: np.ndarray) -> tuple[float, float]:
     """Level unit vector from the robot to an object at ``pose`` (7,)."""
-    way = pose[:2] - view.base[:2]
-    x, y = way / max(float(np.linalg.norm(way)), 1e-6)
+    toward = pose[:2] - view.base[:2]
+    x, y = toward / max(float(np.linalg.norm(toward)), 1e-6)
     return float(x), float(y)
 
 
-def _ways_in(depth: float, attempt: int) -> tuple[float, ...]:
+def _distances_in(depth: float, attempt: int) -> tuple[float, ...]:
     """Distances [m] of the straight drive to try, in order; later attempts begin with none, which is quicker."""
     if not depth:
         return (0.0,)

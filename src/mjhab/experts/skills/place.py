@@ -318,8 +318,8 @@ def hand_goals(
     rot = []
     score = []
     leaning = list(zip(tilts, leans, strict=True))
-    ways: Any = itertools.product(_sides(any_side), turns, leaning)
-    for (side, price), about, (tilt, lean) in ways:
+    options: Any = itertools.product(_sides(any_side), turns, leaning)
+    for (side, price), about, (tilt, lean) in options:
         stand = lean @ (about @ side)
         low = height_below(shape, stand)
         tips = tipped(shape, stand)

@@ -77,12 +77,12 @@ class Free:
 
     def edge(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Whether the straight motion between two configurations (J,) is collision-free, checked every `EDGE_STEPS`."""
-        pieces = 1 + int(way_length(self.body, np.stack([start, end])) / EDGE_STEPS)
+        pieces = 1 + int(path_length(self.body, np.stack([start, end])) / EDGE_STEPS)
         share = np.linspace(0.0, 1.0, pieces + 1)[1:, None]
         return bool((self.spare(start + share * (end - start)) >= 0.0).all())
 
 
-def arm_way(
+def arm_path(
     start: np.ndarray, end: np.ndarray, free: Free, rounds: int = MAX_ROUNDS
 ) -> np.ndarray | None:
     """Plan a path of arm and torso between two configurations.
@@ -170,24 +170,25 @@ def _state(robot: Robot, info: Any, q: np.ndarray) -> Any:
     return state
 
 
-def _shortened(way: np.ndarray, free: Free) -> np.ndarray:
+def _shortened(path: np.ndarray, free: Free) -> np.ndarray:
     """Path (P, J) without the configurations that a collision-free straight motion can skip."""
-    kept = [way[0]]
+    kept = [path[0]]
     at = 0
-    while at < len(way) - 1:
+    while at < len(path) - 1:
         at = next(
-            (i for i in range(len(way) - 1, at + 1, -1) if free.edge(way[at], way[i])),
+            (i for i in range(len(path) - 1, at + 1, -1) if free.edge(path[at], path[i])),
             at + 1,
         )
-        kept.append(way[at])
+        kept.append(path[at])
     return np.array(kept)
 
 
-def way_length(robot: Robot, way: np.ndarray) -> float:
-    """Control steps that arm and torso need along the configurations ``way`` (P, J)."""
+def path_length(robot: Robot, path: np.ndarray) -> float:
+    """Control steps that arm and torso need along the configurations ``path`` (P, J)."""
     return float(
         np.max(
-            np.abs(np.diff(way, axis=0))[:, ik.columns(robot.chain)] / joint_scale(robot),
+            np.abs(np.diff(path, axis=0))[:, ik.columns(robot.chain)]
+            / joint_scale(robot),
             axis=1,
         ).sum()
     )

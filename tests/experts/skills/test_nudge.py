@@ -30,12 +30,12 @@ def shelf(*others: tuple[float, float, float]) -> Scene:
     return Scene(boxes, Boxes.of(np.zeros((0, 3)), np.zeros((0, 3))), 0.0, ROBOT)
 
 
-def turned_by(least: float) -> Graspable:
+def turned_by(lower: float) -> Graspable:
     """Grasps from a turn [rad] on."""
 
     def graspable(pose: np.ndarray, more: float) -> int:
         x, y, _ = mat_from_quat(pose[3:])[:, 0]
-        return 10 if abs(np.arctan2(y, x)) >= least - more else 0
+        return 10 if abs(np.arctan2(y, x)) >= lower - more else 0
 
     return graspable
 

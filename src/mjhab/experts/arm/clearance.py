@@ -16,7 +16,7 @@ import numpy as np
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import mat_from_quat
 from mjhab.experts.arm.frame_kernels import link_frames, tree_of
-from mjhab.experts.arm.sphere_gaps import least_gaps, own_gaps
+from mjhab.experts.arm.sphere_gaps import min_gaps, own_gaps
 from mjhab.robots.kinematics import Chain, Frames
 
 NOTHING_NEAR_M = 1e3
@@ -136,7 +136,7 @@ class RobotSpheres:
         if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), NOTHING_NEAR_M)
         pos, rot = self._frames(q)
-        return least_gaps(pos, rot, *self._bounds, *self._by_link, *boxes.contiguous())
+        return min_gaps(pos, rot, *self._bounds, *self._by_link, *boxes.contiguous())
 
     def _frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World positions (N, L, 3) and rotations (N, L, 3, 3) of the chain's links."""

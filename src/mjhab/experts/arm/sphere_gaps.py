@@ -29,7 +29,7 @@ def _turned(rot: np.ndarray, local: np.ndarray) -> tuple[float, float, float]:
 
 
 @kernel
-def least_gaps(
+def min_gaps(
     pos: np.ndarray,
     rot: np.ndarray,
     links: np.ndarray,
@@ -61,19 +61,19 @@ def least_gaps(
         turn: (K, 3, 3) rotations of the boxes.
     """
     found = np.empty(len(pos))
-    least = np.empty((len(links), len(center)))
+    lower = np.empty((len(links), len(center)))
     for n in range(len(pos)):
         nearest = np.inf
         for i, link in enumerate(links):
             x, y, z = _place(pos[n, link], rot[n, link], middle[i])
             for k in range(len(center)):
                 gap = box_gap(x, y, z, center[k], half[k], turn[k])
-                least[i, k] = gap - around[i]
+                lower[i, k] = gap - around[i]
                 nearest = min(nearest, gap + around[i])
         best = np.inf
         for i, link in enumerate(links):
             for k in range(len(center)):
-                if least[i, k] > min(nearest, best):
+                if lower[i, k] > min(nearest, best):
                     continue
                 for m in range(first[i], first[i + 1]):
                     x, y, z = _place(pos[n, link], rot[n, link], points[m])

@@ -194,9 +194,11 @@ class Lattice:
                     cost = pay + abs(turn) / TURN_RATE_RAD_S
                     if node in found and found[node][0] <= cost:
                         continue
-                    least = self.plan.turning(line[-1, :2], float(pose[2]), turn)
-                    cost += LACKING_PRICE_S_M * max(0.03 - least, 0.0)
-                    if least >= asked and (node not in found or cost < found[node][0]):
+                    min_clearance = self.plan.turning(line[-1, :2], float(pose[2]), turn)
+                    cost += LACKING_PRICE_S_M * max(0.03 - min_clearance, 0.0)
+                    if min_clearance >= asked and (
+                        node not in found or cost < found[node][0]
+                    ):
                         found[node] = (cost, far, turn)
         return found
 

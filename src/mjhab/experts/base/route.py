@@ -256,7 +256,7 @@ def follow(
     pressed = 0
     lost = 0
     arrived = False
-    least = np.inf
+    nearest_off = np.inf
     since = 0
     care = route.care
     moving = motion.drives(view, route.path[-1], route.yaw)
@@ -274,10 +274,10 @@ def follow(
         off = motion.joint_gap(view, route.arm)
         if arrived and off <= tolerance:
             return True
-        least, since = (
+        nearest_off, since = (
             (off, step)
-            if off < least - STALLED_RAD or not arrived or goal is not route.arm
-            else (least, since)
+            if off < nearest_off - STALLED_RAD or not arrived or goal is not route.arm
+            else (nearest_off, since)
         )
         if step - since >= STALLED_STEPS:
             return False

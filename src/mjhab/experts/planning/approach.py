@@ -342,7 +342,7 @@ def _funnel(
 
 
 def base_towards(
-    view: WorldView, wish: np.ndarray, speed: float = 0.0, most: float = 0.5
+    view: WorldView, wish: np.ndarray, speed: float = 0.0, max_speed: float = 0.5
 ) -> tuple[float, float]:
     """Forward speed [m/s] and yaw rate [rad/s] that bring the base towards a nearby pose ``wish`` (3+,).
 
@@ -352,13 +352,13 @@ def base_towards(
         view: world to act in.
         wish: (3+,) x, y, yaw of the wished pose.
         speed: at which the pose itself moves along the heading [m/s].
-        most: largest forward speed [m/s].
+        max_speed: largest forward speed [m/s].
     """
     q = view.q
     ahead = float(
         (wish[:2] - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
     )
-    v = float(np.clip(speed + 1.5 * ahead, -most, most))
+    v = float(np.clip(speed + 1.5 * ahead, -max_speed, max_speed))
     return v, float(np.clip(3.0 * wrap(wish[2] - q[BASE_YAW]), -0.6, 0.6))
 
 

@@ -41,14 +41,14 @@ MAX_CLEAR_POSTURES = 80
 """Greatest number of postures with a collision-free drive that are tried, fastest first."""
 BASES_TRIED = 3
 """Base poses of each `Blocked` reach for which a route is searched."""
-WAYS_TIMED = 6
+PATHS_TIMED = 6
 """Candidate arm motions per base pose whose duration is computed."""
 POSTURES_SEARCHED = 1
 """Postures for which RRT-Connect searches the motion into them, or out of them, if the straight one collides."""
 MAX_DEFICIT_M = -0.03
 """Straight routes with less ``clearance`` than this (negative: a deficit, see `Route`) are replaced by sampled
 ones, which take longer."""
-MIN_WAY_STEPS = 30
+MIN_PATH_STEPS = 30
 """Least number of control steps of a sampled route."""
 MIN_TOTAL_STEPS = 70
 """Control steps that must remain after a sampled route."""
@@ -73,7 +73,7 @@ def clearer(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Fou
     """
     if (
         found is not None and found[0].route.clearance >= MAX_DEFICIT_M
-    ) or view.steps_left < MIN_WAY_STEPS + MIN_TOTAL_STEPS:
+    ) or view.steps_left < MIN_PATH_STEPS + MIN_TOTAL_STEPS:
         return found
     return _path_around(view, blocked) or found
 
@@ -250,7 +250,7 @@ def _arm_paths(
     for i in np.flatnonzero(out & back):
         if here.edge(start, before[i]) and there.edge(after[i], end):
             found.append((np.stack([start, before[i]]), np.stack([after[i], end])))
-        if len(found) == WAYS_TIMED:
+        if len(found) == PATHS_TIMED:
             break
     # RRT-Connect for one of the two paths, for postures whose other path is straight and free.
     for i in np.flatnonzero(out ^ back)[: 0 if found else POSTURES_SEARCHED]:

@@ -345,10 +345,10 @@ def _pace(path: LinkPath, angle: float, way: float) -> float:
     """
     here = path.at(angle)
     there = path.at(angle + way * 0.1)
-    most = float(np.abs(there - here)[list(path.robot.arm_columns)].max())
+    max_motion = float(np.abs(there - here)[list(path.robot.arm_columns)].max())
     return min(
         MAX_SWING_RAD,
-        0.1 * (PULL_STEP_RAD if way > 0 else JOINT_STEP_RAD) / max(most, 1e-6),
+        0.1 * (PULL_STEP_RAD if way > 0 else JOINT_STEP_RAD) / max(max_motion, 1e-6),
     )
 
 

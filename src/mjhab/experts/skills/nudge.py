@@ -50,7 +50,7 @@ ENOUGH_GRASPS = 16
 """The push ends when the box has this number of grasps, counted with the additional clearance TIGHTER_M."""
 TIGHTER_M = -0.008
 """Additional clearance of the grasps that `ENOUGH_GRASPS` counts; negative: less clearance than for a grasp."""
-LEAST_TURN_SHARE = 0.6
+MIN_TURN_SHARE = 0.6
 """Fraction of the planned angle before which `ENOUGH_GRASPS` does not end a push."""
 TURNED_SHARE = 0.4
 """Fraction of the planned angle beyond which the box counts as turned."""
@@ -277,9 +277,9 @@ def _goals(
     hand: Gripper, push: _Push, centre: np.ndarray, floor: float, height: float
 ) -> HandGoals:
     """Hand poses at the end of a push, on a shelf at ``floor``, of a box of some ``height``."""
-    most = min(push.turn + 0.25, 1.2)
-    travel = (push.radius * np.sin(most) + 0.02) * push.inward
-    travel = travel - 0.2 * push.radius * (1.0 - np.cos(most)) * push.outer
+    max_turn = min(push.turn + 0.25, 1.2)
+    travel = (push.radius * np.sin(max_turn) + 0.02) * push.inward
+    travel = travel - 0.2 * push.radius * (1.0 - np.cos(max_turn)) * push.outer
     pos = []
     rot = []
     score = []
@@ -394,7 +394,7 @@ def _push(
         if view.link_forces.sum() > MAX_PUSH_FORCE_N:
             break
         if (
-            turn >= LEAST_TURN_SHARE * plan.turn
+            turn >= MIN_TURN_SHARE * plan.turn
             and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS
         ):
             break

@@ -27,7 +27,7 @@ from mjhab.experts.skills.by_rule import (
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import RULE
 
-LEAST_CLEAR_M = 0.004
+MIN_CLEAR_M = 0.004
 """Least clearance between hand and neighbouring objects on the approach."""
 SCORE_PRICE = 0.03
 """Angle that a difference of 1 in the grasp score is worth in the choice of a grasp."""
@@ -118,7 +118,7 @@ def plan(
         gripper=view.robot.gripper,
         options=pick_plans.OPTIONS,
     )
-    every = every.take(np.flatnonzero(every.clear >= LEAST_CLEAR_M))
+    every = every.take(np.flatnonzero(every.clear >= MIN_CLEAR_M))
     lifted = every.pos + np.array([0.0, 0.0, LIFT_M])
     before = every.pos - STANDOFF_M * every.rot[:, :, 0]
     hands = Hands(every.pos, every.rot, before, lifted, -SCORE_PRICE * every.score)

@@ -307,7 +307,7 @@ def hand_goals(
     spots = [
         spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)
     ]
-    most = GOAL_SHARE * view.config.goal_tol
+    max_off = GOAL_SHARE * view.config.goal_tol
     count = SHELF_YAWS if shelf else YAWS
     yaws = np.arange(count) * 2 * np.pi / count
     ball = shape.kind == "sphere"
@@ -325,7 +325,7 @@ def hand_goals(
         tips = tipped(shape, stand)
         for spot in spots:
             # The release position is chosen such that the object comes to rest at the spot after it has tipped over.
-            if np.linalg.norm(np.array([*spot, floor + low + tips[2]]) - goal) > most:
+            if np.linalg.norm(np.array([*spot, floor + low + tips[2]]) - goal) > max_off:
                 continue
             rot.append(stand @ turn.T)
             pos.append(

@@ -203,7 +203,7 @@ def test_a_plan_that_cannot_be_made_is_told(
     def refuse(*_: object, **__: object) -> None:
         raise UsageError("its pack is not here")
 
-    monkeypatch.setattr("mjhab.viewer.sources.advice.ExpertPolicy", refuse)
+    monkeypatch.setattr("mjhab.viewer.sources.plan_overlay.ExpertPolicy", refuse)
     replay = Replay(viewer.source._episodes[viewer.source.choice].shard.path)  # type: ignore[attr-defined]
     replay.start()
     replay.show_expert_plan(True)

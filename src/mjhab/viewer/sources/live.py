@@ -25,10 +25,10 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
-from mjhab.viewer.sources.advice import LivePlan
 from mjhab.viewer.sources.hand import HUMAN, HandControl
 from mjhab.viewer.sources.live_tracks import begin_tracks, extend_tracks
 from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.plan_overlay import ExpertPlanOverlay
 from mjhab.viewer.sources.switch import Switch
 from mjhab.viewer.sources.takes import Cuttable, TakeRecorder
 from mjhab.viewer.sources.track import Track
@@ -104,7 +104,7 @@ class LiveSession:
         self._options: dict[str, Any] = {}
         self._failed = False
         self._plan_wanted = False
-        self._plan: LivePlan | None = None
+        self._plan: ExpertPlanOverlay | None = None
         self._cut_done = threading.Event()
         self._jobs: queue.SimpleQueue[Callable[[LiveSession], object]] = (
             queue.SimpleQueue()
@@ -345,7 +345,7 @@ class LiveSession:
             self.env = make_env(spec, options)
             self._cuttable = Cuttable(self.env)
             self._options = options
-            self._plan = LivePlan(self.env)
+            self._plan = ExpertPlanOverlay(self.env)
             self.switch = Switch(self.env, self.spec.asked.seed)
         assert self.switch is not None
         self.switch.choose(full)

@@ -14,8 +14,8 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.store import EPISODES
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
-from mjhab.viewer.sources.advice import RecordedPlans
 from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.plan_overlay import RecordedPlans
 from mjhab.viewer.sources.recorded_envs import RecordedEnvs
 from mjhab.viewer.sources.track import Track, recorded_track
 

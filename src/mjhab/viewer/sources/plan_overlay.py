@@ -19,7 +19,7 @@ PLAN_STEPS = 20
 """Number of control steps after which an expert without a plan is taken to have none."""
 
 
-class LivePlan:
+class ExpertPlanOverlay:
     """The expert's plan in one of the worlds of a running environment.
 
     Attributes:

@@ -243,7 +243,9 @@ def test_a_chain_teleports_to_where_it_does_on_the_cpu() -> None:
     for w in range(WORLDS):
         goal = np.array(dev.pool.plans[w].subtasks[2].goal_pos)
         base = dev.state.robot_q[w, :3].numpy()
-        np.testing.assert_allclose(base, dev.pool.landings[w, 2, :3].numpy(), atol=1e-6)
+        np.testing.assert_allclose(
+            base, dev.pool.teleport_poses[w, 2, :3].numpy(), atol=1e-6
+        )
         assert np.hypot(*(base[:2] - goal[:2])) <= 2.0
 
 
@@ -283,7 +285,7 @@ def test_landings_are_tried_in_the_state_that_is_to_be_expected() -> None:
 
 
 def test_what_is_held_leaps_along() -> None:
-    from mjhab.envs.device.landings import Teleporter
+    from mjhab.envs.device.teleport_poses import Teleporter
 
     rng = np.random.default_rng(0)
     qpos = torch.as_tensor(rng.uniform(-1, 1, (3, 29)))
@@ -300,17 +302,19 @@ def test_what_is_held_leaps_along() -> None:
         finger_force=force,
     )
     addresses = SimpleNamespace(robot_q=np.arange(15), object_q=np.array([15, 22]))
-    landing = torch.as_tensor(rng.uniform(-1, 1, (3, 15)))
+    teleport_pose = torch.as_tensor(rng.uniform(-1, 1, (3, 15)))
     teleporter = Teleporter(cast("Any", addresses), torch.device("cpu"))
-    moved = teleporter.moved(qpos, cast("Any", state), landing, torch.tensor([1, 1, -1]))
+    moved = teleporter.moved(
+        qpos, cast("Any", state), teleport_pose, torch.tensor([1, 1, -1])
+    )
     np.testing.assert_array_equal(moved[0, 3:22], qpos[0, 3:22])
-    np.testing.assert_array_equal(moved[:, :3], landing[:, :3])
+    np.testing.assert_array_equal(moved[:, :3], teleport_pose[:, :3])
     before, after = (
         pose_mul(pose_inv(_base(q[0, :3])), q[0, 22:].numpy()) for q in (qpos, moved)
     )
     np.testing.assert_allclose(after, before, atol=1e-12)
     for w in (1, 2):
-        np.testing.assert_array_equal(moved[w, :15], landing[w])
+        np.testing.assert_array_equal(moved[w, :15], teleport_pose[w])
         np.testing.assert_array_equal(moved[w, 15:], qpos[w, 15:])
 
 

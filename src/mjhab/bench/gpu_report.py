@@ -33,7 +33,7 @@ GPU_WORLDS = (64, 256, 1024, 4096, 8192)
 CPU_WORLDS = (1, 16)
 ENV_WORLDS = (256, 512, 1024, 2048, 4096)
 CHAIN_WORLDS = (256, 1024)
-"""Fewer: for the starts of a chain, all its landings are searched on the host."""
+"""Fewer: for the starts of a chain, all its teleport poses are searched on the host."""
 PARITY_LOG = Path("runs/gpu-parity.jsonl")
 """Finished episodes of the full parity report, which goes on from there when it was stopped."""
 

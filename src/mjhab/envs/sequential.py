@@ -168,13 +168,13 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         if may_hold(self.teleports.waiting):
             pointer = self.progress.pointer
             changed = fresh.copy()
-            for landing in self.teleports.run(
+            for teleport_pose in self.teleports.run(
                 self.sim.qpos, self.state, pointer, self.episodes_now
             ):
-                self.sim.write_qpos(landing.world, landing.qpos)
-                changed[landing.world] = True
-                if landing.fallback:
-                    self.fallback = self.fallback | (self._worlds == landing.world)
+                self.sim.write_qpos(teleport_pose.world, teleport_pose.qpos)
+                changed[teleport_pose.world] = True
+                if teleport_pose.fallback:
+                    self.fallback = self.fallback | (self._worlds == teleport_pose.world)
         return changed
 
     def _enter_subtask(self, mask: np.ndarray) -> None:

@@ -18,10 +18,10 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.joints import BASE_XY
-from mjhab.envs.device.landings import Teleporter
 from mjhab.envs.device.notes import DeviceNotes, DeviceStepNotes
 from mjhab.envs.device.observing import DeviceObserver
 from mjhab.envs.device.pool import StartPool, pool_size
+from mjhab.envs.device.teleport_poses import Teleporter
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import WorldPictures, check_device_memory
 from mjhab.envs.parts.plan_tables import Rows
@@ -51,7 +51,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
     * `info` holds tensors only: "event_flags" (W, E) bool with the columns `registry.event_columns`, "ended" (W,) bool
       for subtasks that ended in this step, and "label" (W,) for their labels, -1 for none. `records` and `episode_spec`
       make records and descriptions of episodes on the host.
-    * A teleport never waits; see `landings`.
+    * A teleport never waits; see `teleport_poses`.
     * Entries of an action that are not finite count as 0; `check_taint` reports them.
     * With autoreset "same_step" images of the final observations are drawn in every step, whether an episode ends or
       not; those of worlds that begin an episode or teleport are drawn again.
@@ -195,7 +195,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
             there = self.teleporter.moved(
                 self.sim.qpos,
                 self.state,
-                pool.landings[row, at],
+                pool.teleport_poses[row, at],
                 self.focus.columns[:, 1],
             )
             qpos = torch.where(fresh[:, None], qpos, there)

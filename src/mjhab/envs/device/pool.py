@@ -16,7 +16,7 @@ from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import map_record
 from mjhab.core.machine import cores
 from mjhab.envs.device.fields import GoalFields
-from mjhab.envs.device.landings import find_landings
+from mjhab.envs.device.teleport_poses import find_teleport_poses
 from mjhab.envs.parts.plan_tables import PlanTables, Rows
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.source import EpisodeSource
@@ -40,14 +40,14 @@ def pool_size(config: EnvConfig) -> int:
 class _Made:
     """One start on the host.
 
-    qpos: (nq,) state. landings: (S, J) joints of the robot after the teleport of each subtask. fallback: (S,) bool, no
-    sampled pose was valid and the nearest one is used.
+    qpos: (nq,) state. teleport_poses: (S, J) joints of the robot after the teleport of each subtask. fallback: (S,)
+    bool, no sampled pose was valid and the nearest one is used.
     """
 
     episode: Episode
     start: Start
     qpos: np.ndarray
-    landings: np.ndarray
+    teleport_poses: np.ndarray
     fallback: np.ndarray
 
 
@@ -62,8 +62,8 @@ class StartPool:
         ctrl: (P, nu) actuator commands.
         rings: (P, ...) sleep states, see `WarpSimulator.reset_masked`.
         fallback: (P,) bool, no valid start pose was found and the nearest one is used.
-        landings: (P, S, J) of `find_landings`.
-        landing_fallback: (P, S) bool of `find_landings`.
+        teleport_poses: (P, S, J) of `find_teleport_poses`.
+        landing_fallback: (P, S) bool of `find_teleport_poses`.
         field_index: (P, S) int64, index in ``fields`` of the goal of each subtask, -1 for none.
         fields: path lengths to the goals of Navigate; None if the reward does not need them.
 
@@ -99,7 +99,7 @@ class StartPool:
             [m.start.home for m in made], states
         )
         self.fallback = upload([m.start.fallback or bool(m.fallback[0]) for m in made])
-        self.landings = upload(np.stack([m.landings for m in made]))
+        self.teleport_poses = upload(np.stack([m.teleport_poses for m in made]))
         self.landing_fallback = upload(np.stack([m.fallback for m in made]))
         tables = PlanTables(source.layout, source.task_config, count, source.plan_length)
         for row, m in enumerate(made):
@@ -138,14 +138,16 @@ class StartPool:
         episode = source.episode(self.seed, index)
         start = source.start(episode)
         qpos = start.qpos
-        landings = np.zeros((length, len(source.layout.robot.joints)))
+        teleport_poses = np.zeros((length, len(source.layout.robot.joints)))
         fallback = np.zeros(length, bool)
         if self._config.teleports:
-            landings, fallback = find_landings(source.starts, episode, start, length)
+            teleport_poses, fallback = find_teleport_poses(
+                source.starts, episode, start, length
+            )
             if spec_of(start.plan.subtasks[0].kind).navigates:
                 qpos = qpos.copy()
-                qpos[source.starts.sim.addresses.robot_q] = landings[0]
-        return _Made(episode, start, qpos, landings, fallback)
+                qpos[source.starts.sim.addresses.robot_q] = teleport_poses[0]
+        return _Made(episode, start, qpos, teleport_poses, fallback)
 
     def _find_fields(
         self, made: list[_Made], device: torch.device

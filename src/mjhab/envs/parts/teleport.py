@@ -26,7 +26,7 @@ TRIES_PER_STEP = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Landing:
+class TeleportPose:
     """Result of a teleport.
 
     Attributes:
@@ -82,7 +82,7 @@ class Teleports:
         state: SimState,
         pointer: np.ndarray,
         episodes: Sequence[Episode | None],
-    ) -> Iterator[Landing]:
+    ) -> Iterator[TeleportPose]:
         """Sample poses for the waiting worlds and yield the teleports that are found; their worlds wait no longer.
 
         Args:
@@ -95,10 +95,12 @@ class Teleports:
             episode = episodes[world]
             assert episode is not None, f"world {world} has not been reset"
             held = self._held(state, world, int(pointer[world]))
-            landing = self._try(world, int(pointer[world]), episode, qpos[world], held)
-            if landing is not None:
+            teleport_pose = self._try(
+                world, int(pointer[world]), episode, qpos[world], held
+            )
+            if teleport_pose is not None:
                 self.pending[world] = -1
-                yield landing
+                yield teleport_pose
 
     def _try(
         self,
@@ -107,7 +109,7 @@ class Teleports:
         episode: Episode,
         qpos: np.ndarray,
         held: Held | None,
-    ) -> Landing | None:
+    ) -> TeleportPose | None:
         boxes = self._starts.boxes(self._starts.home(episode.home))
         goal = self._starts.spawn_goal(self._tables.plans[world], position, boxes)
         sampler = self._starts.sampler
@@ -123,10 +125,10 @@ class Teleports:
             found = sampler.try_once(episode.home, qpos, goal, rng, held)
             self.pending[world] += 1
             if found is not None:
-                return Landing(world, found, fallback=False)
+                return TeleportPose(world, found, fallback=False)
         if self.pending[world] < MAX_TRIES:
             return None
-        return Landing(
+        return TeleportPose(
             world, sampler.fallback(episode.home, qpos, goal, held), fallback=True
         )
 

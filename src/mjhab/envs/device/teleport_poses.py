@@ -22,7 +22,7 @@ from mjhab.sim.protocol import SimState
 from mjhab.tasks.subtasks.registry import spec_of
 
 
-def find_landings(
+def find_teleport_poses(
     starts: StartMaker, episode: Episode, start: Start, length: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the pose of the robot after the teleport of every Navigate subtask of a plan.
@@ -60,7 +60,7 @@ def _land(
 
 
 class Teleporter:
-    """Moves robots, and the objects that they hold, to the poses of `find_landings`.
+    """Moves robots, and the objects that they hold, to the poses of `find_teleport_poses`.
 
     Args:
         addresses: addresses of joints and objects in the layout's state.
@@ -78,7 +78,7 @@ class Teleporter:
         self,
         qpos: torch.Tensor,
         state: SimState,
-        landing: torch.Tensor,
+        teleport_pose: torch.Tensor,
         carried: torch.Tensor,
     ) -> torch.Tensor:
         """Positions (W, nq) of all worlds after a teleport.
@@ -86,16 +86,16 @@ class Teleporter:
         Args:
             qpos: (W, nq) present positions.
             state: present state.
-            landing: (W, J) joint positions after the teleport; a robot that holds the object to carry moves only its
-                base, and the object with it.
+            teleport_pose: (W, J) joint positions after the teleport; a robot that holds the object to carry moves only
+                its base, and the object with it.
             carried: (W,) int64 slot of the object to carry, -1 for none.
         """
         worlds = torch.arange(len(qpos), device=qpos.device)
         some = carried.clamp(min=0)
         pressed = state.finger_force[worlds, :, some].square().sum(-1) > 0
         held = (carried >= 0) & pressed.all(-1)
-        base = landing[:, BASE]
-        robot = torch.where(held[:, None], state.robot_q, landing)
+        base = teleport_pose[:, BASE]
+        robot = torch.where(held[:, None], state.robot_q, teleport_pose)
         robot = torch.cat([base, robot[:, BASE.stop :]], dim=1)
         along = _turned(state.object_pose, state.robot_q[:, BASE], base)
         mine = held[:, None] & (self._slots == carried[:, None])

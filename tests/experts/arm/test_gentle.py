@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.experts.arm.gentle import BRISK, FIRM, WEAK, Care, care_for, eased
+from mjhab.experts.arm.gentle import BRISK, FIRM, WEAK, CommandLimits, eased, limits_for
 
 
 def view_with(**objects: tuple[float, float]) -> Any:
@@ -32,26 +32,34 @@ def view_with(**objects: tuple[float, float]) -> Any:
         ({"bowl": (0.15, 0.08)}, FIRM),
     ],
 )
-def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(objects, care):
-    assert care_for(view_with(**objects)) == care
+def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(
+    objects, limits
+):
+    assert limits_for(view_with(**objects)) == limits
 
 
 def test_a_hurry_asks_for_less_care_of_what_is_heavy():
     heavy = view_with(box=(0.5, 0.05))
     light = view_with(bowl=(0.15, 0.08))
-    assert care_for(heavy, fast=True) == BRISK and care_for(light, fast=True) == FIRM
+    assert limits_for(heavy, fast=True) == BRISK and limits_for(light, fast=True) == FIRM
     assert WEAK.change < BRISK.change < FIRM.change and WEAK.spin <= BRISK.spin
 
 
 def test_only_the_object_in_the_hand_counts():
-    assert care_for(view_with(apple=(0.07, 0.01), box=(0.5, 1.5))) == FIRM
+    assert limits_for(view_with(apple=(0.07, 0.01), box=(0.5, 1.5))) == FIRM
 
 
 @pytest.mark.parametrize("care", [FIRM, WEAK])
-def test_speeds_change_by_little_and_turns_end_sooner_than_they_begin(care: Care):
-    assert eased((1.0, 3.0), (0.0, 0.0), care) == pytest.approx((care.rise, care.change))
-    assert eased((0.0, 0.0), (1.0, 1.0), care) == pytest.approx(
-        (1.0 - care.rise, 1.0 - care.fall)
+def test_speeds_change_by_little_and_turns_end_sooner_than_they_begin(
+    limits: CommandLimits,
+):
+    assert eased((1.0, 3.0), (0.0, 0.0), limits) == pytest.approx(
+        (limits.rise, limits.change)
     )
-    assert eased((0.0, -3.0), (0.0, -care.spin), care) == pytest.approx((0.0, -care.spin))
-    assert eased((0.0, 3.0), (0.0, -1.0), care)[1] == pytest.approx(-1.0 + care.fall)
+    assert eased((0.0, 0.0), (1.0, 1.0), limits) == pytest.approx(
+        (1.0 - limits.rise, 1.0 - limits.fall)
+    )
+    assert eased((0.0, -3.0), (0.0, -limits.spin), limits) == pytest.approx(
+        (0.0, -limits.spin)
+    )
+    assert eased((0.0, 3.0), (0.0, -1.0), limits)[1] == pytest.approx(-1.0 + limits.fall)

@@ -13,14 +13,14 @@ CORNER = np.array([[0.0, 0.0], [1.0, 0.2], [1.3, 1.2]])
 
 
 @pytest.mark.parametrize("care", [None, FIRM])
-def test_a_simulated_drive_ends_at_the_end_of_the_way(care) -> None:
-    poses = simulate(np.array([0.0, 0.0, 2.0]), CORNER, 0.5, 1, 0.2, care)
+def test_a_simulated_drive_ends_at_the_end_of_the_way(limits) -> None:
+    poses = simulate(np.array([0.0, 0.0, 2.0]), CORNER, 0.5, 1, 0.2, limits)
     assert np.linalg.norm(poses[-1, :2] - CORNER[-1]) < 0.05
     assert abs(poses[-1, 2] - 0.5) < 0.1
     steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
     assert steps.max() <= MAX_SPEED_M_S * STEP_SECONDS + 1e-9
-    if care is not None:
-        assert np.abs(np.diff(poses[:, 2])).max() <= care.spin * STEP_SECONDS + 1e-9
+    if limits is not None:
+        assert np.abs(np.diff(poses[:, 2])).max() <= limits.spin * STEP_SECONDS + 1e-9
 
 
 def test_a_pilot_asks_for_what_the_simulation_drove() -> None:

@@ -18,7 +18,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
 from mjhab.experts.arm import motion
-from mjhab.experts.arm.gentle import FIRM, Care
+from mjhab.experts.arm.gentle import FIRM, CommandLimits
 from mjhab.experts.arm.held import CORNER_RADIUS_M, held_spheres, holds
 from mjhab.experts.base.route import (
     MIN_MAP_CLEARANCE_M,
@@ -90,12 +90,20 @@ def test_a_drive_with_an_object_goes_as_expected():
     ]
     arm[13:] = view.q[13:]
     goal = view.q[:3] - [0.2 * np.cos(view.q[2]), 0.2 * np.sin(view.q[2]), -0.4]
-    found = drive_of(view, goal, direction=-1, straight=True, care=FIRM)
+    found = drive_of(view, goal, direction=-1, straight=True, limits=FIRM)
     assert found is not None
     path, direction, lookahead, poses = found
     expected = _swept(ROBOT, view.q, poses, arm, 0)
     route = Route(
-        path, float(goal[2]), direction, lookahead, arm, 0, len(expected), 0.0, care=FIRM
+        path,
+        float(goal[2]),
+        direction,
+        lookahead,
+        arm,
+        0,
+        len(expected),
+        0.0,
+        limits=FIRM,
     )
     real = [view.q]
     for action in islice(
@@ -124,7 +132,7 @@ def test_a_bend_is_driven_as_expected():
     path = np.stack([here, here - 0.3 * ahead, here - 0.6 * ahead - 0.4 * left])
     yaw = float(np.arctan2(*(-0.3 * ahead - 0.4 * left)[::-1]))
     poses = simulate(view.q[:3], path, yaw, 1, 0.3, FIRM)
-    route = Route(path, yaw, 1, 0.3, view.q, 0, len(poses), 0.0, care=FIRM)
+    route = Route(path, yaw, 1, 0.3, view.q, 0, len(poses), 0.0, limits=FIRM)
     real = [view.q[:3]]
     for action in islice(
         follow(view, route, gripper=motion.CLOSED, held=obj), len(poses) - 1
@@ -147,7 +155,7 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
     boxes = Boxes.of(np.zeros((0, 3)), np.zeros((0, 3)))
     ahead = view.q[:3] + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
 
-    def clearance(middle: float, care: Care | None) -> float:
+    def clearance(middle: float, limits: CommandLimits | None) -> float:
         def clearance(at: np.ndarray) -> np.ndarray:
             ends = (np.linalg.norm(at - view.q[:2], axis=1) < 0.1) | (
                 np.linalg.norm(at - ahead[:2], axis=1) < 0.1
@@ -159,9 +167,14 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
         )
         monkeypatch.setattr(route_module, "planner", lambda _: cells)
         found = plan_route(
-            view, ahead, view.q, motion.arm_spheres(ROBOT), boxes, RouteWish(care=care)
+            view,
+            ahead,
+            view.q,
+            motion.arm_spheres(ROBOT),
+            boxes,
+            RouteWish(limits=limits),
         )
-        assert found is not None and found.care is care
+        assert found is not None and found.limits is limits
         return found.clearance
 
     assert clearance(0.4, FIRM) >= 0.0 and clearance(0.2, None) >= 0.0

@@ -14,7 +14,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.jit import kernel
 
 
-class Care(NamedTuple):
+class CommandLimits(NamedTuple):
     """Limits on the base commands.
 
     Attributes:
@@ -30,16 +30,16 @@ class Care(NamedTuple):
     spin: float
 
 
-FIRM = Care(0.12, 0.25, 0.25, 1.8)
-WEAK = Care(0.12, 0.08, 0.16, 1.6)
-BRISK = Care(0.12, 0.14, 0.2, 1.8)
+FIRM = CommandLimits(0.12, 0.25, 0.25, 1.8)
+WEAK = CommandLimits(0.12, 0.08, 0.16, 1.6)
+BRISK = CommandLimits(0.12, 0.14, 0.2, 1.8)
 WEAK_GRIP_KG_M = 0.02
 """Mass times distance between tcp and object position [kg m] above which a grasp counts as weak and `WEAK` or `BRISK`
 limits apply. Measured: a box of 0.5 kg, grasped 51 mm off its centre, slips in a turn with `FIRM` and not with `WEAK`.
 `BRISK` is the compromise for short time limits."""
 
 
-def care_for(view: WorldView, fast: bool = False) -> Care:
+def limits_for(view: WorldView, fast: bool = False) -> CommandLimits:
     """Choose the limits for the object nearest to the tcp.
 
     Args:
@@ -61,19 +61,19 @@ def care_for(view: WorldView, fast: bool = False) -> Care:
 
 @kernel
 def eased(
-    wish: tuple[float, float], before: tuple[float, float], care: Care
+    wish: tuple[float, float], before: tuple[float, float], limits: CommandLimits
 ) -> tuple[float, float]:
     """Limit the change of the base commands from one control step to the next.
 
     Args:
         wish: forward speed [m/s] and yaw rate [rad/s] that are wanted.
         before: those of the control step before.
-        care: limits.
+        limits: limits.
 
     Returns:
         Forward speed [m/s] and yaw rate [rad/s].
     """
-    forward = before[0] + min(max(wish[0] - before[0], -care.rise), care.rise)
-    more = min(max(wish[1], -care.spin), care.spin) - before[1]
-    change = care.change if more * before[1] >= 0.0 else care.fall
+    forward = before[0] + min(max(wish[0] - before[0], -limits.rise), limits.rise)
+    more = min(max(wish[1], -limits.spin), limits.spin) - before[1]
+    change = limits.change if more * before[1] >= 0.0 else limits.fall
     return forward, before[1] + min(max(more, -change), change)

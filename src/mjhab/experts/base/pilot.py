@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.experts.arm.gentle import Care, eased
+from mjhab.experts.arm.gentle import CommandLimits, eased
 from mjhab.experts.jit import inline, kernel
 
 MAX_SPEED_M_S = 1.0
@@ -93,7 +93,7 @@ def simulate(
     yaw: float,
     direction: int,
     lookahead: float,
-    care: Care | None = None,
+    limits: CommandLimits | None = None,
 ) -> np.ndarray:
     """Simulate the base poses (T, 3) of a `Pilot` from ``pose`` (3,) on, one per control step.
 
@@ -103,14 +103,14 @@ def simulate(
         yaw: heading at the end.
         direction: 1 forwards, -1 backwards.
         lookahead: arc length between the base and the point that it steers at.
-        care: limits on changes of the commands; None for none.
+        limits: limits on changes of the commands; None for none.
     """
     way = _way_along(path, yaw, direction, lookahead, MAX_SPEED_M_S)
     start = np.array(pose[:3], dtype=np.float64)
-    return _drive(way, _fresh_state(way), start, care or _NO_CARE, care is not None)
+    return _drive(way, _fresh_state(way), start, limits or _NO_CARE, limits is not None)
 
 
-_NO_CARE = Care(np.inf, np.inf, np.inf, np.inf)
+_NO_CARE = CommandLimits(np.inf, np.inf, np.inf, np.inf)
 
 
 def _way_along(
@@ -227,7 +227,7 @@ def _steer(
 
 @kernel
 def _drive(
-    way: Way, state: np.ndarray, pose: np.ndarray, care: Care, careful: bool
+    way: Way, state: np.ndarray, pose: np.ndarray, limits: CommandLimits, careful: bool
 ) -> np.ndarray:
     """Base poses (T, 3) of `simulate`; the first is ``pose`` (3,)."""
     poses = np.empty((MAX_SIMULATED_STEPS + 1, 3))
@@ -246,7 +246,7 @@ def _drive(
         if done:
             return poses[: k + 1]
         if careful:
-            asked = eased((forward, rate), asked, care)
+            asked = eased((forward, rate), asked, limits)
             forward, rate = asked
         # The base is driven along the two world axes with a lag: in a bend it keeps sliding along its former heading.
         speed_x += speed_share * (forward * np.cos(yaw) - speed_x)

@@ -14,7 +14,7 @@ from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
-from mjhab.experts.arm.gentle import Care, eased
+from mjhab.experts.arm.gentle import CommandLimits, eased
 from mjhab.experts.arm.held import holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
@@ -71,7 +71,7 @@ class Route:
         via: (V, J) intermediate postures of the arm, see `sampled`; None for a straight motion in joint space.
         carried: index in ``via`` of the posture that the arm keeps until the step ``delay``.
         lead: control step at which the base starts.
-        care: limits on changes of the base commands; None for none.
+        limits: limits on changes of the base commands; None for none.
     """
 
     path: np.ndarray
@@ -86,7 +86,7 @@ class Route:
     via: np.ndarray | None = None
     carried: int = 0
     lead: int = 0
-    care: Care | None = None
+    limits: CommandLimits | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +97,14 @@ class RouteWish:
         margin_m: wanted clearance [m].
         direction: 1 forwards, -1 backwards, 0 the quicker one.
         straight: drive on a straight line instead of around furniture.
-        care: limits on changes of the base commands while an object is held; None for an empty hand. With a held
+        limits: limits on changes of the base commands while an object is held; None for an empty hand. With a held
             object the clearance of the base counts, too, because a collision of the base can shake the object loose.
     """
 
     margin_m: float = MARGIN_M
     direction: int = 0
     straight: bool = False
-    care: Care | None = None
+    limits: CommandLimits | None = None
 
 
 USUAL_ROUTE = RouteWish()
@@ -135,15 +135,15 @@ def plan_route(
         The route; None when furniture separates base and goal.
     """
     start = view.q
-    care = wish.care
-    found = drive_of(view, goal, wish.direction, wish.straight, care)
+    limits = wish.limits
+    found = drive_of(view, goal, wish.direction, wish.straight, limits)
     if found is None:
         return None
     path, direction, lookahead, poses = found
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before = float(robot.clearance(start[None], boxes)[0])
     own = _own_clearance(start, arm, robot)
-    if care and not wish.straight:
+    if limits and not wish.straight:
         cells = planner(view).clearance_at(poses[:, :2])
         own = min(own, float(cells.min() - min(MIN_MAP_CLEARANCE_M, cells[0], cells[-1])))
 
@@ -166,7 +166,7 @@ def plan_route(
             delay,
             len(swept),
             clearance,
-            care=care,
+            limits=limits,
         )
 
     early = at(0.0)
@@ -183,7 +183,7 @@ def drive_of(
     goal: np.ndarray,
     direction: int = 0,
     straight: bool = False,
-    care: Care | None = None,
+    limits: CommandLimits | None = None,
 ) -> tuple[np.ndarray, int, float, np.ndarray] | None:
     """Plan the drive of a route, see `plan_route`.
 
@@ -192,7 +192,7 @@ def drive_of(
         goal: (3,) base pose x, y, yaw.
         direction: 1 forwards, -1 backwards, 0 the quicker one.
         straight: drive on a straight line instead of around furniture.
-        care: limits on changes of the base commands.
+        limits: limits on changes of the base commands.
 
     Returns:
         Way points (P, 2), direction, look-ahead distance and predicted base poses (T, 3), one per control step; None
@@ -204,8 +204,14 @@ def drive_of(
     if path is None:
         return None
     direction = direction or _direction(view.base, path, float(goal[2]))
-    few = LOOKAHEADS_M[:1] if len(path) == 2 and (straight or not care) else LOOKAHEADS_M
-    return path, direction, *_smoothest(view, path, float(goal[2]), direction, care, few)
+    few = (
+        LOOKAHEADS_M[:1] if len(path) == 2 and (straight or not limits) else LOOKAHEADS_M
+    )
+    return (
+        path,
+        direction,
+        *_smoothest(view, path, float(goal[2]), direction, limits, few),
+    )
 
 
 def drive_steps(now: np.ndarray, poses: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -258,7 +264,7 @@ def follow(
     arrived = False
     nearest_off = np.inf
     since = 0
-    care = route.care
+    limits = route.limits
     moving = motion.drives(view, route.path[-1], route.yaw)
     before = (0.0, 0.0)
     began = 0
@@ -282,7 +288,7 @@ def follow(
         if step - since >= STALLED_STEPS:
             return False
         speed = (0.0, 0.0) if arrived else (forward, turn)
-        before = speed = eased(speed, before, care) if care else speed
+        before = speed = eased(speed, before, limits) if limits else speed
         # The arm starts slowly from every intermediate posture: a jerk can shake out an object at the fingertips.
         began, last = (began, last) if np.array_equal(goal, last) else (step, goal)
         ramp = min(
@@ -349,14 +355,14 @@ def _smoothest(
     path: np.ndarray,
     yaw: float,
     direction: int,
-    care: Care | None,
+    limits: CommandLimits | None,
     lookaheads: tuple[float, ...],
 ) -> tuple[float, np.ndarray]:
     """First look-ahead distance with enough clearance of the base, else that with the most; and base poses (T, 3)."""
     cells = planner(view)
     best: tuple[float, float, np.ndarray] | None = None
     for lookahead in lookaheads:
-        poses = simulate(view.base, path, yaw, direction, lookahead, care)
+        poses = simulate(view.base, path, yaw, direction, lookahead, limits)
         clearance = float(cells.clearance_at(poses[:, :2]).min())
         if best is None or clearance > best[0]:
             best = (clearance, lookahead, poses)

@@ -146,7 +146,7 @@ def _turn_at_end(route: Route) -> float:
 def _passed(view: WorldView, route: Route) -> np.ndarray:
     """Expected configurations (T, J) on a route, two per control step."""
     poses = simulate(
-        view.base, route.path, route.yaw, route.direction, route.lookahead, route.care
+        view.base, route.path, route.yaw, route.direction, route.lookahead, route.limits
     )
     robot = view.robot.chain
     needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))

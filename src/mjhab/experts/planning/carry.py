@@ -15,7 +15,7 @@ from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.arm.gentle import care_for
+from mjhab.experts.arm.gentle import limits_for
 from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
@@ -253,14 +253,14 @@ def plan_home(
     boxes = others if holding else type(others).join([others, target])
     now = view.q
     goal = motion.rest_goal(view)
-    care = care_for(view) if holding else None
+    limits = limits_for(view) if holding else None
     cells = planner(view, shut=True)
     best: Route | None = None
     for back in distances:
         end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
-        wish = RouteWish(margin_m=0.01, direction=-1, straight=True, care=care)
+        wish = RouteWish(margin_m=0.01, direction=-1, straight=True, limits=limits)
         route = plan_route(view, end, goal, robot, boxes, wish)
         if route is None:
             continue
@@ -271,7 +271,7 @@ def plan_home(
     if holding and best is not None and best.clearance < MAX_DEFICIT_M:
         for back in AROUND_BACK_DISTANCES_M:
             end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
-            around = plan_around(view, end, goal, robot, boxes, care=care)
+            around = plan_around(view, end, goal, robot, boxes, limits=limits)
             if around is not None and around.steps <= view.steps_left:
                 return around
     return best

@@ -273,7 +273,12 @@ def _routed(
             [np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0]
         )
         route = plan_route(
-            view, pre[i, BASE] - back, pre[i], robot, boxes, RouteWish(care=scene.care)
+            view,
+            pre[i, BASE] - back,
+            pre[i],
+            robot,
+            boxes,
+            RouteWish(limits=scene.limits),
         )
         if route is None:
             continue

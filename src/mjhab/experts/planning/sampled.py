@@ -22,7 +22,7 @@ from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
-from mjhab.experts.arm.gentle import Care
+from mjhab.experts.arm.gentle import CommandLimits
 from mjhab.experts.base.route import (
     SELF_CLEARANCE_M,
     Route,
@@ -95,7 +95,7 @@ def _path_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
                 [np.cos(pre[BASE_YAW]), np.sin(pre[BASE_YAW]), 0.0]
             )
             route = plan_around(
-                view, pre[BASE] - back, pre, robot, boxes, care=reach.scene.care
+                view, pre[BASE] - back, pre, robot, boxes, limits=reach.scene.limits
             )
             if route is not None and (best is None or route.steps < best.route.steps):
                 best = BasePlacement(int(goal), pre, at, route)
@@ -111,7 +111,7 @@ def plan_around(
     robot: RobotSpheres,
     boxes: Boxes,
     *,
-    care: Care | None = None,
+    limits: CommandLimits | None = None,
 ) -> Route | None:
     """Plan a collision-free route with intermediate postures of the arm before and after the drive.
 
@@ -121,13 +121,13 @@ def plan_around(
         arm: (J,) configuration at the end, of which arm and torso count.
         robot: spheres that move, with those of the held object.
         boxes: obstacles.
-        care: limits on changes of the base commands, see `RouteWish`.
+        limits: limits on changes of the base commands, see `RouteWish`.
 
     Returns:
         A route with the clearances of `plan_route`, or nearly those of its first and last configuration if they have
         less; None when none is found.
     """
-    found = drive_of(view, goal, care=care)
+    found = drive_of(view, goal, limits=limits)
     if found is None:
         return None
     path, direction, lookahead, poses = found
@@ -158,7 +158,7 @@ def plan_around(
         via=via,
         carried=carried,
         lead=lead,
-        care=care,
+        limits=limits,
     )
 
 

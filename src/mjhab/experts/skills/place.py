@@ -17,7 +17,7 @@ from mjhab.core.rotations import mat_from_quat, mat_from_rotation_vector
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.pinch import ObjectShape
 from mjhab.experts.arm import motion
-from mjhab.experts.arm.gentle import care_for
+from mjhab.experts.arm.gentle import limits_for
 from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import follow
@@ -233,7 +233,7 @@ def plan_place(
         support,
         view.robot,
         held_spheres(view, obj),
-        care_for(view, attempt.fast),
+        limits_for(view, attempt.fast),
     )
     depth = inside_depth(view, goal)
     # Under a shelf the object often fits only on another side or tilted.

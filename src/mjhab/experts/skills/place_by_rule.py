@@ -6,7 +6,7 @@ import numpy as np
 
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
-from mjhab.experts.arm.gentle import care_for, eased
+from mjhab.experts.arm.gentle import eased, limits_for
 from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.planning.carry import inside_depth
@@ -56,14 +56,14 @@ def place_by_rule(view: WorldView) -> Motion:
         return (yield from search.place(view))
     placement, funnel = found
     pilot = placement.pilot()
-    care = care_for(view)
+    limits = limits_for(view)
     arrived = False
     opens = False
     while opens or holds(view, obj):
         drive = (0.0, 0.0)
         if not arrived:
             v, w, arrived = pilot.step(view.base)
-            drive = eased((v, w), motion.base_speeds(view), care)
+            drive = eased((v, w), motion.base_speeds(view), limits)
         opens = opens or (
             funnel.distance(view) < AT_GOAL_M and funnel.turn(view) < AT_GOAL_RAD
         )

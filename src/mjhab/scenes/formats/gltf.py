@@ -2,6 +2,15 @@
 
 It supports static triangle meshes with one base colour texture per primitive and ``KHR_texture_transform``, which is
 what ReplicaCAD and YCB use. The axes are those of the file (+y up).
+
+Our own and not ``trimesh.load_scene``, measured with trimesh 5.2 on the 210 files of ReplicaCAD and YCB (1,908
+primitives), because homes, caches and models are hashes of what this reader returns:
+
+- Faces are the same and vertices differ by up to 8e-7 m, but 1,113 primitives have other bits, 79 files another order
+  of their parts, 5 of 12 base colours are rounded to 8 bits, and ``KHR_texture_transform`` (3 files) is ignored.
+- Reading is as fast (1.7 s against 1.9 s without textures), but the import takes 2.1 s against 0.8 s.
+- Of 23 broken files of ``tests/hostile/cases.py`` it reads 7 without an error, one of 1.6 gigapixels and nodes that
+  contain themselves among them, and raises seven types of errors for the others; all must be a `UsageError` here.
 """
 
 from __future__ import annotations

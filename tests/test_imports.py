@@ -59,6 +59,7 @@ HEAVY: dict[str, frozenset[str]] = {
     "filelock": frozenset({"core"}),
     "platformdirs": frozenset({"core"}),
     "huggingface_hub": frozenset({"assets"}),
+    "jinja2": frozenset({"reports"}),
     "msgpack": frozenset({"serving"}),
     "vla_eval": frozenset({"integrations"}),
     "websockets": frozenset({"serving", "viewer"}),

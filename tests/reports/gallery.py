@@ -19,10 +19,10 @@ from mjhab.learning.reproduce.results import page as reproduce_page
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.run import TrainingFolder
 from mjhab.render.film import FilmWriter
-from mjhab.reports import parts
 from mjhab.reports.dataset import render_data_report
+from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.plots import labels_figure
-from mjhab.reports.run import render_page, render_report
+from mjhab.reports.run import render_report
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 from mjhab.rollout.records import EpisodeRecord
@@ -181,8 +181,8 @@ def _data(folder: Path, *, images: bool) -> str:
 def _labels() -> str:
     """All labels of all subtasks in one chart: the largest legend."""
     counts = {name: Counter(SUBTASKS[name].labels) for name in SUBTASKS}
-    body = parts.section("Labels", "All of them.", '<div id="labels-plot"></div>')
-    return render_page("Labels", body, {"plots": {"labels-plot": labels_figure(counts)}})
+    section = Section("Labels", "All of them.", chart="labels-plot")
+    return render_sections("Labels", [section], {"labels-plot": labels_figure(counts)})
 
 
 def _experts(rows: int) -> str:
@@ -248,11 +248,9 @@ _RESULT: dict[str, Any] = {
 def _reward(count: int) -> str:
     rng = np.random.default_rng(0)
     curves = [(k % 3 > 0, np.sort(rng.random(200))) for k in range(count)]
-    body = "<h1>Dense reward of the expert</h1>" + parts.section(
-        "pick", "Rewards.", '<div id="reward-pick"></div>'
-    )
+    section = Section("pick", "Rewards.", chart="reward-pick")
     plots = {"reward-pick": reward_figure(curves)}
-    return render_page("Dense reward of the expert", body, {"plots": plots})
+    return render_sections("Dense reward of the expert", [section], plots)
 
 
 def _interact() -> str:

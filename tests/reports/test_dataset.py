@@ -22,7 +22,7 @@ from mjhab.data.store.shard import ShardWriter
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
 from mjhab.reports.dataset_forces import force_plots
-from mjhab.reports.dataset_labels import ALL, grouped, label_order, label_table
+from mjhab.reports.dataset_labels import ALL, CHAINS, grouped, label_order, label_tables
 from mjhab.reports.mosaics import EVERY, TILE, mosaic
 from mjhab.reports.paper import POLICIES, paper_row, paper_success
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -80,7 +80,7 @@ def test_targets_are_found_by_our_names() -> None:
 def test_shares_of_labels_stand_in_the_table(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(8), FakeEnv(subtask="pick"))
     groups = grouped(records)
-    table = label_table("pick", groups)
+    page = render_data_report(tmp_path, FilmWriter)
     assert sum(map(len, groups.values())) == 8 and not any(
         group.target == ALL for group in groups
     )
@@ -90,11 +90,11 @@ def test_shares_of_labels_stand_in_the_table(tmp_path: Path) -> None:
         ).items():
             assert (
                 f'title="mjhab, {rules}, {label}: {count} of 8">{100 * count / 8:.1f}</td>'
-                in table
+                in page
             )
     assert any(r.subtasks[-1].label != r.subtasks[-1].legacy_label for r in records)
-    columns = re.findall(r'<th class="n"[^>]*>([^<]*)</th>', table)
-    assert columns == [
+    (table,) = label_tables("pick", groups)
+    assert [column.name for column in table.columns] == [
         "mjhab, published rules",
         "mjhab, own rules",
         *(f"paper {policy}" for policy in POLICIES),
@@ -103,17 +103,21 @@ def test_shares_of_labels_stand_in_the_table(tmp_path: Path) -> None:
         row = paper_row("set_table", "pick", "val", "024_bowl", policy)
         assert (
             row is not None
-            and f"paper {policy}" in table
-            and f">{row.success_once:.1f}</td>" in table
+            and f"paper {policy}" in page
+            and f">{row.success_once:.1f}</td>" in page
         )
 
 
 def test_all_targets_come_last_and_chains_have_no_paper_rows(tmp_path: Path) -> None:
     records, _ = record(tmp_path / "a.h5", range(6), FakeEnv())
-    table = label_table(
+    tables = label_tables(
         "pick", {g: m for g, m in grouped(records).items() if g.kind == "pick"}
     )
-    assert "in chains" in table and "paper" not in table
+    assert {table.group.way for table in tables} == {CHAINS}
+    assert {column.name for table in tables for column in table.columns} == {
+        "mjhab, published rules",
+        "mjhab, own rules",
+    }
 
 
 def test_labels_of_another_version_come_last(tmp_path: Path) -> None:

@@ -104,7 +104,10 @@ def test_all_sections_are_there(records: list[EpisodeRecord]) -> None:
         assert title in page.text
     assert "contact_overflow" in page.text and "Partial" not in page.text
     data = json.loads(page.scripts["page-data"])
-    assert len(data["force"]) == 8 and data["progress"]["data"] and data["labels"]["data"]
+    assert len(data["force"]) == 8 and set(data["plots"]) == {
+        "progress-plot",
+        "labels-plot",
+    }
 
 
 def test_teleports_are_not_judged_and_time_is_that_to_success(

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+
+from mjhab.reports.pages import base64_text, render_page
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 PAPER = (250, 249, 246)
 INK = (32, 33, 36)
@@ -19,21 +23,6 @@ PALE = (110, 112, 118)
 ALERT = (176, 58, 20)
 """Colours of the sheet: background, captions, headings, notes (RGB)."""
 JPEG_QUALITY = 88
-
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-:root {{ color-scheme: light dark; }}
-body {{ font: 15px/1.4 system-ui, sans-serif; margin: 1.5rem; background: Canvas; color: CanvasText; }}
-h1 {{ font-size: 1.3rem; }} h2 {{ font-size: 1.05rem; margin: 2rem 0 .6rem; }}
-.sheet {{ display: grid; gap: 1rem; grid-template-columns: repeat(auto-fill, minmax(min(17rem, 100%), 1fr)); }}
-figure {{ margin: 0; }} img {{ width: 100%; height: auto; display: block; border-radius: 6px; }}
-figcaption {{ padding: .3rem .1rem; }} figcaption span {{ display: block; color: light-dark(#a03410, #ff9e6d); }}
-</style></head><body><h1>{title}</h1>
-{body}
-</body></html>
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,27 +92,17 @@ def _fit(
 
 def save_html(path: Path, title: str, tiles: Sequence[Tile]) -> None:
     """Write an HTML page with embedded images and a heading per group."""
-    parts = []
-    for group in dict.fromkeys(tile.group for tile in tiles):
-        members = [tile for tile in tiles if tile.group == group]
-        figures = "\n".join(_figure(tile) for tile in members)
-        parts.append(
-            f'<h2>{html.escape(group)}: {len(members)}</h2>\n<div class="sheet">\n{figures}\n</div>'
-        )
-    path.write_text(
-        _PAGE.format(title=html.escape(title), body="\n".join(parts)), encoding="utf-8"
+    groups: dict[str, list[Tile]] = {}
+    for tile in tiles:
+        groups.setdefault(tile.group, []).append(tile)
+    page = render_page(
+        "reports/templates/contact_sheet.html", title=title, groups=groups, jpeg=_jpeg
     )
+    path.write_text(page, encoding="utf-8")
 
 
-def _figure(tile: Tile) -> str:
+def _jpeg(tile: Tile) -> Markup:
+    """The image of a tile as a JPEG file in base64."""
     buffer = io.BytesIO()
     Image.fromarray(tile.image).save(buffer, "JPEG", quality=JPEG_QUALITY)
-    data = base64.b64encode(buffer.getvalue()).decode()
-    height, width = tile.image.shape[:2]
-    name = html.escape(tile.name)
-    note = html.escape(tile.note)
-    extra = f"<span>{note}</span>" if note else ""
-    return (
-        f'<figure><img alt="{name}" width="{width}" height="{height}" loading="lazy" '
-        f'src="data:image/jpeg;base64,{data}"><figcaption>{name}{extra}</figcaption></figure>'
-    )
+    return base64_text(buffer.getvalue())

@@ -1,16 +1,14 @@
-"""The table of labels: those of the data set next to those published in the MS-HAB paper."""
+"""The tables of labels: those of the data set next to those published in the MS-HAB paper."""
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 
 from mjhab.core.names import kind_of
 from mjhab.reports.metrics import wilson
 from mjhab.reports.paper import POLICIES, paper_row
-from mjhab.reports.plots import tone
 from mjhab.rollout.records import EpisodeRecord, SubtaskRecord
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -78,13 +76,43 @@ def label_order(kind: str) -> tuple[str, ...]:
     )
 
 
-def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> str:
-    """The labels of a kind as HTML: one table per group, with a row per label.
+@dataclass(frozen=True)
+class LabelColumn:
+    """One column of a table of labels: rates in percent, ``shares`` of labels, too; ``told``: source of each share."""
 
-    Labels that the kind does not have here, as of data of another version, have the last rows.
+    name: str
+    episodes: int
+    success_once: float
+    success_at_end: float
+    shares: Mapping[str, float]
+    told: Mapping[str, str]
+
+    @property
+    def interval(self) -> str:
+        """Wilson 95 % interval of success once, in percent."""
+        low, high = wilson(round(self.success_once / 100 * self.episodes), self.episodes)
+        return f"{100 * low:.0f} to {100 * high:.0f}"
+
+
+@dataclass(frozen=True)
+class LabelTable:
+    """The labels of a group: a row per label of ``labels``.
 
     Columns: this data set by the published rules (``legacy_label``) and by mjhab's rules (``label``), then the paper's
     policies on the same task, split and target by the published rules.
+    """
+
+    group: Group
+    columns: Sequence[LabelColumn]
+    labels: Sequence[str]
+
+
+def label_tables(
+    kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]
+) -> list[LabelTable]:
+    """One table per group of a kind.
+
+    Labels that the kind does not have here, as of data of another version, have the last rows.
     """
     known = label_order(kind)
     found = {
@@ -95,27 +123,13 @@ def label_table(kind: str, groups: Mapping[Group, Sequence[SubtaskRecord]]) -> s
         if label
     }
     labels = (*known, *sorted(found - set(known)))
-    tables = (
-        _group_table(group, _columns(group, members), labels)
+    return [
+        LabelTable(group, _columns(group, members), labels)
         for group, members in groups.items()
-    )
-    columns = "display:grid;grid-template-columns:repeat(auto-fill,minmax(min(100%,560px),1fr));gap:18px 28px"
-    return f'<div style="{columns}">{"".join(tables)}</div>'
+    ]
 
 
-@dataclass(frozen=True)
-class _Column:
-    """One column of a table of labels. shares: in percent by label. told: source of each share, by label."""
-
-    name: str
-    episodes: int
-    success_once: float
-    success_at_end: float
-    shares: Mapping[str, float]
-    told: Mapping[str, str]
-
-
-def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[_Column]:
+def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[LabelColumn]:
     columns = [
         _ours("mjhab, published rules", members, "legacy_label"),
         _ours("mjhab, own rules", members, "label"),
@@ -124,7 +138,7 @@ def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[_Column]:
         row = paper_row(group.task, group.kind, group.split, group.target, policy)
         if row is not None:
             told = dict.fromkeys(row.labels, f"Table {row.table}")
-            column = _Column(
+            column = LabelColumn(
                 f"paper {policy}",
                 PAPER_EPISODES,
                 row.success_once,
@@ -136,10 +150,10 @@ def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[_Column]:
     return columns
 
 
-def _ours(name: str, members: Sequence[SubtaskRecord], which: str) -> _Column:
+def _ours(name: str, members: Sequence[SubtaskRecord], which: str) -> LabelColumn:
     count = len(members)
     counts = Counter(getattr(member, which) for member in members)
-    return _Column(
+    return LabelColumn(
         name,
         count,
         100 * sum(member.success_once for member in members) / count,
@@ -147,49 +161,3 @@ def _ours(name: str, members: Sequence[SubtaskRecord], which: str) -> _Column:
         {label: 100 * number / count for label, number in counts.items()},
         {label: f"{number} of {count}" for label, number in counts.items()},
     )
-
-
-def _group_table(group: Group, columns: Sequence[_Column], labels: Sequence[str]) -> str:
-    way = f" {group.way}" if group.way else ""
-    title = f"{group.task.replace('_', ' ')}, {group.split}{way}: <b>{escape(group.target)}</b>"
-    heads = "".join(
-        f'<th class="n" style="white-space:normal">{escape(column.name)}</th>'
-        for column in columns
-    )
-    rows = [
-        _row(
-            "episodes", [f'<td class="n">{column.episodes:,}</td>' for column in columns]
-        ),
-        _row("success once", [_once(column) for column in columns]),
-        _row(
-            "success at end",
-            [f'<td class="n">{column.success_at_end:.1f}</td>' for column in columns],
-        ),
-    ]
-    rows += [
-        _row(label.replace("_", " "), [_share(label, column) for column in columns])
-        for label in labels
-    ]
-    head = f'<tr style="vertical-align:bottom"><th>{title}</th>{heads}</tr>'
-    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
-
-
-def _row(name: str, cells: Sequence[str]) -> str:
-    return f"<tr><td>{escape(name)}</td>{''.join(cells)}</tr>"
-
-
-def _once(column: _Column) -> str:
-    low, high = wilson(
-        round(column.success_once / 100 * column.episodes), column.episodes
-    )
-    title = f"95 %: {100 * low:.0f} to {100 * high:.0f}"
-    return f'<td class="n" title="{title}">{column.success_once:.1f}</td>'
-
-
-def _share(label: str, column: _Column) -> str:
-    """A cell in the colour of its label; the colour is deeper for a larger share."""
-    percent = column.shares.get(label, 0.0)
-    shade = f"background:color-mix(in srgb,var(--{tone(label)}) {min(70.0, 0.7 * percent):.0f}%,transparent)"
-    text = f"{percent:.1f}" if percent else "·"
-    title = f"{column.name}, {label}: {column.told.get(label, 'none')}"
-    return f'<td class="n" style="{shade}" title="{escape(title)}">{text}</td>'

@@ -39,6 +39,27 @@ LABEL_COLORS = (
     "hatched where there are more of them than colours"
 )
 """What the colours of `labels_figure` mean, for the words beside a chart."""
+_GOOD_EVENTS = frozenset(
+    {
+        "success",
+        "grasped",
+        "at_goal",
+        "released_at_goal",
+        "navigated_close",
+        "opened",
+        "closed",
+    }
+)
+_BAD_EVENTS = frozenset(
+    {
+        "dropped",
+        "left_goal",
+        "released_outside_goal",
+        "excessive_collisions",
+        "lost_success",
+        "lost_navigated_close",
+    }
+)
 _FAIR_STARTS = ("success_then", "dubious", "winding", "dropped_to_goal")
 
 
@@ -59,6 +80,13 @@ def tone(label: str | None) -> str:
     if label.endswith("_failure"):
         return "bad"
     return "fair" if label.startswith(_FAIR_STARTS) else "good"
+
+
+def event_tone(name: str) -> str:
+    """Return ``"good"``, ``"bad"`` or ``"none"`` for the name of an event."""
+    if name in _GOOD_EVENTS:
+        return "good"
+    return "bad" if name in _BAD_EVENTS else "none"
 
 
 def force_limits() -> dict[str, float]:

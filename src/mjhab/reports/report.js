@@ -60,9 +60,7 @@ function draw(id, figure) {
 }
 
 function drawAll() {
-  for (const [id, figure] of Object.entries(page.plots ?? {})) draw(id, figure);
-  draw("progress-plot", page.progress);
-  draw("labels-plot", page.labels);
+  for (const [id, figure] of Object.entries(page.plots)) draw(id, figure);
   const select = document.getElementById("force-episode");
   if (select) draw("force-plot", page.force[select.selectedIndex]);
 }

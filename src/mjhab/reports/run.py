@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from mjhab.reports import parts
+from mjhab.core.names import kind_of
 from mjhab.reports.metrics import (
     AloneRates,
     labels_by_kind,
@@ -18,15 +15,21 @@ from mjhab.reports.metrics import (
     rows_by_kind,
     rows_by_position,
     summarize,
+    wilson,
 )
+from mjhab.reports.pages import base64_text, render_page
 from mjhab.reports.plots import (
     LABEL_COLORS,
+    Figure,
+    event_tone,
     force_figure,
-    has_values,
     labels_figure,
     progress_figure,
+    tone,
 )
-from mjhab.rollout.records import EpisodeRecord, skip_counts, skips_told
+from mjhab.reports.words import NOT_JUDGED, duration, interval, newtons, percent, spaced
+from mjhab.rollout.films import FILM_EVERY, FILM_FPS
+from mjhab.rollout.records import EpisodeRecord, SubtaskRecord, skip_counts, skips_told
 
 FORCE_EPISODES = 12
 """Number of episodes with a force plot; more would make the file large."""
@@ -53,228 +56,178 @@ def render_report(
         alone: rates for the upper bound, see ``metrics.progress_curves``.
     """
     records = sorted(records, key=lambda record: record.index)
-    summary = summarize(records, seconds, alone)
-    body = [_header(records, config), parts.cards(records, summary)]
+    paths = {r.index: film_path(r.index) for r in records} if film_path else {}
+    filmed = [r for r in records if r.index in paths and paths[r.index].is_file()]
+    by_position = rows_by_position(records)
+    plots: dict[str, Figure] = {}
     if records:
-        body.append(_films(records, film_path, film_problem))
-        body += _results(records, alone)
-        body.append(
-            parts.section(
-                "Episodes", "Click a column head to sort.", parts.episode_table(records)
-            )
-        )
-        body.append(
-            parts.section("Simulation flags", _TAINT_HINT, parts.taint_table(records))
-        )
-    else:
-        body.append(
-            parts.section(
-                "No episode finished",
-                "",
-                parts.empty("Resume the run to fill this report."),
-            )
-        )
-    body.append(
-        parts.section(
-            "Run", "The resolved options of this run.", parts.config_list(config)
-        )
+        curves = progress_curves(records, alone)
+        plots["progress-plot"] = progress_figure(by_position, *curves)
+    if counts := labels_by_kind(records):
+        plots["labels-plot"] = labels_figure(counts)
+    with_force = records[:FORCE_EPISODES]
+    return render_page(
+        "reports/templates/run.html",
+        title=_title(config),
+        chips=_chips(records, config),
+        banners=_banners(records, config),
+        numbers=_numbers(records, summarize(records, seconds, alone)),
+        records=records,
+        config=config,
+        filmed=bool(filmed),
+        film_problem=film_problem,
+        # Episodes without a film take no room for one: `mjhab eval --films 0` asks for none.
+        shown=[
+            _shown(record, paths.get(record.index))
+            for record in filmed or records[:TIMELINES_WITHOUT_FILM]
+        ],
+        film_steps_per_second=FILM_FPS * FILM_EVERY,
+        by_position=by_position,
+        by_kind=rows_by_kind(records),
+        bounded_by_alone=bool(alone),
+        label_colors=LABEL_COLORS,
+        with_force=with_force,
+        tainted=_tainted(records),
+        plots=plots,
+        force=[force_figure(record) for record in with_force],
     )
-    return render_page(_title(config), "\n".join(body), _figures(records, alone))
-
-
-_TAINT_HINT = (
-    "Contact overflow, NaN, deep penetration and engine warnings make the physics of an episode unreliable. Flagged "
-    "episodes count in the rates above, but filtered data sets exclude them."
-)
 
 
 def _title(config: Mapping[str, Any]) -> str:
-    what = str(config.get("task", "run")).replace("_", " ")
+    what = spaced(str(config.get("task", "run")))
     if config.get("subtask"):
         what = f"{config['subtask']}, {what}"
     return f"{what} by {config.get('policy', 'a policy')}"
 
 
-def _header(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> str:
+def _chips(
+    records: Sequence[EpisodeRecord], config: Mapping[str, Any]
+) -> list[tuple[str, Any]]:
     homes = len({record.home for record in records})
-    shown = [
-        ("homes", homes),
-        *((key, config.get(key)) for key in ("split", "assets", "seed", "worlds")),
-    ]
-    chips = "".join(
-        f'<span class="chip">{escape(key)} <b>{escape(str(value))}</b></span>'
-        for key, value in shown
-        if value is not None
-    )
+    told = ((key, config.get(key)) for key in ("split", "assets", "seed", "worlds"))
+    return [("homes", homes), *(chip for chip in told if chip[1] is not None)]
+
+
+def _banners(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> list[str]:
+    """What a reader must know before the numbers."""
+    found = []
     wanted = config.get("episodes", len(records))
-    banner = ""
     if len(records) < wanted:
-        banner = (
-            f'<div class="banner">Partial: {len(records)} of {wanted} episodes are finished. '
-            "The same command with --resume continues the run.</div>"
+        found.append(
+            f"Partial: {len(records)} of {wanted} episodes are finished. The same command with --resume continues "
+            "the run."
         )
     errors = [record.error for record in records if record.error]
     if errors:
         reason, count = Counter(errors).most_common(1)[0]
-        banner += (
-            f'<div class="banner">The policy ended {len(errors)} of {len(records)} episodes with an error; they count '
-            f"as what they had reached. {count} of them: {escape(reason)}</div>"
+        found.append(
+            f"The policy ended {len(errors)} of {len(records)} episodes with an error; they count as what they had "
+            f"reached. {count} of them: {reason}"
         )
     skipped = skip_counts(record.skipped_homes for record in records)
     if skipped:
-        banner += f'<div class="banner">Skipped, because they have no room: {escape(skips_told(skipped))}</div>'
-    title = escape(_title(config))
-    return (
-        f"<header><h1>{title[:1].upper()}{title[1:]}</h1><p>A robot in furnished homes, simulated by "
-        f'MuJoCo and judged by mjhab.</p><div class="chips">{chips}</div>{banner}</header>'
-    )
+        found.append(f"Skipped, because they have no room: {skips_told(skipped)}")
+    return found
 
 
-def _results(records: Sequence[EpisodeRecord], alone: AloneRates | None) -> list[str]:
-    rows = rows_by_position(records)
-    chain = len(rows) > 1
-    out = []
-    if chain:
-        bound = (
-            "The dotted line multiplies the success rates of the subtasks evaluated alone, from spawned starts: "
-            "an upper bound for a chain whose subtasks do not affect each other."
-            if alone
-            else "The dotted line multiplies the success rates of the subtasks among the episodes that reached "
-            "them. Give --alone with runs of single subtasks to bound the chain by those instead."
-        )
-        hint = (
-            f"Fraction of episodes that completed at least this much of the plan. {bound}"
-        )
-        out.append(
-            parts.section(
-                "Progressive completion", hint, '<div id="progress-plot"></div>'
-            )
-        )
-        hint = (
-            "In plan order. A subtask counts only where an episode reached it; whiskers are Wilson 95 % intervals. "
-            "What the environment does by teleport is not judged."
-        )
-        out.append(
-            parts.section("Success along the plan", hint, parts.success_table(rows))
-        )
-    hint = (
-        "All subtasks that ended, by kind and target; whiskers are Wilson 95 % intervals. Time to the first success "
-        "and largest force of a control step are medians. Limits count the force on the robot without its fingers."
-    )
-    out.append(
-        parts.section(
-            "Success per subtask", hint, parts.success_table(rows_by_kind(records))
-        )
-    )
-    hint = f"Outcomes of subtasks: {LABEL_COLORS}."
-    labels = (
-        '<div id="labels-plot"></div>'
-        if labels_by_kind(records)
-        else parts.empty("No subtask has a label.")
-    )
-    out.append(parts.section("Trajectory labels", hint, labels))
-    hint = (
-        "Contact force on the robot, summed over its links without the fingers. The lower chart adds it up within each "
-        "subtask; a subtask fails when the sum passes the dashed limit (navigation has none)."
-    )
-    options = "".join(
-        f"<option>episode {record.index}</option>" for record in records[:FORCE_EPISODES]
-    )
-    picker = f'<select id="force-episode" aria-label="episode">{options}</select><div id="force-plot"></div>'
-    out.append(parts.section("Force over time", hint, picker))
-    return out
-
-
-def _films(
-    records: Sequence[EpisodeRecord],
-    film_path: Callable[[int], Path] | None,
-    problem: str | None,
-) -> str:
-    paths = (
-        {record.index: film_path(record.index) for record in records} if film_path else {}
-    )
-    filmed = [
-        record
-        for record in records
-        if record.index in paths and paths[record.index].is_file()
-    ]
-    shown = filmed or list(records[:TIMELINES_WITHOUT_FILM])
-    figures = "".join(parts.film(record, paths.get(record.index)) for record in shown)
-    hint = "Films run at twice real time. Below each: the " if filmed else "The "
-    hint += (
-        "subtasks in the colours of their labels, and events as small marks (green: progress, red: setback, "
-        "grey: other)."
-    )
-    note = (
-        f'<div class="banner">Films stopped: {escape(problem)}</div><br>'
-        if problem
-        else ""
-    )
-    return parts.section(
-        "Films and timelines", hint, f'{note}<div class="films">{figures}</div>'
-    )
-
-
-def _figures(
-    records: Sequence[EpisodeRecord], alone: AloneRates | None
-) -> dict[str, Any]:
-    if not records:
-        return {"progress": None, "labels": None, "force": []}
-    counts = labels_by_kind(records)
-    return {
-        "progress": progress_figure(
-            rows_by_position(records), *progress_curves(records, alone)
+def _numbers(
+    records: Sequence[EpisodeRecord], summary: Mapping[str, Any]
+) -> list[tuple[str, str, str]]:
+    """The main numbers: name, value, and what is told more."""
+    total = len(records)
+    length = max((len(record.plan) for record in records), default=0)
+    completed = sum(record.completed for record in records) / max(total, 1)
+    steps = sum(record.steps for record in records)
+    seconds = summary["seconds"]
+    bounds = wilson(sum(record.success_once for record in records), total)
+    ended = (subtask for record in records for subtask in record.subtasks)
+    teleports = any(subtask.teleported for subtask in ended)
+    counted = "mean per episode" + (", teleports included" if teleports else "")
+    values = [
+        ("episodes", f"{total}", f"{steps:,} control steps"),
+        (
+            "success once",
+            percent(summary["success_once"]),
+            interval(*bounds) if total else "",
         ),
-        "labels": labels_figure(counts) if counts else None,
-        "force": [force_figure(record) for record in records[:FORCE_EPISODES]],
+        (
+            "success at end",
+            percent(summary["success_at_end"]),
+            "still true in the last step",
+        ),
+        ("subtasks completed", f"{completed:.1f}", f"of {length}, {counted}"),
+        ("tainted episodes", f"{summary['tainted']}", "flagged by the simulation"),
+        (
+            "wall time",
+            f"{seconds:,.0f} s",
+            f"{steps / seconds:,.0f} control steps/s" if seconds else "",
+        ),
+    ]
+    if summary["errors"]:
+        more = "episodes that the policy could not finish"
+        values.append(("errors", f"{summary['errors']}", more))
+    return values
+
+
+def _tainted(records: Sequence[EpisodeRecord]) -> dict[str, list[int]]:
+    """Episodes by the simulation's fault flags."""
+    found: dict[str, list[int]] = {}
+    for record in records:
+        for name in record.taint:
+            found.setdefault(name, []).append(record.index)
+    return found
+
+
+def _shown(record: EpisodeRecord, film: Path | None) -> dict[str, Any]:
+    """An episode with its timeline, whose places are in percent of the episode, and its film if the file exists."""
+    steps = max(record.steps, 1)
+    outcome = f"{record.completed} of {len(record.plan)} subtasks"
+    if record.success_once:
+        outcome = f"success after {duration(record.steps_to_success)}"
+    return {
+        "record": record,
+        "film": base64_text(film.read_bytes()) if film and film.is_file() else "",
+        "outcome": outcome,
+        "spans": [_span(subtask, steps) for subtask in record.subtasks],
+        "events": [
+            {
+                "step": step,
+                "left": 100 * step / steps,
+                "name": spaced(name),
+                "tone": event_tone(name),
+                "subtask": _subtask_of(record, step),
+            }
+            for step, name in record.events
+        ],
     }
 
 
-def render_page(title: str, body: str, figures: Mapping[str, Any]) -> str:
-    """Render a page in the common style: ``body`` is HTML, ``figures["plots"]`` maps element ids to plotly figures.
+def _subtask_of(record: EpisodeRecord, step: int) -> str:
+    """The subtask to which a control step belongs, in words."""
+    for subtask in record.subtasks:
+        if subtask.start_step < step <= subtask.end_step:
+            return f"{subtask.kind} {kind_of(subtask.target)}"
+    return ""
 
-    A figure without a value would show axes of numbers that mean nothing: a sentence takes its place.
-    """
-    from plotly.offline import get_plotlyjs
 
-    here = files("mjhab.reports")
-    style, script = (
-        here.joinpath(name).read_text(encoding="utf-8")
-        for name in ("report.css", "report.js")
+def _span(subtask: SubtaskRecord, steps: int) -> dict[str, Any]:
+    """A subtask in a timeline of ``steps`` control steps."""
+    length = subtask.end_step - subtask.start_step
+    label = spaced(subtask.label or ("success" if subtask.success_once else "no success"))
+    more = f"{NOT_JUDGED if subtask.teleported else label}; {duration(length)}"
+    if subtask.success_once and not subtask.teleported:
+        more += f", success after {duration(subtask.steps_to_success)}"
+    more += (
+        f", peak {newtons(subtask.peak_force)} (fingers {newtons(subtask.peak_finger_force)}), "
+        f"sum {subtask.cumulative_force:,.0f} N x steps"
     )
-    body, figures = _without_empty_charts(body, figures)
-    data = json.dumps(figures, separators=(",", ":"), allow_nan=False).replace(
-        "</", "<\\/"
-    )
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
-<style>
-{style}</style>
-</head>
-<body>
-<main>
-{body}
-<footer>Made by mjhab. This file needs no network.</footer>
-</main>
-<script>{get_plotlyjs()}</script>
-<script type="application/json" id="page-data">{data}</script>
-<script>
-{script}</script>
-</body>
-</html>
-"""
-
-
-def _without_empty_charts(
-    body: str, figures: Mapping[str, Any]
-) -> tuple[str, dict[str, Any]]:
-    """Put a sentence in the place of every chart that has no value, and drop its figure."""
-    plots = figures.get("plots", {})
-    kept = {name: figure for name, figure in plots.items() if has_values(figure)}
-    for name in plots.keys() - kept.keys():
-        body = body.replace(f'<div id="{name}"></div>', parts.empty("No values yet."))
-    return body, {**figures, "plots": kept}
+    unlabelled = "good" if subtask.success_once else "bad"
+    return {
+        "step": subtask.start_step,
+        "left": 100 * subtask.start_step / steps,
+        "width": 100 * length / steps,
+        "kind": subtask.kind,
+        "name": f"{subtask.index + 1}. {subtask.kind} {kind_of(subtask.target)}",
+        "more": more,
+        "tone": tone(subtask.label) if subtask.label else unlabelled,
+    }

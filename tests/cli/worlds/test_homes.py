@@ -227,7 +227,7 @@ def test_a_picture_that_cannot_be_written_leaves_the_one_before(
     out.write_bytes(b"before")
     monkeypatch.setattr(Image.Image, "save", full)
     if name.endswith(".html"):
-        monkeypatch.setattr("mjhab.reports.contact_sheet._figure", lambda tile: "")
+        monkeypatch.setattr("mjhab.reports.contact_sheet._jpeg", lambda tile: "")
         monkeypatch.setattr(Path, "write_text", full_text)
     assert main(["homes", "render", *words, "--out", str(out)]) == 1
     assert out.read_bytes() == b"before"

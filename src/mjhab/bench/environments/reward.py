@@ -13,9 +13,8 @@ from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import unknown_name
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
-from mjhab.reports.parts import section
+from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.plots import Figure
-from mjhab.reports.run import render_page
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
@@ -72,13 +71,11 @@ def measure_rewards(spec: RewardSpec) -> dict[str, dict[str, Any]]:
     curves = {kind: measure_reward(kind, spec) for kind in kinds}
     found = {kind: summary(curve) for kind, curve in curves.items()}
     figures = {f"reward-{kind}": figure(curve) for kind, curve in curves.items()}
-    body = f"<h1>Dense reward of the expert</h1><p>Profile {spec.profile}.</p>" + "".join(
-        section(kind, _sentence(found[kind]), f'<div id="reward-{kind}"></div>')
-        for kind in kinds
-    )
-    page = render_page(
-        "Dense reward of the expert", body, {"plots": figures, "force": []}
-    )
+    sections = [
+        Section(kind, _sentence(found[kind]), chart=f"reward-{kind}") for kind in kinds
+    ]
+    about = f"Profile {spec.profile}."
+    page = render_sections("Dense reward of the expert", sections, figures, about)
     spec.out.mkdir(parents=True, exist_ok=True)
     write_atomic(
         spec.out / REPORT, lambda temporary: temporary.write_text(page, encoding="utf-8")

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Any
 
 from mjhab.bench.experts.rows import ALL, CHAIN, PAPER_POLICY, Result
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.reports import parts
 from mjhab.reports.metrics import wilson
+from mjhab.reports.pages import render_page
 from mjhab.reports.paper import beside_the_paper, rules_of
 from mjhab.reports.plots import LABEL_COLORS, Figure, labels_figure
-from mjhab.reports.run import render_page
+from mjhab.reports.words import interval, percent
 from mjhab.scenes.spec import OWN_DYNAMICS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -36,148 +35,102 @@ def render_experts(
     """
     singles = [result for result in results if result.subtask != CHAIN]
     chains = [result for result in results if result.subtask == CHAIN]
-    body = [_header(results, config), _cards(singles, chains)]
-    plots = {}
-    if groups:
-        hint = (
-            f"Success once within the horizon and the force limit of a subtask, all targets. {_GENTLE} {_PAPER} "
-            f"{beside_the_paper(rules_of(config))}"
-        )
-        body.append(parts.section("Per subtask", hint, _table(groups)))
-    if chains:
-        hint = (
-            "Share of episodes that completed at least so many subtasks of the plan, done one after the other without "
-            "help. Solid: the robot is teleported to every goal, as in the paper; dashed: the expert drives."
-        )
-        places = ""
-        for pack in dict.fromkeys(chain.pack for chain in chains):
-            plots[f"chains-{pack}"] = _chain_figure(
-                [chain for chain in chains if chain.pack == pack]
-            )
-            places += (
-                f'<h3>{escape(pack)} homes</h3><div id="chains-{escape(pack)}"></div>'
-            )
-        body.append(parts.section("Whole tasks", hint, _chain_table(chains) + places))
+    chain_packs = list(dict.fromkeys(chain.pack for chain in chains))
+    plots = {
+        f"chains-{pack}": _chain_figure([chain for chain in chains if chain.pack == pack])
+        for pack in chain_packs
+    }
+    kinds = {}
     for kind in SUBTASKS:
         members = [result for result in singles if result.subtask == kind]
         if members:
-            body.append(_kind_section(kind, members, plots))
-    errors = [result for result in results if result.error]
-    if errors:
-        body.append(
-            parts.section(
-                "Not measured", "These rows stopped with an error.", _errors(errors)
-            )
-        )
-    body.append(
-        parts.section(
-            "Run", "What all rows have in common.", parts.config_list(_flat(config))
-        )
+            kinds[kind] = _kind(kind, members, plots)
+    return render_page(
+        "bench/experts/report.html",
+        title="Experts",
+        chips=_chips(results, config),
+        left=sum(result.wanted - result.episodes for result in results),
+        wanted=sum(result.wanted for result in results),
+        numbers=_numbers(singles, chains),
+        groups=groups,
+        group_columns=_columns(groups),
+        chains=chains,
+        chain_columns=_CHAIN_COLUMNS,
+        chain_packs=chain_packs,
+        kinds=kinds,
+        errors=[result for result in results if result.error],
+        config=_flat(config),
+        all_targets=ALL,
+        paper_policy=PAPER_POLICY,
+        beside_the_paper=beside_the_paper(rules_of(config)),
+        label_colors=LABEL_COLORS,
+        failures=_failures,
+        plots=plots,
     )
-    return render_page("Experts", "\n".join(body), {"plots": plots})
 
 
-_PAPER = (
-    f"Paper: {PAPER_POLICY} of the MS-HAB paper (Tables 6 to 13), one policy per object, trained by reinforcement "
-    "learning on depth images, 1,008 episodes each. Experts know the state of the simulation, policies do not; the "
-    "built-in homes are not those of the paper."
-)
-
-
-_GENTLE = "< 1,400 N: success once while the forces on the robot summed up to less than that, instead of the limit."
-
-
-def _header(results: Sequence[Result], config: Mapping[str, Any]) -> str:
-    shown = [
-        (
-            "homes",
-            f"{', '.join(dict.fromkeys(r.pack for r in results))}, {config['split']}",
-        ),
+def _chips(results: Sequence[Result], config: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    packs = ", ".join(dict.fromkeys(r.pack for r in results))
+    return [
+        ("homes", f"{packs}, {config['split']}"),
         ("seed", config["seed"]),
         ("rules", rules_of(config)),
         ("starts", config["spawn_rule"]),
         ("joints of furniture", config.get("joint_dynamics", OWN_DYNAMICS)),
     ]
-    chips = "".join(
-        f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown
-    )
-    left = sum(result.wanted - result.episodes for result in results)
-    banner = ""
-    if left:
-        total = sum(result.wanted for result in results)
-        banner = (
-            f'<div class="banner">Partial: {left:,} of {total:,} episodes are left. The same command with --resume '
-            "goes on.</div>"
-        )
-    return (
-        "<header><h1>How often the experts succeed</h1><p>Scripted whole-body experts of mjhab with a robot in "
-        f'furnished homes, simulated by MuJoCo.</p><div class="chips">{chips}</div>{banner}</header>'
-    )
 
 
-def _cards(singles: Sequence[Result], chains: Sequence[Result]) -> str:
+def _numbers(
+    singles: Sequence[Result], chains: Sequence[Result]
+) -> list[tuple[str, str, str]]:
+    """The main numbers: name, value, and what is told more."""
     values = []
     if singles:
         count = sum(r.episodes for r in singles)
         once = sum(r.successes for r in singles)
-        low, high = wilson(once, count)
         gentle = ordered_sum((r.gentle or 0.0) * r.episodes for r in singles)
-        values += [
-            ("single subtasks", f"{count:,}", f"episodes in {len(singles)} rows"),
-            (
-                "success once",
-                _rate(once / count if count else None),
-                f"{100 * low:.1f} to {100 * high:.1f} % (95 % CI)",
-            ),
-            (
-                "under 1,400 N",
-                _rate(gentle / count if count else None),
-                "forces up to success, summed",
-            ),
-        ]
         both = [r.over_paper for r in singles if r.over_paper is not None]
         better = sum(points > 0 for points in both)
-        values.append(
+        bounds = interval(*wilson(once, count), digits=1)
+        values += [
+            ("single subtasks", f"{count:,}", f"episodes in {len(singles)} rows"),
+            ("success once", _share(once, count), bounds),
+            ("under 1,400 N", _share(gentle, count), "forces up to success, summed"),
             (
                 "above the paper",
                 f"{better} / {len(both)}",
                 f"rows, against {PAPER_POLICY}",
-            )
-        )
+            ),
+        ]
     if chains:
         count = sum(r.episodes for r in chains)
         once = sum(r.successes for r in chains)
-        values.append(
-            (
-                "whole tasks",
-                _rate(once / count if count else None),
-                f"complete, of {count:,} episodes",
-            )
-        )
+        more = f"complete, of {count:,} episodes"
+        values.append(("whole tasks", _share(once, count), more))
     asked = [r.met for r in (*singles, *chains) if r.met is not None]
-    values.append(
-        ("as much as asked", f"{sum(asked)} / {len(asked)}", "rows, by their rates")
-    )
     tainted = sum(r.tainted for r in (*singles, *chains))
-    values.append(
-        ("tainted episodes", f"{tainted}", "flagged by the simulation, counted")
-    )
-    tiles = (
-        f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'
-        f'<div class="more">{escape(more)}</div></div>'
-        for name, value, more in values
-    )
-    return f'<div class="cards">{"".join(tiles)}</div>'
+    return [
+        *values,
+        ("as much as asked", f"{sum(asked)} / {len(asked)}", "rows, by their rates"),
+        ("tainted episodes", f"{tainted}", "flagged by the simulation, counted"),
+    ]
 
 
-def _kind_section(kind: str, members: Sequence[Result], plots: dict[str, Figure]) -> str:
-    body = ""
-    if any(result.paper is not None for result in members):
+def _share(part: float, count: int) -> str:
+    return percent(part / count) if count else "-"
+
+
+def _kind(
+    kind: str, members: Sequence[Result], plots: dict[str, Figure]
+) -> dict[str, Any]:
+    """What the section of a kind of subtask shows; its charts are added to ``plots``."""
+    against_paper = any(result.paper is not None for result in members)
+    if against_paper:
         plots[f"paper-{kind}"] = _paper_figure(members)
-        body += f'<div id="paper-{kind}"></div>'
-    body += _table(members)
     counts = {
-        _bar_name(result): Counter(result.labels) for result in members if result.episodes
+        f"{_short(result)}, {result.pack}": Counter(result.labels)
+        for result in members
+        if result.episodes
     }
     if counts:
         figure = labels_figure(counts, tuple(counts))
@@ -185,31 +138,46 @@ def _kind_section(kind: str, members: Sequence[Result], plots: dict[str, Figure]
         figure["layout"] |= {"height": height + 60, "bargap": 0.25}
         figure["layout"]["legend"] |= {"y": -50 / height}
         plots[f"labels-{kind}"] = figure
-        body += f'<h3>How it went</h3><div id="labels-{kind}"></div>'
-    hint = (
-        "Success once; whiskers are Wilson 95 % intervals. The dot says whether the rate is at least what the project "
-        f"asks for. {_GENTLE} How it went is told by trajectory labels: {LABEL_COLORS}."
-    )
-    return parts.section(kind.capitalize(), hint, body)
+    return {
+        "results": members,
+        "columns": _columns(members),
+        "against_paper": against_paper,
+        "has_labels": bool(counts),
+    }
 
 
-def _table(results: Sequence[Result]) -> str:
-    """Rows of single subtasks; a click on a head sorts. Columns that tell nothing apart are left out."""
-    heads = [
-        ("homes", ""),
-        ("task", ""),
-        ("subtask", ""),
-        ("target", ""),
-        ("n", "n"),
-        ("once", "n"),
-        ("95 %", ""),
-        ("asked", "n"),
-        ("paper", "n"),
-        ("difference", "n"),
-        ("< 1,400 N", "n"),
-        ("tainted", "n"),
-        ("failures", ""),
-    ]
+_COLUMNS = (
+    ("homes", ""),
+    ("task", ""),
+    ("subtask", ""),
+    ("target", ""),
+    ("n", "n"),
+    ("once", "n"),
+    ("95 %", ""),
+    ("asked", "n"),
+    ("paper", "n"),
+    ("difference", "n"),
+    ("< 1,400 N", "n"),
+    ("tainted", "n"),
+    ("failures", ""),
+)
+_CHAIN_COLUMNS = (
+    ("homes", ""),
+    ("task", ""),
+    ("navigate", ""),
+    ("n", "n"),
+    ("complete", "n"),
+    ("95 %", ""),
+    ("asked", "n"),
+    ("no peak of 1,400 N", "n"),
+    ("tainted", "n"),
+    ("failures", ""),
+)
+"""Columns of single subtasks and of whole tasks, with their classes: "n" for numbers."""
+
+
+def _columns(results: Sequence[Result]) -> list[tuple[str, str]]:
+    """Columns of single subtasks without those that tell nothing apart."""
     alike = {
         name
         for name in ("subtask", "target")
@@ -221,108 +189,17 @@ def _table(results: Sequence[Result]) -> str:
         alike |= {"paper", "difference"}
     if not any(result.tainted for result in results):
         alike.add("tainted")
-    return _html_table(
-        [head for head in heads if head[0] not in alike],
-        [_cells(result) for result in results],
-    )
-
-
-def _cells(r: Result) -> dict[str, str]:
-    """HTML of the cells of a row by the names of their columns."""
-    paper = f'<td class="n" title="Table {r.paper_table}">{_rate(r.paper)}</td>'
-    return {
-        "homes": f"<td>{escape(r.pack)}</td>",
-        "task": f"<td>{escape(r.task.replace('_', ' '))}</td>",
-        "subtask": f"<td>{escape(r.subtask)}</td>",
-        "target": f"<td>{escape('all' if r.target in ('', ALL) else r.target)}</td>",
-        "navigate": f"<td>{escape(r.navigate)}</td>",
-        "n": _number(r.episodes, f"{r.episodes:,}"),
-        "once": _number(r.success_once, _rate(r.success_once), "font-weight:600"),
-        "complete": _number(r.success_once, _rate(r.success_once), "font-weight:600"),
-        "95 %": f"<td>{_interval(r)}</td>",
-        "asked": _number(r.asked, _asked(r)),
-        "paper": paper if r.paper is not None else "<td></td>",
-        "difference": _number(
-            r.over_paper, "" if r.over_paper is None else f"{r.over_paper:+.1f}", _sign(r)
-        ),
-        "< 1,400 N": _number(r.gentle, _rate(r.gentle)),
-        "no peak of 1,400 N": _number(r.gentle_peak, _rate(r.gentle_peak)),
-        "tainted": _number(r.tainted, str(r.tainted)),
-        "failures": f'<td class="words">{_failures(r)}</td>',
-    }
-
-
-def _chain_table(chains: Sequence[Result]) -> str:
-    heads = (
-        ("homes", ""),
-        ("task", ""),
-        ("navigate", ""),
-        ("n", "n"),
-        ("complete", "n"),
-        ("95 %", ""),
-        ("asked", "n"),
-        ("no peak of 1,400 N", "n"),
-        ("tainted", "n"),
-        ("failures", ""),
-    )
-    return _html_table(heads, [_cells(result) for result in chains])
-
-
-def _html_table(
-    heads: Sequence[tuple[str, str]], rows: Sequence[Mapping[str, str]]
-) -> str:
-    head = "".join(f'<th class="{css}">{escape(name)}</th>' for name, css in heads)
-    body = "".join(f"<tr>{''.join(row[name] for name, _ in heads)}</tr>" for row in rows)
-    table = (
-        f'<table class="sortable" style="font-size:13px"><thead><tr>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table>"
-    )
-    return f'<div class="scroll">{table}</div>'
-
-
-def _number(value: float | None, text: str, style: str = "") -> str:
-    return f'<td class="n" data-value="{"" if value is None else value}" style="{style}">{text}</td>'
-
-
-def _rate(value: float | None) -> str:
-    return "-" if value is None else parts.percent(value)
-
-
-def _interval(r: Result) -> str:
-    if r.success_once is None:
-        return ""
-    low, high = (100 * bound for bound in r.interval)
-    return (
-        f'<div class="rate" style="width:84px" title="{low:.1f} to {high:.1f} %">'
-        f'<i style="width:{100 * r.success_once:.1f}%"></i>'
-        f'<u style="left:{low:.1f}%;width:{high - low:.1f}%"></u></div>'
-    )
-
-
-def _asked(r: Result) -> str:
-    if r.asked is None:
-        return ""
-    css = "none" if r.met is None else "good" if r.met else "bad"
-    return f'<span class="dot {css}"></span>{100 * r.asked:.0f} %'
-
-
-def _sign(r: Result) -> str:
-    if r.over_paper is None:
-        return ""
-    return f"color:var(--{'good' if r.over_paper >= 0 else 'bad'})"
+    return [column for column in _COLUMNS if column[0] not in alike]
 
 
 def _failures(r: Result) -> str:
+    """The most frequent failures of a row in words."""
     named = list(r.failures.items())[:_MOST_FAILURES]
     words = [
         f"{n} {name.removesuffix('_failure').replace('_', ' ')}" for name, n in named
     ]
     more = len(r.failures) - len(named)
-    return escape(", ".join(words) + (f" and {more} more" if more > 0 else ""))
-
-
-def _bar_name(r: Result) -> str:
-    return f"{_short(r)}, {r.pack}"
+    return ", ".join(words) + (f" and {more} more" if more > 0 else "")
 
 
 def _short(r: Result) -> str:
@@ -433,15 +310,6 @@ def _chain_figure(chains: Sequence[Result]) -> Figure:
             },
         },
     }
-
-
-def _errors(results: Sequence[Result]) -> str:
-    rows = "".join(
-        f"<tr><td>{escape(r.pack)} {escape(r.task)} {escape(r.subtask)} {escape(r.target)}</td>"
-        f'<td style="white-space:pre-wrap">{escape(r.error)}</td></tr>'
-        for r in results
-    )
-    return f'<div class="scroll"><table><tbody>{rows}</tbody></table></div>'
 
 
 def _flat(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Mapping
-from html import escape
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from mjhab.reports.parts import section
+from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.plots import Figure
-from mjhab.reports.run import render_page
 
 PAPER = (
     ("MS-HAB (ManiSkill 3), 4,096 environments", 15.35, 4299.18, 26.36, "#ea580c"),
@@ -85,18 +82,22 @@ def interact_page(found: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> 
     )
     if not found["render"]:
         hint += " Without pictures the two do not compare."
-    parts = [
-        "<h1>Interact benchmark</h1>",
-        section("Speed over memory", hint, '<div id="interact"></div>'),
+    sections = [
+        Section("Speed over memory", hint, chart="interact"),
+        Section("Numbers", _STAGES_HINT, columns=_HEADS, rows=_rows(found)),
     ]
-    parts.append(section("Numbers", _STAGES_HINT, _table(found)))
     if pictures:
-        parts.append(section("What the cameras see", _VIEWS_HINT, _strip(pictures)))
-    return render_page(
-        "Interact benchmark",
-        "".join(parts),
-        {"plots": {"interact": interact_figure(found)}, "force": []},
-    )
+        says = "head and hand, colour and depth"
+        sections.append(
+            Section(
+                "What the cameras see",
+                _VIEWS_HINT,
+                picture=_strip(pictures),
+                picture_says=says,
+            )
+        )
+    plots = {"interact": interact_figure(found)}
+    return render_sections("Interact benchmark", sections, plots)
 
 
 _COLUMNS = {
@@ -110,6 +111,7 @@ _COLUMNS = {
     "rss_mb": "process [MB]",
     "tainted_worlds": "tainted worlds",
 }
+_HEADS = [(title, "n") for title in _COLUMNS.values()]
 _STAGES_HINT = (
     "Physics and pictures: time of one control step of all worlds, "
     "measured apart after the runs, each waited for."
@@ -122,21 +124,17 @@ _DEPTH_WHITE = 3.0
 _SCALE = 2
 
 
-def _table(found: dict[str, Any]) -> str:
-    def cell(value: Any) -> str:
-        return "-" if value is None else f"{value:,}"
-
-    head = "".join(f'<th class="n">{escape(name)}</th>' for name in _COLUMNS.values())
-    rows = [
-        "".join(f'<td class="n">{cell(point[key])}</td>' for key in _COLUMNS)
-        for point in sorted(found["points"], key=lambda point: point["worlds"])
+def _rows(found: dict[str, Any]) -> list[list[str]]:
+    """Cells of the table, by number of worlds."""
+    points = sorted(found["points"], key=lambda point: point["worlds"])
+    return [
+        ["-" if point[key] is None else f"{point[key]:,}" for key in _COLUMNS]
+        for point in points
     ]
-    body = "".join(f"<tr>{row}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
-def _strip(pictures: Mapping[str, np.ndarray]) -> str:
-    """All pictures side by side, twice as large."""
+def _strip(pictures: Mapping[str, np.ndarray]) -> bytes:
+    """All pictures side by side, twice as large, as a PNG file."""
     tiles = []
     for rgb, depth in zip(pictures["rgb"], pictures["depth"], strict=True):
         grey = np.round(255.0 * np.clip(depth / _DEPTH_WHITE, 0.0, 1.0)).astype(np.uint8)
@@ -146,5 +144,4 @@ def _strip(pictures: Mapping[str, np.ndarray]) -> str:
     strip.resize(
         (_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST
     ).save(buffer, "PNG")
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<img style="max-width:100%" alt="head and hand, colour and depth" src="data:image/png;base64,{data}">'
+    return buffer.getvalue()

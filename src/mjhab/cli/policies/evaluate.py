@@ -24,7 +24,7 @@ from mjhab.cli.streams import with_way_on
 from mjhab.evaluation.evaluate import EvaluationInterrupted, Run, run_evaluation
 from mjhab.evaluation.specs import EvalSpec
 from mjhab.reports.metrics import SubtaskRow, rows_of
-from mjhab.reports.parts import NOT_JUDGED, duration, newtons
+from mjhab.reports.words import NOT_JUDGED, duration, newtons
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView

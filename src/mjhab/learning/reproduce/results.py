@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +21,9 @@ from mjhab.learning.reproduce.variants import (
     TABLE5,
     VARIANTS,
 )
-from mjhab.reports import parts
 from mjhab.reports.metrics import label_counts, mean, wilson
+from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_success
-from mjhab.reports.run import render_page
 from mjhab.rollout.store import read_records, write_text
 
 RESULTS = "results.json"
@@ -187,17 +185,6 @@ def titles() -> tuple[str, ...]:
 
 def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str:
     """HTML page with our numbers and those of the paper."""
-    head = "".join(f"<th>{escape(title)}</th>" for title in titles())
-    lines = [
-        "<tr>"
-        + "".join(f"<td>{escape(str(value))}</td>" for value in cells(result)[:-1])
-        + f'<td class="words">{escape(str(cells(result)[-1]))}</td>'
-        + "</tr>"
-        for result in results
-    ]
-    table = (
-        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-    )
     shown = {result["rules"] for result in results}
     rules = "; ".join(
         f"{rule.name}: {rule.about}"
@@ -210,8 +197,6 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
         "of Table 1. The paper's policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR "
         "2025, Tables 1 and 5)."
     )
-    title = TITLES[config["what"]]
-    body = f"<h1>{escape(title)}</h1>" + parts.section(
-        "Success", hint, parts.scrolled(table)
-    )
-    return render_page(title, body, {"plots": {}})
+    columns = [(name, "") for name in titles()[:-1]] + [(titles()[-1], "words")]
+    table = Section("Success", hint, columns=columns, rows=[cells(r) for r in results])
+    return render_sections(TITLES[config["what"]], [table])

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
-from html import escape
-from pathlib import Path
 from typing import Any
 
 from mjhab.learning.runs.run import EVALUATIONS, FINAL, ON_THE_WAY, TrainingFolder
-from mjhab.reports import parts
 from mjhab.reports.metrics import labels_by_kind, rows_by_kind
+from mjhab.reports.pages import base64_text, render_page
 from mjhab.reports.plots import labels_figure
-from mjhab.reports.run import render_page
+from mjhab.reports.words import interval, percent
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import FILMS
 
@@ -34,56 +31,25 @@ def render_training_report(
     Args:
         folder: of the run. rows: of metrics.jsonl. records: of the last evaluation. summary: see `train.summarize`.
     """
-    body = [_header(folder, summary), _cards(summary)]
     plots = {
         "loss-plot": loss_curve(rows),
         "samples-plot": success_curves(rows, "samples"),
         "time-plot": success_curves([_minutes(row) for row in rows], "minutes"),
     }
-    body.append(
-        parts.section(
-            "Loss",
-            "Mean over the updates between two reports.",
-            '<div id="loss-plot"></div>',
-        )
+    if counts := labels_by_kind(records):
+        plots["labels-plot"] = labels_figure(counts)
+    return render_page(
+        "learning/runs/report.html",
+        title=_title(folder),
+        chips=_chips(folder, summary),
+        numbers=_numbers(summary),
+        evaluated=bool(records),
+        by_kind=rows_by_kind(records),
+        collected=[row for row in rows if "collection_success" in row],
+        films=_films(folder),
+        config=flat(folder.config),
+        plots=plots,
     )
-    hint = (
-        "Fraction of the evaluated episodes that succeed at least once: of the evaluations on the way, and of the "
-        "final one, which has other episodes."
-    )
-    body.append(
-        parts.section("Success over samples", hint, '<div id="samples-plot"></div>')
-    )
-    body.append(
-        parts.section(
-            "Success over time",
-            "Wall time, collection included.",
-            '<div id="time-plot"></div>',
-        )
-    )
-    if records:
-        body.append(
-            parts.section(
-                "Last evaluation",
-                "Results per target.",
-                parts.success_table(rows_by_kind(records)),
-            )
-        )
-        counts = labels_by_kind(records)
-        if counts:
-            plots["labels-plot"] = labels_figure(counts)
-            hint = "Labels of the last evaluation's episodes."
-            body.append(parts.section("Labels", hint, '<div id="labels-plot"></div>'))
-    body.append(_rounds(rows))
-    body.append(_films(folder))
-    body.append(
-        parts.section(
-            "Run",
-            "The resolved config of this run.",
-            parts.config_list(flat(folder.config)),
-        )
-    )
-    return render_page(_title(folder), "\n".join(filter(None, body)), {"plots": plots})
 
 
 def loss_curve(rows: Sequence[Mapping[str, Any]]) -> Figure:
@@ -173,52 +139,36 @@ def _title(folder: TrainingFolder) -> str:
     return f"{config['algorithm']}: {what}, {scene['task'].replace('_', ' ')}{others}"
 
 
-def _header(folder: TrainingFolder, summary: Mapping[str, Any]) -> str:
-    shown = [
+def _chips(folder: TrainingFolder, summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    return [
         ("preset", summary["preset"]),
         ("seed", folder.config["seed"]),
         ("homes of the training", folder.config["scene"]["split"]),
         ("homes of the last evaluation", summary["split"] or "none evaluated"),
     ]
-    chips = "".join(
-        f'<span class="chip">{escape(k)} <b>{escape(str(v))}</b></span>' for k, v in shown
-    )
-    return f'<header><h1>{escape(_title(folder))}</h1><div class="chips">{chips}</div></header>'
 
 
 def _success_card(summary: Mapping[str, Any]) -> tuple[str, str, str]:
     """Name, value and what is told more of the success rate."""
     if summary["success_once"] is None:
         return "success once", "-", "not evaluated"
-    low, high = summary["interval"]
     episodes = f"{summary['episodes']} episodes in homes of split {summary['split']}"
-    at_end = parts.percent(summary["success_at_end"])
-    more = f"{100 * low:.0f} to {100 * high:.0f} % (95 % CI), at end {at_end}, {episodes}"
-    return "success once", parts.percent(summary["success_once"]), more
+    at_end = percent(summary["success_at_end"])
+    more = f"{interval(*summary['interval'])}, at end {at_end}, {episodes}"
+    return "success once", percent(summary["success_once"]), more
 
 
-def _cards(summary: Mapping[str, Any]) -> str:
-    values = [
+def _numbers(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """The main numbers: name, value, and what is told more."""
+    minutes = f"{summary['seconds'] / 60:.1f} min"
+    rounds = f"{summary['rounds']} rounds after the first"
+    return [
         _success_card(summary),
-        (
-            "time",
-            f"{summary['seconds'] / 60:.1f} min",
-            "collection and evaluation included",
-        ),
+        ("time", minutes, "collection and evaluation included"),
         ("updates", f"{summary['steps']:,}", f"{summary['samples']:,} samples"),
         *_time_card(summary),
-        (
-            "demonstrations",
-            f"{summary['demonstrations']:,}",
-            f"{summary['rounds']} rounds after the first",
-        ),
+        ("demonstrations", f"{summary['demonstrations']:,}", rounds),
     ]
-    tiles = "".join(
-        f'<div class="card"><div class="name">{escape(name)}</div><div class="value">{escape(value)}</div>'
-        f'<div class="more">{escape(more)}</div></div>'
-        for name, value, more in values
-    )
-    return f'<div class="cards">{tiles}</div>'
 
 
 def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -227,49 +177,18 @@ def _time_card(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if not shares:
         return []
     rest = ", ".join(
-        f"{name} {parts.percent(shares[name])}" for name in shares if name != "env"
+        f"{name} {percent(shares[name])}" for name in shares if name != "env"
     )
-    return [("time in the environment", parts.percent(shares["env"]), rest)]
+    return [("time in the environment", percent(shares["env"]), rest)]
 
 
-def _rounds(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Table of the demonstrations collected in every round."""
-    collected = [row for row in rows if "collection_success" in row]
-    if not collected:
-        return ""
-    lines = "".join(
-        f"<tr><td>{row['round']}</td><td>{row['episodes']}</td><td>{parts.percent(row['collection_success'])}</td>"
-        f"<td>{row['collection_seconds']:.0f} s</td></tr>"
-        for row in collected
-    )
-    head = "<tr><th>round</th><th>demonstrations so far</th><th>episodes that succeeded</th><th>time</th></tr>"
-    hint = "Demonstrations that the expert added."
-    table = parts.scrolled(f"<table>{head}{lines}</table>")
-    return parts.section("Collection", hint, table)
-
-
-def _films(folder: TrainingFolder) -> str:
+def _films(folder: TrainingFolder) -> dict[str, str]:
+    """Films in base64 by caption: evaluation, scene if there are several, and episode."""
     evaluations = folder.path / EVALUATIONS
+    found = {}
     # With several scenes the run folder of each lies below that of the evaluation.
-    paths = sorted(evaluations.rglob(f"{FILMS}/episode_*.mp4"))
-    if not paths:
-        return ""
-    films = "".join(
-        f"<figure>{_video(path)}<figcaption>{escape(_caption(path.relative_to(evaluations)))}</figcaption></figure>"
-        for path in paths
-    )
-    hint = "Episodes of the first and the last evaluation, at twice real time."
-    return parts.section("Films", hint, f'<div class="films">{films}</div>')
-
-
-def _caption(film: Path) -> str:
-    """Evaluation, scene if there are several, and episode: "first, set_table.close, episode_00000"."""
-    where = film.with_suffix("").parts
-    return ", ".join(part for part in where if part != FILMS)
-
-
-def _video(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    return (
-        f'<video controls muted playsinline src="data:video/mp4;base64,{data}"></video>'
-    )
+    for path in sorted(evaluations.rglob(f"{FILMS}/episode_*.mp4")):
+        where = path.relative_to(evaluations).with_suffix("").parts
+        caption = ", ".join(part for part in where if part != FILMS)
+        found[caption] = base64_text(path.read_bytes())
+    return found

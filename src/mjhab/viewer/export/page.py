@@ -7,14 +7,12 @@ the offset, size and type of every array. Positions are quantized to 16 bits.
 from __future__ import annotations
 
 import base64
-import importlib.resources
 import io
 import json
 import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +25,8 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.schema import CHECKS
 from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
-from mjhab.reports.parts import event_tone
-from mjhab.reports.plots import kind_color
+from mjhab.reports.pages import base64_text, render_page
+from mjhab.reports.plots import event_tone, kind_color
 from mjhab.tasks.rewards.scoring import term_names
 from mjhab.viewer.drawn.cameras import Cameras
 from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
@@ -99,16 +97,9 @@ def _page(track: Track, models: HomeModels, replay: Replay, pictures: int) -> by
     packed = zlib.compress(
         len(told).to_bytes(4, "little") + _padded(told) + block.bytes(), 9
     )
-    folder = importlib.resources.files("mjhab.viewer.export")
-    parts = {
-        "TITLE": escape(track.title),
-        "STYLE": folder.joinpath("page.css").read_text(encoding="utf-8"),
-        "SCRIPT": folder.joinpath("page.js").read_text(encoding="utf-8"),
-        "DATA": base64.b64encode(packed).decode(),
-    }
-    page = folder.joinpath("page.html").read_text(encoding="utf-8")
-    for name, text in parts.items():
-        page = page.replace(f"%{name}%", text)
+    page = render_page(
+        "viewer/export/page.html", title=track.title, data=base64_text(packed)
+    )
     return page.encode()
 
 

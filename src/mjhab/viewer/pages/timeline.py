@@ -8,8 +8,7 @@ from html import escape
 from itertools import groupby
 
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.reports.parts import event_tone
-from mjhab.reports.plots import kind_color
+from mjhab.reports.plots import event_tone, kind_color
 from mjhab.viewer.sources.track import Track
 
 WIDTH = 600

@@ -3,6 +3,8 @@
 The library fetches several files at once, continues cut connections, and honours proxies, tokens and Xet. Two things
 are ours, as of its version 2.4: it compares sizes alone with what the hub lists (one turned bit is installed; without
 our comparison `test_wrong_bytes_are_thrown_away` fails), and its errors are paragraphs about models, here one line.
+A run that ends in the middle of a file begins that file anew: the library gives each download a name of its own and
+deletes it at the end (``file_download._download_to_tmp_and_move``), and has no setting for it.
 """
 
 from __future__ import annotations

@@ -195,7 +195,7 @@ def _look(look: Look) -> dict[str, Any]:
     texture = None
     if look.texture is not None:
         texture = (
-            "data:image/jpeg;base64," + base64.b64encode(_jpeg(look.texture)).decode()
+            f"data:image/jpeg;base64,{base64.b64encode(_jpeg(look.texture)).decode()}"
         )
     return {
         "color": np.round(look.color, 4).tolist(),

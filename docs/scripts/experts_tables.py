@@ -1,45 +1,45 @@
-"""Tables of docs/experts.md from the results of ``mjhab bench experts`` under docs/results.
+"""Tables of the experts' success, and what takes a run of ``mjhab bench experts`` into docs/results.
 
-    python docs/scripts/experts_tables.py
-    python docs/scripts/experts_tables.py runs/experts/results.json --into experts-builtin
+    python docs/scripts/experts_tables.py runs/experts/results.json --into experts-builtin --command "mjhab bench ..."
 
-The first writes the tables into the page; the second first takes the rows of a run into
-docs/results/experts-builtin.json. A row that a run measured replaces the row of the same pack, task, subtask,
-target and navigation; rows that it did not finish are left out. Every row keeps the commit at which it was measured.
+A row that a run measured replaces the row of the same pack, task, subtask, target and navigation; rows that it did not
+finish are left out. Every row keeps the commit at which it was measured. ``result_tables.py`` fills the pages.
 """
 
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-DOCS = Path(__file__).parents[1]
-PAGE = DOCS / "experts.md"
-RESULTS = DOCS / "results"
+from result_files import (
+    RESULTS,
+    TASKS,
+    Row,
+    interval,
+    percent,
+    place_of,
+    read,
+    source,
+    table,
+    write,
+)
+
 PACKS = {"experts-builtin": "built-in", "experts-replica-cad": "ReplicaCAD"}
-"""File under docs/results to the name of its homes in the page."""
-TASKS = ("tidy_house", "prepare_groceries", "set_table")
-SUBTASKS = ("pick", "place", "open", "close", "navigate")
-
-Row = dict[str, Any]
+"""File under docs/results to the name of its homes in the pages."""
+PROFILE_PACKS = {"builtin": "built-in", "replica_cad": "ReplicaCAD"}
 
 
 def key(row: Row) -> tuple[str, ...]:
+    """What identifies a row of a file."""
     return (row["pack"], row["task"], row["subtask"], row["target"], row["navigate"])
 
 
-def read(name: str) -> dict[str, Any]:
-    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-
-
-def take(run: Path, name: str) -> None:
-    """Put the finished rows and chains of a run in the place of those of before."""
+def take(run: Path, name: str, command: str) -> None:
+    """Put the finished rows and chains of a run in the place of older ones."""
     new = json.loads(run.read_text(encoding="utf-8"))
-    path = RESULTS / f"{name}.json"
-    kept = read(name) if path.exists() else {"what": new["what"]}
+    kept = read(name) if (RESULTS / f"{name}.json").exists() else {"what": new["what"]}
     for part in ("rows", "groups", "chains"):
         rows = {key(row): row for row in kept.get(part, [])}
         for row in new[part]:
@@ -47,37 +47,36 @@ def take(run: Path, name: str) -> None:
                 rows[key(row)] = {**row, "commit": new["commit"]}
         kept[part] = list(rows.values())
     kept |= {name: new[name] for name in ("config", "versions", "cores")}
-    path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    kept["date"] = datetime.date.fromtimestamp(run.stat().st_mtime).isoformat()
+    write(name, kept | {"version": new["versions"]["mjhab"], "command": command})
 
 
-def percent(share: float) -> str:
-    return f"{100 * share:.0f}"
+def summary_table() -> str:
+    """One line per subtask, tasks side by side, both packs in a cell; the last lines are whole tasks."""
+    packs = [read(name) for name in PACKS]
+    lines = []
+    for subtask in ("pick", "place", "navigate", "open", "close"):
+        cells = [_cell(packs, "groups", task, subtask, "") for task in TASKS]
+        lines.append([subtask, *cells])
+    for navigate in ("drive", "teleport"):
+        cells = [_cell(packs, "chains", task, "chain", navigate) for task in TASKS]
+        lines.append([f"whole task, {navigate}", *cells])
+    head = ("success once %", "TidyHouse", "PrepareGroceries", "SetTable")
+    return table(head, lines)
 
 
-def interval(row: Row) -> str:
-    low, high = row["interval"]
-    return f"{percent(low)}-{percent(high)}"
-
-
-def table(head: tuple[str, ...], rows: list[list[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def figures(row: Row | None) -> list[str]:
-    """Cells of one pack in a line of the subtasks' table."""
-    if row is None:
-        return [""] * 4
-    return [
-        percent(row["success_once"]),
-        interval(row),
-        percent(row["gentle"]),
-        row["commit"][:7],
-    ]
-
-
-def place_of(row: Row) -> tuple[int, int, str]:
-    return (TASKS.index(row["task"]), SUBTASKS.index(row["subtask"]), row["target"])
+def _cell(packs: list[Row], part: str, task: str, subtask: str, navigate: str) -> str:
+    """Success of all targets of a subtask, or of a whole task, in each pack."""
+    cells = []
+    for pack in packs:
+        rows = pack[part] if part == "chains" else pack["rows"]
+        found = [row for row in rows if (row["task"], row["subtask"]) == (task, subtask)]
+        if part == "chains":
+            found = [row for row in found if row["navigate"] == navigate]
+        episodes = sum(row["episodes"] for row in found)
+        good = sum(row["successes"] for row in found)
+        cells.append(percent(good / episodes) if episodes else "-")
+    return "-" if set(cells) == {"-"} else " / ".join(cells)
 
 
 def subtask_table() -> str:
@@ -85,7 +84,7 @@ def subtask_table() -> str:
     packs = [{key(row)[1:]: row for row in read(name)["rows"]} for name in PACKS]
     head = ["task", "subtask", "target"]
     for pack in PACKS.values():
-        head += [f"{pack} once %", "95 %", "< 1,400 N %", "commit"]
+        head += [f"{pack} once %", "95 %", "< 1,400 N %"]
     known = sorted(
         {name: row for pack in packs for name, row in pack.items()}.values(), key=place_of
     )
@@ -93,97 +92,65 @@ def subtask_table() -> str:
     for row in known:
         line = [row["task"], row["subtask"], row["target"] or "all"]
         for pack in packs:
-            line += figures(pack.get(key(row)[1:]))
-        line.append(f"{100 * row['paper']:.1f}" if row["paper"] is not None else "-")
+            line += _figures(pack.get(key(row)[1:]))
+        line.append(percent(row["paper"], 1) if row["paper"] is not None else "-")
         line.append(percent(row["asked"]) if row["asked"] is not None else "-")
         lines.append(line)
-    return table((*head, "paper RL-Per %", "ask %"), lines)
+    return table((*head, "paper RL-Per %", "ask %"), lines) + source(*PACKS)
+
+
+def _figures(row: Row | None) -> list[str]:
+    if row is None:
+        return [""] * 3
+    share = percent(row["success_once"])
+    return [share, interval(row["interval"]), percent(row["gentle"])]
 
 
 def chain_table() -> str:
     """One line per pack, household task and navigation."""
-    head = (
-        "homes",
-        "chain",
-        "navigation",
-        "n",
-        "whole chain %",
-        "95 %",
-        "ask %",
-        "commit",
-    )
+    head = ("homes", "task", "navigation", "n", "whole task %", "95 %", "ask %")
     lines = []
     for name, pack in PACKS.items():
         for row in read(name)["chains"]:
             line = [pack, row["task"], row["navigate"], str(row["episodes"])]
-            line += [percent(row["success_once"]), interval(row), percent(row["asked"])]
-            line += [
-                row["commit"][:7],
-                " ".join(f"{share:.2f}" for share in row["progressive"]),
-            ]
-            lines.append(line)
-    return table(
-        (*head, "share of episodes that did the first 1, 2, ... subtasks"), lines
-    )
+            line += [percent(row["success_once"]), interval(row["interval"])]
+            shares = " ".join(f"{share:.2f}" for share in row["progressive"])
+            lines.append([*line, percent(row["asked"]), shares])
+    told = "share of episodes that did the first 1, 2, ... subtasks"
+    return table((*head, told), lines) + source(*PACKS)
 
 
 def profile_table() -> str:
     """The ten rows of the paper's Table 1 under ``--profile ms_hab``; Pick and Place over all their objects."""
-    head = (
-        "task",
-        "subtask",
-        "target",
-        "n",
-        "once %",
-        "95 %",
-        "at end %",
-        "paper RL-Per %",
-    )
+    head = ["homes", "task", "subtask", "target", "n", "once %", "95 %", "at end %"]
     results = read("experts-ms-hab")
     rows = [row for row in results["groups"] if row["subtask"] in ("pick", "place")]
     rows += [row for row in results["rows"] if row["subtask"] in ("open", "close")]
     lines = []
-    for row in sorted(rows, key=place_of):
-        line = [row["task"], row["subtask"], row["target"], str(row["episodes"])]
-        line += [f"{100 * row['success_once']:.1f}", interval(row)]
-        line += [f"{100 * row['success_at_end']:.1f}", f"{100 * row['paper']:.1f}"]
-        lines.append(line)
-    return table(head, lines)
+    for row in sorted(
+        rows, key=lambda row: (list(PROFILE_PACKS).index(row["pack"]), place_of(row))
+    ):
+        line = [PROFILE_PACKS[row["pack"]], row["task"], row["subtask"], row["target"]]
+        line += [str(row["episodes"]), percent(row["success_once"], 1)]
+        line += [interval(row["interval"]), percent(row["success_at_end"], 1)]
+        lines.append([*line, percent(row["paper"], 1)])
+    return table((*head, "paper RL-Per %"), lines) + source("experts-ms-hab")
 
 
-TABLES = {"subtasks": subtask_table, "chains": chain_table, "ms_hab": profile_table}
-
-
-def page_with_tables(page: str, tables: dict[str, Callable[[], str]] = TABLES) -> str:
-    """The page, every ``<!-- table: NAME -->`` ... ``<!-- end -->`` filled anew."""
-    for name, make in tables.items():
-        start, end = f"<!-- table: {name} -->\n", "<!-- end -->"
-        before, mark, rest = page.partition(start)
-        if mark:
-            page = before + mark + make() + "\n" + end + rest.partition(end)[2]
-    return page
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument(
-        "run",
-        nargs="?",
-        type=Path,
-        help="results.json of a run whose rows are to be taken",
-    )
-    parser.add_argument(
-        "--into", help="name of the file under docs/results, without .json"
-    )
-    given = parser.parse_args()
-    if (given.run is None) != (given.into is None):
-        parser.error("a run and --into belong together")
-    if given.run:
-        take(given.run, given.into)
-    PAGE.write_text(page_with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+TABLES = {
+    "experts": subtask_table,
+    "experts_summary": summary_table,
+    "experts_chains": chain_table,
+    "experts_ms_hab": profile_table,
+}
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("run", type=Path, help="results.json of a run")
+    parser.add_argument(
+        "--into", required=True, help="file under docs/results, without .json"
+    )
+    parser.add_argument("--command", required=True, help="what made the run")
+    given = parser.parse_args()
+    take(given.run, given.into, given.command)

@@ -2,7 +2,7 @@
 
 `python docs/scripts/judge_students.py --out runs/judged` evaluates one row after the other, each in a process of its
 own (`mjhab eval`), skips what is done, and takes every finished row into docs/results/students-judged.json.
-`python docs/scripts/students_tables.py` makes the tables of docs/students.md from that.
+`python docs/scripts/result_tables.py` makes the tables of docs/policies.md from that.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ from mjhab.tasks.signals import Signals
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
-DOCS = Path(__file__).parents[3] / "docs" / "data.md"
+DOCS = Path(__file__).parents[3] / "docs" / "data" / "format.md"
 
 
 @pytest.fixture

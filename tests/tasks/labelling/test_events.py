@@ -404,7 +404,7 @@ DIFFERENT: dict[str, tuple[int, dict[str, Any], str, str]] = {
         "navigation_success",
     ),
 }
-"""Histories that the two sets of rules label differently: the table of docs/data.md."""
+"""Histories that the two sets of rules label differently: the table of docs/data/select.md."""
 
 
 @pytest.mark.parametrize("name", DIFFERENT)

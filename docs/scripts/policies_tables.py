@@ -1,24 +1,23 @@
-"""Tables of docs/students.md from docs/results/students.json: ``python docs/scripts/students_tables.py``.
+"""Tables of learned policies: students.json (trainings) and students-judged.json (what comes with mjhab).
 
-`python -m mjhab.reports.students docs/results/students.json RUN EVALUATION` adds rows to the file, and
-`python docs/scripts/judge_students.py` makes docs/results/students-judged.json.
+`python -m mjhab.reports.students docs/results/students.json RUN EVALUATION` adds rows to the first,
+`python docs/scripts/judge_students.py` makes the second; ``result_tables.py`` fills the pages.
 """
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
-from experts_tables import DOCS, page_with_tables, place_of, read, table
+from result_files import interval, percent, place_of, read, source, table
 
 from mjhab.reports.paper import paper_success
 from mjhab.tasks.subtasks.navigate import NAVIGATE
 
-PAGE = DOCS / "students.md"
-
-
-def percent(share: float) -> str:
-    return f"{100 * share:.1f}"
+PAPER = ("bc", "rl_per")
+TRAINING_HEAD = (
+    *("task", "subtask", "target", "px", "steps", "once %", "95 %", "of", "at end %"),
+    *("demonstrations", "control steps", "samples", "minutes", "paper BC %", "RL-Per %"),
+)
 
 
 def minutes(training: dict[str, Any]) -> str:
@@ -30,10 +29,6 @@ def minutes(training: dict[str, Any]) -> str:
 
 def student_table(assets: str) -> str:
     """One line per student of seed 0, trained and judged in the homes of a pack."""
-    head = (
-        "task", "subtask", "target", "px", "steps", "once %", "95 %", "of", "at end %", "demonstrations",
-        "control steps", "samples", "minutes", "paper BC %", "RL-Per %", "commit",
-    )  # fmt: skip
     lines = []
     rows = [
         row
@@ -44,7 +39,6 @@ def student_table(assets: str) -> str:
         training = row["training"]
         judged = row["evaluation"]
         paper = row["paper_success_once"] or {}
-        low, high = judged["success_once_interval"]
         line = [
             row["task"],
             row["subtask"],
@@ -53,10 +47,10 @@ def student_table(assets: str) -> str:
             str(judged["horizon"] or NAVIGATE.limits.horizon),
         ]
         line += [
-            f"**{percent(judged['success_once'])}**",
-            f"{100 * low:.0f}-{100 * high:.0f}",
+            f"**{percent(judged['success_once'], 1)}**",
+            interval(judged["success_once_interval"]),
         ]
-        line += [str(judged["episodes"]), percent(judged["success_at_end"])]
+        line += [str(judged["episodes"]), percent(judged["success_at_end"], 1)]
         frames = training["frames"]
         line += [f"{training['episodes']:,}", "-" if frames is None else f"{frames:,}"]
         samples = training["samples"]
@@ -64,8 +58,8 @@ def student_table(assets: str) -> str:
         line += [
             f"{paper[name]:.1f}" if name in paper else "-" for name in ("bc", "rl_per")
         ]
-        lines.append([*line, training["commits"][-1][:7] or "-"])
-    return table(head, lines)
+        lines.append(line)
+    return table(TRAINING_HEAD, lines) + source("students")
 
 
 def seed_table() -> str:
@@ -86,9 +80,9 @@ def seed_table() -> str:
             target or "all",
             size,
             assets,
-            ", ".join(map(percent, rates)),
+            ", ".join(percent(rate, 1) for rate in rates),
         ]
-        lines.append([*line, percent(sum(rates) / len(rates))])
+        lines.append([*line, percent(sum(rates) / len(rates), 1)])
     head = (
         "task",
         "subtask",
@@ -105,9 +99,11 @@ def share_of(row: dict[str, Any] | None) -> list[str]:
     """Cells of an evaluation: percent, interval, number of episodes; dashes where it was not made."""
     if row is None:
         return ["-", "-", "-"]
-    low, high = row["interval"]
-    interval = f"{100 * low:.0f}-{100 * high:.0f}"
-    return [percent(row["success_once"]), interval, str(row["episodes"])]
+    return [
+        percent(row["success_once"], 1),
+        interval(row["interval"]),
+        str(row["episodes"]),
+    ]
 
 
 def judged_table() -> str:
@@ -127,38 +123,31 @@ def judged_table() -> str:
         line += [f"{paper[name]:.1f}" if name in paper else "-" for name in PAPER]
         if line not in lines:
             lines.append(line)
-    return table((*head, "paper BC % (its val)", "RL-Per %"), lines)
+    columns = (*head, "paper BC % (its val)", "RL-Per %")
+    return table(columns, lines) + source("students-judged")
 
 
 def chain_table() -> str:
     """One line per whole task, split and seed."""
     rows = [row for row in read("students-judged")["rows"] if not row["subtask"]]
-    head = ("task", "split", "seed", "whole task %", "95 %", "of", "tainted", "commit")
+    head = ("task", "split", "seed", "whole task %", "95 %", "of", "tainted")
     lines = []
     for row in rows:
         line = [row["task"], row["split"], str(row["seed"]), *share_of(row)]
-        line += [str(row["tainted"]), row["commit"][:7]]
+        line.append(str(row["tainted"]))
         counts = [part for part in row["subtasks"] if part["kind"] != "navigate"]
         told = (
             f"{part['kind']} {part['successes']}/{part['reached']}" for part in counts
         )
         lines.append([*line, ", ".join(told)])
-    return table(
-        (*head, "subtasks that succeeded of those reached, in plan order"), lines
-    )
+    columns = (*head, "subtasks that succeeded of those reached, in plan order")
+    return table(columns, lines) + source("students-judged")
 
 
-PAPER = ("bc", "rl_per")
 TABLES = {
-    "judged": judged_table,
-    "chains": chain_table,
-    "students": lambda: student_table("builtin"),
-    "replica_cad": lambda: student_table("replica_cad"),
-    "seeds": seed_table,
+    "policies": judged_table,
+    "policies_chains": chain_table,
+    "trainings": lambda: student_table("builtin"),
+    "trainings_replica_cad": lambda: student_table("replica_cad"),
+    "trainings_seeds": seed_table,
 }
-
-
-if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    text = page_with_tables(PAGE.read_text(encoding="utf-8"), TABLES)
-    PAGE.write_text(text, encoding="utf-8")

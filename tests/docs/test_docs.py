@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import importlib
 import re
-import runpy
 import shutil
 import subprocess
 import sys
@@ -184,24 +183,76 @@ def test_commands_are_made_quick(words: str, added: str) -> None:
     parse(made)
 
 
-def test_tables_of_the_experts_are_those_of_their_results() -> None:
-    path = ROOT / "docs" / "scripts" / "experts_tables.py"
-    tables = runpy.run_path(str(path))
-    page = tables["PAGE"].read_text(encoding="utf-8")
-    assert "| set_table | open |" in page
-    assert tables["page_with_tables"](page) == page
+@pytest.fixture
+def scripts(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Any]]:
+    """Imports a script of docs/scripts by its name."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "scripts"))
+    before = set(sys.modules)
+    yield importlib.import_module
+    for name in set(sys.modules) - before:
+        if "docs/scripts" in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
 
 
-def test_table_of_the_students_is_that_of_their_results(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    scripts = ROOT / "docs" / "scripts"
-    monkeypatch.syspath_prepend(str(scripts))
-    tables = runpy.run_path(str(scripts / "students_tables.py"))
-    page = tables["PAGE"].read_text(encoding="utf-8")
-    assert "| set_table | close |" in page
-    filled = tables["page_with_tables"](page, tables["TABLES"])
-    assert filled == page
+def test_tables_of_all_pages_are_those_of_their_results(scripts: Any) -> None:
+    files = scripts("result_files")
+    tables = scripts("result_tables").tables()
+    found = files.pages()
+    assert README in found and ROOT / "docs" / "policies.md" in found
+    for page in found:
+        assert files.fill(page, tables) == page.read_text(encoding="utf-8"), name_of(page)
+    asked = "".join(page.read_text(encoding="utf-8") for page in found)
+    assert [name for name in tables if f"<!-- table: {name} -->" not in asked] == []
+
+
+def test_results_tell_their_date_version_and_command(scripts: Any) -> None:
+    files = scripts("result_files")
+    names = [path.stem for path in files.RESULTS.glob("*.json") if path.stem != "studies"]
+    told = [files.read(name) for name in names] + [*files.read("studies").values()]
+    assert len(told) > 30
+    for about in told:
+        assert files.origin(about).startswith("Measured ")
+
+
+HASH = re.compile(r"\b(?=[0-9]*[a-f])(?=[a-f]*[0-9])[0-9a-f]{7,40}\b")
+MANUAL = [
+    page
+    for page in PAGES
+    if page.parent != ROOT / "docs" / "results" and page.stem != "leaderboard"
+]
+"""Pages without history; docs/results and CHANGELOG.md have it, the leaderboard shows digests of its files."""
+
+
+@pytest.mark.parametrize("page", MANUAL, ids=name_of)
+def test_the_manual_names_no_commit(page: Path) -> None:
+    assert HASH.findall(page.read_text(encoding="utf-8")) == []
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 120
+
+
+def test_the_reference_has_every_public_name() -> None:
+    pages = (ROOT / "docs" / "reference").glob("*.md")
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    found = [resolved(path) for path in re.findall("^::: (.+)$", text, re.MULTILINE)]
+    public = {name: getattr(mjhab, name) for name in mjhab.__all__}
+    del public["__version__"]
+    assert [name for name, value in public.items() if value not in found] == []
+    assert [value for value in found if not value.__doc__] == []
+
+
+def resolved(path: str) -> Any:
+    """The module, class or function of a dotted path.
+
+    Raises:
+        AttributeError: there is none.
+    """
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError:
+        owner, _, name = path.rpartition(".")
+        return getattr(importlib.import_module(owner), name)
 
 
 def test_the_leaderboard_is_the_table_of_its_results() -> None:
@@ -237,9 +288,6 @@ def test_pages_and_pictures_that_a_page_refers_to_exist(page: Path) -> None:
         ] == []
 
 
-def test_the_page_of_commands_is_what_its_script_makes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.syspath_prepend(ROOT / "docs" / "scripts")
-    made = importlib.import_module("commands_page").page()
+def test_the_page_of_commands_is_what_its_script_makes(scripts: Any) -> None:
+    made = scripts("commands_page").page()
     assert (ROOT / "docs" / "commands.md").read_text(encoding="utf-8") == made

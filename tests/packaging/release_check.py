@@ -24,6 +24,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
 VERSION_FILE = Path("src/mjhab/core/version.py")
+MOST_SHOWN = 8000
+"""Characters of what a failed step printed; a build lists every file of the package."""
 
 
 def version_of(tree: Path) -> str:
@@ -71,17 +73,25 @@ def environment(folder: Path) -> Path:
 
 
 def run(step: str, *words: str | Path, cwd: Path, **variables: str) -> None:
-    """Run one step and tell how long it took.
+    """Run one step and tell how long it took; what it printed is shown if it failed.
 
     Raises:
         SystemExit: it failed.
     """
     begun = time.monotonic()
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run([str(word) for word in words], cwd=cwd, env=clean | variables)
-    print(f"release-check: {step}: {time.monotonic() - begun:.0f} s", flush=True)
+    done = subprocess.run(
+        [str(word) for word in words],
+        cwd=cwd,
+        env=clean | variables,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     if done.returncode:
+        print(done.stdout[-MOST_SHOWN:], file=sys.stderr)
         sys.exit(f"release-check: {step} failed with exit code {done.returncode}")
+    print(f"release-check: {step}: {time.monotonic() - begun:.0f} s", flush=True)
 
 
 def check(folder: Path) -> None:
@@ -111,8 +121,9 @@ def check(folder: Path) -> None:
     source = tree / "src" / "mjhab"
     path = f"{python.parent}{os.pathsep}{os.environ['PATH']}"
     cache = {"MJHAB_CACHE": str(folder / "cache"), "PATH": path}
-    words = (python, "-I", HERE / "check_wheel.py", source, work, version)
-    run("demo and examples", *words, cwd=work, **cache)
+    for part in ("files", "demo", "examples"):
+        words = (python, "-I", HERE / "check_wheel.py", part, source, work, version)
+        run(part, *words, cwd=work, **cache)
     print(f"release-check: mjhab {version} is ready to be tagged v{version}")
 
 

@@ -8,12 +8,14 @@ own (`mjhab eval`), skips what is done, and takes every finished row into docs/r
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+from mjhab.core.version import __version__
 from mjhab.reports.metrics import wilson
 
 FILE = Path(__file__).parents[1] / "results" / "students-judged.json"
@@ -76,8 +78,13 @@ def take(row: dict[str, Any]) -> None:
     if FILE.is_file():
         rows = json.loads(FILE.read_text(encoding="utf-8"))["rows"]
     table = {tuple(each[key] for key in KEYS): each for each in [*rows, row]}
-    what = "students that come with mjhab, profile ms_hab, built-in homes"
-    content = {"what": what, "rows": [table[key] for key in sorted(table)]}
+    content = {
+        "what": "policies that come with mjhab, profile ms_hab, built-in homes",
+        "date": datetime.date.today().isoformat(),
+        "version": __version__,
+        "command": "python docs/scripts/judge_students.py --out runs/judged",
+        "rows": [table[key] for key in sorted(table)],
+    }
     FILE.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

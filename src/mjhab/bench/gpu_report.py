@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import datetime
 import gc
 import json
 import platform
@@ -25,6 +26,7 @@ from mjhab.bench.specs import EnvBenchSpec, InteractSpec, ParitySpec
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.machine import cores, gpu_name, installed
+from mjhab.core.version import __version__
 from mjhab.envs.estimate import estimate_rows
 from mjhab.sim.backends import cuda_devices, resolve
 
@@ -199,9 +201,11 @@ def report(out: Path, names: Sequence[str] = ()) -> None:
             raise unknown_name("measure", name, MEASURES)
     has_gpu = bool(cuda_devices())
     left_out = "parity-quick" if has_gpu else "parity"
-    head = {"machine": machine(), "note": None if has_gpu else NO_GPU}
+    made = {"date": datetime.date.today().isoformat(), "version": __version__}
+    head = made | {"machine": machine(), "note": None if has_gpu else NO_GPU}
     for name in names or [name for name in MEASURES if name != left_out]:
-        text = json.dumps(head | MEASURES[name](has_gpu), indent=1) + "\n"
+        told = {"command": f"python -m mjhab.bench.gpu_report docs/results {name}"}
+        text = json.dumps(told | head | MEASURES[name](has_gpu), indent=1) + "\n"
         path = out / f"gpu-{name}.json"
         write_atomic(
             path,

@@ -9,6 +9,7 @@ same student (`IDENTITY`) are replaced, others stay.
 from __future__ import annotations
 
 import argparse
+import datetime
 import hashlib
 import itertools
 import json
@@ -21,6 +22,7 @@ from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
+from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.places import episodes
 from mjhab.reports.metrics import label_counts, mean, wilson
@@ -193,6 +195,9 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     }
     content = {
         "what": "students: policies that act from depth images and state",
+        "date": datetime.date.today().isoformat(),
+        "version": __version__,
+        "command": "python -m mjhab.reports.students docs/results/students.json RUN EVALUATION",
         "rows": list(table.values()),
     }
     write_text(path, json.dumps(content, indent=1) + "\n")

@@ -274,6 +274,22 @@ def test_the_site_needs_no_network() -> None:
     assert not re.findall(r"https?://", site)
 
 
+def anchors(page: Path) -> set[str]:
+    """Names of the headings of a page, as the site makes them."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    heads = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    plain = [re.sub(r"[^\w\s-]", "", head.lower()).strip() for head in heads]
+    return {re.sub(r"\s+", "-", head) for head in plain}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_headings_that_a_page_refers_to_exist(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    links = re.findall(r"\]\((?!http)([^)\s#]*)#([^)\s]+)\)", text)
+    places = [((page.parent / name) if name else page, head) for name, head in links]
+    assert [link for link in places if link[1] not in anchors(link[0])] == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_pages_and_pictures_that_a_page_refers_to_exist(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)

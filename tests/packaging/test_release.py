@@ -82,3 +82,13 @@ def test_every_example_is_in_the_package_and_has_a_command() -> None:
     )
     for name, example in EXAMPLES.items():
         assert f"{{}}/{name}" in example.command and " mjhab " in f" {example.command}"
+
+
+def test_every_folder_of_code_is_a_package() -> None:
+    """A folder without ``__init__.py`` is importable, but `make docs` does not find it."""
+    source = ROOT / "src" / "mjhab"
+    folders = {path.parent for path in source.rglob("*.py")}
+    plain = {path for path in folders if not (path / "__init__.py").is_file()}
+    assert {
+        path for path in plain if not path.is_relative_to(source / "examples")
+    } == set()

@@ -1,0 +1,1 @@
+"""A training run of imitation: its specification, its session, what it collects, evaluates and reports."""

@@ -83,8 +83,8 @@ def test_the_policy_of_the_readme_succeeds_sometimes(policy_file: Path) -> None:
         autoreset="disabled",
     )
     policy = importlib.import_module("my_policy").DriveToGoal()
-    # Episodes of the line to expect in which the way is free; 12 s of robot time suffice.
-    records = rollout(env, policy, [5, 10], seed=0, max_steps=240)
+    # Episodes of the line to expect in which nothing is in between; 8 s of robot time suffice.
+    records = rollout(env, policy, [6, 14], seed=0, max_steps=160)
     assert any(record.success_once for record in records)
     assert min(record.cumulative_force for record in records) == 0.0
     env.close()

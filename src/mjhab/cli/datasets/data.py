@@ -285,7 +285,7 @@ def _check(options: DataCheckOptions) -> int:
     older = sum(count for schema, count in report.schemas.items() if schema < VERSION)
     if older:
         print(
-            f"{older} episodes are of an older schema; they are read as those of schema {VERSION}, see docs/data/format.md"
+            f"{older} episodes are of an older schema, read as those of schema {VERSION}, see docs/data/format.md"
         )
     print(
         f"{report.episodes} episodes, {report.ok} ok, {len(damaged)} damaged, {len(unreadable)} shards unreadable"

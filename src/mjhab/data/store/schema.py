@@ -1,4 +1,4 @@
-"""The schema of shards: names, shapes and units of datasets, and its version. `docs/data/format.md` prints this table."""
+"""The schema of shards: names, shapes, units of datasets; its version. `docs/data/format.md` shows this table."""
 
 from __future__ import annotations
 

@@ -227,13 +227,13 @@ format: $(VENV)/.dev  ## rewrite the sources in the house format
 	$(BIN)/ruff check --fix .
 
 bench: $(VENV)/.core  ## control steps per second of the engine and of the environment
-	$(BIN)/mjhab bench sim --worlds 16
+	$(BIN)/python -m benchmarks.sim --worlds 16
 
 docs-media: $(VENV)/.dev $(VENV)/.learn  ## draw the pictures and films of README and documentation anew, in docs/media
 	$(BIN)/python docs/scripts/media.py --into docs/media
 
 gpu-report: $(VENV)/.dev  ## measure the warp backend, on a GPU if there is one; writes docs/results/gpu-*.json
-	$(BIN)/python -m mjhab.bench.gpu_report docs/results
+	$(BIN)/python -m benchmarks.gpu_report docs/results
 
 GPU_TRAIN_OUT ?= runs/gpu-train
 MINUTES ?= 10
@@ -244,7 +244,7 @@ gpu-train: $(VENV)/.dev  ## train the ten rows of Table 1 by reinforcement, MINU
 
 clean:  ## remove caches and build products (runs and .venv stay)
 	rm -rf build dist .pytest_cache .ruff_cache .hypothesis
-	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## also remove .venv
 	rm -rf $(VENV) $(LEROBOT) $(LEROBOT_ENV) $(VLA) $(RAY) $(DOCS) $(SB3) $(SKRL) $(MANISKILL) $(RSL_RL) $(RLLIB) $(TORCHRL) $(ROBOSUITE) src/*.egg-info

@@ -109,6 +109,7 @@ _PACKAGES = frozenset(
         "integrations",
         "layout",
         "learning",
+        "paper",
         "render",
         "reports",
         "robots",

@@ -86,11 +86,11 @@ INTEGER_SUMS = {
     "layout/contact_sensors.py": {"1 << field"},
     "learning/layout.py": {"width", "widths"},
     "learning/observation/parts.py": {"width"},
-    "learning/ms_hab/sac.py": {
+    "paper/ms_hab/sac.py": {
         "size(shapes, f'{_PIXELS}{camera}.projection.0.weight', 0, 50)",
     },
     "learning/reinforcement/session.py": {"self._outcomes"},
-    "learning/reproduce/results.py": {"summary['demonstrations']"},
+    "paper/reproduce/results.py": {"summary['demonstrations']"},
     "reports/plots.py": {"counts[kind].values()"},
 }
 """Further sums of integers or truth values: what is added, by file."""

@@ -33,7 +33,7 @@ def test_every_field_has_a_docstring(owner: type) -> None:
 
 @pytest.mark.parametrize("command", commands.COMMANDS, ids=lambda command: command.name)
 def test_every_command_is_there(command: commands.Command) -> None:
-    assert callable(commands.load(f"cli.{command.run}"))
+    assert callable(command.load_run())
     assert isinstance(commands.load(command.options), type)
 
 

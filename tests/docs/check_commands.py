@@ -58,6 +58,15 @@ ALWAYS = {"score": ("--episodes", "1"), "train": ("--budget-minutes", "0.3")}
 IMITATION = ("bc", "flow", "act", "diffusion", "dagger")
 FEW_DEMONSTRATIONS = ("--demos", "8")
 """What is added to imitation from demonstrations of its own, which else takes all of the budget."""
+SMALL_BENCHMARKS: dict[str, tuple[str, ...]] = {
+    "benchmarks.grasp": ("--seconds", "1"),
+    "benchmarks.parity": ("--worlds", "2", "--steps", "40", "--grasp-seconds", "0"),
+    "benchmarks.scaling": ("--rounds", "1", "--worlds", "2"),
+    "benchmarks.sim": ("--rounds", "1", "--worlds", "2"),
+    "benchmarks.soak": ("--steps", "40", "--worlds", "2"),
+    "benchmarks.spawn": ("--count", "2"),
+}
+"""What is added to developers' benchmarks."""
 LASTING = ("serve", "view")
 """Commands that go on until they are ended."""
 END_SECONDS = 30.0
@@ -139,7 +148,10 @@ def run(command: Command, folder: Path, lasting: list[Lasting]) -> bool:
     words = [sys.executable, *given]
     if command.program == "mjhab":
         words = [sys.executable, "-m", "mjhab.cli.main", *small(given)]
-    environment = {**os.environ, **command.variables}
+    elif given[0] == "-m":
+        words += SMALL_BENCHMARKS.get(given[1], ())
+    paths = os.pathsep.join(map(str, (ROOT / "src", ROOT)))
+    environment = {**os.environ, "PYTHONPATH": paths, **command.variables}
     if command.words[1] in LASTING and "--export" not in command.words:
         process = subprocess.Popen(
             words, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True

@@ -342,31 +342,6 @@ def test_commands(capsys: pytest.CaptureFixture[str], made: SpawnSet, tmp_path: 
     assert main(["spawns", "list", str(tmp_path / "nothing")]) == 2
 
 
-def test_bench_spawn(capsys: pytest.CaptureFixture[str]):
-    told = machine(
-        capsys,
-        "bench",
-        "spawn",
-        "--task",
-        "set_table",
-        "--subtask",
-        "pick",
-        "--count",
-        "20",
-        "--pool",
-        "2",
-        "--fresh",
-        "1",
-    )
-    assert {"spawns_per_s", "tries_mean", "fallbacks", "episode_s"} <= set(told)
-    assert (
-        told["spawns_per_s"] > 0
-        and told["tries_mean"] >= 1
-        and told["fallbacks"] == 0
-        and told["episode_s"] > 0
-    )
-
-
 def test_starts_share_the_arrangements_of_the_pool() -> None:
     factory = SpawnFactory(RECIPE)
     assert factory.header()["grasps"] == {}

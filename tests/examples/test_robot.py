@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.bench.simulation.engine import measure_engine
-from mjhab.bench.simulation.grasp import grasp_table
-from mjhab.bench.specs import EngineSpec
+from benchmarks.grasp import grasp_table
+from benchmarks.sim import SimSpec, measure_engine
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import load_plugin
@@ -113,7 +112,7 @@ def test_the_grasp_bench_and_the_engine_bench_take_it() -> None:
     rows = grasp_table(seconds=0.5, objects=("004_sugar_box",), robot="boxy")
     assert [row["object"] for row in rows] == ["004_sugar_box"] and not rows[0]["dropped"]
     measured = measure_engine(
-        EngineSpec(worlds=1, threads=1, steps=2, rounds=1, robot="boxy")
+        SimSpec(worlds=1, threads=1, steps=2, rounds=1, robot="boxy")
     )
     assert measured["env_sps"] > 0
 

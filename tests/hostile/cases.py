@@ -506,7 +506,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "homes render": ("homes", "render", "builtin_m0_00", "--out", "{new}/a.png"),
     "episodes make": ("episodes", "make", "--out", "{new}/e.json.gz"),
     "spawns make": ("spawns", "make", "--subtask", "pick", "--out", "{new}/s.npz"),
-    "bench soak": ("bench", "soak"),
     "bench env": ("bench", "env"),
 }
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -523,7 +522,6 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "homes render": ("width", "height"),
     "episodes make": ("count", "first", "seed", "workers"),
     "spawns make": ("count", "seed", "pool"),
-    "bench soak": ("steps", "worlds", "seed", "generate"),
     "bench env": ("worlds", "camera-size", "steps"),
 }
 VALUES = ("-1", "18446744073709551616", "nan", "1e18", "", "x")
@@ -642,7 +640,6 @@ WRITERS: dict[str, tuple[str, ...]] = {
     ),
     "episodes make": ("episodes", "make", "--count", "1", "--out"),
     "spawns make": ("spawns", "make", "--subtask", "pick", "--count", "1", "--out"),
-    "bench soak": ("bench", "soak", "--steps", "1", "--worlds", "1", "--out"),
     "export lerobot": ("export", "lerobot", "{shard}", "--out"),
     "export maniskill": ("export", "maniskill", "{shard}", "--out"),
     "data split": ("data", "split", "{shard}", "--out"),

@@ -19,9 +19,9 @@ from mjhab.episodes.hab.format import from_json, read_hab, to_json
 from mjhab.episodes.spawn_sets import SpawnRow, SpawnSet, content_digest, pack_rows, write
 from mjhab.learning.by_subtask import describe_entries, read_entries
 from mjhab.learning.checkpoint import load_student, save_student
-from mjhab.learning.ms_hab.checkpoint import load_network
 from mjhab.learning.policy_kind import inspect_policy
 from mjhab.learning.students.heads import make_student
+from mjhab.paper.ms_hab.checkpoint import load_network
 from mjhab.scenes.formats.gltf import read_glb
 from mjhab.scenes.formats.urdf import read_urdf
 from mjhab.scenes.home_files import home_pack
@@ -42,7 +42,7 @@ from tests.hostile.mutations import (
     changed_xml,
 )
 from tests.learning import small
-from tests.learning.ms_hab_checkpoints import ppo_shapes, random_weights, save
+from tests.paper.ms_hab_checkpoints import ppo_shapes, random_weights, save
 from tests.scenes.formats.glb import BOX, BOX_FACES, URDF, tiny_data_set, write_glb
 
 

@@ -10,16 +10,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from mjhab.bench.environments.reward import figure as reward_figure
+from benchmarks.reward import figure as reward_figure
 from mjhab.bench.experts.report import render_experts
 from mjhab.bench.experts.rows import Result
-from mjhab.bench.interact.plot import interact_page
 from mjhab.data.store.images import ImageFormat
-from mjhab.learning.reproduce.results import page as reproduce_page
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.run import TrainingFolder
+from mjhab.paper.reproduce.results import page as reproduce_page
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
+from mjhab.reports.interact import interact_page
 from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.plots import labels_figure
 from mjhab.reports.run import render_report

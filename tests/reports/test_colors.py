@@ -13,8 +13,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from benchmarks import soak as memory_plot
 from mjhab.bench.experts import report as experts
-from mjhab.bench.soak import memory_plot
 from mjhab.reports import dataset_forces
 from mjhab.reports.plots import OTHER_COLOR, force_figure, kind_color, labels_figure, tone
 from mjhab.rollout.records import EpisodeRecord

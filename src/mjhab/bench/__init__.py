@@ -1,1 +1,4 @@
-"""What is measured about mjhab: speed, memory, grasps, experts, parity of the backends. Run by ``mjhab bench``."""
+"""What users measure by ``mjhab bench``: environments, experts, the paper's Interact benchmark.
+
+What only developers measure lies in the folder ``benchmarks`` of a checkout.
+"""

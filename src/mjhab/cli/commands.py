@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mjhab.core.errors import unknown_name
+from mjhab.core.errors import UsageError, unknown_name
 
 
 @dataclass(frozen=True)
@@ -18,9 +18,9 @@ class Command:
     """A command.
 
     name: its words, e.g. "homes list". summary: a line for the overview. options: module (below ``mjhab``) and name of
-    the dataclass that its command line is made of. run: module (below ``mjhab.cli``) and name of the function that
-    takes it. memory: whether it has the option --cache-mb. spec: whether the dataclass is a specification, see
-    `parsing.parse_spec`; else it is parsed as it is.
+    the dataclass that its command line is made of. run: module (below ``mjhab.cli``, of the paper's studies below
+    ``mjhab``) and name of the function that takes it. memory: whether it has the option --cache-mb. spec: whether the
+    dataclass is a specification, see `parsing.parse_spec`; else it is parsed as it is.
     """
 
     name: str
@@ -34,6 +34,10 @@ class Command:
     def words(self) -> tuple[str, ...]:
         """The words of its name."""
         return tuple(self.name.split())
+
+    def load_run(self) -> Any:
+        """Import the function that runs it."""
+        return load(self.run if self.run.startswith("paper.") else f"cli.{self.run}")
 
 
 def load(path: str) -> Any:
@@ -49,12 +53,30 @@ GROUPS = {
     "assets": "fetch public assets and episodes, and check them",
     "episodes": "files of episodes",
     "spawns": "precomputed start states",
-    "bench": "measure this machine and the physics",
+    "bench": "measure environments, experts and the paper's Interact",
     "train": "train a policy",
     "data": "recorded episodes: list, query, check, merge, import",
     "export": "recorded episodes in other formats",
 }
 """Commands of two words by their first one."""
+
+DEVELOPERS_BENCHES = frozenset(
+    [
+        "curves",
+        "grasp",
+        "learner",
+        "parity",
+        "reward",
+        "scaling",
+        "serving",
+        "sim",
+        "soak",
+        "spawn",
+        "view",
+        "windows",
+    ]
+)
+"""Benches that were commands; they are in the folder ``benchmarks`` of a checkout."""
 
 COMMANDS: tuple[Command, ...] = (
     Command(
@@ -145,7 +167,7 @@ COMMANDS: tuple[Command, ...] = (
         "reproduce",
         "the tables and figures of the MS-HAB paper",
         "cli.options.policies.reproduce:ReproduceOptions",
-        "policies.reproduce:run_reproduce",
+        "paper.reproduce.command:run_reproduce",
     ),
     Command(
         "serve",
@@ -339,52 +361,10 @@ COMMANDS: tuple[Command, ...] = (
         "worlds.spawns:run_spawns",
     ),
     Command(
-        "bench sim",
-        "steps per second of the engine",
-        "cli.options.engine:BenchSimOptions",
-        "bench.engine:bench_sim",
-    ),
-    Command(
-        "bench scaling",
-        "engine and environment by worlds and threads",
-        "cli.options.engine:BenchScalingOptions",
-        "bench.scaling:bench_scaling",
-    ),
-    Command(
-        "bench grasp",
-        "how well grasps hold",
-        "cli.options.engine:BenchGraspOptions",
-        "bench.engine:bench_grasp",
-    ),
-    Command(
         "bench env",
         "steps per second of an environment, by stage",
         "cli.options.env:BenchEnvOptions",
         "bench.env:bench_env",
-    ),
-    Command(
-        "bench spawn",
-        "start states per second",
-        "cli.options.spawn:BenchSpawnOptions",
-        "worlds.spawns:bench_spawn",
-    ),
-    Command(
-        "bench soak",
-        "errors and memory over a long time",
-        "cli.options.env:BenchSoakOptions",
-        "bench.soak:bench_soak",
-    ),
-    Command(
-        "bench windows",
-        "reading of training windows",
-        "cli.options.datasets.data:BenchWindowsOptions",
-        "bench.windows:bench_windows",
-    ),
-    Command(
-        "bench reward",
-        "how well the reward tells success",
-        "cli.options.env:BenchRewardOptions",
-        "bench.reward:bench_reward",
     ),
     Command(
         "bench experts",
@@ -397,36 +377,6 @@ COMMANDS: tuple[Command, ...] = (
         "the benchmark Interact of the paper",
         "cli.options.gpu:BenchInteractOptions",
         "bench.interact:bench_interact",
-    ),
-    Command(
-        "bench parity",
-        "both simulators beside each other",
-        "cli.options.gpu:BenchParityOptions",
-        "bench.parity:bench_parity",
-    ),
-    Command(
-        "bench serving",
-        "requests to a policy server",
-        "cli.options.policies.serve:BenchServingOptions",
-        "bench.serving:bench_serving",
-    ),
-    Command(
-        "bench view",
-        "the viewer",
-        "cli.options.view:BenchViewOptions",
-        "bench.view:bench_view",
-    ),
-    Command(
-        "bench learner",
-        "updates per second",
-        "cli.options.policies.benches:BenchLearnerOptions",
-        "bench.learner:bench_learner",
-    ),
-    Command(
-        "bench curves",
-        "learning curves",
-        "cli.options.policies.benches:BenchCurvesOptions",
-        "bench.curves:bench_curves",
     ),
     Command(
         "config",
@@ -463,12 +413,16 @@ def find(args: Sequence[str]) -> tuple[Command, Sequence[str]]:
     """The command that a command line names, and the words after it.
 
     Raises:
-        UsageError: there is no such command; the message names the nearest.
+        UsageError: there is no such command; the message names the nearest, or where a bench is now.
     """
     first = args[0]
     if first in GROUPS:
         inside = [command.words[1] for command in COMMANDS if command.words[0] == first]
         second = args[1] if len(args) > 1 else ""
+        if first == "bench" and second in DEVELOPERS_BENCHES:
+            raise UsageError(
+                f"`mjhab bench {second}` is `python -m benchmarks.{second}` now, in a checkout of mjhab."
+            )
         if second not in inside:
             raise unknown_name(f"command of {first}", second, inside)
         return BY_WORDS[first, second], args[2:]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import tyro
@@ -48,15 +48,24 @@ def main(args: Sequence[str] | None = None) -> int:
 
     0: success; 1: the command failed; 2: the request is invalid; 130: Ctrl-C; 141: the reader of stdout has closed it.
     """
+    given = list(sys.argv[1:] if args is None else args)
+
+    def work() -> int:
+        if given == ["--version"]:
+            print(f"mjhab {__version__}")
+            return OK
+        return run(parse(given))
+
+    return exit_code_of(work)
+
+
+def exit_code_of(work: Callable[[], int]) -> int:
+    """Do the work of a command; an error that it raises is told in a line on stderr and becomes the exit code."""
     make_streams_sturdy()
     show_own_warnings_plainly()
-    given = list(sys.argv[1:] if args is None else args)
     try:
         try:
-            if given == ["--version"]:
-                print(f"mjhab {__version__}")
-                return 0
-            return run(parse(given))
+            return work()
         finally:
             # Flush here, where a closed pipe can be distinguished from other errors.
             sys.stdout.flush()
@@ -153,7 +162,7 @@ def run(parsed: Parsed) -> int:
     register_all()
     if parsed.cache_mb is not None:
         set_memory_limit(parsed.cache_mb)
-    function = commands.load(f"cli.{parsed.command.run}")
+    function = parsed.command.load_run()
     if parsed.command.spec:
         return function(parsed.spec, parsed.json)
     return function(with_pack_request(parsed.spec))

@@ -10,18 +10,22 @@ from mjhab.config.profiles import DEFAULT_PROFILE
 
 @dataclass(frozen=True, kw_only=True)
 class ProfileChoice:
-    """A profile, and what is given beside it.
-
-    profile: name of many values at once, see `profiles.Profile`; "" for that of the policy or the data, if they have
-    one. robot: name of the robot, None for the default. starts: the ``spawn_rule`` of the environment, stillness: how
-    joints are judged, joint_dynamics: of the furniture; None for those of the profile.
-    """
+    """A profile, and what is given beside it."""
 
     profile: str = DEFAULT_PROFILE
+    """Values of many options at once: ms_hab is the environment of the MS-HAB paper (see docs/environments.md); "" for
+    that of the policy or the data, if they have one."""
     robot: str | None = None
+    """The robot (see: mjhab robots list); the default one if absent."""
     starts: str | None = None
+    """Start positions of Pick and Place at a drawer or fridge, and start posture of the arm in Place: front_box or
+    published (spawn_rule of an environment); the profile's if absent."""
     stillness: str | None = None
+    """Whether a joint that moves backwards counts as moving (absolute) or as still (published); the profile's if
+    absent."""
     joint_dynamics: str | None = None
+    """Damping, friction, stops and range of doors and drawers: ours, or those of their files (published); the profile's
+    if absent."""
 
 
 def profile_options(choice: ProfileChoice) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from mjhab.core.errors import UsageError
 LIMIT_VARIABLE = "MJHAB_CACHE_MB"
 """Environment variable with the limit [MB] of all caches of a process together."""
 DEFAULT_LIMIT_MB = 512.0
-"""Holds everything that the 105 built-in homes need in five environments at once (`mjhab bench soak`: about 250 MB)."""
+"""Holds everything that the 105 built-in homes need in five environments at once (`benchmarks.soak`: about 250 MB)."""
 ENTRY_BYTES = 500
 """What an entry takes besides its arrays: Python objects, keys."""
 _ARRAY_DEPTH = 3

@@ -17,6 +17,8 @@ from mjhab.tasks.style import Styles
 
 EXPERT = "expert"
 NAMED_POLICIES = (EXPERT, "random", "zero")
+MS_HAB_PREFIX = "ms_hab:"
+"""Before the file of a checkpoint of MS-HAB."""
 STUDENT = "student"
 """Name of the checkpoints that come with the package; `full_spec` adds task, subtask and target."""
 
@@ -105,9 +107,9 @@ POLICY_KINDS: list[PolicyKind] = [
         takes_instruction=True,
     ),
     PolicyKind(
-        "ms_hab:CHECKPOINT.pt",
-        lambda spec: spec.startswith("ms_hab:"),
-        "mjhab.learning.ms_hab.policy_kind",
+        f"{MS_HAB_PREFIX}CHECKPOINT.pt",
+        lambda spec: spec.startswith(MS_HAB_PREFIX),
+        "mjhab.paper.ms_hab.policy_kind",
     ),
     PolicyKind(
         "ws://HOST:PORT",

@@ -24,6 +24,7 @@ from mjhab.core.typed.records import read_record
 from mjhab.evaluation.evaluate import close_policy
 from mjhab.evaluation.resolve import (
     EXPERT,
+    MS_HAB_PREFIX,
     NAMED_POLICIES,
     STUDENT,
     PolicyFacts,
@@ -32,7 +33,6 @@ from mjhab.evaluation.resolve import (
 )
 from mjhab.evaluation.resolve import inspect_policy as inspect_any
 from mjhab.learning import policy_kind
-from mjhab.learning.ms_hab.policy_kind import PREFIX as MS_HAB
 from mjhab.rollout.policy import Fallible, Policy, RolloutEnv, Selective
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -103,7 +103,7 @@ def _beside(path: Path, spec: str) -> str:
         )
     if spec in NAMED_POLICIES or spec.startswith(WITHOUT_FILE):
         return spec
-    prefix = MS_HAB if spec.startswith(MS_HAB) else ""
+    prefix = MS_HAB_PREFIX if spec.startswith(MS_HAB_PREFIX) else ""
     files = policy_kind.members(spec.removeprefix(prefix))
     return prefix + policy_kind.AND.join(str(beside(path, str(file))) for file in files)
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.bench.interact import recipe as interact_recipe
+from benchmarks import interact_recipe
+from mjhab.bench.environments.memory_sampler import MemorySampler
 from mjhab.bench.interact import run as bench
-from mjhab.bench.interact.plot import interact_figure
 from mjhab.bench.interact.scene import (
     CONTROL_MODE,
     OBJECTS,
@@ -24,9 +24,9 @@ from mjhab.bench.interact.scene import (
     interact_actions,
     interact_scene,
 )
-from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
+from mjhab.reports.interact import interact_figure
 from mjhab.robots.controllers import make_controller
 from mjhab.scenes.packs import open_pack
 

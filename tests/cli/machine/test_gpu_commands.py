@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.bench import gpu_report
-from mjhab.bench.parity import run as bench_parity
-from mjhab.bench.parity.episodes import KINDS, Leg, Log, difference
+from benchmarks import gpu_report
+from benchmarks.parity import run as bench_parity
+from benchmarks.parity.__main__ import main as parity_main
+from benchmarks.parity.episodes import KINDS, Leg, Log, difference
 from mjhab.cli.machine import warmup
 from mjhab.cli.main import main
 from mjhab.core import libraries
@@ -311,7 +312,7 @@ def test_the_log_lets_a_killed_run_go_on(tmp_path: Path) -> None:
     again.add(leg, "equal", 1, {"steps": 6})
     assert Log(path).missing(leg, "equal", range(4)) == [3]
     path.write_text("steps,success\n")
-    with pytest.raises(UsageError, match="is no log of mjhab bench parity"):
+    with pytest.raises(UsageError, match="is no log of"):
         Log(path)
 
 
@@ -408,7 +409,7 @@ def test_parity_knows_which_subtasks_there_are(
     ):
         with pytest.raises(UsageError, match=said):
             bench_parity.pairs(**{"task": "set_table", "subtask": "pick"} | _named(wrong))
-    assert main(["bench", "parity", "--worlds", "0"]) == 2
+    assert parity_main(["--worlds", "0"]) == 2
     assert "--worlds must be at least 1" in capsys.readouterr().err
 
 

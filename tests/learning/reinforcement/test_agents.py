@@ -34,7 +34,9 @@ from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import START_STD, gaussian_of
 from mjhab.learning.students.heads import make_student
-from tests.learning.ms_hab_checkpoints import (
+from tests.learning.reinforcement.toy import HORIZON, LAYOUT, PPO_TOY, SAC_TOY, Toy
+from tests.learning.small import config, demonstrations, layout
+from tests.paper.ms_hab_checkpoints import (
     HAND,
     HEAD,
     bc_action,
@@ -42,8 +44,6 @@ from tests.learning.ms_hab_checkpoints import (
     ppo_shapes,
     sac_shapes,
 )
-from tests.learning.reinforcement.toy import HORIZON, LAYOUT, PPO_TOY, SAC_TOY, Toy
-from tests.learning.small import config, demonstrations, layout
 
 WORLDS = 16
 torch.set_num_threads(1)

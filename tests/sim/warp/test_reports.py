@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import sleep as gpu_sleep
+from benchmarks.parity import episodes as parity_episodes
+from benchmarks.parity import run as bench_parity
+from benchmarks.parity.episodes import KINDS, Leg, Log, run_equal, run_own
 from mjhab.bench.environments import env as bench_env
 from mjhab.bench.environments.stages import STAGES
 from mjhab.bench.interact import run as bench_interact
 from mjhab.bench.interact.scene import InteractScene, interact_scene
-from mjhab.bench.parity import episodes as parity_episodes
-from mjhab.bench.parity import run as bench_parity
-from mjhab.bench.parity.episodes import KINDS, Leg, Log, run_equal, run_own
-from mjhab.bench.simulation import sleep as gpu_sleep
 from mjhab.cli.machine import warmup
 from mjhab.cli.options.env import BenchEnvOptions
-from mjhab.cli.options.gpu import BenchParityOptions, WarmupOptions
+from mjhab.cli.options.gpu import WarmupOptions
 from mjhab.rollout.loop import rollout
 from mjhab.scenes import packs
 from mjhab.sim.warp.host_twin import HostTwin
@@ -81,7 +81,7 @@ def test_interact_draws_the_same_on_both_backends(scene: InteractScene) -> None:
 
 
 def test_parity_of_an_environment(tmp_path: Path) -> None:
-    options = BenchParityOptions(
+    options = bench_parity.ParitySpec(
         worlds=1,
         steps=2,
         grasp_seconds=0.0,
@@ -196,7 +196,7 @@ def test_warmup_compiles_all_of_a_device_env(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_grasps_hold_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mjhab.bench.parity import grasp as parity_grasp
+    from benchmarks.parity import grasp as parity_grasp
 
     monkeypatch.setattr(parity_grasp, "BENCH_OBJECTS", ("005_tomato_soup_can",))
     (row,) = parity_grasp.grasp_parity(0.2, "cpu", 1, 0)

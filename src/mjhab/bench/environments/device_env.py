@@ -7,13 +7,13 @@ from collections.abc import Callable
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from mjhab.bench.environments.memory_sampler import MemorySampler
+from mjhab.bench.environments.speed import sway
 from mjhab.bench.environments.stages import (
     Stopwatch,
     stage_seconds,
     watch_env,
 )
-from mjhab.bench.memory_sampler import MemorySampler
-from mjhab.bench.simulation.engine import sway
 from mjhab.bench.specs import EnvBenchSpec
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.machine import resident_mb

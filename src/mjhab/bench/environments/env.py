@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mjhab.bench.environments.speed import measure_sps, sway
 from mjhab.bench.environments.stages import (
     Stopwatch,
     stage_seconds,
     watch_env,
 )
-from mjhab.bench.simulation.engine import measure_sps, sway
 from mjhab.bench.specs import EnvBenchSpec
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.machine import resident_mb

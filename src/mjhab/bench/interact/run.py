@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from mjhab.bench.interact.plot import interact_page
+from mjhab.bench.environments.memory_sampler import MemorySampler
 from mjhab.bench.interact.scene import (
     CONTROL_MODE,
     OBJECTS,
@@ -22,7 +22,6 @@ from mjhab.bench.interact.scene import (
     interact_actions,
     interact_scene,
 )
-from mjhab.bench.memory_sampler import MemorySampler
 from mjhab.bench.specs import InteractSpec
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
@@ -30,6 +29,7 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
 from mjhab.envs.parts.memory import WorldPictures, check_device_memory
+from mjhab.reports.interact import interact_page
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.backends import open_simulator, resolve
 

@@ -3,7 +3,7 @@ robot before it, and 200 recorded actions that sweep the arm through the objects
 
 After the paper's benchmark (mshab/utils/bench, MS-HAB paper Sec. 4): stage, articulations and YCB objects, no
 other furniture. Its file of actions belongs to the Habitat 2.0 assets, so the actions are our own;
-``python -m mjhab.bench.interact.recipe`` makes them again.
+``python -m benchmarks.interact_recipe`` makes them again.
 """
 
 from __future__ import annotations

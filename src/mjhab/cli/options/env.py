@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from mjhab.bench.specs import SOAK_CACHE_MB, EnvBenchSpec, RewardSpec, SoakSpec
+from mjhab.bench.specs import EnvBenchSpec
 from mjhab.cli.options.common import (
     Assets,
     Backend,
     Device,
     Joints,
     MaybeName,
-    MemoryOptions,
     Name,
     Number,
     Numbers,
@@ -95,61 +93,6 @@ class EnvsCommand:
         Annotated[EnvsListOptions, Sub("list")]
         | Annotated[EnvsDescribeOptions, Sub("describe")]
     )
-
-
-@dataclass(frozen=True)
-class BenchSoakOptions(MemoryOptions, ProfileOptions, SoakSpec):
-    """Step all training environments with random actions for a long time, to find errors and memory growth.
-
-    With --generate, record episodes with the expert instead. Fails if memory changes by more than 3 % over the second
-    half. For instance: `mjhab bench soak --steps 1000000 --worlds 16 --out runs/soak`
-    """
-
-    steps: Number = SoakSpec.steps
-    """Control steps over all worlds and subtasks."""
-    generate: Number = SoakSpec.generate
-    """Record this number of episodes with the expert instead, in this process; they are deleted at the end."""
-    subtask: MaybeName = SoakSpec.subtask
-    """With --generate: episodes of one subtask, such as pick; the whole task if absent."""
-    worlds: Number = SoakSpec.worlds
-    """Worlds of each subtask."""
-    task: Name = SoakSpec.task
-    """Task that sets homes and objects; subtasks that the task lacks are left out."""
-    threads: Number = SoakSpec.threads
-    """Threads of the physics; 0 takes all cores."""
-    seed: Number = SoakSpec.seed
-    """Seed of the episodes and of the actions."""
-    cache_mb: Annotated[float | None, tyro.conf.arg(metavar="MB")] = SOAK_CACHE_MB
-    """Limit of the cache of homes, maps and episodes in memory [MB]. By default less than elsewhere, so that it is full
-    long before the end: a cache that still fills looks like growth."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder of soak.json and memory.svg, the memory curve."""
-    json: bool = False
-    """Print one line of JSON instead of a table."""
-
-
-@dataclass(frozen=True)
-class BenchRewardOptions(ProfileOptions, RewardSpec):
-    """Measure how well the dense reward separates success from failure, in episodes of the expert.
-
-    Writes a page with the reward over time of every subtask. The AUC is the probability that a successful episode has a
-    higher return than a failed one: 1 is ideal, 0.5 is chance.
-    """
-
-    episodes: Number = RewardSpec.episodes
-    """Episodes of every subtask."""
-    worlds: Number = RewardSpec.worlds
-    """Number of parallel episodes. Changes the speed, never the results."""
-    seed: Number = RewardSpec.seed
-    """Seed of the episodes."""
-    subtasks: Name = RewardSpec.subtasks
-    """Which subtasks, separated by commas."""
-    threads: Number = RewardSpec.threads
-    """Threads of the physics; 0 takes all cores."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = RewardSpec.out
-    """Folder of report.html and reward.json."""
-    json: bool = False
-    """Print one line of JSON at the end."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The options of ``mjhab bench interact``, ``mjhab bench parity`` and ``mjhab warmup``."""
+"""The options of ``mjhab bench interact`` and ``mjhab warmup``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.bench.specs import InteractSpec, ParitySpec
+from mjhab.bench.specs import InteractSpec
 from mjhab.cli.options.common import (
     Assets,
     Backend,
@@ -57,41 +57,6 @@ class BenchInteractOptions(InteractSpec):
     """Folder of the results; results of an earlier run are replaced."""
     json: bool = False
     """Print one line of JSON at the end."""
-
-
-@dataclass(frozen=True)
-class BenchParityOptions(ParitySpec):
-    """Measure the divergence of the two simulators from equal starts, and the agreement of whole episodes.
-
-    Divergence: both backends execute the expert's actions computed on the cpu backend. Agreement: with --episodes, the
-    outcomes, labels and rewards of expert episodes are compared one by one, once with equal actions and once with the
-    expert acting on each backend separately.
-
-    `mjhab bench parity --worlds 8 --task all --subtask all --episodes 200 --log parity.jsonl`
-    """
-
-    worlds: Number = ParitySpec.worlds
-    """Number of starts for the divergence: episodes 0 to N-1 of every subtask; also the number of parallel worlds."""
-    steps: Number = ParitySpec.steps
-    """Control steps; divergence is printed after 1, 10, 100 and 200 of them."""
-    episodes: Number = ParitySpec.episodes
-    """Expert episodes for the agreement, spread over the subtasks; 0 compares only the --worlds runs."""
-    task: Name = ParitySpec.task
-    """Task whose episodes are used, or all."""
-    subtask: Name = ParitySpec.subtask
-    """Subtask, or all that the task has."""
-    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = ParitySpec.log
-    """File for finished episodes (JSON lines); with it the same command continues an interrupted run."""
-    grasp_seconds: Annotated[float, tyro.conf.arg(metavar="S")] = ParitySpec.grasp_seconds
-    """Duration of shaking grasped objects on both backends [s]; 0 leaves the test out."""
-    device: Device = ParitySpec.device
-    """Of the warp backend: cuda:0, ... or cpu (slow, for tests); the first CUDA device if absent, else cpu."""
-    threads: Number = ParitySpec.threads
-    """Threads of the cpu backend; 0 takes all cores."""
-    seed: Number = ParitySpec.seed
-    """Seed of the episodes."""
-    json: bool = False
-    """Print one line of JSON instead of tables."""
 
 
 @dataclass(frozen=True)

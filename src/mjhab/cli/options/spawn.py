@@ -1,4 +1,4 @@
-"""The options of ``mjhab spawns`` and ``mjhab bench spawn``."""
+"""The options of ``mjhab spawns``."""
 
 from __future__ import annotations
 
@@ -86,33 +86,3 @@ class SpawnsCommand:
         Annotated[SpawnsMakeOptions, Sub("make")]
         | Annotated[SpawnsListOptions, Sub("list")]
     )
-
-
-@dataclass(frozen=True)
-class BenchSpawnOptions(ProfileOptions):
-    """Measure how many starts are computed per second, and how long settling a new object arrangement takes."""
-
-    task: Name = "tidy_house"
-    """Which task: set_table, tidy_house, prepare_groceries or one of a plugin."""
-    subtask: Name = "pick"
-    """Which subtask: pick, place, navigate, open, close or one of a plugin."""
-    target: MaybeName = None
-    """The object or link to act on. All of them if absent."""
-    count: Number = 400
-    """Number of measured starts."""
-    pool: Number = 16
-    """Number of object arrangements that the starts share; all are loaded once before the measurement."""
-    fresh: Number = 4
-    """Number of new arrangements to time."""
-    threads: Number = 1
-    """Threads; 0 takes all cores. One is fastest if the simulation takes a small part of the time."""
-    seed: Number = 0
-    """Seed of the episodes."""
-    assets: Assets = "builtin"
-    """Asset pack: builtin, or the folder of another pack."""
-    stage_mesh: StageMesh = None
-    """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes name."""
-    articulate: Joints = None
-    """With a ReplicaCAD folder: what opens besides counter and fridge: kitchen_cupboards, cabinet, chest_of_drawers."""
-    json: bool = False
-    """Print one line of JSON instead of a table."""

@@ -1,16 +1,11 @@
-"""``mjhab spawns``: compute and list sets of starts; ``mjhab bench spawn``: speed of computing starts."""
+"""``mjhab spawns``: compute and list sets of starts."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
-from mjhab.cli.options.spawn import (
-    BenchSpawnOptions,
-    SpawnsListOptions,
-    SpawnsMakeOptions,
-)
+from mjhab.cli.options.spawn import SpawnsListOptions, SpawnsMakeOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.config.profile_choice import resolved_profile
 from mjhab.core.errors import UsageError
@@ -127,73 +122,3 @@ def listing(options: SpawnsListOptions) -> int:
     for line in damaged:
         print(line)
     return 0
-
-
-def bench_spawn(options: BenchSpawnOptions) -> int:
-    """Print the results of `measure_spawns`."""
-    for name in ("count", "pool", "fresh"):
-        at_least(name, getattr(options, name), 1)
-    for name in ("threads", "seed"):
-        at_least(name, getattr(options, name), 0)
-    found = measure_spawns(options)
-    if options.json:
-        print_json(found)
-        return 0
-    rows = [
-        ("starts per second", found["spawns_per_s"]),
-        ("tries per start", found["tries_mean"]),
-        ("fallbacks", found["fallbacks"]),
-        ("settling a new arrangement of objects [s]", found["episode_s"]),
-    ]
-    title = f"{options.task} {options.subtask}, {found['count']} starts, {found['threads']} threads"
-    print_table(title, ("what", "value"), rows)
-    return 0
-
-
-def measure_spawns(options: BenchSpawnOptions) -> dict[str, Any]:
-    """Time the computation of starts in cached object arrangements and, separately, of new arrangements.
-
-    Returns:
-        ``spawns_per_s``, ``tries_mean``, ``fallbacks``, ``count``, ``threads``; ``episode_s``: time on one core for one
-        object arrangement that is not cached [s].
-    """
-    from mjhab.episodes.spawn_factory import SpawnFactory
-    from mjhab.episodes.spawn_sets import SpawnRecipe
-
-    resolved = resolved_profile(options, task=options.task, subtask=options.subtask)
-    recipe = SpawnRecipe(
-        options.task,
-        options.subtask,
-        options.target or "",
-        "train",
-        options.seed,
-        options.count,
-        options.assets,
-        pool=options.pool,
-        spawn_rule=resolved["spawn_rule"],
-        robot=options.robot or DEFAULT_ROBOT,
-        joint_dynamics=resolved["joint_dynamics"],
-    )
-    factory = SpawnFactory(recipe)
-    threads = options.threads or cores()
-    # Index count + i is another start in the same arrangement: this caches homes, maps and grasps before the timing.
-    warm = [
-        factory.episode(options.count + i) for i in range(max(options.pool, 2 * threads))
-    ]
-    factory.starts.starts(warm, threads)
-    episodes = [factory.episode(i) for i in range(options.count)]
-    begun = time.perf_counter()
-    starts = factory.starts.starts(episodes, threads)
-    seconds = time.perf_counter() - begun
-    begun = time.perf_counter()
-    for index in range(options.fresh):
-        factory.episodes.make(options.seed, index)
-    episode_s = (time.perf_counter() - begun) / options.fresh
-    return {
-        "spawns_per_s": round(options.count / seconds, 1),
-        "tries_mean": round(sum(start.tries for start in starts) / len(starts), 3),
-        "fallbacks": sum(start.fallback for start in starts),
-        "episode_s": round(episode_s, 3),
-        "count": options.count,
-        "threads": threads,
-    }

@@ -8,8 +8,6 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.bench.specs import WindowsSpec
-
 Sub = tyro.conf.subcommand
 Places = Annotated[
     tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE|FOLDER ...")
@@ -185,30 +183,3 @@ class DataCommand:
         | Annotated[DataRepairOptions, Sub("repair")]
         | Annotated[DataFieldsOptions, Sub("fields")]
     )
-
-
-@dataclass(frozen=True)
-class BenchWindowsOptions(WindowsSpec):
-    """Measure how many training windows per second a core reads from recorded episodes with images.
-
-    `mjhab generate --subtask close --episodes 20 --images depth --out runs/close`
-
-    `mjhab bench windows runs/close --history 2`
-    """
-
-    places: Places = ()
-    """Shards (*.h5) or folders of shards."""
-    history: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.history
-    """Observations in a window."""
-    chunk: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.chunk
-    """Actions in a window."""
-    images: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CAMERA/OUTPUT ...")] = ()
-    """Which images, as CAMERA/depth; all that the first episode has if absent."""
-    batch: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.batch
-    """Windows in a batch."""
-    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = WindowsSpec.seconds
-    """Duration of the measurement of later passes [s]."""
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = WindowsSpec.seed
-    """Seed of the order of the windows."""
-    json: bool = False
-    """Print one line of JSON instead of a table."""

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import tyro
 
-from mjhab.bench.specs import ServingSpec
 from mjhab.cli.options.common import Assets, MaybeName, Name, Number, PolicyName
 
 
@@ -46,22 +45,3 @@ class ServeOptions:
     """Largest accepted message [MiB]; clients that send a larger one are disconnected."""
     json: bool = False
     """Print one line of JSON at the end: port, requests answered, requests refused."""
-
-
-@dataclass(frozen=True)
-class BenchServingOptions(ServingSpec):
-    """Measure the latency of a served policy, and the effect on episodes when its server is killed.
-
-    Fails if an episode is lost, or if a request with two images takes more than 5 ms on this machine.
-    """
-
-    worlds: Number = ServingSpec.worlds
-    """Number of worlds that send requests in parallel."""
-    requests: Number = ServingSpec.requests
-    """Number of timed requests per dialect."""
-    steps: Number = ServingSpec.steps
-    """Control steps with a server that is killed; episodes are finished."""
-    restarts: Number = ServingSpec.restarts
-    """Number of times the server is killed and started again."""
-    json: bool = False
-    """Print one line of JSON instead of tables."""

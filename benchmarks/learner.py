@@ -1,0 +1,242 @@
+"""How fast reinforcement collects and learns, beside its environment alone: ``python -m benchmarks.learner``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from benchmarks.command import run_command
+from mjhab.cli.output import print_json, print_table
+from mjhab.core.errors import UsageError
+from mjhab.core.machine import cores
+from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.reinforcement.configs import (
+    PPO,
+    SAC,
+    ReinforcementConfig,
+    changed,
+    reinforcement_preset,
+)
+from mjhab.learning.reinforcement.environments import training_env
+from mjhab.learning.reinforcement.ppo.agent import Ppo
+from mjhab.learning.reinforcement.ppo.learner import PpoLearner
+from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
+from mjhab.learning.reinforcement.sac.agent import Sac
+from mjhab.learning.reinforcement.sac.learner import SacLearner
+from mjhab.learning.reinforcement.sight import Seen, Sight
+from mjhab.learning.reinforcement.worlds import Worlds
+from mjhab.learning.runs.specs import Scene
+
+SCENE = Scene("set_table", "close", "kitchen_counter/drawer3")
+SAC_PRESETS = {"state": "state", "two depth images of 32 px": "fast"}
+"""What SAC sees, and the preset that sees it."""
+BUFFER_STEPS = 256
+BUFFER_WORLDS = 16
+"""Made-up control steps that batches are drawn from."""
+
+
+@dataclass(frozen=True)
+class LearnerSpec:
+    """Measure reinforcement learning: control steps/s of PPO and of its environment alone, updates/s of SAC."""
+
+    worlds: int | None = None
+    """Worlds of PPO; those of preset fast if absent."""
+    batches: tuple[int, ...] = (256, 512)
+    """Batch sizes of SAC, measured one after the other."""
+    rounds: int = 3
+    """Rollouts with their updates, each followed by as many control steps of the environment alone; the results are
+    medians."""
+    updates: int = 20
+    """Number of timed updates of SAC."""
+    threads: int = 0
+    """Threads of physics and networks; 0 takes all cores."""
+    seed: int = 0
+    """Seed of weights and actions."""
+    json: bool = False
+    """Print one line of JSON instead of tables."""
+
+
+def measure_learner(spec: LearnerSpec) -> dict[str, Any]:
+    """Measure PPO from states beside its environment, and the updates of SAC.
+
+    Returns:
+        "threads"; "ppo": see `measure_ppo`; "sac": rows of "inputs", "batch" and "updates_per_second".
+    """
+    return {
+        "threads": spec.threads or cores(),
+        "ppo": measure_ppo(spec),
+        "sac": [
+            {
+                "inputs": inputs,
+                "batch": batch,
+                "updates_per_second": measure_sac(preset, batch, spec),
+            }
+            for inputs, preset in SAC_PRESETS.items()
+            for batch in spec.batches
+        ],
+    }
+
+
+def measure_ppo(spec: LearnerSpec) -> dict[str, Any]:
+    """Time rollouts with their updates, and the environment alone under the same kind of actions, in turn.
+
+    Returns:
+        "worlds"; "ppo_sps", "env_sps" [control steps/s over all worlds]: medians of ``rounds``; "ratio" of the two;
+        "env_share", "learner_share": of the time of a rollout with its update.
+    """
+    config = reinforcement_preset(PPO, "fast")
+    if spec.worlds:
+        config = changed(config, {"worlds": spec.worlds})
+    assert config.ppo is not None
+    worlds, layout, privileged = _worlds(config, spec.threads)
+    agent = Ppo(config, layout, privileged, spec.seed)
+    learner = PpoLearner(agent, worlds, config, spec.seed)
+    random = torch.Generator().manual_seed(spec.seed)
+    steps = config.ppo.rollout_steps
+    rows: list[tuple[float, float, float, float]] = []
+    for number in range(spec.rounds + 1):
+        begun = worlds.seconds
+        collecting, (rollout, _) = _timed(learner.collect)
+        within = worlds.seconds - begun
+        updating, _ = _timed(lambda: learner.update(rollout, 0.0))  # noqa: B023 (called at once)
+        shape = (steps, config.worlds, len(layout.actions))
+        actions = config.ppo.initial_std * torch.randn(shape, generator=random)
+        alone, _ = _timed(lambda: _step_alone(worlds, actions))  # noqa: B023
+        if number:  # the first round compiles and warms up
+            rows.append((collecting + updating, within, updating, alone))
+    whole, within, updating, alone = (
+        median(column) for column in zip(*rows, strict=True)
+    )
+    samples = steps * config.worlds
+    return {
+        "worlds": config.worlds,
+        "ppo_sps": round(samples / whole, 1),
+        "env_sps": round(samples / alone, 1),
+        "ratio": round(alone / whole, 3),
+        "env_share": round(within / whole, 3),
+        "learner_share": round(updating / whole, 3),
+    }
+
+
+def measure_sac(preset: str, batch: int, spec: LearnerSpec) -> float:
+    """Updates per second of a preset of SAC with batches of a size, drawing them from the replay buffer included."""
+    config = changed(reinforcement_preset(SAC, preset), {"batch": batch, "worlds": 1})
+    worlds, layout, privileged = _worlds(config, spec.threads)
+    learner = SacLearner(Sac(config, layout, privileged, spec.seed), config, spec.seed)
+    buffer = _buffer(worlds.seen, len(layout.actions))
+
+    def update() -> None:
+        learner.update(learner.batch(buffer, None), 0, 0.0, False)
+
+    assert config.sac is not None
+    for _ in range(config.sac.policy_delay):
+        update()
+    seconds, _ = _timed(lambda: [update() for _ in range(spec.updates)])
+    return round(spec.updates / seconds, 2)
+
+
+def _worlds(config: ReinforcementConfig, threads: int) -> tuple[Worlds, Layout, int]:
+    """Worlds of the scene, the layout of what is seen in them, and how much only a critic sees.
+
+    Networks get as many threads as in a run.
+    """
+    torch.set_num_threads(config.inputs.network_threads(threads or cores()))
+    env = training_env(SCENE, config.inputs, config.worlds, threads, 0)
+    layout = layout_of(env, config.inputs, (SCENE.target,))
+    sight = Sight(env, layout, config.privileged_critic)
+    return Worlds(env, sight, 0), layout, sight.privileged_width
+
+
+def _step_alone(worlds: Worlds, actions: Tensor) -> None:
+    """Step the environment under actions (T, W, A), with resets but without an agent."""
+    for action in actions:
+        worlds.step(action)
+
+
+def _buffer(like: Seen, actions: int) -> ReplayBuffer:
+    """A replay buffer of random numbers in the shapes of an observation."""
+    channels, height, width = like.images.shape[1:]
+    shape = ReplayShape(
+        worlds=BUFFER_WORLDS,
+        steps=BUFFER_STEPS,
+        vector=like.vector.shape[1],
+        images=(int(channels), int(height), int(width)),
+        privileged=like.privileged.shape[1],
+        actions=actions,
+    )
+    random = torch.Generator().manual_seed(0)
+    rows = BUFFER_WORLDS
+    buffer = ReplayBuffer(shape, like.vector.device)
+    for _ in range(BUFFER_STEPS):
+        seen = Seen(
+            torch.randn(rows, shape.vector, generator=random),
+            torch.randint(
+                256, (rows, *shape.images), generator=random, dtype=torch.uint8
+            ),
+            torch.randn(rows, shape.privileged, generator=random),
+        )
+        acted = 2.0 * torch.rand(rows, actions, generator=random) - 1.0
+        reward = torch.rand(rows, generator=random)
+        buffer.add(seen, acted, reward, torch.zeros(rows, dtype=torch.bool))
+    return buffer
+
+
+def _timed(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Wall time of a call [s], and what it returns."""
+    began = time.perf_counter()
+    result = work()
+    return time.perf_counter() - began, result
+
+
+def bench_learner(spec: LearnerSpec) -> int:
+    """Print the results of `measure_learner`.
+
+    Raises:
+        UsageError: there is no batch size.
+    """
+    if not spec.batches:
+        raise UsageError("--batches: give at least one size, for instance --batches 256.")
+    found = measure_learner(spec)
+    if spec.json:
+        print_json(found)
+        return 0
+    ppo = found["ppo"]
+    names = {
+        "ppo_sps": "PPO from states [control steps/s]",
+        "env_sps": "its environment alone [control steps/s]",
+        "ratio": "PPO / environment",
+        "env_share": "share of the time in the environment",
+        "learner_share": "share of the time in updates",
+    }
+    rows = [(text, ppo[name]) for name, text in names.items()]
+    title = f"PPO, {ppo['worlds']} worlds, {found['threads']} threads"
+    print_table(title, ("what", "value"), rows)
+    columns = ("inputs", "batch", "updates_per_second")
+    print_table(
+        "SAC",
+        ("inputs", "batch", "updates/s"),
+        [[row[column] for column in columns] for row in found["sac"]],
+    )
+    return 0
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit code."""
+    return run_command(
+        "learner",
+        LearnerSpec,
+        bench_learner,
+        words,
+        {"worlds": 1, "rounds": 1, "updates": 1, "batches": 2},
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

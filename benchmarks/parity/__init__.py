@@ -1,0 +1,1 @@
+"""Differences between the two simulators over whole episodes: ``python -m benchmarks.parity``."""

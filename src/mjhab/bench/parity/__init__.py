@@ -1,1 +1,0 @@
-"""Differences between the two simulators over whole episodes."""

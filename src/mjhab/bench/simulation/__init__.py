@@ -1,1 +1,0 @@
-"""Measurements of worlds that move: engine, grasps, sleeping islands."""

@@ -1,1 +1,0 @@
-"""Long runs that tell what breaks and what grows."""

@@ -1,1 +1,0 @@
-"""Measurements of learners: updates, learning curves, windows of recorded data."""

@@ -1,0 +1,202 @@
+"""Results of a reproduction as JSON, table and HTML page, next to the paper's numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mjhab.core.arithmetic.sums import ordered_sum
+from mjhab.core.files.reading import read_json_object
+from mjhab.data.store.episode_data import last_label
+from mjhab.paper.reproduce.rows import TableRow
+from mjhab.paper.reproduce.variants import (
+    AS_PUBLISHED,
+    CHOICES,
+    DEMO_COUNT,
+    FILTERS,
+    STUDIES,
+    TABLE1,
+    TABLE5,
+    VARIANTS,
+)
+from mjhab.reports.metrics import label_counts, mean, wilson
+from mjhab.reports.pages import Section, render_sections
+from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_success
+from mjhab.rollout.store import read_records, write_text
+
+RESULTS = "results.json"
+REPORT = "report.html"
+TITLES = {
+    TABLE1: "Table 1",
+    "force_limits": "Force limits",
+    "goal_zones": "Shapes of goals",
+    "long_horizon": "Whole tasks",
+    TABLE5: "Table 5: imitation",
+    DEMO_COUNT: "Number of demonstrations",
+    FILTERS: "Place: which demonstrations",
+    CHOICES: "Choices of the presets",
+}
+PAPER_TITLES = dict(
+    zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True)
+)
+_WHAT = {False: "Rules", True: "Ways of training"}
+SECONDS_PER_MINUTE = 60.0
+COLUMN_TITLES = (
+    "row",
+    "rules",
+    "success once [%]",
+    "95 % interval",
+    "at end [%]",
+    "episodes",
+    "demonstrations",
+    "samples",
+    "CPU minutes",
+)
+
+
+def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
+    """Success rates and training cost of the policies of a row, taken together.
+
+    "untrained" is the number of policies without a single update. The rates are None without evaluations.
+
+    Args:
+        runs: folders of their training runs. judged: run folders of their evaluations, none for an untrained row.
+    """
+    summaries = [read_json_object(run / "summary.json") for run in runs]
+    records = [record for folder in judged for record in read_records(folder)]
+    successes = sum(record.success_once for record in records)
+    low, high = wilson(successes, len(records))
+    seconds = ordered_sum(summary["cpu_seconds"] for summary in summaries)
+    return {
+        "success_once": mean(record.success_once for record in records)
+        if records
+        else None,
+        "low": low,
+        "high": high,
+        "success_at_end": mean(record.success_at_end for record in records)
+        if records
+        else None,
+        "subtasks_completed": mean(
+            record.completed / len(record.plan) for record in records
+        )
+        if records
+        else None,
+        "episodes": len(records),
+        "policies": len(runs),
+        "untrained": untrained(runs),
+        "demonstrations": sum(summary["demonstrations"] for summary in summaries),
+        "samples": sum(summary["samples"] for summary in summaries),
+        "cpu_minutes": round(seconds / SECONDS_PER_MINUTE, 1),
+        "labels": label_counts(last_label(record) for record in records),
+    }
+
+
+def untrained(runs: Sequence[Path]) -> int:
+    """Number of training runs whose network was never updated; those of earlier versions count as trained."""
+    summaries = [read_json_object(run / "summary.json") for run in runs]
+    return sum(not summary.get("trained", True) for summary in summaries)
+
+
+def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
+    """Write results.json and report.html with the finished variants of the rows, and return these."""
+    config = read_json_object(out / "config.json")
+    found = []
+    for row in rows:
+        path = out / row.folder / "row.json"
+        if path.is_file():
+            by_variant = read_json_object(path)
+            found += [
+                result_of(row, variant.name, by_variant[variant.name], config)
+                for variant in VARIANTS[config["what"]]
+                if variant.name in by_variant
+            ]
+    content = {"what": config["what"], "column": config["column"], "rows": found}
+    write_text(out / RESULTS, json.dumps(content, indent=1) + "\n")
+    write_text(out / REPORT, page(found, config))
+    return found
+
+
+def result_of(
+    row: TableRow, variant: str, found: Mapping[str, Any], config: Mapping[str, Any]
+) -> dict[str, Any]:
+    """A row of results as JSON data; our rates are fractions, the paper's are percentages as printed there.
+
+    "paper" holds the paper's success-once rates [%] under the rules of Table 1, by SUCCESS_COLUMNS. "paper_says" is the
+    paper's statement about other rules, or "".
+    """
+    published = (variant == AS_PUBLISHED.name or config["what"] == TABLE5) and bool(
+        row.subtask
+    )
+    paper = (
+        paper_success(row.task, row.subtask, config["split"], row.target)
+        if published
+        else {}
+    )
+    says = ABLATIONS.get(config["what"], {}).get(variant, "")
+    if isinstance(says, dict):
+        says = says.get(config["split"], "")
+    return {
+        "row": row.name,
+        "rules": variant,
+        **found,
+        "paper": paper,
+        "paper_says": says,
+    }
+
+
+def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Cells of a row of the table, in the order of ``titles``."""
+    if result["success_once"] is None:
+        shown: tuple[Any, ...] = (
+            f"no result: {result['untrained']} of {result['policies']} policies untrained, the budget was spent before "
+            "their first update",
+            "",
+            "",
+        )
+    else:
+        shown = (
+            round(100 * result["success_once"], 1),
+            f"{100 * result['low']:.0f} to {100 * result['high']:.0f}",
+            round(100 * result["success_at_end"], 1),
+        )
+    return (
+        result["row"],
+        result["rules"],
+        *shown,
+        result["episodes"],
+        result["demonstrations"],
+        result["samples"],
+        result["cpu_minutes"],
+        *(result["paper"].get(name, "") for name in PAPER_TITLES),
+        result["paper_says"],
+    )
+
+
+def titles() -> tuple[str, ...]:
+    """Column titles of the table."""
+    return (
+        *COLUMN_TITLES,
+        *(f"paper: {title} [%]" for title in PAPER_TITLES.values()),
+        "paper says",
+    )
+
+
+def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str:
+    """HTML page with our numbers and those of the paper."""
+    shown = {result["rules"] for result in results}
+    rules = "; ".join(
+        f"{rule.name}: {rule.about}"
+        for rule in VARIANTS[config["what"]]
+        if rule.name in shown
+    )
+    hint = (
+        f"Success-once rates of our policies in column {config['column']} (preset {config['preset']}) in homes of "
+        f"split {config['split']}. {_WHAT[config['what'] in STUDIES]}: {rules}. Policies are trained under the rules "
+        "of Table 1. The paper's policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR "
+        "2025, Tables 1 and 5)."
+    )
+    columns = [(name, "") for name in titles()[:-1]] + [(titles()[-1], "words")]
+    table = Section("Success", hint, columns=columns, rows=[cells(r) for r in results])
+    return render_sections(TITLES[config["what"]], [table])

@@ -1,0 +1,45 @@
+"""`benchmarks.learner` with the worlds of the preset, and wrong numbers."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from benchmarks.learner import main
+
+COMMAND = [
+    "--rounds",
+    "1",
+    "--updates",
+    "1",
+    "--batches",
+    "4",
+    "--threads",
+    "1",
+]
+
+
+def test_it_measures_with_the_worlds_of_the_preset(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main([*COMMAND, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["ppo"]["worlds"] > 1 and found["ppo"]["ppo_sps"] > 0
+    assert [row["batch"] for row in found["sac"]] == [4, 4]
+    assert all(row["updates_per_second"] > 0 for row in found["sac"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--worlds", "-1"), "--worlds must be at least 1"),
+        (("--rounds", "0"), "--rounds must be at least 1"),
+        (("--batches", "1"), "--batches must be at least 2"),
+    ],
+)
+def test_wrong_numbers(
+    words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert said in capsys.readouterr().err

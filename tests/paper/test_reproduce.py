@@ -1,0 +1,314 @@
+"""``mjhab reproduce table1``: rows of the paper, one student for each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mjhab.cli.main import main, parse
+from mjhab.core.errors import MjhabError
+from mjhab.learning import configs
+from mjhab.learning.changes import with_changes
+from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig, preset_of
+from mjhab.paper.reproduce.command import table_spec
+from mjhab.paper.reproduce.rows import table_rows
+from mjhab.paper.reproduce.spec import TableSpec, chosen_rows, table_config
+from mjhab.paper.reproduce.studies import config_of
+from mjhab.paper.reproduce.variants import CHANGED, STYLES, VARIANTS, Imitation
+from mjhab.reports.paper import paper_success
+from mjhab.robots.robot import Robot
+from tests.learning.small import config
+
+COMMAND = [
+    "reproduce",
+    "table1",
+    "--rows",
+    "set_table/close/drawer",
+    "--preset",
+    "tiny",
+    "--json",
+]
+
+
+def test_rows_are_those_of_the_paper() -> None:
+    rows = table_rows()
+    assert len(rows) == 10
+    for split in ("train", "val"):
+        found = [
+            paper_success(row.task, row.subtask, split, row.target)
+            for row in rows.values()
+        ]
+        assert len({tuple(numbers.items()) for numbers in found}) == 10 and all(found)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--robot", "fetsh"), "Did you mean 'fetch'"),
+        (("--rows", "set_table/close/drawr"), "Did you mean 'set_table/close/drawer'"),
+        (("--preset", "smal"), "Did you mean 'small'"),
+        (("--split", "vla"), "unknown split"),
+        (("--episodes", "0"), "--episodes must be at least 1"),
+        (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
+        (("--variants", "px_64"), "unknown variant of table1 'px_64'"),
+        (("--column", "rl_al"), "Did you mean 'rl_all'"),
+        (("--column", "rl_all", "--preset", "small"), "preset"),
+        (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
+        (("--demos", "-1"), "--demos must be at least 0"),
+        (
+            ("--demos", "5"),
+            "--demos is for table5, demo_count, filters, choices, not for table1",
+        ),
+        (
+            ("--updates", "5"),
+            "--updates is for table5, demo_count, filters, choices, not for table1",
+        ),
+    ],
+)
+def test_bad_input(
+    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert main(["reproduce", "table1", "--out", str(out), *words]) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_robot_is_that_of_training_and_evaluation(tmp_path: Path) -> None:
+    words = ["reproduce", "table1", "--out", str(tmp_path), "--robot", "fetch"]
+    spec = table_spec(parse(words).spec)
+    assert spec.robot == table_config(spec)["robot"] == "fetch"
+
+
+def test_a_robot_without_its_files_leaves_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def absent(robot: Robot) -> Any:
+        raise MjhabError("the files are not installed")
+
+    monkeypatch.setattr(Robot, "body", property(absent))
+    words = ["reproduce", "table5", "--out", str(tmp_path / "run"), "--robot", "fetch"]
+    assert main(words) == 1
+    assert "the files are not installed" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_row_that_is_named_twice_is_one_row(tmp_path: Path) -> None:
+    rows = ["--rows", "set_table/close/drawer", "set_table/close/drawer"]
+    words = ["reproduce", "table1", "--out", str(tmp_path), *rows]
+    assert [row.name for row in chosen_rows(table_spec(parse(words).spec))] == rows[1:2]
+
+
+def test_a_row_is_trained_judged_and_set_beside_the_paper(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    student = config(inputs=InputConfig(image_size=16), demos=1, updates=2, hold_steps=5)
+    dagger = DaggerConfig(rounds=0)
+    monkeypatch.setitem(configs.PRESETS["dagger"], "tiny", TrainConfig(student, dagger))
+    words = [
+        *COMMAND,
+        "--out",
+        str(tmp_path),
+        "--worlds",
+        "1",
+        "--threads",
+        "1",
+        "--split",
+        "train",
+    ]
+    words += ["--episodes", "1"]
+    assert main(words) == 0
+    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert row["row"] == "set_table/close/drawer" and row["episodes"] == 1
+    assert row["low"] <= row["success_once"] <= row["high"]
+    assert row["paper"] == {"rl_per": 88.79, "bc": 88.39, "dp": 89.29}
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "88.39" in text and 'src="http' not in text
+    assert main(words) == 2
+    assert "is not empty" in capsys.readouterr().err
+    trained = (
+        (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors")
+        .stat()
+        .st_mtime_ns
+    )
+    # The same policy under other rules, without training.
+    others = str(tmp_path / "others")
+    again = ["reproduce", "force_limits", *words[2:], "--policies", str(tmp_path)]
+    again[again.index("--out") + 1] = others
+    assert main(again) == 0
+    results = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [found["rules"] for found in results] == [
+        "evaluation",
+        "no_force_limit",
+        "force_limit_1400",
+    ]
+    assert results[0]["success_once"] == row["success_once"]
+    assert results[2]["paper_says"] == "5 to 20 points less" and not results[2]["paper"]
+    assert main([*words, "--resume"]) == 0
+    assert (
+        tmp_path / "set_table.close.drawer" / "train" / "student.safetensors"
+    ).stat().st_mtime_ns == trained
+
+
+def test_a_policy_without_an_update_has_no_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    student = config(inputs=InputConfig(image_size=16), demos=1, updates=2, hold_steps=5)
+    dagger = DaggerConfig(rounds=0)
+    monkeypatch.setitem(configs.PRESETS["dagger"], "tiny", TrainConfig(student, dagger))
+    words = [
+        *COMMAND,
+        "--out",
+        str(tmp_path),
+        "--threads",
+        "1",
+        "--budget-minutes",
+        "1e-6",
+    ]
+    assert main(words) == 0
+    (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert (row["success_once"], row["untrained"], row["episodes"]) == (None, 1, 0)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "no result: 1 of 1 policies untrained" in page
+    assert not (tmp_path / "set_table.close.drawer" / "evaluation").exists()
+
+
+def test_a_study_trains_one_policy_for_each_of_its_variants(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    student = config(inputs=InputConfig(image_size=16), demos=2, updates=2, hold_steps=5)
+    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
+    monkeypatch.setitem(VARIANTS, "demo_count", VARIANTS["demo_count"][:2])
+    out = tmp_path / "study"
+    words = ["reproduce", "demo_count", *COMMAND[2:], "--out", str(out), "--worlds", "2"]
+    words += ["--threads", "1", "--split", "train", "--episodes", "1"]
+    assert main(words) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [row["rules"] for row in rows] == ["demos_1", "demos_10"]
+    assert [row["demonstrations"] for row in rows] == [1, 2]
+    assert [row["paper_says"] for row in rows] == ["0 %", "2 ± 3 %"]
+    assert "at most 10 demonstrations per object" in (out / "report.html").read_text(
+        "utf-8"
+    )
+    data = out / "set_table.close.drawer" / "data" / "demonstrations" / "shard_000.h5"
+    collected = data.stat().st_mtime_ns
+    assert main([*words, "--resume"]) == 0
+    assert data.stat().st_mtime_ns == collected
+    assert (
+        main(["reproduce", "filters", "--column", "rl_all", "--out", str(tmp_path / "f")])
+        == 2
+    )
+    assert "about imitation" in capsys.readouterr().err
+    assert (
+        main(
+            ["reproduce", "filters", "--policies", str(out), "--out", str(tmp_path / "f")]
+        )
+        == 2
+    )
+    assert "leave out --policies" in capsys.readouterr().err
+
+
+def test_data_of_the_filter_study_differ_in_how_objects_are_released() -> None:
+    style = {name: words for name, words in STYLES.items() if name}
+    assert {"release=place", "release=drop"} <= {
+        word for words in style.values() for word in words
+    }
+    assert [
+        variant.imitation.data for variant in VARIANTS["filters"] if variant.imitation
+    ] == [
+        ("placed",),
+        ("dropped",),
+        ("placed", "dropped"),
+    ]
+
+
+def test_the_diffusion_policy_sees_images_of_the_presets_size() -> None:
+    spec = TableSpec(
+        what="table5", out=Path("x"), rows=(), preset="small", budget_minutes=0, split="val",
+        episodes=1, films=0, seed=0, assets="builtin", worlds=1, threads=1, resume=False,
+        profile="ms_hab",
+    )  # fmt: skip
+    small, paper = (
+        config_of(spec, Imitation(algorithm)).student for algorithm in ("bc", "diffusion")
+    )
+    assert paper.algorithm == "diffusion" and paper.chunk == 16
+    assert paper.inputs.image_size == small.inputs.image_size == 32
+    assert paper.updates == small.updates
+
+
+def test_choices_share_data_where_they_need_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    student = config(inputs=InputConfig(image_size=16), demos=1, updates=9, hold_steps=5)
+    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
+    kept = ("chunk_1", "whole_episodes", "px_64")
+    words = [
+        "reproduce",
+        "choices",
+        *COMMAND[2:],
+        "--out",
+        str(tmp_path),
+        "--worlds",
+        "1",
+    ]
+    words += ["--threads", "1", "--split", "train", "--episodes", "1", "--updates", "2"]
+    assert main([*words, "--variants", "px_64", "chunk_1"]) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [row["rules"] for row in rows] == ["chunk_1", "px_64"]
+    folder = tmp_path / "set_table.close.drawer"
+    first = folder / "train" / "px_64" / "student.safetensors"
+    trained_at = first.stat().st_mtime_ns
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "images of 64 x 64 px" in page and "not cut after success" not in page
+    # Others are added, and those that are there stay.
+    assert main([*words, "--resume", "--variants", "whole_episodes"]) == 0
+    rows = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    assert [row["rules"] for row in rows] == list(kept)
+    assert first.stat().st_mtime_ns == trained_at
+    assert sorted(path.name for path in (folder / "data").iterdir() if path.is_dir()) == [
+        "demonstrations",
+        "demonstrations_64px",
+        "demonstrations_whole",
+    ]
+    trained = {
+        name: json.loads((folder / "train" / name / "config.json").read_text("utf-8"))
+        for name in kept
+    }
+    students = {name: found["config"]["student"] for name, found in trained.items()}
+    assert students["chunk_1"]["chunk"] == students["chunk_1"]["execute"] == 1
+    assert students["whole_episodes"]["hold_steps"] == -1
+    assert students["px_64"]["inputs"]["image_size"] == 64
+    assert all(found["updates"] == 2 for found in students.values())
+
+
+@pytest.mark.parametrize("what", VARIANTS)
+def test_an_unknown_variant_is_refused_with_the_list(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    known = [variant.name for variant in VARIANTS[what]]
+    assert main(["reproduce", what, "--out", str(out), "--variants", known[0], "x"]) == 2
+    said = capsys.readouterr().err
+    assert f"unknown variant of {what} 'x'" in said
+    assert f"Valid names: {', '.join(sorted(known))}." in said
+    assert not out.exists()
+
+
+def test_every_choice_changes_the_preset() -> None:
+    small = preset_of("bc", "small")
+    for name, (_, changes) in CHANGED.items():
+        assert (with_changes(small, changes) == small) == (name == "preset")
+
+
+def test_students_of_a_table_are_trained_on_the_device(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    rows = ["--rows", "set_table/close/drawer", "--preset", "quick"]
+    words = ["reproduce", "table1", *rows, "--device", "cuda:77", "--out", str(out)]
+    assert main(words) == 2
+    assert "no device 'cuda:77' to train on" in capsys.readouterr().err
+    assert not out.exists()

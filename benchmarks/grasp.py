@@ -22,7 +22,8 @@ from mjhab.core.names import copy_name
 from mjhab.core.seeding import stream
 from mjhab.core.timing import STEP_SECONDS, SUBSTEPS
 from mjhab.layout.contact_sensors import pair_force
-from mjhab.layout.layout import Layout, build_spec
+from mjhab.layout.layout import Layout
+from mjhab.layout.model_spec import build_spec
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjhab.layout.layout import Layout, build_spec
+from mjhab.layout.layout import Layout
+from mjhab.layout.model_spec import build_spec
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.shapes.hulls import hull_mesh
 from mjhab.scenes.spec import Geom, ObjectType, Pack, Vec3

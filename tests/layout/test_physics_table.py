@@ -10,7 +10,8 @@ import pytest
 from mjhab.core.timing import SUBSTEPS, TIMESTEP_SECONDS
 from mjhab.layout import joints
 from mjhab.layout.compile import compile_home
-from mjhab.layout.layout import OBJECT_FRICTION, SLIDING_FRICTION, Layout
+from mjhab.layout.layout import Layout
+from mjhab.layout.model_spec import OBJECT_FRICTION, SLIDING_FRICTION
 from mjhab.robots import model as robot_model
 from mjhab.robots.fetch import geometry
 from mjhab.robots.fetch import model as fetch

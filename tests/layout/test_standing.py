@@ -88,7 +88,7 @@ def test_episodes_keep_clear_of_what_stands_in_the_home() -> None:
     assert len(episodes) >= 3
     outlines = tuple(outline for each in found.values() for outline in each)
     for episode in episodes:
-        radius = maker._radius(0)
+        radius = maker._placer.radius(0)
         for pose in episode.object_pose:
             assert clear_of(outlines, pose[:3], radius)
         for target in episode.targets:

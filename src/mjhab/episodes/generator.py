@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -23,40 +22,22 @@ from mjhab.core.registration.plugins import source_digest
 from mjhab.core.seeding import stream
 from mjhab.episodes.episode import Episode, read_episode, write_episode
 from mjhab.episodes.homes import homes_named, homes_of, require_furniture
+from mjhab.episodes.placement import Draw, Placer
 from mjhab.layout.compile import home_hash
-from mjhab.layout.layout import Layout, yaw_quat
+from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import (
-    PlacedReceptacle,
-    link_to_open,
     placed_receptacles,
-    with_role,
 )
-from mjhab.layout.standing import Outlines, clear_of, standing_on
-from mjhab.scenes.roles import FRIDGE_SHELF, OPEN_SURFACE, link_with_role, roles_of
-from mjhab.scenes.spec import Home, Roles
+from mjhab.layout.standing import standing_on
+from mjhab.scenes.roles import link_with_role, roles_of
+from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.household.registry import TASKS
-from mjhab.tasks.household.spec import TargetRule
-from mjhab.tasks.plan import Target
 
 BOWL_DRAWER = "kitchen_counter/drawer3"
 FRIDGE_DOOR = "fridge/top_door"
 """BOWL_DRAWER and FRIDGE_DOOR have the roles "kitchen_drawer" and "fridge_door" in the built-in pack and ReplicaCAD."""
-GAP = 0.03
-"""Least gap [m] between the bounding circles of clutter and its neighbours; a finger is 14 mm thick."""
-TARGET_GAP = 0.06
-"""The same for targets and goals."""
-SHELF_GAP = 0.02
-"""The same for targets and goals on the fridge shelf."""
-THING_SHARE = 0.5
-"""Share of these gaps that is kept to what stands in the home: outlines are exact, bounding circles are not."""
-_TRIES = 60
-"""Points tried for an object in one draw."""
-_GOAL_TRIES = 100
-"""Points tried for a goal."""
-_CROWDED_TRIES = 400
-"""The same in a home that has things of its own on its receptacles."""
 MAX_DRIFT = 0.02
 """A draw is rejected if an object moves farther than this [m] while it settles."""
 MAX_SPEED = 0.05
@@ -66,34 +47,6 @@ MOST_DRAWS = 200
 _MOST_NAMED = 4
 """So many homes a message names; of others it tells the number."""
 _VERSION = 3
-
-
-@dataclass
-class _Draw:
-    """A draw of object poses in one home.
-
-    ``placed``: (centre (3,), radius) [m] of the bounding circle by slot; goals have negative keys. ``pose``: (N, 7).
-    ``standing``: what the home itself has on its receptacles, see `layout.standing`.
-    """
-
-    home: Home
-    roles: Roles
-    receptacles: tuple[PlacedReceptacle, ...]
-    placed: dict[int, tuple[np.ndarray, float]]
-    pose: np.ndarray
-    standing: dict[str, Outlines]
-
-    def places(self, *names: str) -> list[PlacedReceptacle]:
-        """Return the receptacles of the home that have one of the roles ``names``."""
-        return with_role(self.receptacles, self.roles, *names)
-
-    def on_shelf(self, place: PlacedReceptacle) -> bool:
-        """Return whether a receptacle is the fridge shelf."""
-        return bool(with_role((place,), self.roles, FRIDGE_SHELF))
-
-    def target_gap(self, place: PlacedReceptacle) -> float:
-        """Return the least gap [m] between the bounding circles of a target and its neighbours on a receptacle."""
-        return SHELF_GAP if self.on_shelf(place) else TARGET_GAP
 
 
 class EpisodeMaker:
@@ -128,6 +81,7 @@ class EpisodeMaker:
         self._in_turn = bool(home)
         require_furniture(self.layout.pack, self.homes, task)
         self._require_objects()
+        self._placer = Placer(self.layout, self.spec, target)
 
     def _require_objects(self) -> None:
         """Check that the roster has the objects that the target rules of the task name.
@@ -209,11 +163,9 @@ class EpisodeMaker:
         roles = roles_of(self.layout.pack, home)
         poses = self.layout.parked_poses.copy()
         standing = standing_on(self.layout, home)
-        draw = _Draw(home, roles, receptacles, {}, poses, standing)
-        targets = self._place_targets(rng, draw)
-        if targets is None or not self._place_clutter(
-            rng, draw, {self._slot(t.obj) for t in targets}
-        ):
+        draw = Draw(home, roles, receptacles, {}, poses, standing)
+        targets = self._placer.place_targets(rng, draw)
+        if targets is None or not self._placer.place_clutter(rng, draw, targets):
             return None
         qpos = self.sim.model(home.name).qpos0.copy()
         a = self.sim.addresses
@@ -248,180 +200,6 @@ class EpisodeMaker:
             rng = stream(seed, "home", self.task, self.split, index)
             first = int(rng.integers(count))
         return (self.homes[(first + k) % count] for k in range(count))
-
-    # -- placement -------------------------------------------------------------------------------------------------
-
-    def _slot(self, name: str) -> int:
-        return self.layout.object_names.index(name)
-
-    def _place_targets(
-        self, rng: np.random.Generator, draw: _Draw
-    ) -> tuple[Target, ...] | None:
-        wanted = [
-            (slot, rule, draw.places(*rule.start), draw.places(*rule.goal))
-            for rule, slot in zip(self.spec.targets, self._slots(rng), strict=True)
-        ]
-        return self._targets(rng, draw, wanted)
-
-    def _slots(self, rng: np.random.Generator) -> list[int]:
-        """Return the slot of each target: that of the rule's object, or a random one, see `_drawn`."""
-        rules = self.spec.targets
-        named = {rule.object for rule in rules if rule.object}
-        last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
-        free = [slot for slot, kind in enumerate(self.layout.roster) if kind not in named]
-        count = sum(not rule.object for rule in rules)
-        drawn = self._drawn(rng, free, count) if count else []
-        return [last[rule.object] if rule.object else drawn.pop(0) for rule in rules]
-
-    def _drawn(self, rng: np.random.Generator, free: list[int], count: int) -> list[int]:
-        """Draw ``count`` different slots of ``free``; one is of object type ``target`` if that is given and free."""
-        slots = [free[int(i)] for i in rng.choice(len(free), count, replace=False)]
-        wanted = [slot for slot in free if self.layout.roster[slot] == self.target]
-        if wanted and not any(self.layout.roster[s] == self.target for s in slots):
-            slots[int(rng.integers(count))] = int(rng.choice(wanted))
-        return slots
-
-    def _targets(
-        self,
-        rng: np.random.Generator,
-        draw: _Draw,
-        wanted: list[
-            tuple[int, TargetRule, list[PlacedReceptacle], list[PlacedReceptacle]]
-        ],
-    ) -> tuple[Target, ...] | None:
-        starts: list[PlacedReceptacle] = []
-        for slot, _, places, _ in wanted:
-            put = self._put(rng, draw, slot, places, draw.target_gap(places[0]))
-            if put is None:
-                return None
-            starts.append(put)
-        goals: list[tuple[np.ndarray, float]] = []
-        targets = []
-        for (slot, rule, _, places), start in zip(wanted, starts, strict=True):
-            goal = self._goal(rng, draw, slot, places, rule.distance_m)
-            if goal is None:
-                return None
-            where, pos = goal
-            goals.append((pos, self._radius(slot)))
-            # Clutter keeps the same distance from goals as from objects.
-            draw.placed[-len(goals)] = goals[-1]
-            targets.append(self._target(draw, slot, rule, (start, where), pos))
-        return tuple(targets)
-
-    def _target(
-        self,
-        draw: _Draw,
-        slot: int,
-        rule: TargetRule,
-        places: tuple[PlacedReceptacle, PlacedReceptacle],
-        goal: np.ndarray,
-    ) -> Target:
-        """Make the target that starts on ``places[0]``, and whose ``goal`` (3,) [m] is on ``places[1]``."""
-        start_link, goal_link = (link_to_open(place, draw.roles) for place in places)
-        link = goal_link if rule.opens == "goal" else start_link
-        return Target(
-            obj=self.layout.object_names[slot],
-            goal_pos=tuple(goal.tolist()),
-            start_pos=tuple(draw.placed[slot][0].tolist()),
-            start_link=start_link,
-            goal_link=goal_link,
-            handle_pos=self.layout.closed_handle(draw.home, link)
-            if link
-            else (0.0, 0.0, 0.0),
-        )
-
-    def _radius(self, slot: int) -> float:
-        return float(np.hypot(*self.layout.objects[slot].half[:2]))
-
-    def _sample(
-        self,
-        rng: np.random.Generator,
-        draw: _Draw,
-        place: PlacedReceptacle,
-        radius: float,
-        half_z: float,
-    ) -> np.ndarray | None:
-        if 2 * half_z + 0.02 > place.height:
-            return None
-        ratio = self.spec.shelf_region if draw.on_shelf(place) else 1.0
-        room = ratio * np.maximum(np.array(place.half) - radius - 0.01, 0.0)
-        if min(place.half) < radius * 0.75:
-            return None
-        u, v = rng.uniform(-room, room)
-        return place.point(u, v) + np.array([0.0, 0.0, half_z])
-
-    def _put(
-        self,
-        rng: np.random.Generator,
-        draw: _Draw,
-        slot: int,
-        places: list[PlacedReceptacle],
-        gap: float,
-    ) -> PlacedReceptacle | None:
-        radius = self._radius(slot)
-        half_z = self.layout.objects[slot].half[2]
-        weights = np.array([4 * r.half[0] * r.half[1] for r in places])
-        for _ in range(_CROWDED_TRIES if draw.standing else _TRIES):
-            place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
-            pos = self._sample(rng, draw, place, radius, half_z)
-            if pos is None or not self._is_free(draw, place, pos, (radius, gap)):
-                continue
-            draw.placed[slot] = (pos, radius)
-            draw.pose[slot, :3] = pos + np.array([0.0, 0.0, 0.001])
-            draw.pose[slot, 3:] = yaw_quat(float(rng.uniform(-np.pi, np.pi)))
-            return place
-        return None
-
-    def _goal(
-        self,
-        rng: np.random.Generator,
-        draw: _Draw,
-        slot: int,
-        places: list[PlacedReceptacle],
-        distance_m: tuple[float, float],
-    ) -> tuple[PlacedReceptacle, np.ndarray] | None:
-        radius = self._radius(slot)
-        half_z = self.layout.objects[slot].half[2]
-        weights = np.array([4 * r.half[0] * r.half[1] for r in places])
-        start = draw.placed[slot][0]
-        for _ in range(_CROWDED_TRIES if draw.standing else _GOAL_TRIES):
-            place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
-            pos = self._sample(rng, draw, place, radius, half_z)
-            if (
-                pos is None
-                or not distance_m[0] <= np.linalg.norm(pos - start) <= distance_m[1]
-            ):
-                continue
-            if self._is_free(draw, place, pos, (radius, draw.target_gap(place))):
-                return place, pos
-        return None
-
-    @staticmethod
-    def _is_free(
-        draw: _Draw, place: PlacedReceptacle, pos: np.ndarray, size: tuple[float, float]
-    ) -> bool:
-        """Whether a circle about ``pos`` of ``size`` (radius, gap) [m] is clear of objects and of what stands there."""
-        radius, gap = size
-        if not clear_of(draw.standing.get(place.id, ()), pos, radius + THING_SHARE * gap):
-            return False
-        return all(
-            abs(p[2] - pos[2]) > 0.35 or np.hypot(*(p[:2] - pos[:2])) > r + radius + gap
-            for p, r in draw.placed.values()
-        )
-
-    def _place_clutter(
-        self, rng: np.random.Generator, draw: _Draw, targets: set[int]
-    ) -> bool:
-        in_shelf = 0
-        for slot in range(self.layout.num_objects):
-            if slot in targets:
-                continue
-            shelf = (FRIDGE_SHELF,) if in_shelf < self.spec.shelf_clutter else ()
-            put = self._put(rng, draw, slot, draw.places(OPEN_SURFACE, *shelf), GAP)
-            if put is None:
-                return False
-            in_shelf += draw.on_shelf(put)
-        return True
 
     # -- cache -----------------------------------------------------------------------------------------------------
 

@@ -12,7 +12,8 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.names import below
-from mjhab.layout.layout import Layout, build_spec
+from mjhab.layout.layout import Layout
+from mjhab.layout.model_spec import build_spec
 from mjhab.scenes.spec import Home
 
 

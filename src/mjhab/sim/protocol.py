@@ -8,7 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjhab.layout.layout import Addresses, Layout
+from mjhab.layout.addresses import Addresses
+from mjhab.layout.layout import Layout
 
 TAINTS = (
     "contact_overflow",

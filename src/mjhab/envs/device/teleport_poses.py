@@ -17,7 +17,7 @@ from mjhab.core.seeding import stream
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.spawns import MAX_TRIES
 from mjhab.episodes.starts import Start, StartMaker
-from mjhab.layout.layout import Addresses
+from mjhab.layout.addresses import Addresses
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.subtasks.registry import spec_of
 

@@ -11,7 +11,8 @@ from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.observations.entry import ObsContext
 from mjhab.envs.observations.state import pose_in_base
 from mjhab.envs.parts.plan_tables import Focus, Tables
-from mjhab.layout.layout import Addresses, Layout
+from mjhab.layout.addresses import Addresses
+from mjhab.layout.layout import Layout
 from mjhab.scenes.spec import OWN_POINTS
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.signals import Signals, WorldState

@@ -14,6 +14,7 @@ from mjhab.core.arrays import may_hold, norm3
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.core.timing import SUBSTEPS
+from mjhab.layout.addresses import addresses
 from mjhab.layout.contact_sensors import (
     FORCE_SENSOR_WIDTH,
     TOUCH_SENSOR_WIDTH,
@@ -21,7 +22,7 @@ from mjhab.layout.contact_sensors import (
     pair_force,
 )
 from mjhab.layout.home_models import HomeModels
-from mjhab.layout.layout import Layout, addresses
+from mjhab.layout.layout import Layout
 from mjhab.robots.parts import Drives
 from mjhab.sim.mujoco.settle import holding_ctrl
 from mjhab.sim.protocol import PENETRATION_LIMIT, TAINTS, SimState

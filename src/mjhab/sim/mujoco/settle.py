@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from mjhab.core.joints import BASE_XY
-from mjhab.layout.layout import Addresses
+from mjhab.layout.addresses import Addresses
 from mjhab.robots.robot import Robot
 
 ROBOT_PARKING = (19.0, 19.0)

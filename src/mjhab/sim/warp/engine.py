@@ -14,7 +14,7 @@ import warp as wp
 from mujoco_warp._src import sleep, smooth
 
 from mjhab.core.timing import SUBSTEPS
-from mjhab.layout.layout import Addresses
+from mjhab.layout.addresses import Addresses
 from mjhab.sim.protocol import PENETRATION_LIMIT
 from mjhab.sim.warp import kernels
 from mjhab.sim.warp.device import set_up

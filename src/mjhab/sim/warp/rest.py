@@ -7,7 +7,7 @@ from collections import OrderedDict
 import mujoco
 import numpy as np
 
-from mjhab.layout.layout import Addresses
+from mjhab.layout.addresses import Addresses
 
 REST_ACCELERATION = 0.5
 """A kinematic tree counts as at rest if no dof accelerates by this [m/s^2] or more. Settled task starts have at most

@@ -12,8 +12,9 @@ import numpy as np
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import install_extra
+from mjhab.layout.addresses import addresses
 from mjhab.layout.home_models import HomeModels
-from mjhab.layout.layout import Layout, addresses
+from mjhab.layout.layout import Layout
 from mjhab.robots.parts import Drives
 from mjhab.sim.mujoco.settle import holding_ctrl
 from mjhab.sim.protocol import SimState

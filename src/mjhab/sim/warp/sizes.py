@@ -20,8 +20,9 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.joints import BASE
 from mjhab.core.seeding import stream
+from mjhab.layout.addresses import Addresses
 from mjhab.layout.compile import home_hash
-from mjhab.layout.layout import Addresses, Layout
+from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import placed_receptacles
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.settle import settle

@@ -128,7 +128,7 @@ def check(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description="Build, install and try a release.")
     parser.add_argument("--keep", type=Path, help="empty folder in which all is left")
     given = parser.parse_args()
     if given.keep:

@@ -8,12 +8,11 @@ KERNEL_MODULES = (
     "core.kernels.box_gaps",
     "experts.jit",
     "experts.arm.frame_kernels",
-    "experts.arm.gentle",
+    "experts.base.limits",
     "experts.arm.ik_kernels",
     "experts.arm.sphere_gaps",
     "experts.arm.step_kernels",
-    "experts.base.navigation",
-    "experts.base.pilot",
+    "experts.base.follower",
     "robots.damped_steps",
 )
 """Modules whose code or constants are compiled into kernels: a change in one of them recompiles the kernels."""

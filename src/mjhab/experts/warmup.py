@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
-from mjhab.experts.arm import gentle, ik, motion
-from mjhab.experts.base.pilot import Pilot, simulate
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.base.follower import Follower, PathSegment, simulate
 from mjhab.robots.registry import robot_named
 
 
@@ -24,7 +24,6 @@ def compile_kernels() -> None:
     motion.spheres(body).clearance(seeds, boxes)
     motion.spheres(body).self_clearance(seeds)
     nearest_box_distance(pos, boxes)
-    path = np.array([[0.0, 0.0], [1.0, 0.0]])
-    Pilot(path, 0.0, 1, 0.2).step(np.zeros(3))
-    simulate(np.zeros(3), path, 0.0, 1, 0.2, gentle.FIRM)
-    gentle.eased((1.0, 0.0), (0.0, 0.0), gentle.FIRM)
+    segments = [PathSegment(np.array([[0.0, 0.0], [1.0, 0.0]]), 1, 0.0)]
+    Follower(segments, 0.2).step(np.zeros(3))
+    simulate(np.zeros(3), segments, 0.2)

@@ -1,4 +1,4 @@
-"""Planner and pilot: ways keep clear of obstacles, and a simulated base arrives where it should."""
+"""Planner and follower: ways keep clear of obstacles, and a simulated base arrives where it should."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from scipy.ndimage import distance_transform_edt
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
+from mjhab.experts.base.follower import SPEED_LAG_S, YAW_LAG_S, Follower, PathSegment
 from mjhab.experts.base.navigation import FloorClearance, Planner
-from mjhab.experts.base.pilot import SPEED_LAG_S, YAW_LAG_S, Pilot
 
 ORIGIN = np.array([-4.0, -3.0])
 CELL = 0.05
@@ -44,7 +44,9 @@ def free_points(clearance: np.ndarray, seed: int, count: int) -> np.ndarray:
     return ORIGIN + (picked + 0.5) * CELL
 
 
-def drive(pilot: Pilot, pose: np.ndarray, steps: int = 900) -> tuple[int, np.ndarray]:
+def drive(
+    follower: Follower, pose: np.ndarray, steps: int = 900
+) -> tuple[int, np.ndarray]:
     """Simulate a base whose speeds follow commands with a lag; returns the steps used (-1: too many) and the track."""
     pose = np.array(pose, dtype=float)
     speed = 0.0
@@ -54,8 +56,8 @@ def drive(pilot: Pilot, pose: np.ndarray, steps: int = 900) -> tuple[int, np.nda
     turning = 1 - np.exp(-0.01 / YAW_LAG_S)
     for step in range(steps):
         track.append(pose.copy())
-        forward, turn, done = pilot.step(pose)
-        if done:
+        forward, turn = follower.step(pose)
+        if follower.arrived:
             return step, np.array(track)
         for _ in range(round(STEP_SECONDS / 0.01)):
             speed += faster * (forward - speed)
@@ -78,7 +80,9 @@ def test_planned_ways_are_clear_and_driven_to_the_goal(seed, yaw, final):
     np.testing.assert_allclose(path[[0, -1]], [start, goal])
     for a, b in pairwise(path):
         assert planner.line_clearance(a, b[None])[0] >= planner.radius - 1e-9
-    steps, track = drive(Pilot(path, final, 1, 0.2), np.array([*start, yaw]))
+    steps, track = drive(
+        Follower([PathSegment(path, 1, final)], 0.2), np.array([*start, yaw])
+    )
     assert steps >= 0
     assert np.linalg.norm(track[-1, :2] - goal) <= 0.05
     assert abs(wrap(track[-1, 2] - final)) <= 0.1

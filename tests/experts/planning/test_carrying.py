@@ -18,8 +18,9 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
 from mjhab.experts.arm import motion
-from mjhab.experts.arm.gentle import FIRM, CommandLimits
 from mjhab.experts.arm.held import CORNER_RADIUS_M, held_spheres, holds
+from mjhab.experts.base.follower import BaseTrajectory, PathSegment
+from mjhab.experts.base.limits import FIRM, UNLIMITED, CommandLimits
 from mjhab.experts.base.route import (
     MIN_MAP_CLEARANCE_M,
     Route,
@@ -29,7 +30,6 @@ from mjhab.experts.base.route import (
     drive_of,
     follow,
     plan_route,
-    simulate,
     torso_gone,
 )
 from mjhab.experts.planning.base_poses import (
@@ -90,21 +90,10 @@ def test_a_drive_with_an_object_goes_as_expected():
     ]
     arm[13:] = view.q[13:]
     goal = view.q[:3] - [0.2 * np.cos(view.q[2]), 0.2 * np.sin(view.q[2]), -0.4]
-    found = drive_of(view, goal, direction=-1, straight=True, limits=FIRM)
-    assert found is not None
-    path, direction, lookahead, poses = found
-    expected = _swept(ROBOT, view.q, poses, arm, 0)
-    route = Route(
-        path,
-        float(goal[2]),
-        direction,
-        lookahead,
-        arm,
-        0,
-        len(expected),
-        0.0,
-        limits=FIRM,
-    )
+    base = drive_of(view, goal, RouteWish(direction=-1, straight=True, limits=FIRM))
+    assert base is not None
+    expected = _swept(ROBOT, view.q, base.poses, arm, 0)
+    route = Route(base, arm, 0, len(expected), 0.0)
     real = [view.q]
     for action in islice(
         follow(view, route, gripper=motion.CLOSED, held=obj), len(expected) - 1
@@ -131,8 +120,9 @@ def test_a_bend_is_driven_as_expected():
     here = view.q[:2]
     path = np.stack([here, here - 0.3 * ahead, here - 0.6 * ahead - 0.4 * left])
     yaw = float(np.arctan2(*(-0.3 * ahead - 0.4 * left)[::-1]))
-    poses = simulate(view.q[:3], path, yaw, 1, 0.3, FIRM)
-    route = Route(path, yaw, 1, 0.3, view.q, 0, len(poses), 0.0, limits=FIRM)
+    base = BaseTrajectory.of(view.q[:3], [PathSegment(path, 1, yaw)], 0.3, FIRM)
+    poses = base.poses
+    route = Route(base, view.q, 0, len(poses), 0.0)
     real = [view.q[:3]]
     for action in islice(
         follow(view, route, gripper=motion.CLOSED, held=obj), len(poses) - 1
@@ -155,7 +145,7 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
     boxes = Boxes.of(np.zeros((0, 3)), np.zeros((0, 3)))
     ahead = view.q[:3] + 0.5 * np.array([np.cos(view.q[2]), np.sin(view.q[2]), 0.0])
 
-    def clearance(middle: float, limits: CommandLimits | None) -> float:
+    def clearance(middle: float, limits: CommandLimits) -> float:
         def clearance(at: np.ndarray) -> np.ndarray:
             ends = (np.linalg.norm(at - view.q[:2], axis=1) < 0.1) | (
                 np.linalg.norm(at - ahead[:2], axis=1) < 0.1
@@ -177,7 +167,7 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
         assert found is not None and found.limits is limits
         return found.clearance
 
-    assert clearance(0.4, FIRM) >= 0.0 and clearance(0.2, None) >= 0.0
+    assert clearance(0.4, FIRM) >= 0.0 and clearance(0.2, UNLIMITED) >= 0.0
     assert clearance(0.2, FIRM) == pytest.approx(0.2 - MIN_MAP_CLEARANCE_M)
 
 

@@ -14,6 +14,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base import route
+from mjhab.experts.base.follower import BaseTrajectory, PathSegment
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
 from mjhab.experts.planning.arm_paths import Free, arm_path
@@ -23,6 +24,8 @@ from mjhab.robots.fetch.robot import ROBOT
 
 PAN = 5
 """Column of the shoulder's turn."""
+
+STANDING = BaseTrajectory.of(np.zeros(3), [PathSegment(np.zeros((2, 2)), 1, 0.0)], 0.3)
 
 
 def turned(pan: float) -> np.ndarray:
@@ -136,9 +139,7 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
 
     def placement(clearance: float) -> tuple[BasePlacement, HandGoals, float]:
         return (
-            BasePlacement(
-                0, arm, arm, Route(np.zeros((2, 2)), 0.0, 1, 0.3, arm, 0, 40, clearance)
-            ),
+            BasePlacement(0, arm, arm, Route(STANDING, arm, 0, 40, clearance)),
             goals,
             0.0,
         )
@@ -184,8 +185,7 @@ def test_arm_passes_the_postures_of_a_route_one_after_the_other():
     low[7] = -0.5
     low[9] = 1.3
     via = np.stack([low, turned(-0.3)])
-    here = np.zeros((2, 2))
-    path = Route(here, 0.0, 1, 0.3, RIGHT, 30, 120, 0.0, via=via, carried=0, lead=20)
+    path = Route(STANDING, RIGHT, 30, 120, 0.0, via=via, carried=0, lead=20)
     drive = route.follow(view, path, gripper=motion.OPEN)  # type: ignore[arg-type]
     arrived = None
     while arrived is None:

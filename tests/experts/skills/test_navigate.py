@@ -11,9 +11,10 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import wrap
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
-from mjhab.experts.base.driving import BRISK, simulate
 from mjhab.experts.base.floorplan import BASE_CLEARANCE_M, SLICES_M, Arm, Floorplan
-from mjhab.experts.base.lattice import YAWS, Lattice, PathSegment
+from mjhab.experts.base.follower import PathSegment, simulate
+from mjhab.experts.base.lattice import YAWS, Lattice
+from mjhab.experts.base.limits import DRIVE_FREE
 from mjhab.experts.skills import navigate
 from mjhab.tasks.plan import Subtask
 
@@ -46,7 +47,7 @@ def ending_at(lattice: Lattice, xy: tuple[float, float]) -> np.ndarray:
 
 
 def driven(segments: list[PathSegment], pose: np.ndarray) -> np.ndarray:
-    return simulate(pose, segments, 0.1, BRISK)
+    return simulate(pose, segments, 0.1, DRIVE_FREE)
 
 
 def two_rooms() -> Map:

@@ -26,7 +26,7 @@ from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.held import held_spheres
 from mjhab.experts.base.ajar import planner
-from mjhab.experts.base.pilot import Pilot
+from mjhab.experts.base.follower import Follower, PathSegment
 from mjhab.experts.base.route import (
     LOOKAHEADS_M,
     LOST_STEPS,
@@ -136,11 +136,14 @@ def test_bowl_carries_do_not_flicker() -> None:
     assert sum(lost) <= 0.10 * steps and lost.count(0) >= worlds // 2, lost
 
 
-def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray, int]:
-    """An ideal unicycle under a pilot: where it ends and after how many steps."""
+def drive(
+    segment: PathSegment, lookahead: float, pose: np.ndarray, steps: int = 300
+) -> tuple[np.ndarray, int]:
+    """An ideal unicycle under a follower: where it ends and after how many steps."""
+    follower = Follower([segment], lookahead)
     for step in range(steps):
-        forward, turn, done = pilot.step(pose)
-        if done:
+        forward, turn = follower.step(pose)
+        if follower.arrived:
             return pose, step
         pose = pose + 0.05 * np.array(
             [forward * np.cos(pose[2]), forward * np.sin(pose[2]), turn]
@@ -150,18 +153,17 @@ def drive(pilot: Pilot, pose: np.ndarray, steps: int = 300) -> tuple[np.ndarray,
 
 @pytest.mark.parametrize("lookahead", LOOKAHEADS_M)
 @pytest.mark.parametrize("yaw", [0.0, 2.0, -3.0])
-def test_pilot_ends_near_the_goal_with_its_heading(lookahead: float, yaw: float):
+def test_follower_ends_near_the_goal_with_its_heading(lookahead: float, yaw: float):
     path = np.array([[0.0, 0.0], [0.8, 0.0], [1.2, 0.6]])
-    pose, steps = drive(Pilot(path, yaw, 1, lookahead), np.array([0.0, 0.0, 0.4]))
+    pose, steps = drive(PathSegment(path, 1, yaw), lookahead, np.array([0.0, 0.0, 0.4]))
     assert np.linalg.norm(pose[:2] - path[-1]) < 0.06
     assert abs((pose[2] - yaw + np.pi) % (2 * np.pi) - np.pi) < 0.06
     assert steps < 160
 
 
-def test_pilot_drives_straight_back():
-    pose, steps = drive(
-        Pilot(np.array([[0.0, 0.0], [-0.6, 0.0]]), 0.0, -1, 0.3), np.zeros(3)
-    )
+def test_follower_drives_straight_back():
+    back = PathSegment(np.array([[0.0, 0.0], [-0.6, 0.0]]), -1, 0.0)
+    pose, steps = drive(back, 0.3, np.zeros(3))
     np.testing.assert_allclose(pose, [-0.6, 0.0, 0.0], atol=0.03)
     assert steps < 40
 
@@ -302,7 +304,7 @@ def test_route_keeps_room_and_ends_at_the_goal():
         type(near).join([near, target]),
     )
     assert route is not None
-    np.testing.assert_allclose(route.path[-1], spot)
+    np.testing.assert_allclose(route.segment.points[-1], spot)
     assert route.steps < 200
 
 

@@ -6,7 +6,6 @@ Lengths [m], angles [rad], world frame. Letters: T control steps, P points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,8 +13,8 @@ import numpy as np
 from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.base.floorplan import Floorplan, turn_between
-from mjhab.experts.base.lattice import PathSegment, length
-from mjhab.experts.base.pilot import SPEED_LAG_S, Pilot
+from mjhab.experts.base.follower import BaseTrajectory, PathSegment
+from mjhab.experts.base.limits import CommandLimits
 
 WANTED_CLEARANCE_M = 0.02
 """Clearance that a drive should keep beyond the least one."""
@@ -23,125 +22,17 @@ CLOSENESS_PRICE_S_M2 = 5000.0
 """Cost of a drive with less clearance, per square of the missing clearance [s/m2]."""
 AMPLE_CLEARANCE_M = 0.08
 """Clearance of a straight line with which it may replace way points that have more."""
-TURN_END_RATE_RAD_S = 0.5
-"""Yaw rate below which a turn between two segments counts as done; `Pilot` commands it 0.1 rad before the end."""
 MAX_SPLITS = 8
 """Greatest number of curves that are replaced by turns on the spot for lack of clearance."""
 MAX_CURVE_RAD = 2.0
 """Turns up to this are driven as curves, not on the spot."""
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Limits on the base commands.
-
-    Attributes:
-        speed: largest forward speed [m/s].
-        rise: largest acceleration [m/s2]; deceleration may be twice as large.
-        turn: factor on the yaw rate that `Pilot` commands.
-        spin: largest yaw rate [rad/s].
-        jerk: largest change of the yaw rate [rad/s2].
-    """
-
-    speed: float = 1.0
-    rise: float = 20.0
-    turn: float = 1.0
-    spin: float = 2.6
-    jerk: float = 80.0
-
-
-BRISK = Pace()
-GENTLE = Pace(0.7, 1.5, 0.5, 1.2, 3.0)
-"""`BRISK` is for an empty hand, `GENTLE` for a held object that must not slip."""
-
-
-@dataclass(frozen=True, eq=False)
-class BaseTrajectory:
-    """A planned drive.
-
-    Attributes:
-        segments: pieces of the path, in order.
-        lookahead: look-ahead distance of `Pilot` [m].
-        pace: limits on the commands.
-        poses: (T, 3) simulated base poses x, y, yaw, one per control step.
-    """
-
-    segments: Sequence[PathSegment]
-    lookahead: float
-    pace: Pace
-    poses: np.ndarray
-
-
-class Driver:
-    """Controller that drives segments one after the other; ``segment`` is the present one, None at the end.
-
-    Args:
-        segments: pieces of the path.
-        lookahead: look-ahead distance of `Pilot` [m].
-        pace: limits on the commands.
-        v: present forward speed of the base [m/s].
-        w: present yaw rate of the base [rad/s].
-    """
-
-    def __init__(
-        self,
-        segments: Sequence[PathSegment],
-        lookahead: float,
-        pace: Pace,
-        v: float = 0.0,
-        w: float = 0.0,
-    ) -> None:
-        self._segments = list(segments)
-        self._lookahead = lookahead
-        self._pace = pace
-        self._v = v
-        self._w = w
-        self.segment: PathSegment | None = None
-        self._begin()
-
-    def _begin(self) -> None:
-        self.segment = segment = self._segments.pop(0) if self._segments else None
-        if segment is not None:
-            self._pilot = Pilot(
-                segment.points,
-                segment.yaw,
-                segment.direction,
-                self._lookahead,
-                self._pace.speed,
-            )
-            self._left = 60 + int(length(segment) / (0.2 * STEP_SECONDS))
-
-    def step(self, pose: np.ndarray) -> tuple[float, float]:
-        """Forward speed [m/s] and yaw rate [rad/s] for the base at ``pose`` (3,). Call once per control step."""
-        v = w = 0.0
-        while self.segment is not None:
-            v, w, done = self._pilot.step(pose)
-            self._left -= 1
-            # Only the last segment has to end exactly: the others pass on to the next when their turn is nearly done.
-            done = done or (
-                bool(self._segments) and v == 0.0 and abs(w) < TURN_END_RATE_RAD_S
-            )
-            if not done and self._left >= 0:
-                break
-            self._begin()
-            v = w = 0.0
-        pace = self._pace
-        gain = pace.rise * STEP_SECONDS
-        change = pace.jerk * STEP_SECONDS
-        self._v = towards(v, self._v, gain)
-        w = float(np.clip(pace.turn * w, -pace.spin, pace.spin))
-        self._w = float(np.clip(w, self._w - change, self._w + change))
-        return self._v, self._w
-
-
-def towards(wish: float, now: float, gain: float) -> float:
-    """Speed ``now`` moved towards ``wish``: by at most ``gain`` where its magnitude grows, else twice that."""
-    up, down = (gain, 2.0 * gain) if now >= 0.0 else (2.0 * gain, gain)
-    return float(np.clip(wish, now - down, now + up))
-
-
 def plan_drive(
-    plan: Floorplan, pose: np.ndarray, segments: Sequence[PathSegment], pace: Pace
+    plan: Floorplan,
+    pose: np.ndarray,
+    segments: Sequence[PathSegment],
+    limits: CommandLimits,
 ) -> BaseTrajectory:
     """Plan the quickest drive along segments that keeps about the clearance that the segments have.
 
@@ -151,7 +42,7 @@ def plan_drive(
         plan: free space.
         pose: (3,) present base pose x, y, yaw.
         segments: the path, with turns on the spot.
-        pace: limits on the commands.
+        limits: limits on the commands.
     """
     curves = _joined(segments)
     pulled = _pulled(plan, curves)
@@ -165,9 +56,7 @@ def plan_drive(
     ):
         tried: Sequence[PathSegment] | None = choice
         for _ in range(MAX_SPLITS):
-            trajectory = BaseTrajectory(
-                tried, lookahead, pace, simulate(pose, tried, lookahead, pace)
-            )
+            trajectory = BaseTrajectory.of(pose, tried, lookahead, limits)
             clearance = plan.clearance(trajectory.poses)
             lack = max(asked - float(clearance.min(initial=np.inf)), 0.0)
             cost = STEP_SECONDS * len(trajectory.poses) + CLOSENESS_PRICE_S_M2 * lack**2
@@ -210,11 +99,11 @@ def _joined(segments: Sequence[PathSegment]) -> list[PathSegment]:
     out: list[PathSegment] = []
     pending: list[PathSegment] = []
     for segment in segments:
-        if not length(segment):
+        if not segment.length:
             pending.append(segment)
             continue
         last = out[-1] if out else None
-        smooth = last is not None and length(last) and last.direction == segment.direction
+        smooth = last is not None and last.length and last.direction == segment.direction
         if (
             last is not None
             and smooth
@@ -266,24 +155,3 @@ def _line_clearance(plan: Floorplan, points: np.ndarray, back: float) -> float:
         yaw = np.arctan2(offset[1], offset[0]) + back
         poses.append(np.column_stack([a + share * offset, np.full(len(share), yaw)]))
     return float(plan.clearance(np.concatenate(poses)).min())
-
-
-def simulate(
-    pose: np.ndarray, segments: Sequence[PathSegment], lookahead: float, pace: Pace
-) -> np.ndarray:
-    """Simulate the base poses (T, 3) of a drive from ``pose`` (3,) along segments, one per control step."""
-    pose = pose.copy()
-    speed = 0.0
-    rate = 0.0
-    share = 1.0 - np.exp(-STEP_SECONDS / SPEED_LAG_S)
-    poses = []
-    driver = Driver(segments, lookahead, pace)
-    while driver.segment is not None:
-        forward, turn = driver.step(pose)
-        speed += share * (forward - speed)
-        rate += share * (turn - rate)
-        pose = pose + STEP_SECONDS * np.array(
-            [speed * np.cos(pose[2]), speed * np.sin(pose[2]), rate]
-        )
-        poses.append(pose)
-    return np.array(poses).reshape(-1, 3)

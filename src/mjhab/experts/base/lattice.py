@@ -8,14 +8,13 @@ angles [rad], world frame, costs [s].
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from mjhab.core.rotations import wrap
 from mjhab.experts.base.floorplan import Floorplan, turn_between
+from mjhab.experts.base.follower import PathSegment, turns
 
 MOVES = np.array(
     [(1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1),
@@ -45,21 +44,6 @@ LACKING_PRICE_S_M = 40.0
 """Cost of missing clearance during the first turn [s/m]."""
 MAX_ENTRY_M = 0.12
 """Greatest distance between the robot and the first node of the path."""
-
-
-@dataclass(frozen=True, eq=False)
-class PathSegment:
-    """A piece of a path.
-
-    Attributes:
-        points: (P, 2) way points.
-        direction: 1 forwards, -1 backwards.
-        yaw: heading at the end, to which the base turns on the spot.
-    """
-
-    points: np.ndarray
-    direction: int
-    yaw: float
 
 
 class Lattice:
@@ -245,7 +229,7 @@ class Lattice:
             last = segments[-1] if segments else None
             if (
                 last is not None
-                and length(last)
+                and last.length
                 and last.direction == direction
                 and last.yaw == yaw
             ):
@@ -256,23 +240,6 @@ class Lattice:
                 segments.append(PathSegment(np.stack([here, there]), direction, yaw))
             here = there
         return segments + turns(here, yaw, turn)
-
-
-def turns(xy: np.ndarray, start: float, turn: float) -> list[PathSegment]:
-    """Segments that turn on the spot at ``xy`` (2,) by a signed angle.
-
-    Each turns by less than pi, because a segment gives only its final heading and the base takes the shorter turn.
-    """
-    if abs(turn) < 1e-6:
-        return []
-    pieces = 1 + int(abs(turn) / 2.2)
-    yaws = [float(wrap(start + turn * (k + 1) / pieces)) for k in range(pieces)]
-    return [PathSegment(np.stack([xy, xy]), 1, yaw) for yaw in yaws]
-
-
-def length(segment: PathSegment) -> float:
-    """Length of a segment [m], 0 for a turn on the spot."""
-    return float(np.linalg.norm(np.diff(segment.points, axis=0), axis=1).sum())
 
 
 def _windows(

@@ -14,11 +14,11 @@ from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
-from mjhab.experts.arm.gentle import CommandLimits, eased
 from mjhab.experts.arm.held import holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
-from mjhab.experts.base.pilot import MAX_SPEED_M_S, Pilot, simulate
+from mjhab.experts.base.follower import BaseTrajectory, Follower, PathSegment
+from mjhab.experts.base.limits import UNLIMITED, CommandLimits
 from mjhab.robots.robot import Robot
 
 MARGIN_M = 0.015
@@ -59,34 +59,29 @@ class Route:
     """A planned motion of base and arm.
 
     Attributes:
-        path: (P, 2) way points of the base.
-        yaw: heading of the base at the end.
-        direction: 1 forwards, -1 backwards.
-        lookahead: look-ahead distance of `Pilot` [m].
+        base: drive of the base, one segment.
         arm: (J,) configuration at the end, of which arm and torso count.
         delay: control step at which the arm starts its (last) motion.
         steps: predicted duration [control steps].
-        clearance: least clearance along the route beyond the wanted one [m]; negative: a deficit.
-        speed: largest forward speed [m/s].
+        clearance: smallest clearance along the route beyond the wanted one [m]; negative: a deficit.
         via: (V, J) intermediate postures of the arm, see `sampled`; None for a straight motion in joint space.
         carried: index in ``via`` of the posture that the arm keeps until the step ``delay``.
         lead: control step at which the base starts.
-        limits: limits on changes of the base commands; None for none.
     """
 
-    path: np.ndarray
-    yaw: float
-    direction: int
-    lookahead: float
+    base: BaseTrajectory
     arm: np.ndarray
     delay: int
     steps: int
     clearance: float
-    speed: float = MAX_SPEED_M_S
     via: np.ndarray | None = None
     carried: int = 0
     lead: int = 0
-    limits: CommandLimits | None = None
+
+    @property
+    def segment(self) -> PathSegment:
+        """The path of the base."""
+        return self.base.segments[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +92,14 @@ class RouteWish:
         margin_m: wanted clearance [m].
         direction: 1 forwards, -1 backwards, 0 the quicker one.
         straight: drive on a straight line instead of around furniture.
-        limits: limits on changes of the base commands while an object is held; None for an empty hand. With a held
-            object the clearance of the base counts, too, because a collision of the base can shake the object loose.
+        limits: limits on the base commands; `UNLIMITED` for an empty hand. With a held object the clearance of the base
+            counts, too, because a collision of the base can shake the object loose.
     """
 
     margin_m: float = MARGIN_M
     direction: int = 0
     straight: bool = False
-    limits: CommandLimits | None = None
+    limits: CommandLimits = UNLIMITED
 
 
 USUAL_ROUTE = RouteWish()
@@ -135,15 +130,14 @@ def plan_route(
         The route; None when furniture separates base and goal.
     """
     start = view.q
-    limits = wish.limits
-    found = drive_of(view, goal, wish.direction, wish.straight, limits)
-    if found is None:
+    base = drive_of(view, goal, wish)
+    if base is None:
         return None
-    path, direction, lookahead, poses = found
+    poses = base.poses
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before = float(robot.clearance(start[None], boxes)[0])
     own = _own_clearance(start, arm, robot)
-    if limits and not wish.straight:
+    if wish.limits != UNLIMITED and not wish.straight:
         cells = planner(view).clearance_at(poses[:, :2])
         own = min(own, float(cells.min() - min(MIN_MAP_CLEARANCE_M, cells[0], cells[-1])))
 
@@ -157,17 +151,7 @@ def plan_route(
             before - 0.004,
         )
         clearance = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
-        return Route(
-            path,
-            float(goal[2]),
-            direction,
-            lookahead,
-            arm,
-            delay,
-            len(swept),
-            clearance,
-            limits=limits,
-        )
+        return Route(base, arm, delay, len(swept), clearance)
 
     early = at(0.0)
     if early.clearance >= 0.0 or len(poses) == 1:
@@ -179,39 +163,20 @@ def plan_route(
 
 
 def drive_of(
-    view: WorldView,
-    goal: np.ndarray,
-    direction: int = 0,
-    straight: bool = False,
-    limits: CommandLimits | None = None,
-) -> tuple[np.ndarray, int, float, np.ndarray] | None:
-    """Plan the drive of a route, see `plan_route`.
-
-    Args:
-        view: the world.
-        goal: (3,) base pose x, y, yaw.
-        direction: 1 forwards, -1 backwards, 0 the quicker one.
-        straight: drive on a straight line instead of around furniture.
-        limits: limits on changes of the base commands.
-
-    Returns:
-        Way points (P, 2), direction, look-ahead distance and predicted base poses (T, 3), one per control step; None
-        when furniture separates base and goal.
-    """
+    view: WorldView, goal: np.ndarray, wish: RouteWish = USUAL_ROUTE
+) -> BaseTrajectory | None:
+    """Plan the drive of a route to base pose ``goal`` (3,), see `plan_route`; None when furniture is in between."""
     path = (
-        np.stack([view.base[:2], goal[:2]]) if straight else _path_around(view, goal[:2])
+        np.stack([view.base[:2], goal[:2]])
+        if wish.straight
+        else _path_around(view, goal[:2])
     )
     if path is None:
         return None
-    direction = direction or _direction(view.base, path, float(goal[2]))
-    few = (
-        LOOKAHEADS_M[:1] if len(path) == 2 and (straight or not limits) else LOOKAHEADS_M
-    )
-    return (
-        path,
-        direction,
-        *_smoothest(view, path, float(goal[2]), direction, limits, few),
-    )
+    yaw = float(goal[2])
+    segment = PathSegment(path, wish.direction or _direction(view.base, path, yaw), yaw)
+    few = len(path) == 2 and (wish.straight or wish.limits == UNLIMITED)
+    return _smoothest(view, segment, wish.limits, LOOKAHEADS_M[: 1 if few else None])
 
 
 def drive_steps(now: np.ndarray, poses: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -257,25 +222,21 @@ def follow(
     Returns:
         Whether base and arm arrived; False when the robot is blocked or stuck, or the object is lost.
     """
-    pilot = Pilot(route.path, route.yaw, route.direction, route.lookahead, route.speed)
+    follower = Follower(route.base.segments, route.base.lookahead, route.base.limits)
     arm = _ArmWay(view.q, route)
     pressed = 0
     lost = 0
     arrived = False
     nearest_off = np.inf
     since = 0
-    limits = route.limits
-    moving = motion.drives(view, route.path[-1], route.yaw)
-    before = (0.0, 0.0)
+    moving = motion.drives(view, route.segment.points[-1], route.segment.yaw)
     began = 0
     last = view.q
     for step in range(route.steps + 40):
-        forward = 0.0
-        turn = 0.0
-        done = step >= route.lead
-        if done and moving and not arrived:
-            forward, turn, done = pilot.step(view.base)
-        arrived = arrived or done
+        speed = (0.0, 0.0)
+        if step >= route.lead and moving:
+            speed = follower.step(view.base)
+        arrived = arrived or (step >= route.lead and (follower.arrived or not moving))
         goal = arm.goal(view, step, arrived)
         off = motion.joint_gap(view, route.arm)
         if arrived and off <= tolerance:
@@ -287,8 +248,6 @@ def follow(
         )
         if step - since >= STALLED_STEPS:
             return False
-        speed = (0.0, 0.0) if arrived else (forward, turn)
-        before = speed = eased(speed, before, limits) if limits else speed
         # The arm starts slowly from every intermediate posture: a jerk can shake out an object at the fingertips.
         began, last = (began, last) if np.array_equal(goal, last) else (step, goal)
         ramp = min(
@@ -308,12 +267,10 @@ def drive_to(view: WorldView, goal: np.ndarray, *, gripper: float) -> Motion:
 
     Returns whether the base arrived; False when there is no path, or the robot is blocked.
     """
-    found = drive_of(view, goal, direction=1)
-    if found is None:
+    base = drive_of(view, goal, RouteWish(direction=1))
+    if base is None:
         return False
-    path, direction, lookahead, poses = found
-    arm = view.q
-    route = Route(path, float(goal[2]), direction, lookahead, arm, 0, len(poses), 0.0)
+    route = Route(base, view.q, 0, len(base.poses), 0.0)
     return (yield from follow(view, route, gripper=gripper))
 
 
@@ -352,24 +309,20 @@ def _direction(pose: np.ndarray, path: np.ndarray, yaw: float) -> int:
 
 def _smoothest(
     view: WorldView,
-    path: np.ndarray,
-    yaw: float,
-    direction: int,
-    limits: CommandLimits | None,
+    segment: PathSegment,
+    limits: CommandLimits,
     lookaheads: tuple[float, ...],
-) -> tuple[float, np.ndarray]:
-    """First look-ahead distance with enough clearance of the base, else that with the most; and base poses (T, 3)."""
+) -> BaseTrajectory:
+    """Drive with the first look-ahead distance with enough clearance of the base, else with that with the most."""
     cells = planner(view)
-    best: tuple[float, float, np.ndarray] | None = None
+    found: list[tuple[float, BaseTrajectory]] = []
     for lookahead in lookaheads:
-        poses = simulate(view.base, path, yaw, direction, lookahead, limits)
-        clearance = float(cells.clearance_at(poses[:, :2]).min())
-        if best is None or clearance > best[0]:
-            best = (clearance, lookahead, poses)
+        drive = BaseTrajectory.of(view.base, [segment], lookahead, limits)
+        clearance = float(cells.clearance_at(drive.poses[:, :2]).min())
+        found.append((clearance, drive))
         if clearance >= MIN_MAP_CLEARANCE_M:
             break
-    assert best is not None
-    return best[1], best[2]
+    return max(found, key=lambda one: one[0])[1]
 
 
 def _swept(

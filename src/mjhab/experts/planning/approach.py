@@ -15,7 +15,6 @@ from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.ajar import planner
-from mjhab.experts.base.pilot import simulate
 from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
 from mjhab.experts.style import wait_for
 from mjhab.robots.robot import Robot
@@ -134,27 +133,25 @@ def _hand(robot: Robot) -> RobotSpheres:
 
 def _turn_at_end(route: Route) -> float:
     """Angle by which the base turns in place at the end of a route [rad]."""
-    distance = route.path[-1] - route.path[-2]
+    distance = route.segment.points[-1] - route.segment.points[-2]
     if np.linalg.norm(distance) < 0.03:
         return 0.0
     heading = np.arctan2(distance[1], distance[0]) + (
-        0.0 if route.direction > 0 else np.pi
+        0.0 if route.segment.direction > 0 else np.pi
     )
-    return float(np.abs(wrap(route.yaw - heading)))
+    return float(np.abs(wrap(route.segment.yaw - heading)))
 
 
 def _passed(view: WorldView, route: Route) -> np.ndarray:
     """Expected configurations (T, J) on a route, two per control step."""
-    poses = simulate(
-        view.base, route.path, route.yaw, route.direction, route.lookahead, route.limits
-    )
+    poses = route.base.poses
     robot = view.robot.chain
     needed = float(ik.travel_steps(robot, view.q, route.arm, ik.columns(robot)))
     steps = np.arange(0.0, route.steps + 0.25, 0.5)
     part = np.clip((steps - route.delay) / max(needed, 1.0), 0.0, 1.0)[:, None]
     out = view.q + part * (route.arm - view.q)
     out[:, :3] = np.stack(
-        [np.interp(steps, np.arange(len(poses)), column) for column in np.array(poses).T],
+        [np.interp(steps, np.arange(len(poses)), column) for column in poses.T],
         axis=1,
     )
     return out

@@ -15,10 +15,10 @@ from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.arm.gentle import limits_for
 from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
+from mjhab.experts.base.limits import UNLIMITED, limits_for
 from mjhab.experts.base.route import (
     BLOCKED_FORCE_N,
     BLOCKED_STEPS,
@@ -253,7 +253,7 @@ def plan_home(
     boxes = others if holding else type(others).join([others, target])
     now = view.q
     goal = motion.rest_goal(view)
-    limits = limits_for(view) if holding else None
+    limits = limits_for(view) if holding else UNLIMITED
     cells = planner(view, shut=True)
     best: Route | None = None
     for back in distances:

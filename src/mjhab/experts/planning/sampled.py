@@ -22,10 +22,11 @@ from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import Boxes, RobotSpheres
-from mjhab.experts.arm.gentle import CommandLimits
+from mjhab.experts.base.limits import UNLIMITED, CommandLimits
 from mjhab.experts.base.route import (
     SELF_CLEARANCE_M,
     Route,
+    RouteWish,
     arm_gone,
     drive_of,
     torso_gone,
@@ -111,7 +112,7 @@ def plan_around(
     robot: RobotSpheres,
     boxes: Boxes,
     *,
-    limits: CommandLimits | None = None,
+    limits: CommandLimits = UNLIMITED,
 ) -> Route | None:
     """Plan a collision-free route with intermediate postures of the arm before and after the drive.
 
@@ -127,10 +128,10 @@ def plan_around(
         A route with the clearances of `plan_route`, or nearly those of its first and last configuration if they have
         less; None when none is found.
     """
-    found = drive_of(view, goal, limits=limits)
-    if found is None:
+    base = drive_of(view, goal, RouteWish(limits=limits))
+    if base is None:
         return None
-    path, direction, lookahead, poses = found
+    poses = base.poses
     start = view.q
     end = np.concatenate([goal, arm[BASE.stop :]])
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
@@ -146,20 +147,7 @@ def plan_around(
     if best is None:
         return None
     steps, lead, delay, via, carried = best
-    return Route(
-        path,
-        float(goal[2]),
-        direction,
-        lookahead,
-        arm,
-        delay,
-        steps,
-        0.0,
-        via=via,
-        carried=carried,
-        lead=lead,
-        limits=limits,
-    )
+    return Route(base, arm, delay, steps, 0.0, via=via, carried=carried, lead=lead)
 
 
 def _timed(

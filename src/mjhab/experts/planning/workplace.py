@@ -13,7 +13,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.clearance import RobotSpheres
-from mjhab.experts.arm.gentle import CommandLimits
+from mjhab.experts.base.limits import UNLIMITED, CommandLimits
 from mjhab.experts.base.route import Route
 from mjhab.robots.robot import Robot
 
@@ -65,7 +65,7 @@ class Scene:
     support_z: float
     body: Robot
     held: tuple[np.ndarray, np.ndarray] | None = None
-    limits: CommandLimits | None = None
+    limits: CommandLimits = UNLIMITED
 
     @property
     def all(self) -> Boxes:

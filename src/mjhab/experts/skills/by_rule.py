@@ -21,7 +21,8 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.ajar import planner
-from mjhab.experts.base.pilot import Pilot
+from mjhab.experts.base.follower import Follower, PathSegment
+from mjhab.experts.base.limits import UNLIMITED, CommandLimits
 from mjhab.experts.planning.reach import clear_ones
 from mjhab.experts.planning.workplace import Scene
 
@@ -36,7 +37,7 @@ DISTANCE_PRICE = 4.0
 MAX_PLACEMENTS = 40
 """Greatest number of base poses that are tried."""
 LOOKAHEAD_M = 0.3
-"""Look-ahead distance of `Pilot`."""
+"""Look-ahead distance of the follower."""
 PLACEMENT_CLEARANCE_M = 0.01
 """Clearance of a base placement beyond what the base needs to drive."""
 PATH_END_M = 0.02
@@ -82,9 +83,10 @@ class RuledPlacement:
     row: int
     ready: np.ndarray
 
-    def pilot(self) -> Pilot:
+    def follower(self, limits: CommandLimits = UNLIMITED) -> Follower:
         """Make the controller that drives the base there."""
-        return Pilot(self.path, float(self.base[2]), 1, LOOKAHEAD_M)
+        segment = PathSegment(self.path, 1, float(self.base[2]))
+        return Follower([segment], LOOKAHEAD_M, limits)
 
     def far(self, view: WorldView) -> bool:
         """Whether the base is still too far away for the arm to leave its rest position."""

@@ -12,21 +12,15 @@ import numpy as np
 
 from mjhab.core.joints import BASE_XY, BASE_YAW
 from mjhab.core.rotations import wrap
-from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
-from mjhab.experts.base.driving import (
-    BRISK,
-    GENTLE,
-    BaseTrajectory,
-    Driver,
-    plan_drive,
-    towards,
-)
+from mjhab.experts.base.driving import plan_drive
 from mjhab.experts.base.floorplan import Arm, Floorplan, turn_between
-from mjhab.experts.base.lattice import YAWS, Lattice, PathSegment, turns
+from mjhab.experts.base.follower import BaseTrajectory, Follower, PathSegment, turns
+from mjhab.experts.base.lattice import YAWS, Lattice
+from mjhab.experts.base.limits import DRIVE_FREE, DRIVE_HELD, eased
 from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS
 from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
@@ -207,7 +201,9 @@ def plan_trajectory(
         )
         if found is not None:
             segments = _facing(plan, aim, view.base, found[1])
-            return plan_drive(plan, view.base, segments, GENTLE if held else BRISK)
+            return plan_drive(
+                plan, view.base, segments, DRIVE_HELD if held else DRIVE_FREE
+            )
     return None
 
 
@@ -240,15 +236,14 @@ def _drive(
     track = [view.base]
     tried = 0
     joints = _joints(view)
-    driver = Driver(
+    follower = Follower(
         trajectory.segments,
         trajectory.lookahead,
-        trajectory.pace,
-        *motion.base_speeds(view),
+        trajectory.limits,
+        motion.base_speeds(view),
     )
-    while driver.segment is not None:
-        segment = driver.segment
-        (forward, turn) = driver.step(view.base)
+    while (segment := follower.segment) is not None:
+        forward, turn = follower.step(view.base)
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
         track.append(view.base)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
@@ -303,9 +298,8 @@ def _back_off(
     )
     speed, _ = motion.base_speeds(view)
     for _ in range(14):
-        speed = towards(
-            float(np.copysign(0.3, ahead)), speed, trajectory.pace.rise * STEP_SECONDS
-        )
+        wish = (float(np.copysign(0.3, ahead)), 0.0)
+        speed, _ = eased(wish, (speed, 0.0), trajectory.limits)
         yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))
     return True
 

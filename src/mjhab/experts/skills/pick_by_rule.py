@@ -62,14 +62,10 @@ def pick_by_rule(view: WorldView) -> Motion:
     if found is None:
         return (yield from search.pick(view))
     placement, pos, rot = found
-    pilot = placement.pilot()
+    follower = placement.follower()
     height = float(view.object_pose(obj)[2])
-    arrived = False
     while True:
-        drive = (0.0, 0.0)
-        if not arrived:
-            v, w, arrived = pilot.step(view.base)
-            drive = (v, w)
+        drive = follower.step(view.base)
         pose = view.object_pose(obj)
         if (view.finger_forces(obj) > PRESSED_N).all():
             yield _carry(view, bool(pose[2] < height + LIFT_M), drive)

@@ -17,9 +17,9 @@ from mjhab.core.rotations import mat_from_quat, mat_from_rotation_vector
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.pinch import ObjectShape
 from mjhab.experts.arm import motion
-from mjhab.experts.arm.gentle import limits_for
 from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.limits import limits_for
 from mjhab.experts.base.route import follow
 from mjhab.experts.planning.carry import (
     ReachIn,

@@ -6,9 +6,9 @@ import numpy as np
 
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
-from mjhab.experts.arm.gentle import eased, limits_for
 from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
+from mjhab.experts.base.limits import limits_for
 from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.planning.workplace import Scene, surroundings
 from mjhab.experts.skills import place as search
@@ -55,15 +55,11 @@ def place_by_rule(view: WorldView) -> Motion:
     if found is None:
         return (yield from search.place(view))
     placement, funnel = found
-    pilot = placement.pilot()
-    limits = limits_for(view)
-    arrived = False
+    follower = placement.follower(limits_for(view))
     opens = False
     while opens or holds(view, obj):
-        drive = (0.0, 0.0)
-        if not arrived:
-            v, w, arrived = pilot.step(view.base)
-            drive = eased((v, w), motion.base_speeds(view), limits)
+        # From the measured speeds rather than the last commands: the script depends on what can be observed.
+        drive = follower.step(view.base, motion.base_speeds(view))
         opens = opens or (
             funnel.distance(view) < AT_GOAL_M and funnel.turn(view) < AT_GOAL_RAD
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.experts.base.driving import BaseTrajectory
+from mjhab.experts.base.follower import BaseTrajectory
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning.workplace import BasePlacement, HandGoals
 
@@ -54,12 +54,12 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
     route = routes[0] if routes else placement.route if placement is not None else None
     if route is None and placement is None and goals is None:
         return None
-    path = route.path if route is not None else np.zeros((0, 2))
+    path = route.segment.points if route is not None else np.zeros((0, 2))
     place = None
     if placement is not None:
         place = placement.at[:3].copy()
     elif route is not None:
-        place = np.append(route.path[-1], route.yaw)
+        place = np.append(route.segment.points[-1], route.segment.yaw)
     chosen = int(placement.goal) if placement is not None and goals is not None else None
     return PlanMarks(np.array(path), place, _hand_poses(goals), chosen)
 

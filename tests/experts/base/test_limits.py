@@ -6,7 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.experts.arm.gentle import BRISK, FIRM, WEAK, CommandLimits, eased, limits_for
+from mjhab.experts.base.limits import (
+    FIRM,
+    WEAK,
+    WEAK_FAST,
+    CommandLimits,
+    eased,
+    limits_for,
+)
 
 
 def view_with(**objects: tuple[float, float]) -> Any:
@@ -41,8 +48,10 @@ def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(
 def test_a_hurry_asks_for_less_care_of_what_is_heavy():
     heavy = view_with(box=(0.5, 0.05))
     light = view_with(bowl=(0.15, 0.08))
-    assert limits_for(heavy, fast=True) == BRISK and limits_for(light, fast=True) == FIRM
-    assert WEAK.change < BRISK.change < FIRM.change and WEAK.spin <= BRISK.spin
+    assert (
+        limits_for(heavy, fast=True) == WEAK_FAST and limits_for(light, fast=True) == FIRM
+    )
+    assert WEAK.change < WEAK_FAST.change < FIRM.change and WEAK.spin <= WEAK_FAST.spin
 
 
 def test_only_the_object_in_the_hand_counts():
@@ -57,7 +66,7 @@ def test_speeds_change_by_little_and_turns_end_sooner_than_they_begin(
         (limits.rise, limits.change)
     )
     assert eased((0.0, 0.0), (1.0, 1.0), limits) == pytest.approx(
-        (1.0 - limits.rise, 1.0 - limits.fall)
+        (1.0 - limits.brake, 1.0 - limits.fall)
     )
     assert eased((0.0, -3.0), (0.0, -limits.spin), limits) == pytest.approx(
         (0.0, -limits.spin)

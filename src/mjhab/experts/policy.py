@@ -16,6 +16,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import Worlds
 from mjhab.experts.arm import motion
 from mjhab.experts.gaze import Gaze
+from mjhab.experts.phases import phases_in, phases_of
 from mjhab.experts.style import ActionNoise, StyledView
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import Subtask
@@ -63,7 +64,7 @@ def script_of(subtask: str) -> Callable[[WorldView], Script]:
 
 @contextmanager
 def _blamed(subtask: str) -> Iterator[None]:
-    """Turn exceptions of a plugin's script into a message that names the subtask; those of mjhab's scripts pass.
+    """Turn exceptions of a plugin's script into a message that names the subtask; those of mjhab's get a note.
 
     Raises:
         UsageError: the script of a subtask that a plugin registered raised an exception.
@@ -71,10 +72,13 @@ def _blamed(subtask: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        phases = " > ".join(phases_in(error))
         if SUBTASKS.is_builtin(subtask):
+            error.add_note(f"The expert of {subtask!r} raised this in: {phases}.")
             raise
+        where = f" in {phases}" if phases else ""
         raise UsageError(
-            f"the expert of {SUBTASKS.told(subtask)} raised {raised_text(error)}."
+            f"the expert of {SUBTASKS.told(subtask)} raised {raised_text(error)}{where}."
         ) from error
 
 
@@ -149,6 +153,11 @@ class ExpertPolicy:
     def script(self, world: int) -> Script | None:
         """Script that runs in a world; None before the first ``act`` of its episode."""
         return self._scripts[world]
+
+    def phases(self, world: int) -> tuple[str, ...]:
+        """Names of what a world's script is doing, outermost first: ("pick", "drive", ...); empty before it begins."""
+        script = self._scripts[world]
+        return () if script is None else phases_of(script)
 
     def _next(self, w: int, view: StyledView) -> tuple[np.ndarray, np.ndarray]:
         """Intended action (A,) and executed action (A,) of world ``w`` in this control step."""

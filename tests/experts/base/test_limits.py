@@ -31,7 +31,7 @@ def view_with(**objects: tuple[float, float]) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("objects", "care"),
+    ("objects", "limits"),
     [
         ({}, FIRM),
         ({"box": (0.5, 0.05)}, WEAK),
@@ -39,13 +39,13 @@ def view_with(**objects: tuple[float, float]) -> Any:
         ({"bowl": (0.15, 0.08)}, FIRM),
     ],
 )
-def test_a_heavy_object_held_far_from_its_centre_is_driven_with_more_care(
+def test_a_heavy_object_held_far_from_its_centre_is_driven_with_tighter_limits(
     objects, limits
 ):
     assert limits_for(view_with(**objects)) == limits
 
 
-def test_a_hurry_asks_for_less_care_of_what_is_heavy():
+def test_fast_mode_limits_what_is_heavy_less():
     heavy = view_with(box=(0.5, 0.05))
     light = view_with(bowl=(0.15, 0.08))
     assert (
@@ -58,7 +58,7 @@ def test_only_the_object_in_the_hand_counts():
     assert limits_for(view_with(apple=(0.07, 0.01), box=(0.5, 1.5))) == FIRM
 
 
-@pytest.mark.parametrize("care", [FIRM, WEAK])
+@pytest.mark.parametrize("limits", [FIRM, WEAK])
 def test_speeds_change_by_little_and_turns_end_sooner_than_they_begin(
     limits: CommandLimits,
 ):

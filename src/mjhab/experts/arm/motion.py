@@ -20,6 +20,7 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik
 from mjhab.experts.arm.clearance import RobotSpheres
+from mjhab.experts.phases import phase
 from mjhab.robots.robot import Robot
 
 Motion = Generator[np.ndarray, None, bool]
@@ -341,6 +342,7 @@ def angle_between(now: np.ndarray, goal: np.ndarray) -> float:
     return float(np.arccos(np.clip((np.trace(now.T @ goal) - 1) / 2, -1.0, 1.0)))
 
 
+@phase("close the fingers")
 def close_fingers(
     view: WorldView,
     target: str,
@@ -374,6 +376,7 @@ def close_fingers(
     return False
 
 
+@phase("move the arm to rest")
 def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
     """Move arm, torso and head to the rest configuration. Returns whether arm and torso arrived."""
     return (
@@ -401,6 +404,7 @@ def steps_home(robot: Robot, q: np.ndarray) -> np.ndarray:
     return ik.travel_steps(robot.chain, q, rest, ik.columns(robot.chain))
 
 
+@phase("stay at rest")
 def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
     """Hold the rest configuration; never ends by itself."""
     goal = rest_goal(view)

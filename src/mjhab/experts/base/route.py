@@ -19,6 +19,7 @@ from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.follower import BaseTrajectory, Follower, PathSegment
 from mjhab.experts.base.limits import UNLIMITED, CommandLimits
+from mjhab.experts.phases import phase
 from mjhab.robots.robot import Robot
 
 MARGIN_M = 0.015
@@ -202,6 +203,7 @@ def _path_around(view: WorldView, goal: np.ndarray) -> np.ndarray | None:
     return path
 
 
+@phase("drive and move the arm")
 def follow(
     view: WorldView,
     route: Route,

@@ -16,6 +16,7 @@ from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
+from mjhab.experts.phases import phase
 from mjhab.experts.style import wait_for
 from mjhab.robots.robot import Robot
 
@@ -170,6 +171,7 @@ def creep(
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
 
+@phase("let go of the handle")
 def let_go(
     view: WorldView, distance: float, *, gripper: float = motion.OPEN, speed: float = 0.3
 ) -> Motion:
@@ -203,6 +205,7 @@ def let_go(
     )
 
 
+@phase("retract the arm")
 def retract(
     view: WorldView,
     distances: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6),
@@ -249,6 +252,7 @@ def retract(
     return (yield from motion.to_rest(view, gripper=gripper))
 
 
+@phase("drive back")
 def retreat(view: WorldView, distance: float, speed: float = 0.4) -> Motion:
     """Drive ``distance`` [m] backwards at ``speed`` [m/s] with the arm held. Returns whether the base arrived."""
     posture = view.q
@@ -261,6 +265,7 @@ def retreat(view: WorldView, distance: float, speed: float = 0.4) -> Motion:
     return False
 
 
+@phase("grasp the handle")
 def take(
     view: WorldView,
     link: JointedLink,

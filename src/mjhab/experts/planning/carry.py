@@ -27,6 +27,7 @@ from mjhab.experts.base.route import (
     follow,
     plan_route,
 )
+from mjhab.experts.phases import phase
 from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
 from mjhab.experts.planning.workplace import surroundings
 from mjhab.robots.robot import Robot
@@ -82,6 +83,7 @@ class ReachIn:
     rot: np.ndarray
 
 
+@phase("drive straight in")
 def drive_in(
     view: WorldView, reach: ReachIn, boxes: Boxes, *, gripper: float, fast: bool = False
 ) -> Motion:
@@ -132,6 +134,7 @@ def drive_in(
     return False
 
 
+@phase("drive straight out")
 def drive_out(
     view: WorldView, distance: float, *, gripper: float, speed: float = OUT_SPEED_M_S
 ) -> Motion:
@@ -198,6 +201,7 @@ def _clearance_in(robot: Robot, goal: np.ndarray, distance: float, boxes: Boxes)
     return float(motion.spheres(robot).clearance(q, boxes).min())
 
 
+@phase("bring the arm to rest")
 def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     """Bring the arm to its rest pose; the base drives backwards as far as obstacles require.
 
@@ -224,6 +228,7 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
 
 
+@phase("bring the arm to rest on the way out")
 def go_home_fast(view: WorldView, obj: str) -> Motion:
     """Bring the arm to rest while the base still drives out of a shelf, if one after the other takes too long and a
     collision-free way is found. Returns whether it set out; the object may be lost then."""

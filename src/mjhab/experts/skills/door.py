@@ -6,6 +6,7 @@ Lengths [m], angles [rad], world frame. Letters: K way points of a motion, N and
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.phases import phase
 from mjhab.experts.planning import approach, link_motions, link_path
 from mjhab.experts.planning.link_motions import Frame, LinkMotions
 from mjhab.experts.planning.link_path import LinkPath
@@ -86,7 +88,18 @@ AT_REST_RAD = 0.002
 PRESS_STEPS = 2
 """Control steps for which a closed door must be at rest."""
 JAMMED_FORCE_N = 300.0
-"""Sum of the contact forces on the robot's links at which a motion is given up."""
+JAMMED_STEPS = 2
+"""Sum of the contact forces on the robot's links with which a motion is given up after so many more control steps."""
+ARC_STEPS = 110
+"""Control steps after which a motion along the arc is given up: little more than half of a subtask's."""
+PULL_LEAD_RAD = 0.3
+"""Largest angle of the hand's goal ahead of a door that is pulled."""
+PUSH_LEAD_RAD = 0.15
+"""The same for a door that is pushed, in addition to `PRESS_AHEAD_RAD`."""
+LOST_SHARE = 0.9
+"""Share of the goal below which a door that nothing touches is lost; beyond, it may swing on by itself."""
+LOST_M = 0.06
+"""Horizontal distance between hand and handle beyond which the hand has lost it."""
 
 SWEEP_STEPS = 100
 """Greatest number of control steps of a sweep."""
@@ -94,6 +107,7 @@ SWEPT_M = 0.02
 """Distance from the end of a sweep at which the base has arrived."""
 
 
+@phase("open the door")
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Open a hinged door: grasp the bar, follow its arc, release it, return to rest; again after a slip."""
     enough = OPEN_ENOUGH_SHARE * link.range[1]
@@ -123,7 +137,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
                 view, link, rot, path.q[1], height=path.height, gripper=around
             )
         ):
-            yield from _follow_arc(view, link, path, end, motion.CLOSED)
+            yield from _pull_open(view, link, path, end)
         until = wait_for(view, motion.is_quiet)
         yield from motion.hold(view, STILL_STEPS, gripper=motion.CLOSED, until=until)
         yield from leaving.settle(view, link, motion.CLOSED)
@@ -133,6 +147,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.retract(view, gripper=motion.CLOSED))
 
 
+@phase("close the door")
 def close_door(view: WorldView, link: JointedLink) -> Motion:
     """Close a hinged door: reach behind it and accelerate it along its arc, then retract the arm while it swings shut.
 
@@ -161,9 +176,7 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
             continue
         yield from _behind_edge(view, path)
         while (
-            yield from _follow_arc(
-                view, link, path, SHUT_SHARE * link.range[1], motion.CLOSED, throws
-            )
+            yield from _push_shut(view, link, path, SHUT_SHARE * link.range[1], throws)
         ):
             if (yield from _leave_swinging(view, link)):
                 break
@@ -172,6 +185,7 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.retract(view))
 
 
+@phase("sweep the door shut with the base")
 def _sweep(view: WorldView, link: JointedLink) -> Motion:
     """Drive to the outside of an open door and push it shut with the arm at rest, in a straight line.
 
@@ -209,70 +223,87 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
     return view.link_q(link.id) < AJAR_SHARE * link.range[1]
 
 
-def _follow_arc(
-    view: WorldView,
-    link: JointedLink,
-    path: LinkPath,
-    goal: float,
-    gripper: float,
-    throws: bool = False,
+@phase("pull the door open")
+def _pull_open(view: WorldView, link: JointedLink, path: LinkPath, goal: float) -> Motion:
+    """Move the hand, which holds the bar, and the base along a path until the door is open by ``goal`` [rad].
+
+    Returns False when the hand loses the door, or the motion is stuck.
+    """
+    aim = float(path.values[1])
+    end = float(path.values[-1])
+    hitch = _Hitch()
+    for _ in range(ARC_STEPS):
+        now = view.link_q(link.id)
+        if now >= goal:
+            return True
+        step = _arc_step(path, aim, MAX_SWING_RAD, PULL_STEP_RAD)
+        if aim - now < PULL_LEAD_RAD:
+            aim = min(aim + step, end)
+        if hitch.stops(view, aim == end) or (
+            now < LOST_SHARE * goal and _has_lost(view, link)
+        ):
+            return False
+        yield link_path.action(view, path, aim, step, motion.CLOSED)
+    return False
+
+
+@phase("push the door shut")
+def _push_shut(
+    view: WorldView, link: JointedLink, path: LinkPath, goal: float, throws: bool
 ) -> Motion:
-    """Move hand and base along a path until the door has reached an angle.
+    """Move the hand, which is behind the door, and the base along a path until the door is shut.
 
     Args:
         view: the world.
         link: the door.
         path: configurations along the door's arc.
-        goal: door angle [rad].
-        gripper: gripper command.
-        throws: end as soon as the released door would swing to ``goal`` by itself.
+        goal: angle at which the door counts as shut [rad].
+        throws: end as soon as the released door would swing shut by itself.
 
     Returns:
-        Whether the door has reached ``goal``, or will; False when the hand loses the door, or the motion is stuck.
+        Whether the door is shut and at rest, or will be; False when the motion is stuck.
     """
-    way = 1.0 if goal > view.link_q(link.id) else -1.0
-    aim = float(path.values[1 if way > 0 else 0])
+    aim = min(float(path.values[0]), view.link_q(link.id) + PRESS_AHEAD_RAD)
     end = float(path.values[-1])
-    aim = aim if way > 0 else min(aim, view.link_q(link.id) + PRESS_AHEAD_RAD)
+    hitch = _Hitch()
     last = np.inf
-    late = 0
-    pressed = 0
-    done = 0
-    for _ in range(110):
+    shut = 0
+    for _ in range(ARC_STEPS):
         now = view.link_q(link.id)
-        if (
-            throws
-            and _coasts(style_of(view).speed * (last - now) / STEP_SECONDS)
-            > now + COAST_SPARE_RAD
-        ):
+        speed = style_of(view).speed * (last - now) / STEP_SECONDS
+        if throws and _coasts(speed) > now + COAST_SPARE_RAD:
             return True
-        # A closing door counts as closed only at rest: it may bounce.
-        there = way * (goal - now) <= 0 and (way > 0 or abs(now - last) < AT_REST_RAD)
-        done = done + 1 if there else 0
+        # A door that is shut but moves may bounce open again.
+        shut = shut + 1 if now <= goal and abs(now - last) < AT_REST_RAD else 0
         last = now
-        if done > (0 if way > 0 else PRESS_STEPS):
+        if shut > PRESS_STEPS:
             return True
-        pressed = pressed + 1 if view.link_forces.sum() > JAMMED_FORCE_N else 0
-        pace = _pace(path, aim, way)
-        if way < 0 and not throws:
-            pace = min(pace, PUSH_STEP_RAD[0] + PUSH_STEP_RAD[1] * max(now, 0.0))
-        if way * (aim - now) < (0.3 if way > 0 else PRESS_AHEAD_RAD + 0.15):
-            aim += way * pace
-        aim = min(aim, end) if way > 0 else max(aim, end)
-        late = late + 1 if aim == end else 0
-        if pressed > 2 or late > MAX_LAG_STEPS:
+        step = _arc_step(path, aim, -MAX_SWING_RAD, JOINT_STEP_RAD)
+        if not throws:
+            step = min(step, PUSH_STEP_RAD[0] + PUSH_STEP_RAD[1] * max(now, 0.0))
+        if now - aim < PRESS_AHEAD_RAD + PUSH_LEAD_RAD:
+            aim = max(aim - step, end)
+        if hitch.stops(view, aim == end):
             return False
-        if (
-            way > 0
-            and not view.finger_forces(link.id).any()
-            and now < 0.9 * goal
-            and _far(view, link)
-        ):
-            return False
-        yield link_path.action(view, path, aim, way * pace, gripper)
+        yield link_path.action(view, path, aim, -step, motion.CLOSED)
     return False
 
 
+@dataclass
+class _Hitch:
+    """Tells when a motion along the arc of a door is stuck: it jams, or the door stays behind the end of the path."""
+
+    jammed: int = 0
+    late: int = 0
+
+    def stops(self, view: WorldView, at_end: bool) -> bool:
+        """Whether to give up in this control step; ``at_end``: the hand aims at the end of the path."""
+        self.jammed = self.jammed + 1 if view.link_forces.sum() > JAMMED_FORCE_N else 0
+        self.late = self.late + 1 if at_end else 0
+        return self.jammed > JAMMED_STEPS or self.late > MAX_LAG_STEPS
+
+
+@phase("retract while the door swings shut")
 def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
     """Retract the arm while a released door swings shut. Returns False when the door comes to rest ajar."""
     last = np.inf
@@ -294,6 +325,7 @@ def _coasts(speed: float) -> float:
     )
 
 
+@phase("reach behind the door")
 def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
     """Move the hand straight along its axis to the beginning of a path, behind the edge of an open door.
 
@@ -332,24 +364,27 @@ def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
     return False
 
 
-def _far(view: WorldView, link: JointedLink) -> bool:
-    """Whether the tcp is more than 6 cm from the handle, measured horizontally."""
+def _has_lost(view: WorldView, link: JointedLink) -> bool:
+    """Whether the fingers do not touch the handle and the tcp is beside it, measured horizontally."""
+    if view.finger_forces(link.id).any():
+        return False
     handle = link.handle_pose(view.link_q(link.id))[0]
-    return bool(np.linalg.norm(motion.tcp(view)[0][:2] - handle[:2]) > 0.06)
+    return bool(np.linalg.norm(motion.tcp(view)[0][:2] - handle[:2]) > LOST_M)
 
 
-def _pace(path: LinkPath, angle: float, way: float) -> float:
+def _arc_step(path: LinkPath, angle: float, swing: float, joint_step: float) -> float:
     """Change of the door angle [rad] per control step that the arm's joints can follow at ``angle``.
 
-    ``way``: 1 while the door opens, -1 while it closes.
+    Args:
+        path: configurations along the door's arc.
+        angle: door angle [rad].
+        swing: largest change, negative while the door closes [rad].
+        joint_step: motion of an arm joint per control step [rad].
     """
-    here = path.at(angle)
-    there = path.at(angle + way * 0.1)
-    max_motion = float(np.abs(there - here)[list(path.robot.arm_columns)].max())
-    return min(
-        MAX_SWING_RAD,
-        0.1 * (PULL_STEP_RAD if way > 0 else JOINT_STEP_RAD) / max(max_motion, 1e-6),
-    )
+    ahead = float(np.copysign(0.1, swing))
+    motions = np.abs(path.at(angle + ahead) - path.at(angle))
+    fastest = float(motions[list(path.robot.arm_columns)].max())
+    return min(abs(swing), 0.1 * joint_step / max(fastest, 1e-6))
 
 
 def _reachable(

@@ -11,6 +11,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.phases import phase
 from mjhab.experts.planning import approach, link_motions, link_path
 from mjhab.experts.planning.link_motions import HandPaths, LinkMotions
 from mjhab.experts.planning.link_path import LinkPath
@@ -54,6 +55,7 @@ MAX_GRASPS = 2
 """Attempts to close the drawer by its handle before the closed fingers push it."""
 
 
+@phase("open the drawer")
 def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Open a drawer: grasp the bar, pull it, release it, return to rest; again after a slip."""
     full = link.range[1]
@@ -81,6 +83,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.retract(view, gripper=gripper))
 
 
+@phase("close the drawer")
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Close a drawer: push its handle with the closed fingers by driving forward.
 
@@ -114,6 +117,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.retract(view))
 
 
+@phase("take the handle")
 def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     """Grasp the bar from a motion from which the base can drive until the drawer is open by ``goal`` [m]."""
     found = link_motions.cached(view.robot, link, "pull", _pull_motions)
@@ -151,6 +155,7 @@ def _take_on(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
     return (yield from approach.take(view, link, rot, path.at(q), gripper=gripper))
 
 
+@phase("pull the drawer by the arm")
 def _pull(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
     """Move hand and base along the path until the drawer is open. Returns False when the hand loses the handle."""
     goal = OPEN_TO_SHARE * link.range[1]
@@ -171,6 +176,7 @@ def _around(robot: Robot, link: JointedLink) -> float:
     return motion.gripper_at(robot, link.handle.thickness + AROUND_BAR_M)
 
 
+@phase("move the drawer by the base")
 def _drive_link(
     view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0
 ) -> Motion:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import motion
+from mjhab.experts.phases import phase
 from mjhab.experts.planning import approach
 
 Motion = motion.Motion
@@ -22,6 +23,7 @@ STILL_STEPS = 12
 """Control steps for which the hand holds a handle until its link closes no more."""
 
 
+@phase("wait until the link closes no more")
 def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
     """Stand still until a link that runs free closes no more, or for `STILL_STEPS` control steps."""
     if not view.links_run_free:
@@ -33,6 +35,7 @@ def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
     return (yield from motion.hold(view, STILL_STEPS, gripper=gripper, until=still))
 
 
+@phase("retract beside the open link")
 def retract_beside(
     view: WorldView, link: JointedLink, enough: float, gripper: float
 ) -> Motion:
@@ -44,6 +47,7 @@ def retract_beside(
     return view.link_q(link.id) >= enough
 
 
+@phase("open the fingers slowly")
 def loosen(view: WorldView, gripper: float) -> Motion:
     """Open the fingers slowly to a gripper command; the arm keeps its posture."""
     posture = view.q

@@ -22,6 +22,7 @@ from mjhab.experts.base.follower import BaseTrajectory, Follower, PathSegment, t
 from mjhab.experts.base.lattice import YAWS, Lattice
 from mjhab.experts.base.limits import DRIVE_FREE, DRIVE_HELD, eased
 from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS
+from mjhab.experts.phases import phase
 from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
 
@@ -125,6 +126,7 @@ class Aim(NamedTuple):
         return out
 
 
+@phase("navigate")
 def navigate(view: WorldView) -> Motion:
     """Drive to the goal of the active subtask, face it and stand still; never ends by itself."""
     subtask = view.subtask
@@ -224,6 +226,7 @@ def _facing(
     )
 
 
+@phase("drive")
 def _drive(
     view: WorldView, trajectory: BaseTrajectory, posture: np.ndarray, gripper: float
 ) -> Generator[np.ndarray, None, np.ndarray | None]:
@@ -280,6 +283,7 @@ def _ahead(view: WorldView, segment: PathSegment) -> np.ndarray:
     return np.array([[*at, FELT_RADIUS_M]])
 
 
+@phase("back off from an obstacle")
 def _back_off(
     view: WorldView, posture: np.ndarray, gripper: float, trajectory: BaseTrajectory
 ) -> Motion:
@@ -319,6 +323,7 @@ def _arrived(view: WorldView, aim: Aim) -> bool:
     return bool(facing and aim.allows(q[BASE_XY], 0.0))
 
 
+@phase("stand at the goal")
 def _stand(view: WorldView, aim: Aim, posture: np.ndarray, gripper: float) -> Motion:
     """Stand still with the arm at rest while the base is at its goal. Returns when it no longer is."""
     while _arrived(view, aim):

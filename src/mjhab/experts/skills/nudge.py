@@ -11,7 +11,7 @@ Lengths [m], angles [rad], world frame.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
+from mjhab.experts.phases import phase
 from mjhab.experts.planning.carry import ReachIn, drive_in
 from mjhab.experts.planning.reach import placements, settle_reach
 from mjhab.experts.planning.workplace import (
@@ -67,6 +68,8 @@ PUSH_SPEED_M_S = 0.35
 """Speed of the push inwards."""
 MAX_ASIDE_M = 0.007
 """Largest motion of the hand along the box per control step."""
+PUSH_TURN_RAD = 0.05
+"""Largest turn of the hand back to its planned rotation per control step."""
 MAX_PUSH_STEPS = 30
 """Control steps after which a push ends."""
 MAX_PUSH_FORCE_N = 200.0
@@ -80,6 +83,9 @@ FLOOR_GAP_M = 0.008
 _SPIN = 0.52
 """Lever of the friction below a turning box as a fraction of its half diagonal: about the mean distance of its bottom
 from the centre."""
+PUSH_CLEARANCES_M = ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02))
+"""Clearance of the arm, and how much nearer the hand may come, in the first and in the second search: a hand that
+pushes is close to the shelf by intention."""
 _MAX_DEFICIT_M = -0.03
 """Routes with less clearance than this are refused; negative: up to this deficit is accepted."""
 
@@ -158,26 +164,34 @@ def plan_nudge(
     for push in _pushes(pose, shape, scene, inward, graspable):
         height = 2.0 * (pose[2] - scene.support_z)
         goals = _goals(view.robot.gripper, push, pose[:2], scene.support_z, height)
-        for clearance, nearer in ((CLEARANCES_M[0], 0.01), (CLEARANCES_M[2], 0.02)):
-            best: tuple[float, BasePlacement, float] | None = None
-            for depth in DEPTHS_M if len(goals) else ():
-                query = ReachQuery(
-                    point=pose[:3],
-                    goals=goals,
-                    scene=scene,
-                    drive_in=depth,
-                    clearance=clearance,
-                    nearer=nearer,
-                )
-                for placement in placements(view, query):
-                    steps = in_steps(depth) + placement.route.steps
-                    if placement.route.clearance > _MAX_DEFICIT_M and (
-                        best is None or steps < best[0]
-                    ):
-                        best = steps, placement, depth
-            if best is not None:
-                return Nudge(best[1], goals, best[2], push.turn, inward, push.outer)
+        for clearance, nearer in PUSH_CLEARANCES_M if len(goals) else ():
+            query = ReachQuery(
+                point=pose[:3],
+                goals=goals,
+                scene=scene,
+                clearance=clearance,
+                nearer=nearer,
+            )
+            found = _quickest(view, query)
+            if found is not None:
+                return Nudge(*found, push.turn, inward, push.outer)
     return None
+
+
+def _quickest(
+    view: WorldView, query: ReachQuery
+) -> tuple[BasePlacement, HandGoals, float] | None:
+    """The base placement, hand poses and drive of `DEPTHS_M` that are soonest done; None if the hand gets to none."""
+    found = []
+    for depth in DEPTHS_M:
+        for placement in placements(view, replace(query, drive_in=depth)):
+            if placement.route.clearance > _MAX_DEFICIT_M:
+                steps = in_steps(depth) + placement.route.steps
+                found.append((steps, placement, depth))
+    if not found:
+        return None
+    _, placement, depth = min(found, key=lambda one: one[0])
+    return placement, query.goals, depth
 
 
 def in_steps(depth: float) -> float:
@@ -187,14 +201,14 @@ def in_steps(depth: float) -> float:
 
 def outline(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
     """Outline (164, 2) of a box as it stands, seen from above, relative to its centre."""
-    i, j = _level(rot)
+    i, j = _level_axes(rot)
     a = rot[:2, i] * shape.half[i]
     b = rot[:2, j] * shape.half[j]
     share = np.linspace(-1.0, 1.0, 41)[:, None]
     return np.concatenate([a + share * b, -a + share * b, b + share * a, -b + share * a])
 
 
-def _level(rot: np.ndarray) -> list[int]:
+def _level_axes(rot: np.ndarray) -> list[int]:
     """The two axes of a box that lie level."""
     up = int(np.argmax(np.abs(rot[2])))
     return [k for k in range(3) if k != up]
@@ -255,7 +269,7 @@ def _angle(
 ) -> float:
     """Angle between the way in and the level axis along which the hand gets around a box at a pose."""
     rot = mat_from_quat(pose[3:])
-    i, j = _level(rot)
+    i, j = _level_axes(rot)
     along = [
         rot[:2, b] @ inward
         for a, b in ((i, j), (j, i))
@@ -315,6 +329,7 @@ def _goals(
     )
 
 
+@phase("turn the object by a push")
 def nudge(
     view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Graspable
 ) -> Motion:
@@ -348,57 +363,75 @@ class _PushingHand:
     rest: np.ndarray
 
 
+@phase("push one end of the object inwards")
 def _push(
     view: WorldView, obj: str, plan: Nudge, hand: _PushingHand, graspable: Graspable
 ) -> Motion:
-    """Push inwards, keeping to the end of the box as it turns."""
+    """Push inwards, keeping to the end of the box as it turns. Returns whether the box turned."""
     start = mat_from_quat(view.object_pose(obj)[3:])
-    half = view.object_type(obj).half
-    front, along = sorted(
-        _level(start), key=lambda k: -abs(float(start[:2, k] @ plan.inward))
-    )
-    robot = view.robot.chain
-    corner = _corner(view.robot.gripper, hand.rot, plan.inward)[:2]
+    end = _End.of(view, obj, plan)
     turn = 0.0
-    to_front = -np.sign(start[:2, front] @ plan.inward) * half[front]
-    to_end = np.sign(start[:2, along] @ plan.outer) * (half[along] - INSET_M)
     for _ in range(MAX_PUSH_STEPS):
+        yield _pushing(view, end.of_box(view.object_pose(obj)), plan, hand)
         pose = view.object_pose(obj)
-        now = mat_from_quat(pose[3:])
-        end = pose[:2] + to_end * now[:2, along] + to_front * now[:2, front]
-        here, here_rot = motion.tcp(view)
-        aside = np.clip((end - here[:2] - corner) @ plan.outer, -MAX_ASIDE_M, MAX_ASIDE_M)
-        aim = np.array(
-            [
-                *(
-                    here[:2]
-                    + PUSH_SPEED_M_S * STEP_SECONDS * plan.inward
-                    + aside * plan.outer
-                ),
-                hand.height,
-            ]
-        )
-        aim_rot = ik.straight_line(
-            here[None], aim[None], here_rot[None], hand.rot[None], 1.0, 0.05
-        )[1]
-        delta = ik.servo(
-            robot,
-            view.q,
-            ik.TipGoals(aim[None], aim_rot, ik.columns(robot, torso=False), hand.rest),
-        )[0]
-        yield motion.action(
-            view, view.q + delta / motion.ARM_STEP_SHARE, gripper=motion.OPEN
-        )
-        pose = view.object_pose(obj)
-        turn = _turn(start[:, along], mat_from_quat(pose[3:])[:, along])
+        turn = _turn(start[:, end.along], mat_from_quat(pose[3:])[:, end.along])
         if view.link_forces.sum() > MAX_PUSH_FORCE_N:
             break
-        if (
-            turn >= MIN_TURN_SHARE * plan.turn
-            and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS
-        ):
+        turned = turn >= MIN_TURN_SHARE * plan.turn
+        if turned and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS:
             break
     return bool(turn > TURNED_SHARE * plan.turn)
+
+
+@dataclass(frozen=True)
+class _End:
+    """The pushed end of a box in its frame: axes and signed distances of its front side and of its end [m]."""
+
+    front: int
+    along: int
+    to_front: float
+    to_end: float
+
+    @classmethod
+    def of(cls, view: WorldView, obj: str, plan: Nudge) -> _End:
+        """The end that a plan pushes, of the box as it stands before."""
+        rot = mat_from_quat(view.object_pose(obj)[3:])
+        half = view.object_type(obj).half
+        front, along = sorted(
+            _level_axes(rot), key=lambda k: -abs(float(rot[:2, k] @ plan.inward))
+        )
+        to_front = -np.sign(rot[:2, front] @ plan.inward) * half[front]
+        to_end = np.sign(rot[:2, along] @ plan.outer) * (half[along] - INSET_M)
+        return cls(front, along, float(to_front), float(to_end))
+
+    def of_box(self, pose: np.ndarray) -> np.ndarray:
+        """Position (2,) of the end of the box at ``pose`` (7,)."""
+        rot = mat_from_quat(pose[3:])[:2]
+        return (
+            pose[:2]
+            + self.to_end * rot[:, self.along]
+            + self.to_front * rot[:, self.front]
+        )
+
+
+def _pushing(
+    view: WorldView, end: np.ndarray, plan: Nudge, hand: _PushingHand
+) -> np.ndarray:
+    """Action (A,) that moves the hand inwards and sideways to the ``end`` (2,) of the box."""
+    robot = view.robot.chain
+    corner = _corner(view.robot.gripper, hand.rot, plan.inward)[:2]
+    here, here_rot = motion.tcp(view)
+    aside = np.clip((end - here[:2] - corner) @ plan.outer, -MAX_ASIDE_M, MAX_ASIDE_M)
+    ahead = PUSH_SPEED_M_S * STEP_SECONDS
+    aim = np.array([*(here[:2] + ahead * plan.inward + aside * plan.outer), hand.height])
+    aim_rot = ik.straight_line(
+        here[None], aim[None], here_rot[None], hand.rot[None], 1.0, PUSH_TURN_RAD
+    )[1]
+    dofs = ik.columns(robot, torso=False)
+    goals = ik.TipGoals(aim[None], aim_rot, dofs, hand.rest)
+    delta = ik.servo(robot, view.q, goals)[0]
+    goal = view.q + delta / motion.ARM_STEP_SHARE
+    return motion.action(view, goal, gripper=motion.OPEN)
 
 
 def _turn(before: np.ndarray, after: np.ndarray) -> float:

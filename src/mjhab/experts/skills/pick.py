@@ -17,6 +17,7 @@ from mjhab.experts.arm import motion
 from mjhab.experts.arm.held import holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.route import BLOCKED_FORCE_N, follow
+from mjhab.experts.phases import phase
 from mjhab.experts.planning.carry import (
     FAST_SPEED_M_S,
     OUT_SPEED_M_S,
@@ -88,6 +89,7 @@ def pick(view: WorldView) -> Motion:
     return (yield from pick_up(view, subtask.obj))
 
 
+@phase("pick up")
 def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
     """Pick up an object wherever it lies and bring the arm to rest; repeated until the episode ends.
 
@@ -150,6 +152,7 @@ def _carry_on(view: WorldView, obj: str, keep: bool) -> Motion:
     return (yield from _carry(view, obj, shelf=shelf, fast=False, keep=keep))
 
 
+@phase("carry")
 def _carry(view: WorldView, obj: str, *, shelf: bool, fast: bool, keep: bool) -> Motion:
     """Bring a lifted object out of a ``shelf`` and the arm to rest, and hold it there until it is lost.
 
@@ -167,6 +170,7 @@ def _carry(view: WorldView, obj: str, *, shelf: bool, fast: bool, keep: bool) ->
     return False
 
 
+@phase("leave the failed grasp")
 def _draw_back(
     view: WorldView, obj: str, placement: BasePlacement, depth: float
 ) -> Motion:
@@ -212,6 +216,7 @@ def _planned(
     return None
 
 
+@phase("look for a push")
 def _nudge(view: WorldView, obj: str) -> Motion:
     """Turn an object on a shelf such that it can be grasped, and draw back a little. Returns whether it turned."""
     pose = view.object_pose(obj)
@@ -249,6 +254,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     return done
 
 
+@phase("take the object")
 def _take(
     view: WorldView,
     obj: str,
@@ -323,6 +329,7 @@ def _is_along(view: WorldView, obj: str, goal: HandGoals) -> bool:
     return bool(np.abs(goal.rot[0, :, 1] @ axes).max() > MIN_ALONG_COSINE)
 
 
+@phase("reach for the object")
 def _reach(
     view: WorldView, goal: HandGoals, joints: np.ndarray, opening: float, fine: bool
 ) -> Motion:
@@ -360,6 +367,7 @@ def _reach(
     return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= MAX_SHORT_M)
 
 
+@phase("lift")
 def _lift(
     view: WorldView,
     obj: str,
@@ -393,6 +401,7 @@ def _lift(
     return _is_held(view, obj)
 
 
+@phase("hold the object at rest")
 def _keep(view: WorldView, obj: str) -> Motion:
     """Hold the object at rest until it is lost."""
     lost = 0
@@ -403,6 +412,7 @@ def _keep(view: WorldView, obj: str) -> Motion:
     return False
 
 
+@phase("draw the hand back")
 def _let_go(view: WorldView) -> Motion:
     """Open the hand and draw it back and up, unless it is home already."""
     if motion.joint_gap(view, motion.rest_goal(view)) < HOME_RAD:

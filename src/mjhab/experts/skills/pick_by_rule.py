@@ -12,6 +12,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.grasps.candidates import LyingObject, grasp_candidates
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.motion import Motion
+from mjhab.experts.phases import phase
 from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.skills import pick as search
 from mjhab.experts.skills import pick_plans
@@ -53,6 +54,7 @@ def pick(view: WorldView) -> Motion:
     )
 
 
+@phase("pick up by the rule")
 def pick_by_rule(view: WorldView) -> Motion:
     """Pick up the object of the active subtask by the rule; by a search on shelves and if the rule finds no grasp."""
     subtask = view.subtask

@@ -6,8 +6,8 @@ Lengths [m], angles [rad], world frame. Letters: N attempts, J joints.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.limits import limits_for
 from mjhab.experts.base.route import follow
+from mjhab.experts.phases import phase
 from mjhab.experts.planning.carry import (
     ReachIn,
     drive_in,
@@ -80,6 +81,8 @@ HAND_CLEARANCE_M = -0.008
 """Least clearance of the hand; negative because the shapes that model it are up to 8 mm too large."""
 HAND_NEARER_M = 0.014
 """Difference between the least clearances of arm and hand above the release pose."""
+OFF_PRICE_PER_M = 6.0
+"""Score lost per metre beside the goal."""
 LEAN_PRICE = 2.5
 """Score lost per radian of tilt at the release under a shelf."""
 LAID_PRICE = 2.6
@@ -103,10 +106,15 @@ DROP_HEIGHTS_M = (0.0, 0.05, 0.12)
 """Heights from which an object is dropped on open surfaces, in this order, where it cannot be put down."""
 SOFT_START = (0.25, 0.5, 0.75)
 """Speeds of the arm in its first control steps: a jerk can shake out an object at the fingertips."""
+MAX_ATTEMPTS = 20
+"""Plans after which a Place gives up; more than fit into its time."""
+CAREFUL_PLANS = 2
+"""Plans that are compared with another one if they are too slow or their routes too close to obstacles."""
 WAIT_STEPS = 60
 """Control steps of waiting once all release poses have failed."""
 
 
+@phase("place")
 def place(view: WorldView) -> Motion:
     """Place the held object at the goal of the active subtask and return to rest; pick it up again if it is lost."""
     subtask = view.subtask
@@ -124,46 +132,91 @@ def place(view: WorldView) -> Motion:
         yield from _rest(view)
 
 
+@phase("bring the object to its goal")
 def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
     """Place the held object at ``goal`` (3,) [m]. Returns whether the hand has released it."""
-    style = style_of(view)
-    failed = np.zeros((0, 3))
-    fast = False
-    nothing = 0
-    best: Found | None = None
-    for attempt in range(20):
+    search = _PlaceSearch(view, obj, goal)
+    while search.number < MAX_ATTEMPTS:
         if not holds(view, obj):
             return True
-        drop = (
-            style.drop_height
-            if style.release == DROP_IT
-            else DROP_HEIGHTS_M[nothing % len(DROP_HEIGHTS_M)]
-        )
-        tried = Attempt(attempt, failed, drop, fast)
-        found = plan_place(view, obj, goal, tried)
-        if found is None and style.release == DROP_IT:
-            found = plan_place(view, obj, goal, replace(tried, drop=0.0))
-        if found is not None and (
-            best is None or _worth(view, found) > _worth(view, best)
-        ):
-            best = found
-        if attempt < 2 and (best is None or _worth(view, best) < (True, MAX_DEFICIT_M)):
-            fast = True
+        found = search.next()
+        if found is None:
+            if search.exhausted:
+                yield from _wait(view)
             continue
-        if best is None:
-            failed = failed[:0]
-            nothing += 1
-            # On open surfaces the next drop height is tried; inside furniture, failed base poses are tried once more.
-            if nothing >= (2 if inside_depth(view, goal) else len(DROP_HEIGHTS_M)):
-                yield from motion.hold(view, WAIT_STEPS, gripper=motion.CLOSED)
-            continue
-        (placement, goals, depth) = best
-        best = None
-        fast = False
+        (placement, goals, depth) = found
         if (yield from _put(view, obj, placement, goals, depth)):
             return True
-        failed = np.concatenate([failed, placement.at[None, BASE]])
+        search.failed = np.concatenate([search.failed, placement.at[None, BASE]])
     return False
+
+
+class _PlaceSearch:
+    """Successive plans for one object: first carefully, then in fast mode, then from greater heights.
+
+    Attributes:
+        number: plans made before.
+        failed: (N, 3) base poses from which attempts have failed.
+    """
+
+    def __init__(self, view: WorldView, obj: str, goal: np.ndarray) -> None:
+        self.number = 0
+        self.failed = np.zeros((0, 3))
+        self._view = view
+        self._obj = obj
+        self._goal = goal
+        self._fast = False
+        self._nothing = 0
+        """Searches without a result."""
+        # On open surfaces every drop height is tried; inside furniture, failed base poses are tried once more.
+        self._rounds = 2 if inside_depth(view, goal) else len(DROP_HEIGHTS_M)
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether everything has been tried without a result."""
+        return self._nothing >= self._rounds
+
+    def next(self) -> Found | None:
+        """The best plan that is found; None if none is, and the next call searches differently."""
+        best: Found | None = None
+        enough = (True, MAX_DEFICIT_M)
+        while True:
+            found = self._plan()
+            if found is not None and (
+                best is None or _worth(self._view, found) > _worth(self._view, best)
+            ):
+                best = found
+            self.number += 1
+            # The first plans are cheap to improve on: nothing has failed yet.
+            if self.number > CAREFUL_PLANS or (
+                best is not None and _worth(self._view, best) >= enough
+            ):
+                break
+            self._fast = True
+        if best is None:
+            self.failed = self.failed[:0]
+            self._nothing += 1
+        else:
+            self._fast = False
+        return best
+
+    def _plan(self) -> Found | None:
+        """One plan from the height of the style, or from the present one of `DROP_HEIGHTS_M`."""
+        style = style_of(self._view)
+        drop = DROP_HEIGHTS_M[self._nothing % len(DROP_HEIGHTS_M)]
+        heights = (style.drop_height, 0.0) if style.release == DROP_IT else (drop,)
+        for height in heights:
+            attempt = Attempt(self.number, self.failed, height, self._fast)
+            found = plan_place(self._view, self._obj, self._goal, attempt)
+            if found is not None:
+                return found
+        return None
+
+
+@phase("wait with the object in the hand")
+def _wait(view: WorldView) -> Motion:
+    """Hold still: what is in the way may move."""
+    return (yield from motion.hold(view, WAIT_STEPS, gripper=motion.CLOSED))
 
 
 def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
@@ -175,6 +228,7 @@ def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
     return placement.route.steps + after <= view.steps_left, placement.route.clearance
 
 
+@phase("rest beside the placed object")
 def _rest(view: WorldView) -> Motion:
     """Stay at rest with an open hand while the object is at its goal. Returns when it has left it."""
     goal = motion.rest_goal(view)
@@ -289,56 +343,68 @@ def hand_goals(
     Returns:
         Hand poses with scores: less for tilted objects, other sides, and distance from the goal.
     """
-    shelf = release.shelf
-    any_side = release.any_side
-    drop = release.drop
     shape = view.object_shape(obj)
     tcp, hand = motion.tcp(view)
     pose = view.object_pose(obj)
     turn = hand.T @ mat_from_quat(pose[3:])
     offset = hand.T @ (pose[:3] - tcp)
     floor = float(goal[2]) - shape.half[2]
-    upset = _tilt_price(view, shape, shelf)
-    back = view.base[:2] - goal[:2]
-    back = back / max(float(np.linalg.norm(back)), 1e-6)
-    aside = np.array([-back[1], back[0]])
-    offsets = SHELF_OFFSETS if shelf else LAST_OFFSETS if any_side else OFFSETS
-    spots = [goal[:2] + near * back + left * aside for near, left in offsets]
-    spots = [
-        spot for i, spot in enumerate(spots) if not i or _on_surface(view, goal, spot)
-    ]
     max_off = GOAL_SHARE * view.config.goal_tol
-    count = SHELF_YAWS if shelf else YAWS
-    yaws = np.arange(count) * 2 * np.pi / count
-    ball = shape.kind == "sphere"
-    tilts = SHELF_TILTS if shelf else BALL_TILTS if ball else TILTS
-    turns = mat_from_rotation_vector(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
-    leans = mat_from_rotation_vector(np.array(tilts)[:, None] * np.array([*aside, 0.0]))
+    spots = _spots(view, goal, release)
     pos = []
     rot = []
     score = []
-    leaning = list(zip(tilts, leans, strict=True))
-    options: Any = itertools.product(_sides(any_side), turns, leaning)
-    for (side, price), about, (tilt, lean) in options:
-        stand = lean @ (about @ side)
+    for stand, price in _orientations(view, shape, goal, release):
         low = height_below(shape, stand)
         tips = tipped(shape, stand)
         for spot in spots:
             # The release position is chosen such that the object comes to rest at the spot after it has tipped over.
             if np.linalg.norm(np.array([*spot, floor + low + tips[2]]) - goal) > max_off:
                 continue
+            height = floor + low + max(DROP_HEIGHT_M, release.drop)
             rot.append(stand @ turn.T)
-            pos.append(
-                np.array([*(spot - tips[:2]), floor + low + max(DROP_HEIGHT_M, drop)])
-                - rot[-1] @ offset
-            )
-            score.append(
-                -price - upset * tilt - 6.0 * float(np.linalg.norm(spot - goal[:2]))
-            )
+            pos.append(np.array([*(spot - tips[:2]), height]) - rot[-1] @ offset)
+            off = float(np.linalg.norm(spot - goal[:2]))
+            score.append(price - OFF_PRICE_PER_M * off)
     at = np.array(pos)
-    pre = at + np.array([0.0, 0.0, SHELF_ABOVE_M if shelf else ABOVE_M])
+    pre = at + np.array([0.0, 0.0, SHELF_ABOVE_M if release.shelf else ABOVE_M])
     width = np.full(len(at), 2.0 * float(view.q[view.robot.columns.fingers].mean()))
     return HandGoals(at, np.array(rot), pre, width, np.array(score))
+
+
+def _aside(view: WorldView, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Level unit vectors (2,) from ``goal`` (3,) towards the robot, and to its side."""
+    back = view.base[:2] - goal[:2]
+    back = back / max(float(np.linalg.norm(back)), 1e-6)
+    return back, np.array([-back[1], back[0]])
+
+
+def _spots(view: WorldView, goal: np.ndarray, release: Release) -> list[np.ndarray]:
+    """Positions (2,) on the goal's surface where the object may be released; the goal itself comes first."""
+    back, aside = _aside(view, goal)
+    offsets = LAST_OFFSETS if release.any_side else OFFSETS
+    offsets = SHELF_OFFSETS if release.shelf else offsets
+    spots = [goal[:2] + near * back + left * aside for near, left in offsets]
+    return [spots[0], *(spot for spot in spots[1:] if _on_surface(view, goal, spot))]
+
+
+def _orientations(
+    view: WorldView, shape: ObjectShape, goal: np.ndarray, release: Release
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Orientations (3, 3) of the object at its release, with their score: sides, turned about, then tilted."""
+    count = SHELF_YAWS if release.shelf else YAWS
+    yaws = np.arange(count) * 2 * np.pi / count
+    turns = mat_from_rotation_vector(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
+    tilts = BALL_TILTS if shape.kind == "sphere" else TILTS
+    tilts = np.array(SHELF_TILTS if release.shelf else tilts)
+    _, aside = _aside(view, goal)
+    leans = mat_from_rotation_vector(tilts[:, None] * np.array([*aside, 0.0]))
+    upset = _tilt_price(view, shape, release.shelf)
+    leaning = list(zip(tilts, leans, strict=True))
+    for (side, price), about, (tilt, lean) in itertools.product(
+        _sides(release.any_side), turns, leaning
+    ):
+        yield lean @ (about @ side), -price - upset * float(tilt)
 
 
 def _tilt_price(view: WorldView, shape: ObjectShape, shelf: bool) -> float:
@@ -376,6 +442,7 @@ def _on_surface(view: WorldView, goal: np.ndarray, xy: np.ndarray) -> bool:
     return False
 
 
+@phase("put the object down")
 def _put(
     view: WorldView, obj: str, placement: BasePlacement, goals: HandGoals, depth: float
 ) -> Motion:

@@ -9,6 +9,7 @@ from mjhab.experts.arm import motion
 from mjhab.experts.arm.held import held_spheres, holds
 from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.limits import limits_for
+from mjhab.experts.phases import phase
 from mjhab.experts.planning.carry import inside_depth
 from mjhab.experts.planning.workplace import Scene, surroundings
 from mjhab.experts.skills import place as search
@@ -43,6 +44,7 @@ def place(view: WorldView) -> Motion:
     )
 
 
+@phase("place by the rule")
 def place_by_rule(view: WorldView) -> Motion:
     """Place the held object at its goal by the rule; by a search on shelves and where the rule finds no base placement.
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mjhab.experts.base.follower import BaseTrajectory
 from mjhab.experts.base.route import Route
+from mjhab.experts.phases import frames_of, phases_of
 from mjhab.experts.planning.workplace import BasePlacement, HandGoals
 
 MAX_CANDIDATES = 40
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +26,14 @@ class PlanMarks:
         placement: (3,) x, y [m], yaw [rad] of the base at the end of the path, or None.
         hands: (G, 4, 4) candidate poses of the gripper, best first, at most `MAX_CANDIDATES`.
         chosen: index of the chosen candidate, or None.
+        phase: what the script is doing, see `experts.phases`; "" if its functions have no names.
     """
 
     path: np.ndarray
     placement: np.ndarray | None
     hands: np.ndarray
     chosen: int | None
+    phase: str = ""
 
 
 def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
@@ -38,40 +42,33 @@ def plan_marks(script: Generator[Any, Any, Any]) -> PlanMarks | None:
     A script keeps its plan in local variables of its nested generators. They are searched by type, innermost first.
     """
     held = list(_held(script))
-    placement = next((value for value in held if isinstance(value, BasePlacement)), None)
-    goals = next((value for value in held if isinstance(value, HandGoals)), None)
-    trajectory = next(
-        (value for value in held if isinstance(value, BaseTrajectory)), None
-    )
-    if trajectory is not None and len(trajectory.poses):
-        return PlanMarks(
-            trajectory.poses[:, :2].copy(),
-            trajectory.poses[-1].copy(),
-            _hand_poses(None),
-            None,
-        )
-    routes = [value for value in held if isinstance(value, Route)]
-    route = routes[0] if routes else placement.route if placement is not None else None
-    if route is None and placement is None and goals is None:
+    phase = next(reversed(phases_of(script)), "")
+    placement = _first(held, BasePlacement)
+    goals = _first(held, HandGoals)
+    drive = _first(held, BaseTrajectory)
+    if drive is not None:
+        path = drive.poses[:, :2].copy()
+        return PlanMarks(path, drive.poses[-1].copy(), _hand_poses(None), None, phase)
+    route = _first(held, Route) or (None if placement is None else placement.route)
+    if route is None and goals is None:
         return None
-    path = route.segment.points if route is not None else np.zeros((0, 2))
+    path = np.zeros((0, 2)) if route is None else np.array(route.segment.points)
     place = None
     if placement is not None:
         place = placement.at[:3].copy()
     elif route is not None:
-        place = np.append(route.segment.points[-1], route.segment.yaw)
-    chosen = int(placement.goal) if placement is not None and goals is not None else None
-    return PlanMarks(np.array(path), place, _hand_poses(goals), chosen)
+        place = np.append(path[-1], route.segment.yaw)
+    chosen = None if placement is None or goals is None else int(placement.goal)
+    return PlanMarks(path, place, _hand_poses(goals), chosen, phase)
+
+
+def _first(held: list[Any], kind: type[T]) -> T | None:
+    return next((value for value in held if isinstance(value, kind)), None)
 
 
 def _held(script: Generator[Any, Any, Any]) -> Iterator[Any]:
     """Values of the local variables of a generator and of the generators it delegates to, innermost first."""
-    frames = []
-    inner: Any = script
-    while inner is not None and getattr(inner, "gi_frame", None) is not None:
-        frames.append(inner.gi_frame)
-        inner = inner.gi_yieldfrom
-    for frame in reversed(frames):
+    for frame in reversed(list(frames_of(script))):
         for value in frame.f_locals.values():
             yield value
             if isinstance(value, tuple):

@@ -27,7 +27,8 @@ GOAL_COLOR = (60, 130, 240)
 PATH_COLOR = (250, 190, 40)
 PATH_HEIGHT_M = 0.03
 PATH_WIDTH_M = 0.02
-STANCE_RADIUS_M = 0.28
+LABEL_HEIGHT_M = 0.3
+PLACEMENT_RADIUS_M = 0.28
 CONTACT_RADIUS_M = 0.012
 _HIDDEN = (0.0, 0.0, -100.0)
 
@@ -141,12 +142,15 @@ class Stage:
             turn = (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
             yield scene.add_cylinder(
                 "/plan/placement",
-                radius=STANCE_RADIUS_M,
+                radius=PLACEMENT_RADIUS_M,
                 height=0.01,
                 color=PATH_COLOR,
                 opacity=0.5,
                 position=(x, y, PATH_HEIGHT_M),
             )
+            if plan.phase:
+                at = (x, y, LABEL_HEIGHT_M)
+                yield scene.add_label("/plan/phase", plan.phase, position=at)
             yield scene.add_frame(
                 "/plan/heading",
                 axes_length=0.4,

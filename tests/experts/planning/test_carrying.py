@@ -164,7 +164,7 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
             boxes,
             RouteWish(limits=limits),
         )
-        assert found is not None and found.limits is limits
+        assert found is not None and found.base.limits is limits
         return found.clearance
 
     assert clearance(0.4, FIRM) >= 0.0 and clearance(0.2, UNLIMITED) >= 0.0

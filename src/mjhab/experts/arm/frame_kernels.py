@@ -13,6 +13,7 @@ from mjhab.robots.kinematics import Chain
 FIXED = 0
 SLIDE = 1
 HINGE = 2
+"""Kinds of joints."""
 
 
 class Tree(NamedTuple):

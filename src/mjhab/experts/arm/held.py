@@ -1,6 +1,8 @@
 """The object in the hand: whether it is held, and the spheres that cover it.
 
 Lengths [m], world frame. Letters: H spheres.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations

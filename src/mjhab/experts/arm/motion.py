@@ -3,6 +3,8 @@
 A motion reads the state of its world through a `WorldView` before each action, so that it is closed-loop. Motions
 compose with ``yield from``. Each ends after a bounded number of control steps, except `stay_at_rest`, and returns
 whether it reached its goal.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations

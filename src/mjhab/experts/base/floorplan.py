@@ -1,6 +1,8 @@
 """Free space in the present state of a home: clearance of the base on the floor and of the arm in slices of height.
 
 Lengths [m], angles [rad], world frame. Letters: X, Y cells, L slices of height, M arm spheres, N base poses, K boxes.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -21,17 +23,19 @@ from mjhab.experts.arm.held import held_spheres
 from mjhab.experts.base.ajar import planner
 
 BASE_CLEARANCE_M = 0.29
-"""Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m."""
+"""Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m. It is
+`Footprint.wide` of Fetch."""
 ARM_CLEARANCE_M = 0.02
 """Clearance that the arm needs: it swings a little, and cells are coarse."""
 SLICES_M = np.arange(0.7, 1.75, 0.1)
 """Lower ends of the slices of height in which the arm is checked. Below them, the map of the base decides."""
 EMPTY_DISTANCE_M = 100.0
-"""Distance to the nearest obstacle that is reported where a slice of height is empty."""
+"""Distance to the nearest obstacle that is reported where a slice of height is empty. Larger than any home."""
 AT_REST_RAD = 0.05
 """Largest distance of a joint from the rest position at which the arm counts as at rest."""
 FALLEN_HEIGHT_M = 0.4
-"""Objects below this height with half sizes below `FALLEN_SIZE_M` are obstacles of the base."""
+"""Objects below this height with half sizes below `FALLEN_SIZE_M` are obstacles of the base. It is the height of the
+base (`Footprint.top`)."""
 FALLEN_SIZE_M = 0.15
 """See `FALLEN_HEIGHT_M`."""
 _STEP = 0.1

@@ -2,6 +2,8 @@
 
 A path is a sequence of segments: each is driven forwards or backwards and ends with a turn on the spot. Lengths [m],
 angles [rad], world frame. Letters: P way points, S segments, T control steps.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -30,17 +32,17 @@ SLOWEST_M_S = 0.2
 SPARE_STEPS = 60
 """A segment is given up after the control steps of its length at `SLOWEST_M_S`, and `SPARE_STEPS` for its turns."""
 STEERING_GAIN = 4.5
-"""Yaw rate per angle to the aim [1/s]. Chosen by hand; not swept."""
+"""Yaw rate per angle to the aim [1/s]."""
 BRAKING_GAIN = 3.0
-"""Forward speed per distance that is left [1/s]. Chosen by hand; not swept."""
+"""Forward speed per distance that is left [1/s]."""
 PREVIEW_S = 0.1
-"""Time by which the motion of the base is extrapolated before it steers: two control steps. By hand; not swept."""
+"""Time by which the motion of the base is extrapolated before it steers: two control steps."""
 MIN_SPEED_M_S = 0.04
-"""Speed with which the base creeps over the last centimetres: `BRAKING_GAIN` alone would never arrive."""
+"""Speed with which the base creeps over the last centimetres."""
 MIN_LOOKAHEAD_M = 0.10
-"""Shortest distance to the aim, near the end of a segment. Chosen by hand; not swept."""
+"""Shortest distance to the aim, near the end of a segment."""
 TURN_FIRST_RAD = 0.9
-"""Angle to the aim above which the base turns on the spot. Chosen by hand; not swept."""
+"""Angle to the aim above which the base turns on the spot."""
 ARRIVED_M = 0.02
 """Distance to the end of a segment at which the base only turns."""
 BESIDE_M = 0.12
@@ -49,7 +51,7 @@ TURNED_RAD = 0.05
 STILL_RAD_S = 0.4
 STILL_M = 0.006
 """Angle to the heading at the end, yaw rate, and motion per control step with which a segment ends: the arm compensates
-less. Chosen by hand; not swept."""
+less."""
 ENDING_M = 0.25
 """Length of the last part of a segment that gives the direction of its end."""
 PROGRESS_REACH_M = 0.3

@@ -2,6 +2,8 @@
 
 The hand is almost a metre in front of the base. A sudden change of yaw rate can pull an object out of the fingers,
 most easily an object whose centre of mass is far from the finger pads.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from mjhab.experts.jit import kernel
 MAX_SPEED_M_S = 1.0
 """Largest forward speed: what an action of 1 commands (`Robot.limits.forward`)."""
 MAX_YAW_RATE_RAD_S = 2.6
-"""Largest yaw rate. Chosen by hand below the 3.14 rad/s of an action of 1; not swept."""
+"""Largest yaw rate, below the 3.14 rad/s of an action of 1."""
 WEAK_GRIP_KG_M = 0.02
 """Mass times distance between tcp and object position [kg m] above which a grasp counts as weak and `WEAK` or
 `WEAK_FAST` limits apply. Measured: a box of 0.5 kg, grasped 51 mm off its centre, slips in a turn with `FIRM` and not
@@ -51,8 +53,7 @@ UNLIMITED = CommandLimits(np.inf, np.inf, np.inf, np.inf, MAX_YAW_RATE_RAD_S)
 FIRM = CommandLimits(0.12, 0.12, 0.25, 0.25, 1.8)
 WEAK = CommandLimits(0.12, 0.12, 0.08, 0.16, 1.6)
 WEAK_FAST = CommandLimits(0.12, 0.12, 0.14, 0.2, 1.8)
-"""For a held object: a firm grip, a weak one (`WEAK_GRIP_KG_M`), and the compromise between them for short time limits.
-Their sizes were chosen by hand on the object of `WEAK_GRIP_KG_M`; not swept."""
+"""For a held object: a firm grip, a weak one (`WEAK_GRIP_KG_M`), and a compromise for short time limits."""
 DRIVE_FREE = CommandLimits(
     20.0 * STEP_SECONDS,
     40.0 * STEP_SECONDS,
@@ -70,7 +71,7 @@ DRIVE_HELD = CommandLimits(
     speed=0.7,
 )
 """For Navigate, which has more time: with an empty hand, and with an object that must not slip on a long drive (rates
-in m/s2 and rad/s2 times the control period). Chosen by hand; not swept."""
+in m/s2 and rad/s2 times the control period)."""
 
 
 def limits_for(view: WorldView, fast: bool = False) -> CommandLimits:

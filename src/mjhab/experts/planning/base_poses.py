@@ -1,6 +1,8 @@
 """Base poses from which the hand may reach a work place: on free floor, with a line of sight, within the arm's reach.
 
 Lengths [m], angles [rad], world frame. Letters: G hand poses, B base poses.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -20,8 +22,9 @@ OUT_CLEARANCE_M = 0.03
 FAR_BASE_M = 0.96
 """Base poses farther than this from the work, or with little clearance, are used only if there are no others."""
 MAX_OVERREACH_M = 0.05
-"""Largest distance of the wrist beyond the comfortable reach, see `overreach`."""
+"""Largest distance of the wrist beyond the comfortable reach, see `overreach`. There the arm is fully stretched."""
 _BASES = 24
+"""Greatest number of base poses that are paired with hand poses."""
 
 
 def exit_clearance(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:

@@ -1,6 +1,8 @@
 """Driving into furniture and out of it with the arm held, and ways back to the rest pose.
 
 Lengths [m], angles [rad], world frame. Letters: J joints, H spheres.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -35,9 +37,10 @@ from mjhab.robots.robot import Robot
 BACK_DISTANCES_M = (0.0, 0.2, 0.4, 0.6, 0.8)
 """Distances that the base may drive backwards while the arm moves to its rest pose."""
 OUT_DISTANCES_M = (0.42, 0.55, 0.7)
-"""The same from the inside of a shelf."""
+"""The same from the inside of a shelf. From `SHELF_DEPTH_M` on."""
 OUT_STEPS = 25
-"""Control steps of a drive out of a shelf at `FAST_SPEED_M_S`, and to come to rest at the end."""
+"""Control steps of a drive out of a shelf at `FAST_SPEED_M_S`, and to come to rest at the end. `SHELF_DEPTH_M` takes 12
+of them."""
 HOME_DELAY = 1.2
 """Control steps that the arm needs to its rest pose, as a multiple of `motion.steps_home`."""
 AROUND_BACK_DISTANCES_M = (0.0, 0.3)
@@ -59,7 +62,8 @@ STUCK_STEPS = 6
 """Control steps without motion after which the base counts as blocked. `WorldView.link_forces` leaves out the
 fingers."""
 IN_CLEARANCE_M = 0.012
-"""Clearance above which the arm keeps its planned configuration while the base drives in."""
+"""Clearance above which the arm keeps its planned configuration while the base drives in. It is
+`workplace.CLEARANCES_M` of the first attempt."""
 MAX_CORRECTION_RAD = 0.5
 """Largest change of a joint that corrects a lateral error of the base."""
 

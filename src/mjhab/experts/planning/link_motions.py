@@ -3,6 +3,8 @@
 All poses are in the frame of the furniture ("plan frame"): origin on the floor below the link's origin at joint
 position 0, +x outward. Furniture is the same in every home, so that the results of a search can be kept; a home only
 decides which of the motions are on free floor. Letters: N motions, K way points, Q joint columns, R configurations.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ BOX_CLEARANCE_M = 0.02
 MAX_JUMP_RAD = 0.7
 """Largest change of a joint between two way points."""
 MIN_BASE_CLEARANCE_M = 0.285
-"""Clearance that the base must have at a motion."""
+"""Clearance that the base must have at a motion. It is the radius of the base (`Footprint.radius`)."""
 COMFORT_CLEARANCE_M = 0.36
 """Clearance that the base should have there."""
 SEEDS_FOLLOWED = 3

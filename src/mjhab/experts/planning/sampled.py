@@ -8,6 +8,8 @@ equal arguments give equal results.
 
 Lengths [m], angles [rad], world frame. Letters: T control steps, V postures, P configurations of a path, J joints, N
 configurations.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Requests and results of the search for base placements: hand poses, obstacles around them, base poses and routes.
 
 Lengths [m], angles [rad], world frame. Letters: G hand poses, A avoided base poses, N configurations, J joints.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ at a fixed distance. The hand pose is the one nearest to the hand's orientation 
 funnel: the farther it is beside the straight line to its goal, the farther it stays back.
 
 Lengths [m], angles [rad], world frame. Letters: G hand poses, P way points, J joints.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -65,6 +67,7 @@ REACH_SPEED_M_S = 0.5
 NEAR_SPEED_M_S = 0.25
 """Speeds of the tcp farther than, and within, `STANDOFF_M` from its goal."""
 TURN_SPEED_RAD_S = 1.5
+"""Rotation speed of the hand."""
 
 
 @dataclass(frozen=True, eq=False)

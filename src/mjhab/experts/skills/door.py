@@ -1,6 +1,8 @@
 """Scripts that open and close a hinged door: the hand follows the door's arc while the base drives along.
 
 Lengths [m], angles [rad], world frame. Letters: K way points of a motion, N and M configurations, J joints.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ what success requires."""
 WIDE_BAR_M = 0.035
 """Thickness from which on only the fingertips hold a bar: the last of them to leave it would throw a free door."""
 STILL_STEPS = 3
-"""Control steps for which the hand holds the bar at the end, so that the door is at rest when the fingers open."""
+"""Control steps for which the hand holds the bar at the end, so that the door is at rest when the fingers open. Let go
+while it still moved, the bar met a finger on the hand's way out and swung back; with these steps, and closed fingers on
+the way to rest, 60 instead of 58 of 60 doors stayed open (split train)."""
 SHUT_SHARE = 0.006
 """Share of the range to which a door is pressed shut; success requires 0.01."""
 AJAR_SHARE = 0.009
@@ -65,9 +69,10 @@ BEHIND_WAY_M = 0.25
 MOTIONS_TRIED = 16
 """Number of motions whose clearance is checked."""
 JOINT_STEP_RAD = 0.037
-"""Largest motion of an arm joint per control step while the hand pushes the door shut."""
+"""Largest motion of an arm joint per control step while the hand pushes the door, which should not leave it."""
 PULL_STEP_RAD = 0.046
-"""Largest motion of an arm joint per control step while the hand pulls the door open."""
+"""Largest motion of an arm joint per control step while the hand pulls the door open. More than `JOINT_STEP_RAD`: time
+was what failed openings lacked."""
 MAX_SWING_RAD = 0.045
 """Largest change of the commanded door angle per control step."""
 PUSH_STEP_RAD = 0.02, 0.045

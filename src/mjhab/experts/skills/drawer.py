@@ -1,6 +1,8 @@
 """Scripts that open and close a drawer: the base drives with the arm held, or base and arm move together.
 
 Lengths [m], angles [rad]. Letters: N configurations, J joints.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ BACK_OFF_M = 0.08
 AROUND_BAR_M = 0.045
 """Distance between the open fingers beyond the thickness of the bar; bars in a recess leave no more."""
 CLOSED_SHARE = 0.01
-"""Share of the range at which a link counts as closed."""
+"""Share of the range at which a link counts as closed. Success requires it."""
 SPEED_M_S = 0.45
 """Speed at which the drawer moves."""
 HELD_SPEED_M_S = 0.3

@@ -2,6 +2,8 @@
 
 A link that still moves when the hand lets go moves on for seconds, and one that the arm touches on its way to rest is
 pushed shut.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations

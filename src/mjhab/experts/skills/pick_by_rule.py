@@ -1,6 +1,8 @@
 """Script of Pick by a rule, see `by_rule`, and the entry point that chooses between rule and search.
 
 Lengths [m], angles [rad], world frame unless said.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations
@@ -43,6 +45,7 @@ PRESSED_N = 0.4
 LIFT_M = 0.08
 """Height by which the object is lifted before the arm goes to rest."""
 LIFT_STEP_M = 0.03
+"""Motion of the hand per control step while it lifts."""
 
 
 def pick(view: WorldView) -> Motion:

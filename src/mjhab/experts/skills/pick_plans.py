@@ -1,6 +1,8 @@
 """Plans of Pick: which grasp of an object, from which base pose, and how far the base drives straight into a shelf.
 
 Lengths [m], world frame. Letters: A base poses that did not work, G grasps.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ def test_ways_lead_through_the_doorway_and_keep_to_its_middle():
     assert path is not None
     crossing = np.interp(0.025, path[:, 0], path[:, 1])
     assert abs(crossing - (-3.0 + 58 * CELL)) < 0.1
-    assert planner.distance(path[0], path[-1]) >= 4.0
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() >= 4.0
 
 
 def _only_the_wall() -> np.ndarray:
@@ -109,7 +109,6 @@ def test_closed_rooms_and_blocked_ends():
     free[80] = False
     planner = Planner(FloorClearance(ORIGIN, CELL, clearances(free)))
     assert planner.plan(np.array([-2.0, 0.0]), np.array([2.0, 0.0])) is None
-    assert np.isinf(planner.distance(np.array([-2.0, 0.0]), np.array([2.0, 0.0])))
     path = planner.plan(np.array([-0.1, 0.0]), np.array([-0.05, 1.0]))
     assert path is not None
     np.testing.assert_allclose(path[0], [-0.1, 0.0])

@@ -190,23 +190,6 @@ class RobotSpheres:
     def _trunk_sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.trunk.contiguous()
 
-    def path_clearance(
-        self, start: np.ndarray, ends: np.ndarray, boxes: Boxes, pieces: int = 8
-    ) -> np.ndarray:
-        """Least clearance (N,) [m] to boxes and to the trunk along straight paths in joint space.
-
-        Args:
-            start: (Q,) or (N, Q) first configurations; they are not checked themselves.
-            ends: (N, Q) last configurations.
-            boxes: obstacles.
-            pieces: number of equally spaced configurations that are checked on each path, its end included.
-        """
-        ends = np.atleast_2d(ends)
-        share = np.linspace(0, 1, pieces + 1)[1:, None, None]
-        q = (start + share * (ends - start)).reshape(-1, ends.shape[1])
-        gap = np.minimum(self.clearance(q, boxes), self.self_clearance(q))
-        return gap.reshape(pieces, len(ends)).min(axis=0)
-
 
 def _cover(geom: Any) -> list[tuple[np.ndarray, float]]:
     """Cover one shape: groups of sphere centres (P, 3) in the link's frame, each group with its radius.

@@ -45,15 +45,14 @@ def _planner(home: HomeShapes) -> Planner:
 def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Planner:
     plain = home.derived.get("planner", lambda: _planner(home))
     boxes = Boxes.join([home.links[name].boxes(q) for name, q in ajar])
-    nx, ny = plain.clearance.shape
-    x = plain.origin[0] + (np.arange(nx) + 0.5) * plain.cell
-    y = plain.origin[1] + (np.arange(ny) + 0.5) * plain.cell
-    cells = np.stack(
-        [*np.meshgrid(x, y, indexing="ij"), np.zeros((nx, ny))], axis=-1
-    ).reshape(-1, 3)
+    centres = plain.grid.centres
+    cells = np.concatenate([centres, np.zeros((*centres.shape[:2], 1))], axis=2)
     # Doors and drawers are upright: distances in the horizontal plane suffice.
     flat = Boxes(boxes.center * [1.0, 1.0, 0.0], boxes.half, boxes.rot)
-    gap = nearest_box_distance(cells, flat).reshape(nx, ny) + OVERHANG_M
+    gap = (
+        nearest_box_distance(cells.reshape(-1, 3), flat).reshape(centres.shape[:2])
+        + OVERHANG_M
+    )
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
     return Planner(
         FloorClearance(plain.origin, plain.cell, clearance),

@@ -21,6 +21,7 @@ from mjhab.envs.parts.world_view import HomeShapes, WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.arm.held import held_spheres
 from mjhab.experts.base.ajar import planner
+from mjhab.experts.base.navigation import Grid
 
 BASE_CLEARANCE_M = 0.29
 """Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m. It is
@@ -143,13 +144,9 @@ class Floorplan:
         if len(low) or len(felt):
             fallen = np.column_stack([low.center[:, :2], low.half[:, :2].max(axis=1)])
             spots = np.concatenate([fallen, felt])
-            centers = (
-                cells.origin
-                + (np.moveaxis(np.indices(base.shape), 0, -1) + 0.5) * cells.cell
-            )
-            gap = (
-                np.linalg.norm(centers[:, :, None] - spots[:, :2], axis=-1) - spots[:, 2]
-            )
+            centers = cells.grid.centres
+            gap = np.linalg.norm(centers[:, :, None] - spots[:, :2], axis=-1)
+            gap = gap - spots[:, 2]
             base = np.minimum(base, np.maximum(gap.min(axis=-1), 0.0))
             solid |= (gap[..., len(fallen) :] < 0.0).any(axis=-1)
         free = np.stack([_distance(level, cells.cell) for level in solid])
@@ -231,14 +228,13 @@ class Floorplan:
         share = np.linspace(0.0, 1.0, 24)[:, None] * np.clip(
             1.0 - near / np.maximum(far, 1e-9), 0.0, 1.0
         )
-        i, j = self.cells(points + share[..., None] * offset)
+        i, j = self.grid.cells(points + share[..., None] * offset)
         return level[i, j].mean(axis=0)
 
-    def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Indices (...,), (...,) of the cells that contain points (..., 2), clipped to the map."""
-        index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
-        index = np.clip(index, 0, np.array(self.base.shape) - 1)
-        return index[..., 0], index[..., 1]
+    @property
+    def grid(self) -> Grid:
+        """The cells of the map."""
+        return Grid(self.origin, self.cell, self.base.shape)
 
     def _at(self, values: np.ndarray, points: np.ndarray, outside: float) -> np.ndarray:
         """Bilinear interpolation (...,) of ``values`` (X, Y) at points (..., 2); ``outside`` beyond the map."""

@@ -25,6 +25,34 @@ NARROW_FACTOR = 20.0
 
 
 @dataclass(frozen=True, eq=False)
+class Grid:
+    """Square cells of the floor.
+
+    Attributes:
+        origin: (2,) world xy of the corner of cell (0, 0) [m].
+        cell: edge length of a cell [m].
+        shape: number of cells in x and y.
+    """
+
+    origin: np.ndarray
+    cell: float
+    shape: tuple[int, ...]
+
+    @property
+    def centres(self) -> np.ndarray:
+        """World xy (nx, ny, 2) [m] of the cells' centres."""
+        return (
+            self.origin + (np.moveaxis(np.indices(self.shape), 0, -1) + 0.5) * self.cell
+        )
+
+    def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Indices (...,), (...,) of the cells that contain world points (..., 2), clipped to the grid."""
+        index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
+        index = np.clip(index, 0, np.array(self.shape) - 1)
+        return index[..., 0], index[..., 1]
+
+
+@dataclass(frozen=True, eq=False)
 class FloorClearance:
     """Map of free floor.
 
@@ -62,12 +90,14 @@ class Planner:
         caution: float = 4.0,
         narrow: float | None = None,
     ) -> None:
+        clearance = np.asarray(floor.clearance, dtype=np.float64)
         self.origin = np.asarray(floor.origin, dtype=np.float64)
         self.cell = float(floor.cell)
+        self.grid = Grid(self.origin, self.cell, clearance.shape)
         self.radius = float(radius)
         self.comfort = float(comfort)
         self.caution = caution
-        self.clearance = np.asarray(floor.clearance, dtype=np.float64)
+        self.clearance = clearance
         self.free = self.clearance >= radius
         if not self.free.any():
             raise UsageError(
@@ -82,18 +112,16 @@ class Planner:
 
     def clearance_at(self, points: np.ndarray) -> np.ndarray:
         """Clearance (...,) [m] of the cells that contain world points (..., 2); 0 outside the map."""
-        index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
-        inside = ((index >= 0) & (index < self.clearance.shape)).all(axis=-1)
-        index = np.clip(index, 0, np.array(self.clearance.shape) - 1)
-        return np.where(inside, self.clearance[index[..., 0], index[..., 1]], 0.0)
+        share = (np.asarray(points) - self.origin) / self.cell
+        inside = ((share >= 0) & (share < self.clearance.shape)).all(axis=-1)
+        return np.where(inside, self.clearance[self.grid.cells(points)], 0.0)
 
     def nearest_free(self, point: np.ndarray) -> np.ndarray:
         """``point`` (2,) itself when the base fits there, else the centre (2,) of the nearest cell where it does."""
         point = np.asarray(point, dtype=np.float64)[:2]
         if self.clearance_at(point) >= self.radius:
             return point
-        cells = np.argwhere(self.free)
-        centres = self.origin + (cells + 0.5) * self.cell
+        centres = self.grid.centres[self.free]
         return centres[np.argmin(np.sum((centres - point) ** 2, axis=1))]
 
     def plan(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
@@ -119,15 +147,6 @@ class Planner:
         path = self._pull(points)
         return path if np.allclose(entry, start) else np.concatenate([start[None], path])
 
-    def distance(self, start: np.ndarray, goal: np.ndarray) -> float:
-        """Length [m] of the planned path, infinite when there is none."""
-        path = self.plan(start, goal)
-        return (
-            np.inf
-            if path is None
-            else float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        )
-
     def costs(self, start: np.ndarray) -> np.ndarray:
         """Cost (nx, ny) of the paths from ``start`` (2,) to all cells: metres, weighted by clearance; inf if none."""
         cost, _ = self._fields_from(self._node(self.nearest_free(start)))
@@ -139,12 +158,6 @@ class Planner:
             self._graph, directed=False, indices=np.flatnonzero(cells), min_only=True
         )
         return np.asarray(found).reshape(self.clearance.shape)
-
-    def cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Indices (...,), (...,) of the cells that contain world points (..., 2), clipped to the map."""
-        index = np.floor((np.asarray(points) - self.origin) / self.cell).astype(np.int64)
-        index = np.clip(index, 0, np.array(self.clearance.shape) - 1)
-        return index[..., 0], index[..., 1]
 
     def line_clearance(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Least clearance (E,) [m] on the straight lines from ``start`` (2,) to ``ends`` (E, 2)."""

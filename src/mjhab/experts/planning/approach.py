@@ -162,11 +162,6 @@ def _passed(view: WorldView, route: Route) -> np.ndarray:
     return out
 
 
-def go(view: WorldView, route: Route, gripper: float) -> Motion:
-    """Bring base and arm to the end of a route."""
-    return (yield from follow(view, route, gripper=gripper))
-
-
 def creep(
     view: WorldView, posture: np.ndarray, heading: float, speed: float, gripper: float
 ) -> np.ndarray:

@@ -98,7 +98,7 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     poses = poses[good]
     back = back[good]
     far_off = far_off[good]
-    length = cells.costs(view.base[:2])[cells.cells(back)]
+    length = cells.costs(view.base[:2])[cells.grid.cells(back)]
     steps = (
         drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), length)
         + 6.0 * drive_in / 0.3

@@ -150,7 +150,7 @@ def _bases(view: WorldView, point: np.ndarray) -> Iterator[np.ndarray]:
     )
     xy = point[:2] - distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     floor = planner(view, shut=True)
-    cost = floor.costs(view.base[:2])[floor.cells(xy)]
+    cost = floor.costs(view.base[:2])[floor.grid.cells(xy)]
     cost = cost + DISTANCE_PRICE * np.abs(distance - DISTANCES_M[0])
     cost[floor.clearance_at(xy) < floor.radius + PLACEMENT_CLEARANCE_M] = np.inf
     order = np.argsort(cost, kind="stable")[:MAX_PLACEMENTS]

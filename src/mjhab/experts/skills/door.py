@@ -18,6 +18,7 @@ from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.base.route import follow
 from mjhab.experts.phases import phase
 from mjhab.experts.planning import approach, link_motions, link_path
 from mjhab.experts.planning.link_motions import Frame, LinkMotions
@@ -135,7 +136,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
             motion.gripper_at(view.robot, link.handle.thickness + spare)
             for spare in (AROUND_BAR_M, LET_GO_BAR_M)
         )
-        yield from approach.go(view, path.route, around)
+        yield from follow(view, path.route, gripper=around)
         rot = path.hand_at(path.values[1])[1]
         if (
             yield from approach.take(
@@ -176,7 +177,7 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         path = _reachable(view, link, found, angles, BEHIND_WAY_M)
         if path is None:
             return False
-        yield from approach.go(view, path.route, motion.CLOSED)
+        yield from follow(view, path.route, gripper=motion.CLOSED)
         if view.link_q(link.id) > start - PRESS_AHEAD_RAD + STRUCK_RAD:
             continue
         yield from _behind_edge(view, path)
@@ -203,7 +204,7 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
     path = _reachable(view, link, found, np.linspace(1.0, 0.0, door_motions.SWEEP_POINTS))
     if path is None:
         return False
-    yield from approach.go(view, path.route, motion.OPEN)
+    yield from follow(view, path.route, gripper=motion.OPEN)
     end = path.q[-1]
     last = view.link_q(link.id)
     still = 0

@@ -13,6 +13,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE, BASE_XY
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
+from mjhab.experts.base.route import follow
 from mjhab.experts.phases import phase
 from mjhab.experts.planning import approach, link_motions, link_path
 from mjhab.experts.planning.link_motions import HandPaths, LinkMotions
@@ -113,7 +114,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
         best = approach.best_route(view, goals[:, 0])
         if best is None:
             return False
-        yield from approach.go(view, best[1], motion.CLOSED)
+        yield from follow(view, best[1], gripper=motion.CLOSED)
         yield from _drive_link(view, link, goal, SPEED_M_S, press=6)
         yield from approach.retreat(view, BACK_OFF_M)
     return (yield from approach.retract(view))
@@ -131,7 +132,7 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
         return False
     posture = goals[best[0]]
     gripper = _around(view.robot, link)
-    yield from approach.go(view, best[1], gripper)
+    yield from follow(view, best[1], gripper=gripper)
     _, turn = view.robot.chain.tip_pose(posture[1])
     rot = link_motions.hand(-link.handle_pose(q)[2], turn[0, :, 1])
     return (yield from approach.take(view, link, rot, posture[1], gripper=gripper))
@@ -151,7 +152,7 @@ def _arm_path(view: WorldView, link: JointedLink) -> LinkPath | None:
 def _take_on(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
     """Move to the beginning of a path and grasp the handle. Returns whether the hand holds it."""
     gripper = _around(view.robot, link)
-    yield from approach.go(view, path.route, gripper)
+    yield from follow(view, path.route, gripper=gripper)
     q = view.link_q(link.id)
     rot = path.hand_at(q)[1]
     return (yield from approach.take(view, link, rot, path.at(q), gripper=gripper))

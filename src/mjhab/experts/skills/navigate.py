@@ -161,10 +161,7 @@ def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:
     metres, weighted by clearance; 0 below `LONG_DETOUR_M`, and everywhere for goals inside furniture.
     """
     cells = planner(view)
-    centres = (
-        cells.origin
-        + (np.indices(cells.clearance.shape).transpose(1, 2, 0) + 0.5) * cells.cell
-    )
+    centres = cells.grid.centres
     far = np.linalg.norm(centres - aim.point[:2], axis=-1)
     work = (
         (cells.clearance >= cells.radius)
@@ -177,7 +174,7 @@ def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:
     work[work] = in_sight(centres[work], aim.point, walls)
     if not work.any():
         return np.zeros(points.shape[:2])
-    length = cells.costs_to(work)[cells.cells(points)]
+    length = cells.costs_to(work)[cells.grid.cells(points)]
     return np.where(length > LONG_DETOUR_M, np.minimum(length, MAX_DETOUR_M), 0.0)
 
 

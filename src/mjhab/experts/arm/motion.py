@@ -105,6 +105,30 @@ def action(
     return out
 
 
+def hand_action(
+    view: WorldView,
+    goals: ik.TipGoals,
+    *,
+    gripper: float,
+    drive: tuple[float, float] = (0.0, 0.0),
+    rest_gain: float = 0.02,
+) -> np.ndarray:
+    """Compute the action (A,) that moves the tcp to a pose nearby while the base drives; the arm compensates the drive.
+
+    Args:
+        view: the world.
+        goals: one pose of the tcp, what may move, and the posture preferred in the null space.
+        gripper: gripper command, from `CLOSED` to `OPEN`.
+        drive: forward speed [m/s] and yaw rate [rad/s] of the base.
+        rest_gain: see `ik.servo`.
+    """
+    base_next = view.base[None] + base_motion(view.base[2], drive)
+    delta = ik.servo(
+        view.robot.chain, view.q, goals, base_next=base_next, rest_gain=rest_gain
+    )[0]
+    return action(view, view.q + delta / ARM_STEP_SHARE, gripper=gripper, drive=drive)
+
+
 def gripper_at(robot: Robot, opening: float) -> float:
     """Gripper command for a distance ``opening`` [m] between the fingers, clipped to the range of the gripper."""
     low, high = robot.limits.gripper
@@ -221,9 +245,8 @@ class HandMove:
 
 def move_tcp(view: WorldView, move: HandMove) -> Motion:
     """Move the tcp on a straight line to a pose. Returns whether it arrived."""
-    robot = view.robot.chain
     rest = view.q if move.rest is None else move.rest
-    dofs = ik.columns(robot, torso=move.torso)
+    dofs = ik.columns(view.robot.chain, torso=move.torso)
     now, now_rot = tcp(view)
     carrot = now[None]
     carrot_rot = now_rot[None]
@@ -249,12 +272,8 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
         lead = carrot[0] - here
         size = np.linalg.norm(lead)
         aim = here + lead * min(1.0, 0.06 / max(size, 1e-9))
-        base_next = view.base[None] + base_motion(view.base[2], move.drive)
         goals = ik.TipGoals(aim[None], carrot_rot, dofs, rest)
-        delta = ik.servo(robot, view.q, goals, base_next=base_next)[0]
-        yield action(
-            view, view.q + delta / ARM_STEP_SHARE, gripper=move.gripper, drive=move.drive
-        )
+        yield hand_action(view, goals, gripper=move.gripper, drive=move.drive)
     return False
 
 
@@ -277,14 +296,12 @@ def still_tcp(
         steps: control steps.
         until: condition that ends the motion earlier.
     """
-    robot = view.robot.chain
-    dofs = ik.columns(robot, torso=False)
+    dofs = ik.columns(view.robot.chain, torso=False)
     for _ in range(steps):
         if until(view):
             return True
         goals = ik.TipGoals(pos[None], rot[None], dofs, view.q)
-        delta = ik.servo(robot, view.q, goals)[0]
-        yield action(view, view.q + delta / ARM_STEP_SHARE, gripper=gripper)
+        yield hand_action(view, goals, gripper=gripper)
     return True
 
 
@@ -336,7 +353,17 @@ def base_speeds(view: WorldView) -> tuple[float, float]:
 def base_motion(yaw: float, drive: tuple[float, float]) -> np.ndarray:
     """Motion (1, 3) x, y [m], yaw [rad] of a base at heading ``yaw`` in one control step at speeds ``drive``."""
     step = drive[0] * STEP_SECONDS
-    return np.array([[step * np.cos(yaw), step * np.sin(yaw), drive[1] * STEP_SECONDS]])
+    return np.array([[*(step * ahead(yaw)), drive[1] * STEP_SECONDS]])
+
+
+def ahead(yaw: float) -> np.ndarray:
+    """Unit vector (2,) in the direction of a heading [rad]."""
+    return np.array([np.cos(yaw), np.sin(yaw)])
+
+
+def ahead_3d(yaw: float) -> np.ndarray:
+    """The same with a third component of 0: no height, or no turn of a base pose."""
+    return np.array([np.cos(yaw), np.sin(yaw), 0.0])
 
 
 def angle_between(now: np.ndarray, goal: np.ndarray) -> float:

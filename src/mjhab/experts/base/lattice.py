@@ -15,6 +15,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from mjhab.experts.arm import motion
 from mjhab.experts.base.floorplan import Floorplan, turn_between
 from mjhab.experts.base.follower import PathSegment, turns
 
@@ -160,7 +161,7 @@ class Lattice:
         A robot that is too close to an obstacle may move wherever it does not get closer.
         """
         asked = min(0.0, float(self.plan.clearance(pose[None])[0]) - 0.015)
-        ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
+        ahead = motion.ahead(pose[2])
         found: dict[int, tuple[float, float, float]] = {}
         for far in START_DISTANCES_M.tolist():
             share = np.linspace(0.0, 1.0, 2 + int(abs(far) / 0.05))[:, None]
@@ -211,7 +212,7 @@ class Lattice:
         """Segments along the nodes ``path``, with a turn on the spot wherever the heading changes."""
         h, x, y = np.unravel_index(np.asarray(path), self.shape)
         far, turn = entry
-        here = pose[:2] + far * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        here = pose[:2] + far * motion.ahead(pose[2])
         yaw = float(pose[2])
         segments = (
             [PathSegment(np.stack([pose[:2], here]), -1 if far < 0 else 1, yaw)]

@@ -12,7 +12,6 @@ import numpy as np
 from mjhab.core.boxes import Boxes, sphere_box_distance
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.core.rotations import wrap
-from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.arm.clearance import RobotSpheres
@@ -186,7 +185,7 @@ def let_go(
     yield from motion.hold(view, 4, gripper=gripper, until=until)
     pos, rot = motion.tcp(view)
     goal = pos - distance * rot[:, 0]
-    along = float(-rot[:2, 0] @ np.array([np.cos(view.base[2]), np.sin(view.base[2])]))
+    along = float(-rot[:2, 0] @ motion.ahead(view.base[2]))
     return (
         yield from motion.move_tcp(
             view,
@@ -225,9 +224,7 @@ def retract(
     floor = planner(view, shut=True)
     best: Route | None = None
     for distance in distances:
-        goal = q[BASE] - distance * np.array(
-            [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW]), 0.0]
-        )
+        goal = q[BASE] - distance * motion.ahead_3d(q[BASE_YAW])
         if distance > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
             RETREAT_CLEARANCE_M, float(floor.clearance_at(q[BASE_XY]))
         ):
@@ -310,8 +307,7 @@ def _funnel(
     The hand moves forward only while it is laterally aligned with the bar. Errors along the bar (the z axis of the
     hand) are tolerated up to `ALONG_BAR_M`. Returns whether the hand arrived.
     """
-    robot = view.robot.chain
-    dofs = ik.columns(robot)
+    dofs = ik.columns(view.robot.chain)
     for step in range(max_steps):
         here, turn = motion.tcp(view)
         ahead, across, along = rot.T @ (goal - here)
@@ -330,15 +326,9 @@ def _funnel(
         aim_rot = ik.straight_line(
             here[None], goal[None], turn[None], rot[None], 1.0, 0.06
         )[1]
-        v, w = base_towards(view, posture)
-        ahead_base = next_base(view, v, w)
-        aim = (here + rot @ shift)[None]
-        delta = ik.servo(
-            robot, view.q, ik.TipGoals(aim, aim_rot, dofs, posture), base_next=ahead_base
-        )[0]
-        yield motion.action(
-            view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w)
-        )
+        aim = ik.TipGoals((here + rot @ shift)[None], aim_rot, dofs, posture)
+        drive = base_towards(view, posture)
+        yield motion.hand_action(view, aim, gripper=gripper, drive=drive)
     return False
 
 
@@ -356,17 +346,6 @@ def base_towards(
         max_speed: largest forward speed [m/s].
     """
     q = view.q
-    ahead = float(
-        (wish[:2] - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
-    )
+    ahead = float((wish[:2] - q[BASE_XY]) @ motion.ahead(q[BASE_YAW]))
     v = float(np.clip(speed + 1.5 * ahead, -max_speed, max_speed))
     return v, float(np.clip(3.0 * wrap(wish[2] - q[BASE_YAW]), -0.6, 0.6))
-
-
-def next_base(view: WorldView, v: float, w: float) -> np.ndarray:
-    """Base pose (1, 3) after one control step with forward speed ``v`` [m/s] and yaw rate ``w`` [rad/s]."""
-    q = view.q
-    return (
-        q[None, BASE]
-        + np.array([[v * np.cos(q[BASE_YAW]), v * np.sin(q[BASE_YAW]), w]]) * STEP_SECONDS
-    )

@@ -12,6 +12,7 @@ import numpy as np
 from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import WorldView
+from mjhab.experts.arm import motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import drive_steps
 from mjhab.experts.planning.workplace import HandGoals, ReachQuery, Scene
@@ -68,9 +69,7 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     x = point[0] - r * np.cos(angle)
     y = point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
-    here = view.base - drive_in * np.array(
-        [np.cos(view.base[2]), np.sin(view.base[2]), 0.0]
-    )
+    here = view.base - drive_in * motion.ahead_3d(view.base[2])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate(
         [

@@ -117,7 +117,7 @@ def drive_in(
     last = view.q
     for step in range(80):
         q = view.q
-        ahead = np.array([np.cos(heading), np.sin(heading)])
+        ahead = motion.ahead(heading)
         left = float((goal[:2] - q[BASE_XY]) @ ahead)
         moved = float((q[BASE_XY] - last[:2]) @ ahead)
         if left < near and abs(moved) < slow:
@@ -173,7 +173,7 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
     goal = reach.q
     q = view.q
     robot = view.robot.chain
-    ahead = np.array([np.cos(goal[2]), np.sin(goal[2])])
+    ahead = motion.ahead(goal[2])
     distance = float((goal[:2] - q[BASE_XY]) @ ahead)
     end = goal.copy()
     end[:2] = q[BASE_XY] + ahead * distance
@@ -199,9 +199,7 @@ def _lined_up(view: WorldView, reach: ReachIn, boxes: Boxes) -> np.ndarray:
 def _clearance_in(robot: Robot, goal: np.ndarray, distance: float, boxes: Boxes) -> float:
     """Least clearance [m] of the robot while its base drives the last ``distance`` [m] straight to ``goal`` (J,)."""
     q = np.repeat(goal[None], 6, axis=0)
-    q[:, BASE_XY] -= np.linspace(0.0, distance, 6)[:, None] * np.array(
-        [np.cos(goal[2]), np.sin(goal[2])]
-    )
+    q[:, BASE_XY] -= np.linspace(0.0, distance, 6)[:, None] * motion.ahead(goal[2])
     return float(motion.spheres(robot).clearance(q, boxes).min())
 
 
@@ -266,7 +264,7 @@ def plan_home(
     cells = planner(view, shut=True)
     best: Route | None = None
     for back in distances:
-        end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
+        end = now[:3] - back * motion.ahead_3d(now[2])
         if back and cells.line_clearance(now[:2], end[None, :2])[0] < 0.26:
             break
         wish = RouteWish(margin_m=0.01, direction=-1, straight=True, limits=limits)
@@ -279,7 +277,7 @@ def plan_home(
             best = route
     if holding and best is not None and best.clearance < MAX_DEFICIT_M:
         for back in AROUND_BACK_DISTANCES_M:
-            end = now[:3] - back * np.array([np.cos(now[2]), np.sin(now[2]), 0.0])
+            end = now[:3] - back * motion.ahead_3d(now[2])
             around = plan_around(view, end, goal, robot, boxes, limits=limits)
             if around is not None and around.steps <= view.steps_left:
                 return around

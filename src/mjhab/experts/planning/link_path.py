@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 
-from mjhab.core.joints import BASE_YAW
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
@@ -81,23 +80,11 @@ def action(
     """
     wish = path.at(aim)
     pos, rot = path.hand_at(aim)
-    q = view.q
-    ahead = (path.at(aim + step)[:2] - wish[:2]) @ np.array(
-        [np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])]
-    )
-    v, w = approach.base_towards(view, wish, float(ahead) / STEP_SECONDS)
-    base_next = approach.next_base(view, v, w)
-    robot = view.robot.chain
+    moved = path.at(aim + step)[:2] - wish[:2]
+    speed = float(moved @ motion.ahead(view.base[2])) / STEP_SECONDS
+    drive = approach.base_towards(view, wish, speed)
     here, _ = motion.tcp(view)
     lead = pos - here
     pos = here + lead * min(1.0, LEAD_M / max(float(np.linalg.norm(lead)), 1e-9))
-    delta = ik.servo(
-        robot,
-        q,
-        ik.TipGoals(pos[None], rot[None], ik.columns(robot), wish),
-        base_next=base_next,
-        rest_gain=0.1,
-    )[0]
-    return motion.action(
-        view, q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=(v, w)
-    )
+    goals = ik.TipGoals(pos[None], rot[None], ik.columns(view.robot.chain), wish)
+    return motion.hand_action(view, goals, gripper=gripper, drive=drive, rest_gain=0.1)

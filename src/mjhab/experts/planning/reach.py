@@ -275,9 +275,7 @@ def _routed(
         if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
         seen.append(q[i, BASE])
-        back = query.drive_in * np.array(
-            [np.cos(pre[i, BASE_YAW]), np.sin(pre[i, BASE_YAW]), 0.0]
-        )
+        back = query.drive_in * motion.ahead_3d(pre[i, BASE_YAW])
         route = plan_route(
             view,
             pre[i, BASE] - back,

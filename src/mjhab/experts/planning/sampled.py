@@ -94,9 +94,7 @@ def _path_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
             if any(np.array_equal(pre[BASE], base) for base in tried):
                 continue
             tried.append(pre[BASE])
-            back = reach.drive_in * np.array(
-                [np.cos(pre[BASE_YAW]), np.sin(pre[BASE_YAW]), 0.0]
-            )
+            back = reach.drive_in * motion.ahead_3d(pre[BASE_YAW])
             route = plan_around(
                 view, pre[BASE] - back, pre, robot, boxes, limits=reach.scene.limits
             )

@@ -166,7 +166,7 @@ def _nearest_to_rest(
     Returns:
         Index of the hand pose and the configuration (J,) before it; None if none is reached.
     """
-    ahead = np.array([np.cos(base[2]), np.sin(base[2]), 0.0])
+    ahead = motion.ahead_3d(base[2])
     down = np.array([0.0, 0.0, -1.0])
     left = np.array([-ahead[1], ahead[0], 0.0])
     rot = hands.rot
@@ -260,14 +260,6 @@ def move_hand(
         posture: (J,) posture preferred in the null space.
     """
     chain = view.robot.chain
-    delta = ik.servo(
-        chain,
-        view.q,
-        ik.TipGoals(
-            pos[None], rot[None], ik.columns(chain), ik.unwind(chain, posture, view.q)
-        ),
-        base_next=view.base[None] + motion.base_motion(view.base[2], drive),
-    )[0]
-    return motion.action(
-        view, view.q + delta / motion.ARM_STEP_SHARE, gripper=gripper, drive=drive
-    )
+    rest = ik.unwind(chain, posture, view.q)
+    goals = ik.TipGoals(pos[None], rot[None], ik.columns(chain), rest)
+    return motion.hand_action(view, goals, gripper=gripper, drive=drive)

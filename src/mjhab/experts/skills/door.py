@@ -213,15 +213,15 @@ def _sweep(view: WorldView, link: JointedLink) -> Motion:
         speed = style_of(view).speed * (last - now) / STEP_SECONDS
         still = still + 1 if abs(now - last) < AT_REST_RAD else 0
         last = now
-        way = end[:2] - view.base[:2]
-        ahead = float(way @ [np.cos(end[2]), np.sin(end[2])])
+        left = end[:2] - view.base[:2]
+        ahead = float(left @ motion.ahead(end[2]))
         shut = now < AJAR_SHARE * link.range[1]
         if still > PRESS_STEPS and (shut or ahead < SWEPT_M):
             break
         drive = 0.0
         if not shut and _coasts(speed) < now + COAST_SPARE_RAD:
             drive = min(SWEEP_SPEED_M_S, 0.2 + 0.35 * now, 3.0 * max(ahead, 0.0))
-        aim = np.arctan2(way[1], way[0]) if ahead > 0.4 else end[2]
+        aim = np.arctan2(left[1], left[0]) if ahead > 0.4 else end[2]
         turn = float(np.clip(3.0 * wrap(aim - view.base[2]), -0.6, 0.6))
         yield motion.action(
             view, motion.rest_goal(view), gripper=motion.OPEN, drive=(drive, turn)
@@ -353,19 +353,12 @@ def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
         aim_rot = ik.straight_line(
             here[None], pos[None], turn[None], rot[None], 1.0, 0.1
         )[1]
-        v, w = approach.base_towards(view, wish)
-        delta = ik.servo(
-            robot,
-            view.q,
-            ik.TipGoals(goal[None], aim_rot, ik.columns(robot), wish, "approach"),
-            base_next=approach.next_base(view, v, w),
-            rest_gain=0.1,
-        )[0]
-        yield motion.action(
+        yield motion.hand_action(
             view,
-            view.q + delta / motion.ARM_STEP_SHARE,
+            ik.TipGoals(goal[None], aim_rot, ik.columns(robot), wish, "approach"),
             gripper=motion.CLOSED,
-            drive=(v, w),
+            drive=approach.base_towards(view, wish),
+            rest_gain=0.1,
         )
     return False
 

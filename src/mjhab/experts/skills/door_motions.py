@@ -113,7 +113,7 @@ def _line(
     """
     out = []
     for x, y, heading, length in product(near, side, headings, lengths):
-        back = np.array([np.cos(heading), np.sin(heading)]) * length
+        back = motion.ahead(heading) * length
         out.append(
             np.c_[
                 np.array([x, y]) + share[:, None] * back,
@@ -230,7 +230,7 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
     ):
         yaw = m * (first + (last - first) * share)
         pos = grip.copy()
-        pos[0] += PRE_GRASP_M * np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0.0])
+        pos[0] += PRE_GRASP_M * motion.ahead_3d(yaw[0])
         found.append(
             _search(robot, link, base, _HandPath(pos, _level(yaw), angles), tries=5)
         )

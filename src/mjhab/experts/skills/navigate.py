@@ -269,7 +269,7 @@ def _still(track: Sequence[np.ndarray]) -> bool:
 def _ahead(view: WorldView, segment: PathSegment) -> np.ndarray:
     """Assumed obstacle (1, 3) x, y, radius that stops the robot on a segment: in front of the base or of the hand."""
     q = view.q
-    ahead = segment.direction * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
+    ahead = segment.direction * motion.ahead(q[BASE_YAW])
     arm_felt = (
         segment.direction > 0
         and view.link_forces[list(view.robot.arm_force_rows)].sum()
@@ -292,14 +292,8 @@ def _back_off(
     gap = np.linalg.norm(trajectory.poses[:, :2] - q[BASE_XY], axis=1)
     passed = trajectory.poses[: int(np.argmin(gap)) + 1] if len(gap) else trajectory.poses
     away = passed[np.linalg.norm(passed[:, :2] - q[BASE_XY], axis=1) > 0.2]
-    origin = (
-        away[-1, :2]
-        if len(away)
-        else q[BASE_XY] - 0.2 * np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
-    )
-    ahead = float(
-        (origin - q[BASE_XY]) @ np.array([np.cos(q[BASE_YAW]), np.sin(q[BASE_YAW])])
-    )
+    origin = away[-1, :2] if len(away) else q[BASE_XY] - 0.2 * motion.ahead(q[BASE_YAW])
+    ahead = float((origin - q[BASE_XY]) @ motion.ahead(q[BASE_YAW]))
     speed, _ = motion.base_speeds(view)
     for _ in range(14):
         wish = (float(np.copysign(0.3, ahead)), 0.0)

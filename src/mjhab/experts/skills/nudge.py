@@ -422,7 +422,6 @@ def _pushing(
     view: WorldView, end: np.ndarray, plan: Nudge, hand: _PushingHand
 ) -> np.ndarray:
     """Action (A,) that moves the hand inwards and sideways to the ``end`` (2,) of the box."""
-    robot = view.robot.chain
     corner = _corner(view.robot.gripper, hand.rot, plan.inward)[:2]
     here, here_rot = motion.tcp(view)
     aside = np.clip((end - here[:2] - corner) @ plan.outer, -MAX_ASIDE_M, MAX_ASIDE_M)
@@ -431,11 +430,9 @@ def _pushing(
     aim_rot = ik.straight_line(
         here[None], aim[None], here_rot[None], hand.rot[None], 1.0, PUSH_TURN_RAD
     )[1]
-    dofs = ik.columns(robot, torso=False)
+    dofs = ik.columns(view.robot.chain, torso=False)
     goals = ik.TipGoals(aim[None], aim_rot, dofs, hand.rest)
-    delta = ik.servo(robot, view.q, goals)[0]
-    goal = view.q + delta / motion.ARM_STEP_SHARE
-    return motion.action(view, goal, gripper=motion.OPEN)
+    return motion.hand_action(view, goals, gripper=motion.OPEN)
 
 
 def _turn(before: np.ndarray, after: np.ndarray) -> float:

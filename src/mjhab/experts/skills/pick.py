@@ -235,7 +235,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     )
     turns = np.round((np.arctan2(toward[1], toward[0]) - place.yaw) / (np.pi / 2))
     angle = place.yaw + turns * np.pi / 2
-    inward = np.array([np.cos(angle), np.sin(angle)])
+    inward = motion.ahead(angle)
     shape = view.object_shape(obj)
     around = scene.beside.near(pose[:3], 0.5)
 

@@ -204,7 +204,7 @@ def plan_inside(
     clearance = hand_clearance(view.robot.gripper, every, around)
     best = None
     yaw = view.base[2]
-    ahead = view.base + AHEAD_M[:, None] * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    ahead = view.base + AHEAD_M[:, None] * motion.ahead_3d(yaw)
     for (asked, hand, nearer), arm in zip(GRASP_CLEARANCES_M, CLEARANCES_M, strict=True):
         rows = np.flatnonzero((every.clear >= asked) & (clearance > hand))
         if not len(rows):

@@ -12,6 +12,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import drive_to
+from mjhab.experts.phases import phase
 
 STAND_OFF_M = 0.75
 DRIVE_FROM_M = 0.9
@@ -62,6 +63,7 @@ def come_near(view: WorldView, middle: np.ndarray) -> Script:
             return
 
 
+@phase("sweep the object")
 def stroke(view: WorldView, obj: str, goal: np.ndarray) -> Script:
     """One sweep from behind the object to its goal."""
     pos = view.object_pose(obj)[:3]

@@ -40,7 +40,8 @@ from mjhab.experts.planning.base_poses import (
 )
 from mjhab.experts.planning.workplace import ReachQuery, Scene, surroundings
 from mjhab.experts.skills.pick_plans import LOW_SHELF_OPTIONS, SHELF_OPTIONS
-from mjhab.experts.skills.place import DROP_HEIGHTS_M, Release, hand_goals, place
+from mjhab.experts.skills.place import DROP_HEIGHTS_M, place
+from mjhab.experts.skills.place_goals import Release, hand_goals
 from mjhab.robots.fetch.robot import ROBOT
 
 route_module = importlib.import_module("mjhab.experts.base.route")

@@ -15,7 +15,13 @@ from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.planning.workplace import Scene
 from mjhab.experts.skills import pick_plans
-from mjhab.experts.skills.nudge import Graspable, _goals, _pushes, outline, plan_nudge
+from mjhab.experts.skills.nudge_plans import (
+    Graspable,
+    _goals,
+    _pushes,
+    outline,
+    plan_nudge,
+)
 from mjhab.robots.fetch.robot import ROBOT
 
 BOX = ObjectShape("box", (0.036, 0.082, 0.107))

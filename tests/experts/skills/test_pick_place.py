@@ -43,7 +43,7 @@ from mjhab.experts.skills.pick_plans import (
     height_below,
     plan_pick,
 )
-from mjhab.experts.skills.place import Release, hand_goals
+from mjhab.experts.skills.place_goals import Release, hand_goals
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import ANY
 

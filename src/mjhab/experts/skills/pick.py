@@ -36,7 +36,8 @@ from mjhab.experts.planning.workplace import (
     BasePlacement,
     HandGoals,
 )
-from mjhab.experts.skills.nudge import nudge, plan_nudge
+from mjhab.experts.skills.nudge import nudge
+from mjhab.experts.skills.nudge_plans import plan_nudge
 from mjhab.experts.skills.pick_plans import (
     GRASP_CLEARANCES_M,
     direction_to,

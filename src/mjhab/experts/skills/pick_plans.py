@@ -37,7 +37,7 @@ from mjhab.experts.planning.workplace import (
     Scene,
     surroundings,
 )
-from mjhab.experts.skills.nudge import in_steps
+from mjhab.experts.skills.nudge_plans import in_steps
 from mjhab.experts.style import of_kind
 from mjhab.tasks.style import ANY
 

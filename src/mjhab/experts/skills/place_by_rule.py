@@ -24,6 +24,7 @@ from mjhab.experts.skills.by_rule import (
     find_placement,
     move_hand,
 )
+from mjhab.experts.skills.place_goals import Release, clear_hand_goals
 from mjhab.experts.style import style_of
 from mjhab.tasks.style import RULE
 
@@ -100,9 +101,7 @@ def plan(
     if inside_depth(view, goal):
         return None
     near, _ = surroundings(view, obj, goal)
-    goals = search.clear_hand_goals(
-        view, obj, goal, near, search.Release(shelf=False, any_side=False)
-    )
+    goals = clear_hand_goals(view, obj, goal, near, Release(shelf=False, any_side=False))
     support = float(goal[2]) - view.object_type(obj).half[2]
     nothing = near.take(np.zeros(0, np.int64))
     scene = Scene(near, nothing, support, view.robot, held_spheres(view, obj))

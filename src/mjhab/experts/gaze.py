@@ -96,6 +96,7 @@ def focus(view: WorldView) -> np.ndarray | None:
     spec = spec_of(subtask.kind)
     known = Signals.__dataclass_fields__
     work = [name for name in spec.conditions if name in known and name not in RESTING]
+    # The head has to rest for success, and it takes some steps to get there.
     if work and all(view.signal(name) for name in work):
         return None
     if spec.jointed and subtask.link in view.home.links:

@@ -97,6 +97,7 @@ class ActionNoise:
 
     def due(self) -> bool:
         """Whether the script gives its next action in this control step; else the last action is repeated."""
+        # A slowed script acts in a share of the control steps.
         self._phase += self.style.speed
         if self._phase < 2.0 - 1e-9:
             return False

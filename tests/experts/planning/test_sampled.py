@@ -15,6 +15,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base import route
 from mjhab.experts.base.follower import BaseTrajectory, PathSegment
+from mjhab.experts.base.limits import UNLIMITED
 from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
 from mjhab.experts.planning.arm_paths import Free, arm_path
@@ -97,8 +98,9 @@ def blocked_drive(
     goal = np.array([1.2, 0.0, 0.0])
     path = np.stack([np.zeros(2), goal[:2]])
     poses = np.linspace(np.zeros(3), goal, 30)
+    base = BaseTrajectory([PathSegment(path, 1, 0.0)], 0.3, UNLIMITED, poses)
     for module in (sampled, route):
-        monkeypatch.setattr(module, "drive_of", lambda *_, **__: (path, 1, 0.3, poses))
+        monkeypatch.setattr(module, "drive_of", lambda *_, **__: base)
     posts = Boxes.of([[0.9, 0.62, 0.9], [0.9, -0.62, 0.9]], [[0.04, 0.04, 0.9]] * 2)
     return goal, np.concatenate([goal, LEFT[3:]]), posts
 

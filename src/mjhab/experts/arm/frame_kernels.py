@@ -120,6 +120,7 @@ def link_frames(tree: Tree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rot = np.empty((len(q), links, 3, 3))
     for n in range(len(q)):
         place_root(tree, pos[n], rot[n])
+        # Parents come before their children.
         for j in range(links - 1):
             place_link(tree, j, q[n], pos[n], rot[n])
     return pos, rot

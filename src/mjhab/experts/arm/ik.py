@@ -132,6 +132,7 @@ def random_seeds(
     seeds = np.repeat(np.asarray(q, dtype=np.float64)[None], count, axis=0)
     low = np.maximum(chain.lower[dofs], q[dofs] - np.pi)
     high = np.minimum(chain.upper[dofs], q[dofs] + np.pi)
+    # Near seeds give short motions of the arm, far ones other branches of the inverse kinematics.
     near = (count - 1) // 2
     scale = spread * np.minimum(1.0, (high - low) / 2)
     seeds[1 : 1 + near, dofs] += rng.normal(0.0, 1.0, (near, len(dofs))) * scale
@@ -213,6 +214,7 @@ def servo(
         so that no joint exceeds `ARM_STEP_RAD` or `TORSO_STEP_M`.
     """
     q = np.atleast_2d(_floats(q))
+    # The error is that after the step: the base moves meanwhile.
     ahead = q
     if base_next is not None:
         ahead = q.copy()

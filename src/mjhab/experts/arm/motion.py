@@ -258,6 +258,7 @@ def move_tcp(view: WorldView, move: HandMove) -> Motion:
             and angle_between(here_rot, move.rot) <= move.angle_tolerance
         ):
             return True
+        # Pressed against furniture, the servo would only press harder.
         if view.link_forces.sum() > move.stop_on_force:
             return False
         # The aim moves at the wanted speed, but stays within 6 cm of the present tcp position.
@@ -397,6 +398,7 @@ def close_fingers(
     pressed = 0
     command = float(view.q[view.robot.columns.fingers].mean())
     for _ in range(steps):
+        # Once both fingers press, nothing is shoved aside any more.
         command -= 3.0 * rate if pressed else rate
         yield action(view, goal, gripper=gripper_at(view.robot, 2.0 * command))
         pressed = pressed + 1 if (view.finger_forces(target) > 1.0).all() else 0

@@ -73,6 +73,7 @@ def min_gaps(
         best = np.inf
         for i, link in enumerate(links):
             for k in range(len(center)):
+                # Not even the nearest sphere of the link could be nearer than what is known.
                 if lower[i, k] > min(nearest, best):
                     continue
                 for m in range(first[i], first[i + 1]):

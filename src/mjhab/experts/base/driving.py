@@ -48,8 +48,10 @@ def plan_drive(
     """
     curves = _joined(segments)
     pulled = _pulled(plan, curves)
+    # A robot that stands close to an obstacle cannot ask for more than it has.
     asked = min(WANTED_CLEARANCE_M, float(plan.clearance(pose[None])[0]) - 0.03)
     best: tuple[float, BaseTrajectory] | None = None
+    # From the quickest drive to the one that keeps to the path best.
     for choice, lookahead in (
         (pulled, 0.3),
         (pulled, 0.2),
@@ -110,6 +112,7 @@ def _joined(segments: Sequence[PathSegment]) -> list[PathSegment]:
             last is not None
             and smooth
             and abs(turn_between(last.yaw, segment.yaw)) < MAX_CURVE_RAD
+            # Two turns on the spot in a row are more than `MAX_CURVE_RAD`.
             and len(pending) < 2
         ):
             out[-1] = PathSegment(

@@ -250,6 +250,7 @@ def _begin(track: Track, state: np.ndarray, s: int) -> None:
     """Write into ``state`` (10,) that segment ``s`` begins."""
     state[_ARC] = 0.0
     state[_AT_END] = 0.0
+    # The rate at the end of the segment before says nothing about this one.
     state[_SEEN] = 0.0
     state[_SEGMENT] = s
     if s < len(track.yaw):

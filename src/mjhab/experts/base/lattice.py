@@ -61,6 +61,7 @@ class Lattice:
 
     def __init__(self, plan: Floorplan) -> None:
         self.plan = plan
+        # Turns to the next heading are checked half way as well: the arm reaches far.
         between = YAWS + 0.5 * (np.roll(YAWS, -1) - YAWS) % np.pi
         fine = plan.clearances(np.concatenate([YAWS, between]))
         self._fine = fine[:16]
@@ -122,6 +123,7 @@ class Lattice:
         parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         for h, (dx, dy) in enumerate(MOVES.tolist()):
             a, b = _windows(self.shape[1:], dx, dy)
+            # A diagonal step can pass a corner between its ends.
             good = fits[h][a] & fits[h][b] & self._midway(h, a, dx, dy)
             pay = (
                 0.5
@@ -178,6 +180,7 @@ class Lattice:
                 if node < 0:
                     continue
                 short = turn_between(pose[2], YAWS[h])
+                # The long way round may be free where the short one sweeps the arm through an obstacle.
                 for turn in (short, short - np.copysign(2 * np.pi, short)):
                     cost = pay + abs(turn) / TURN_RATE_RAD_S
                     if node in found and found[node][0] <= cost:

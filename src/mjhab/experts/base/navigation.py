@@ -103,6 +103,7 @@ class Planner:
             raise UsageError(
                 f"no cell of the map has a clearance of {radius} m; give a smaller radius or another home"
             )
+        # Narrow cells cost more than any detour, so that they are used only where there is none.
         self.narrow = radius if narrow is None else narrow
         passable = self.clearance >= self.narrow
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)

@@ -148,6 +148,7 @@ def plan_route(
     def at(share: float) -> Route:
         delay = round(share * len(poses))
         swept = _swept(view.robot, start, poses, arm, delay)
+        # Some 40 samples bound the time of a check, whatever the length.
         some = np.arange(0, len(swept), max(1, len(swept) // 40))
         # While the base drives, it deviates from the prediction: more clearance is asked for.
         asked = np.minimum(
@@ -251,6 +252,7 @@ def follow(
             if off < nearest_off - STALLED_RAD or not arrived or goal is not route.arm
             else (nearest_off, since)
         )
+        # A joint at its limit, or an arm that presses against something, would use up the time.
         if step - since >= STALLED_STEPS:
             return False
         # The arm starts slowly from every intermediate posture: a jerk can shake out an object at the fingertips.
@@ -334,6 +336,7 @@ def _swept(
     robot: Robot, start: np.ndarray, poses: np.ndarray, arm: np.ndarray, delay: int
 ) -> np.ndarray:
     """Predicted configurations (T, Q) of a route, one per control step, until base and arm have arrived."""
+    # The base has its own prediction.
     offset = arm - start
     offset[BASE] = 0.0
     columns = list(robot.arm_columns)

@@ -225,6 +225,7 @@ def retract(
     best: Route | None = None
     for distance in distances:
         goal = q[BASE] - distance * motion.ahead_3d(q[BASE_YAW])
+        # What blocks a short drive backwards blocks a longer one.
         if distance > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
             RETREAT_CLEARANCE_M, float(floor.clearance_at(q[BASE_XY]))
         ):
@@ -285,6 +286,7 @@ def take(
         Whether both fingers press on the handle.
     """
     for _ in range(2):
+        # A first try may have moved the link.
         handle, _, _ = link.handle_pose(view.link_q(link.id))
         if height is not None:
             handle = np.array([*handle[:2], height])

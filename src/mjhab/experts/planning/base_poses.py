@@ -69,6 +69,7 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     x = point[0] - r * np.cos(angle)
     y = point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
+    # The present pose saves the drive, whatever its distance and bearing.
     here = view.base - drive_in * motion.ahead_3d(view.base[2])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate(
@@ -147,6 +148,7 @@ def in_sight(poses: np.ndarray, point: np.ndarray, boxes: Boxes) -> np.ndarray:
 def floor_clearance(footprint: Footprint, poses: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Clearance (B,) [m] between the base at poses (B, 3) and small boxes on the floor, which no map contains: objects
     that fell."""
+    # Large boxes are furniture, which the map contains.
     low = boxes.take(
         (boxes.center[:, 2] - boxes.half.max(axis=1) < footprint.top)
         & (boxes.half.max(axis=1) < 0.12)

@@ -123,6 +123,7 @@ def drive_in(
         if left < near and abs(moved) < slow:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
+        # At first the base only speeds up.
         still = still + 1 if step > STUCK_STEPS and moved < 0.002 else 0
         if pressed >= BLOCKED_STEPS or still >= STUCK_STEPS:
             return False
@@ -159,6 +160,7 @@ def drive_out(
         if pressed >= BLOCKED_STEPS:
             return False
         turn = float(np.clip(3.0 * wrap(heading - view.base[2]), -0.5, 0.5))
+        # Slowly at first: a jerk would shift the object in the fingers.
         pace = min(speed, 0.15 + 0.1 * step, 0.1 + 3.0 * left)
         yield motion.action(view, goal, gripper=gripper, drive=(-pace, turn))
     return False
@@ -219,6 +221,7 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     robot = motion.spheres(view.robot)
     if holding:
         robot = robot.with_held(*held_spheres(view, obj))
+    # A blocked route is planned again from where it ended.
     for _ in range(3):
         route = plan_home(view, obj, robot, holding=holding)
         if route is None or (
@@ -275,6 +278,7 @@ def plan_home(
             return route
         if best is None or route.clearance > best.clearance:
             best = route
+    # Paths around take longer: only what would shake the object loose is worth them.
     if holding and best is not None and best.clearance < MAX_DEFICIT_M:
         for back in AROUND_BACK_DISTANCES_M:
             end = now[:3] - back * motion.ahead_3d(now[2])

@@ -215,6 +215,7 @@ def track(
         The motions that reach every way point, for each path the one the arm gets to soonest from rest.
     """
     first, row = _first_configurations(body, paths, tries)
+    # Cheap tests first: what collides at the first way point is not followed.
     path, row = _drop([first], row, _clear(body, first, boxes[0] if boxes else None))
     for k in range(1, paths.base.shape[1]):
         if not len(row):

@@ -71,6 +71,7 @@ def placements(
         return []
     if query.drive_in and len(query.scene.target):
         out = exit_clearance(bases, query.scene, query.drive_in)
+        # Where no base pose has the clearance, those with nearly the most are kept.
         rows = np.flatnonzero(out > min(OUT_CLEARANCE_M, float(out.max()) - 0.005))
         bases = bases[rows]
         drive = drive[rows]
@@ -102,6 +103,7 @@ def clear_ones(q: np.ndarray, scene: Scene, clearance: float) -> np.ndarray:
     arm = whole.only([n for n in whole.chain.links if n not in hand_links])
     load = None if scene.held is None else whole.only([]).with_held(*scene.held)
     found: list[np.ndarray] = []
+    # In blocks: the cheap ones come first, and often enough of them are clear.
     for start in range(0, len(q), _KEPT):
         rows = np.arange(start, min(start + _KEPT, len(q)))
         rows = rows[arm.clearance(q[rows], scene.near) > clearance]
@@ -245,6 +247,7 @@ def _before(
         shifted = pre[fine].copy()
         shifted[:, 0] -= back * np.cos(shifted[:, 2])
         shifted[:, 1] -= back * np.sin(shifted[:, 2])
+        # At its work the hand is close by intention; on the drive in nothing may be.
         if back == 0.0:
             clearance = np.minimum(
                 arm.clearance(shifted, scene.all), whole.self_clearance(shifted)
@@ -272,6 +275,7 @@ def _routed(
     tight: list[BasePlacement] = []
     seen: list[np.ndarray] = []
     for i in range(len(q)):
+        # Other base poses differ more than further postures at the same one.
         if sum(np.array_equal(q[i, BASE], base) for base in seen) >= 2:
             continue
         seen.append(q[i, BASE])

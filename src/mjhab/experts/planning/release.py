@@ -136,6 +136,7 @@ def drawn_back(
         [-rot[:, 0], [0.0, 0.0, 1.0], [-np.cos(heading), -np.sin(heading), 0.0]]
     )
     directions = directions - (directions @ rot[:, 1])[:, None] * rot[:, 1]
+    # No candidate moves along the line of the fingers: that would drag the object along.
     spots = (pos + np.array(DRAW_BACK_M)[:, None] * directions[:, None]).reshape(-1, 3)
     turns = np.repeat(rot[None], len(spots), axis=0)
     found = ik.solve(

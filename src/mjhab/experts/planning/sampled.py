@@ -176,6 +176,7 @@ def _timed(
         for delay in {max(out, lead + drive - share * back // 2) for share in (0, 1, 2)}
     ]
     late = (out + drive + back, out, out + drive)
+    # The first one that is clear is the quickest.
     for steps, lead, delay in sorted(options):
         if (steps, lead, delay) >= late:
             break
@@ -270,6 +271,7 @@ def _postures(robot: Robot, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     others = np.setdiff1d(np.arange(BASE.stop, len(start)), dofs)
     drawn = _library(robot).copy()
     drawn[:, others] = start[others]
+    # Both ends are postures, too: often the arm can stay as it is for the drive.
     drawn = np.concatenate([ik.unwind(robot.chain, drawn, start), start[None], end[None]])
     fingers = robot.columns.fingers
     drawn[:, fingers] = start[fingers]

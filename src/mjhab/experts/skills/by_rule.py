@@ -178,6 +178,7 @@ def _nearest_to_rest(
     chain = view.robot.chain
     seeds = np.repeat(q[None], len(rows), axis=0)[:, None]
     ready: dict[int, np.ndarray] = {}
+    # Each solution starts from the one before, so that one motion of the arm leads through all three.
     for pos in (hands.before, hands.pos, hands.after):
         found = ik.solve(
             chain, ik.TipGoals(pos[rows], rot[rows], ik.columns(chain), q), seeds

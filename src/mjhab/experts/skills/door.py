@@ -178,6 +178,7 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         if path is None:
             return False
         yield from follow(view, path.route, gripper=motion.CLOSED)
+        # The approach pushed the door open: the path begins where the door is no longer.
         if view.link_q(link.id) > start - PRESS_AHEAD_RAD + STRUCK_RAD:
             continue
         yield from _behind_edge(view, path)
@@ -407,6 +408,7 @@ def _reachable(
     """
     goals, _ = link_motions.rank(view, Frame.of(link), found)
     walls = Boxes.join([view.home.boxes, view.link_boxes((link.id,))])
+    # Neighbours collide alike: variety finds a free motion with fewer checks.
     goals = goals[_distinct(goals[:, 0, :3])[:MOTIONS_TRIED]]
     free = np.array(
         [g for g in goals if motion.spheres(view.robot).clearance(g, walls).min() > 0.01]
@@ -434,6 +436,7 @@ def _withdrawn(body: Robot, q: np.ndarray, back: float) -> np.ndarray:
         q[:, None],
         options=ik.Options(iterations=25, rest_gain=0.0),
     )
+    # A solution far off is another branch, to which no straight line leads.
     near = np.abs(found.q[:, 0, BASE.stop :] - q[:, BASE.stop :]).max(axis=1) < 1.2
     good = (
         found.ok[:, 0]

@@ -203,6 +203,7 @@ def _drive_link(
     for _ in range(70):
         now = view.link_q(link.id)
         left = sign * (goal - now)
+        # It is pressed for some steps: the drawer may bounce open again.
         if left <= 0:
             press -= 1
         if press < 0 and left <= 0:
@@ -212,6 +213,7 @@ def _drive_link(
         if still > 12:
             return False
         last = now
+        # Slower towards the end, where the drawer would bounce.
         size = min(abs(speed), 0.06 + 3.0 * left)
         yield approach.creep(view, posture, heading, np.sign(speed) * size, motion.CLOSED)
     return False

@@ -56,6 +56,7 @@ def loosen(view: WorldView, gripper: float) -> Motion:
     finger = float(view.q[view.robot.columns.fingers].mean())
     start = motion.gripper_at(view.robot, 2.0 * finger)
     for share in np.linspace(0.0, 1.0, LOOSEN_STEPS):
+        # Slowest at the start, where the fingers still press.
         now = start + float(share) ** 2 * (gripper - start)
         yield motion.action(view, posture, gripper=now)
     return True

@@ -250,11 +250,13 @@ def _drive(
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
         track.append(view.base)
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
+        # Commands that small may leave the base where it is.
         tried = tried + 1 if abs(forward) > 0.05 or abs(turn) > 0.2 else 0
         if pressed >= BLOCKED_STEPS or (
             tried > STUCK_STEPS and _still(track[-STUCK_STEPS:])
         ):
             return _ahead(view, segment)
+        # The map of free floor is another one now.
         if np.abs(_joints(view) - joints).max(initial=0.0) > DOOR_MOVED:
             return None
     return None
@@ -270,6 +272,7 @@ def _ahead(view: WorldView, segment: PathSegment) -> np.ndarray:
     """Assumed obstacle (1, 3) x, y, radius that stops the robot on a segment: in front of the base or of the hand."""
     q = view.q
     ahead = segment.direction * motion.ahead(q[BASE_YAW])
+    # A contact of the arm is ahead of the hand, one of the base in front of its bumper.
     arm_felt = (
         segment.direction > 0
         and view.link_forces[list(view.robot.arm_force_rows)].sum()

@@ -107,6 +107,7 @@ def _push(
         turn = _turn(start[:, end.along], mat_from_quat(pose[3:])[:, end.along])
         if view.link_forces.sum() > MAX_PUSH_FORCE_N:
             break
+        # Counting grasps takes long: not before the box has turned most of the way.
         turned = turn >= MIN_TURN_SHARE * plan.turn
         if turned and graspable(pose, TIGHTER_M) >= ENOUGH_GRASPS:
             break

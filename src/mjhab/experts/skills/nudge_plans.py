@@ -204,6 +204,7 @@ def _pushes(
         push = _Push(line[rows[np.argmin(line[rows] @ inward)]], inward, outer, spin)
         for turn in TURNS_RAD:
             then = push.pose_after(pose, turn)
+            # A larger turn would touch it, too.
             if _touches(shape, then, scene):
                 break
             if count := graspable(then, 0.0):
@@ -283,6 +284,7 @@ def _goals(
             aside = np.array(
                 [*(np.sin(yaw) * push.inward - np.cos(yaw) * push.outer), 0.0]
             )
+            # The gripper is symmetric: half a turn gives the arm another posture for the same push.
             for flip in (1.0, -1.0):
                 rot.append(frame_from_axes(approach, flip * aside))
                 pos.append(

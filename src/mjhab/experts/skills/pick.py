@@ -125,6 +125,7 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             yield from motion.hold(
                 view, WAIT_STEPS[min(attempt, len(WAIT_STEPS)) - 1], gripper=motion.OPEN
             )
+            # Nothing else is left to try: the base poses that failed get another chance.
             failed = failed[:0]
             continue
         placement, goals, depth = found

@@ -72,6 +72,7 @@ def pick_by_rule(view: WorldView) -> Motion:
     while True:
         drive = follower.step(view.base)
         pose = view.object_pose(obj)
+        # What the fingers feel decides, not what the script did: a policy sees no past.
         if (view.finger_forces(obj) > PRESSED_N).all():
             yield _carry(view, bool(pose[2] < height + LIFT_M), drive)
         elif placement.far(view):

@@ -125,6 +125,7 @@ def plan_pick(
         grasps = every.take(
             np.flatnonzero(keep if clearance is None else keep & (clearance > hand))
         )
+        # With less clearance no grasp has been added.
         if len(grasps) <= tried:
             continue
         tried = len(grasps)
@@ -284,6 +285,7 @@ def height_below(shape: ObjectShape, rot: np.ndarray) -> float:
 def _diverse(grasps: Grasps) -> HandGoals:
     """At most `MAX_GOALS` of the best grasps, each more than 2.5 cm or 0.3 rad from the others."""
     kept: list[int] = []
+    # Equal grasps fail alike: a few that differ cover more.
     for i in range(min(len(grasps), 600)):
         if len(kept) >= MAX_GOALS:
             break

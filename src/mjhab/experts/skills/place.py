@@ -93,6 +93,7 @@ def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
     """Place the held object at ``goal`` (3,) [m]. Returns whether the hand has released it."""
     search = _PlaceSearch(view, obj, goal)
     while search.number < MAX_ATTEMPTS:
+        # What fell may lie at the goal: `place` looks.
         if not holds(view, obj):
             return True
         found = search.next()
@@ -150,6 +151,7 @@ class _PlaceSearch:
                 break
             self._fast = True
         if best is None:
+            # Nothing else is left to try: the base poses that failed get another chance.
             self.failed = self.failed[:0]
             self._nothing += 1
         else:

@@ -3,6 +3,9 @@
 The map is a grid of clearances: the distance [m] from each cell's centre to the nearest obstacle. Frames: world xy
 [m].
 
+A path takes milliseconds: it is for the tens of routes that a search of Pick or Place compares. The `lattice` takes
+hundreds of times as long.
+
 Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
 """
 

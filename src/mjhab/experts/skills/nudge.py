@@ -40,7 +40,7 @@ from mjhab.experts.skills.nudge_plans import (
 ENOUGH_GRASPS = 16
 """The push ends when the box has this number of grasps, counted with the additional clearance TIGHTER_M. A push that
 ended as soon as a plan with the arm existed left grasps that touched something: 10 instead of 12 of 16 pudding boxes
-were picked (docs/experts.md)."""
+were picked (docs/results/experts.md)."""
 TIGHTER_M = -0.008
 """Additional clearance of the grasps that `ENOUGH_GRASPS` counts; negative: less clearance than for a grasp."""
 MIN_TURN_SHARE = 0.6

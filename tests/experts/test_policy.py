@@ -12,6 +12,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert, policy
 from mjhab.experts.arm import motion
+from mjhab.experts.phases import phase
 from mjhab.experts.policy import ExpertPolicy
 from mjhab.tasks.style import Styles
 
@@ -51,6 +52,25 @@ def test_a_script_that_ends_at_once_acts_as_after_no_other_episode(
     assert first_action(env, used, 0)[env.layout.robot.action.gripper] == motion.CLOSED
     after = first_action(env, used, 1)
     np.testing.assert_array_equal(after, first_action(env, make_expert(env), 1))
+
+
+@phase("stumble")
+def stumbles(view: WorldView) -> Iterator[np.ndarray]:
+    yield motion.action(view, gripper=motion.CLOSED)
+    raise ValueError("no floor")
+
+
+def test_an_error_of_a_script_names_subtask_and_phase(
+    env: SequentialTaskEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(policy, "script_of", lambda subtask: stumbles)
+    expert = make_expert(env)
+    first_action(env, expert, 0)
+    assert expert.phases(0) == ("stumble",)
+    with pytest.raises(ValueError, match="no floor") as caught:
+        expert.act({}, {})
+    (note,) = caught.value.__notes__
+    assert "'close'" in note and "stumble" in note
 
 
 def test_the_style_is_that_of_an_episode_in_which_the_expert_has_not_acted(

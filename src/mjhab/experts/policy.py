@@ -73,10 +73,10 @@ def _blamed(subtask: str) -> Iterator[None]:
         yield
     except Exception as error:
         phases = " > ".join(phases_in(error))
+        where = f" in the phase {phases}" if phases else ""
         if SUBTASKS.is_builtin(subtask):
-            error.add_note(f"The expert of {subtask!r} raised this in: {phases}.")
+            error.add_note(f"The expert of {subtask!r} raised this{where}.")
             raise
-        where = f" in {phases}" if phases else ""
         raise UsageError(
             f"the expert of {SUBTASKS.told(subtask)} raised {raised_text(error)}{where}."
         ) from error

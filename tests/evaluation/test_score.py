@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mjhab.cli.main import main
+from mjhab.cli.policies import score as score_command
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts
 from mjhab.evaluation.score import manifest as manifests
@@ -297,6 +298,25 @@ def test_the_profile_counts_what_tells_something() -> None:
         "navigate": None,
         "under force limit": 0.75,
     }
+
+
+def test_the_command_warns_of_a_policy_that_was_never_trained(
+    result: tuple[Path, Result],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    facts = dataclasses.replace(runs.describe_policy("random"), caution="it is random.")
+    monkeypatch.setattr(runs, "describe_policy", lambda _: facts)
+    told = runs.facts_for("random", ROWS[0])
+    assert told is not None and told.described["policy_caution"] == "it is random."
+    scored = dataclasses.replace(
+        result[1],
+        facts={**result[1].facts, "policies": {"a": told.described, "b": {}}},
+    )
+    monkeypatch.setattr(score_command, "score", lambda *_: scored)
+    out = str(result[0].parent)
+    assert main(["score", "--policy", "random", "--out", out, "--json"]) == 0
+    assert capsys.readouterr().err == "mjhab: it is random.\n"
 
 
 def test_the_command_checks_and_tabulates(

@@ -9,10 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.cli.output import tell_caution
 from mjhab.core import libraries
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import EvalSpec, resolved_config
+from mjhab.evaluation.generate import resolved_config as generated_config
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
+from mjhab.evaluation.specs import GenerateSpec
+from mjhab.learning.by_subtask import Entry, entries_text
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
 from mjhab.learning.observation.depth import nearness, pooled
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
@@ -189,7 +193,10 @@ def test_a_checkpoint_is_a_policy_by_its_path(tmp_path: Path) -> None:
     ],
 )
 def test_a_checkpoint_that_was_never_trained_is_told(
-    about: dict[str, Any], warns: bool, tmp_path: Path
+    about: dict[str, Any],
+    warns: bool,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = tmp_path / "mine.safetensors"
     save_student(path, make_student(config(), layout()), about)
@@ -197,6 +204,16 @@ def test_a_checkpoint_that_was_never_trained_is_told(
     assert ("never trained (0 updates)" in facts.caution) == warns
     told = resolved_config(EvalSpec.of(policy=str(path), subtask="pick"), facts)
     assert told.get("policy_caution", "") == facts.caution
+    spec = GenerateSpec.of(
+        policy=str(path), subtask="pick", episodes=1, out=tmp_path / "data"
+    )
+    made = generated_config(spec, facts)
+    assert made.get("policy_caution", "") == facts.caution
+    several = entries_text(tmp_path / "all.json", [Entry("pick", "", str(path))])
+    (tmp_path / "all.json").write_text(several, encoding="utf-8")
+    assert inspect_policy(str(tmp_path / "all.json")).caution == facts.caution
+    tell_caution(made)
+    assert ("mjhab: " + facts.caution in capsys.readouterr().err) == warns
 
 
 def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import signal
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import torch
 from safetensors.torch import save_file
 
 from mjhab.core.errors import UsageError
-from mjhab.data.record.generation import Standing
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning import compact
 from mjhab.learning.batches import BatchSampler, take_chunks
@@ -36,8 +34,6 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
-from mjhab.learning.runs import session as sessions
-from mjhab.learning.runs.budget import EpisodeClock
 from mjhab.learning.runs.evaluation import EvaluationClock
 from mjhab.learning.runs.report import success_curves
 from mjhab.learning.runs.run import Logbook, TrainingFolder
@@ -416,60 +412,6 @@ def test_a_spent_budget_ends_training(source: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "run" / "student.safetensors").exists()
     more = train_in(request(source), tmp_path / "run", resume=True)
     assert more.summary["steps"] == 4 and more.summary["checkpoint"]
-
-
-def test_an_episode_is_timed_after_the_first_wave() -> None:
-    clock = EpisodeClock(at_once=4)
-    # 7 episodes are of an earlier start; the first wave fills caches.
-    told = [(7, 0.0), (10, 50.0), (11, 60.0), (15, 62.0), (18, 63.5), (19, 64.0)]
-    assert [clock.seconds(*each) for each in told] == [None] * 5 + [0.5]
-
-
-def test_a_budget_that_covers_no_update_is_told_while_the_round_is_young(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The expert needs 2 s for an episode: 100 of them do not fit into 60 s, nor with 20 of evaluation into 220 s."""
-    now = [0.0]
-    monkeypatch.setattr(Logbook, "seconds", property(lambda log: now[0]))
-    monkeypatch.setattr(sessions, "layout_for", lambda _: layout())
-    tried: list[int] = []
-
-    def collect(collector: Any, wanted: Any, out: Path, tell: Any, stopped: Any) -> Any:
-        for number in range(1, wanted.episodes + 1):
-            now[0] += 2.0
-            tried.append(number)
-            standing = Standing(number, number, number, number, 0, Counter())
-            tell(standing)
-            if stopped():
-                return standing
-        return dataclasses.replace(standing, complete=True)
-
-    monkeypatch.setattr(sessions.Collector, "collect", collect)
-    monkeypatch.setattr(Session, "load_round", lambda session, _: session.load(source))
-    monkeypatch.setattr(Session, "evaluate", lambda *_, **__: 0.0)
-    asked = request(
-        source,
-        data=(),
-        where=None,
-        preset=train_config(demos=100),
-        worlds=4,
-        eval_episodes=20,
-        round_episodes=0,
-    )
-    for budget in (60.0, 220.0):
-        now[0] = 0.0
-        tried.clear()
-        told = dataclasses.replace(asked, budget_minutes=budget / 60.0)
-        early = train_in(told, tmp_path / "small", resume=budget > 100.0).summary
-        assert "100 episodes of the expert take 3.3 minutes" in early["shortage"]
-        assert "--budget-minutes 5 or more" in early["shortage"]
-        assert not early["trained"] and early["checkpoint"] is None
-        # A first wave, counted from the first standing, and two that are measured.
-        assert len(tried) == 1 + 3 * 4
-    now[0] = 0.0
-    enough = dataclasses.replace(asked, budget_minutes=6.0)
-    done = train_in(enough, tmp_path / "small", resume=True).summary
-    assert done["trained"] and "shortage" not in done
 
 
 def test_the_layout_of_a_run_is_that_of_its_data(source: Path, tmp_path: Path) -> None:

@@ -26,6 +26,13 @@ def print_json(value: Mapping[str, Any]) -> None:
     print(json.dumps(value, allow_nan=False), flush=True)
 
 
+def tell_caution(told: Mapping[str, Any]) -> None:
+    """Warn on stderr of a policy, as the configuration or description that records it does, if it does."""
+    caution = told.get("policy_caution")
+    if caution:
+        print(f"mjhab: {caution}", file=sys.stderr)
+
+
 def tell_skipped(skipped: Mapping[str, int]) -> None:
     """Tell on stderr which homes had no room and were skipped, if any; ``skipped``: number of episodes by home."""
     if skipped:

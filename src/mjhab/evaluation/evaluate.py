@@ -304,9 +304,7 @@ def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
 def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     """Everything that determines the episodes, including the versions of mjhab and MuJoCo, as JSON data."""
     asked = spec.asked
-    chosen: dict[str, Any] = {"policy": facts.name, **facts.identity}
-    if facts.caution:
-        chosen["policy_caution"] = facts.caution
+    chosen: dict[str, Any] = {"policy": facts.name, **facts.described}
     chosen |= {key: recorded_value(asked, name) for key, name in RECORDED.items()}
     chosen |= {"episodes": spec.episodes, "films": spec.films}
     if spec.style:

@@ -286,7 +286,7 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
     further = {name: value for name, value in spec.env.items() if name not in apart}
     if further:
         config["env"] = further
-    return plain({**config, "policy": facts.name, **facts.identity})
+    return plain({**config, "policy": facts.name, **facts.described})
 
 
 def _check_sendable(policy: PolicyLike, name: str) -> None:

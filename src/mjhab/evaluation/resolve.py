@@ -41,6 +41,12 @@ class PolicyFacts:
     reads_instruction: bool = True
     caution: str = ""
 
+    @property
+    def described(self) -> dict[str, Any]:
+        """The identity, and the caution if there is one as "policy_caution", for the configuration of a run."""
+        caution = {"policy_caution": self.caution} if self.caution else {}
+        return {**self.identity, **caution}
+
 
 @dataclass(frozen=True)
 class PolicyOptions:

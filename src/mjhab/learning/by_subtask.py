@@ -145,6 +145,7 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
     profiles = set()
     robot = ""
     reads = False
+    cautions = []
     for entry in entries:
         facts = inspect_any(entry.checkpoint)
         known = facts.identity.get("policy_sha256") or json.dumps(
@@ -156,12 +157,14 @@ def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
         needed.append((entry.checkpoint, facts.env_options))
         robot = robot or facts.robot
         reads = reads or facts.reads_instruction
+        cautions.append(facts.caution)
     options = policy_kind.joined(name, needed)
     digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
     identity = {"policy_sha256": digest}
     if profiles:
         identity["policy_profile"] = ", ".join(sorted(profiles))
-    return PolicyFacts(name, identity, options, robot, reads)
+    caution = " ".join(filter(None, dict.fromkeys(cautions)))
+    return PolicyFacts(name, identity, options, robot, reads, caution)
 
 
 def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:

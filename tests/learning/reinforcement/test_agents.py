@@ -74,7 +74,7 @@ def test_ppo_learns_the_toy(privileged: bool, state_std: bool) -> None:
     learner = PpoLearner(agent, place, config, seed=0)
     before = reward_of(agent.mean)
     for number in range(25):
-        rollout, _ = learner.collect()
+        rollout = learner.collect()
         learner.update(rollout, number / 25)
         learner.normalize(rollout.seen)
     assert before < 0.65
@@ -102,11 +102,11 @@ def test_ppo_imitates_demonstrations_first() -> None:
     assert reward_of(agent.mean) > 0.85
     # The critic learns alone at first, and the rate of the actor waits.
     imitated = [value.clone() for value in agent.acting_parameters()]
-    rollout, _ = learner.collect()
+    rollout = learner.collect()
     told = learner.update(rollout, 0.0)
     assert told["learning_rate"] == config.ppo.learning_rate  # type: ignore[union-attr]
     assert all(map(torch.equal, imitated, agent.acting_parameters()))
-    rollout, _ = learner.collect()
+    rollout = learner.collect()
     learner.update(rollout, 0.0)
     assert not all(map(torch.equal, imitated, agent.acting_parameters()))
 
@@ -117,7 +117,7 @@ def test_the_critic_has_a_learning_rate_of_its_own() -> None:
     agent = Ppo(config, LAYOUT, width, seed=0)
     learner = PpoLearner(agent, place, config, seed=0)
     before = [value.clone() for value in agent.value.parameters()]
-    rollout, _ = learner.collect()
+    rollout = learner.collect()
     learner.update(rollout, 0.0)
     after = list(agent.value.parameters())
     assert all(
@@ -135,7 +135,7 @@ def test_too_much_divergence_ends_an_update_within_or_after_an_epoch(
     assert config.ppo is not None and config.ppo.minibatches == 4
     agent = Ppo(config, LAYOUT, width, seed=0)
     learner = PpoLearner(agent, place, config, seed=0)
-    rollout, _ = learner.collect()
+    rollout = learner.collect()
     learner.update(rollout, 0.0)
     taken = learner.optimizer.state[next(agent.value.parameters())]["step"]
     assert int(taken) == steps
@@ -145,7 +145,7 @@ def test_a_gradient_that_is_not_finite_ends_the_run() -> None:
     place, width = worlds()
     agent = Ppo(PPO_TOY, LAYOUT, width, seed=0)
     learner = PpoLearner(agent, place, PPO_TOY, seed=0)
-    rollout, _ = learner.collect()
+    rollout = learner.collect()
     for value in agent.parameters():
         value.register_hook(lambda gradient: gradient * torch.inf)
     before = [value.clone() for value in agent.parameters()]
@@ -307,7 +307,7 @@ def test_a_frozen_encoder_keeps_its_weights_and_changes_no_number() -> None:
         learner, agent = in_pictures(freeze_encoder=frozen)
         encoder = [value.clone() for value in agent.actor.trunk.encoder.parameters()]
         layers = [value.clone() for value in agent.actor.trunk.layers.parameters()]
-        rollout, _ = learner.collect()
+        rollout = learner.collect()
         rollouts.append(rollout)
         learner.update(rollout, 0.0)
         kept = map(torch.equal, encoder, agent.actor.trunk.encoder.parameters())
@@ -344,7 +344,7 @@ def test_the_learning_rate_follows_the_divergence() -> None:
         place, width = worlds()
         config = changed(PPO_TOY, {"desired_kl": wanted, "least_learning_rate": least})
         learner = PpoLearner(Ppo(config, LAYOUT, width, seed=0), place, config, seed=0)
-        rollout, _ = learner.collect()
+        rollout = learner.collect()
         rates.append(learner.update(rollout, 0.0)["learning_rate"])
     first = 3e-3
     assert rates[0] < first and rates[1:] == [first, first, first]

@@ -34,6 +34,8 @@ from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.ppo.run import PpoRun
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
+from mjhab.learning.reinforcement.worlds import Worlds
+from mjhab.learning.runs import budget
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook
 from mjhab.learning.runs.session import OutOfTime
@@ -107,6 +109,15 @@ SHORT_EPISODES = dataclasses.replace(
     worlds=4,
 )
 """Episodes end at other steps in each of two processes."""
+
+
+LONG_ROLLOUTS = dataclasses.replace(
+    TINY,
+    ppo=PpoConfig(rollout_steps=40, minibatches=2, epochs=1),
+    samples=80,
+    checkpoint_samples=80,
+)
+"""The first update comes after 40 control steps."""
 
 
 class Killed(Exception):
@@ -457,6 +468,41 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
     assert summary["trained"] is (slow == "imitation")
     # Random weights are not judged.
     assert summary["episodes"] == summary["trained"]
+
+
+@pytest.mark.parametrize("config", [LONG_ROLLOUTS, TINY_RLPD], ids=["ppo", "rlpd"])
+def test_a_budget_that_covers_no_update_is_refused_by_the_first_steps(
+    config: ReinforcementConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A control step takes a second, the rate is kept for the next run."""
+    now = [0.0]
+    monkeypatch.setattr(Logbook, "seconds", property(lambda log: now[0]))
+    monkeypatch.setattr(budget, "_file", lambda: tmp_path / "rates.json")
+    step = Worlds.step
+
+    def passes(self: Worlds, actions: torch.Tensor) -> object:
+        now[0] += 1.0
+        return step(self, actions)
+
+    monkeypatch.setattr(Worlds, "step", passes)
+    told = dataclasses.replace(request(config), budget_minutes=0.4)
+    if config.sac is not None:
+        sac = dataclasses.replace(config.sac, warm_up=80, capacity=256, demonstrations=0)
+        config = dataclasses.replace(
+            config, algorithm=SAC, sac=sac, samples=90, checkpoint_samples=90
+        )
+        told = dataclasses.replace(told, preset=config)
+    early = train_in(told, tmp_path / "run").summary
+    assert "control steps of 2 worlds take" in early["shortage"] and now[0] == 11.0
+    assert "--budget-minutes 2 or more" in early["shortage"]
+    assert not early["trained"] and early["checkpoint"] is None
+    assert not (tmp_path / "run" / "training.safetensors").exists()
+    now[0] = 0.0
+    again = train_in(told, tmp_path / "again").summary
+    assert again["shortage"] == early["shortage"] and now[0] == 0.0
+    more = dataclasses.replace(told, budget_minutes=20.0)
+    done = train_in(more, tmp_path / "run", resume=True).summary
+    assert done["samples"] == config.samples and "shortage" not in done
 
 
 def join_as(number: int, port: int) -> None:

@@ -13,7 +13,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mjhab.cli.interrupts import stop_signals
-from mjhab.cli.output import print_json, print_table, tell_skipped
+from mjhab.cli.output import (
+    print_json,
+    print_table,
+    tell_caution,
+    tell_skipped,
+)
 from mjhab.data.record.generation import Standing
 from mjhab.evaluation.generate import GeneratedData, run_generation
 from mjhab.evaluation.specs import GenerateSpec
@@ -85,6 +90,7 @@ def _tell(json: bool, made: GeneratedData, interrupted: bool) -> None:
             f"with --resume tries them again. {count} of them: {reason}",
             file=sys.stderr,
         )
+    tell_caution(made.config)
     tell_skipped(numbers["skipped_homes"])
     if json:
         print_json(numbers)

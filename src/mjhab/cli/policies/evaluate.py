@@ -19,7 +19,12 @@ from rich.progress import (
 
 from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.evaluate import DemoOptions
-from mjhab.cli.output import print_json, print_table, tell_skipped
+from mjhab.cli.output import (
+    print_json,
+    print_table,
+    tell_caution,
+    tell_skipped,
+)
 from mjhab.cli.streams import with_way_on
 from mjhab.evaluation.evaluate import EvaluationInterrupted, Run, run_evaluation
 from mjhab.evaluation.specs import EvalSpec
@@ -154,9 +159,7 @@ def _tell(spec: EvalSpec, run: Run, interrupted: bool, json: bool) -> None:
             f"mjhab: values of the policy's actions out of range, which were clipped: {columns}",
             file=sys.stderr,
         )
-    caution = run.config.get("policy_caution")
-    if caution:
-        print(f"mjhab: {caution}", file=sys.stderr)
+    tell_caution(run.config)
     if json:
         print_json(summary)
         return

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.score import ScoreOptions
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import print_json, print_table, tell_caution
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
@@ -94,6 +94,12 @@ def _score(options: ScoreOptions) -> int:
                 file=sys.stderr,
             )
             return 130
+    # One policy may act in many rows.
+    cautions = {
+        told.get("policy_caution", "") for told in result.facts["policies"].values()
+    }
+    for caution in sorted(cautions):
+        tell_caution({"policy_caution": caution})
     if options.json:
         print_json(_facts(result))
     else:

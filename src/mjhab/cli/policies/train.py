@@ -26,21 +26,21 @@ def run_train(spec: ImitationSpec | ReinforcementSpec, json: bool) -> int:
 
     Returns:
         0; 130 after Ctrl-C or SIGTERM (a checkpoint is kept, if training had begun); 1 if the network was never
-        updated.
+        updated, or the budget covers no update of a policy that training began from.
     """
     with sigterm_interrupts():
         result = train_spec(spec)
     _tell(spec, result, json)
     if result.interrupted:
         return 130
-    return 0 if result.summary["trained"] else 1
+    return 0 if result.summary["trained"] and "shortage" not in result.summary else 1
 
 
 def _tell(spec: TrainSpec, result: TrainingResult, json: bool) -> None:
     summary = result.summary
     if result.interrupted:
         print(f"mjhab: interrupted; {_kept(spec.out, summary)}", file=sys.stderr)
-    elif not summary["trained"]:
+    elif not summary["trained"] or "shortage" in summary:
         print(f"mjhab: {summary.get('shortage', UNTRAINED)}", file=sys.stderr)
     if json:
         print_json(summary)

@@ -393,6 +393,15 @@ class _Run:
         )
 
 
+def tried_in(folder: Path) -> int:
+    """Number of episodes that earlier runs of a job have tried in its folder, kept or not."""
+    tried = len(_read_tried(folder / TRIED))
+    for path in folder.glob("*.h5"):
+        with open_shard(path) as shard:
+            tried += len(shard)
+    return tried
+
+
 def _open_folder(job: Job, resume: bool) -> WriteLock:
     """Make the folder, or check that its content can be continued; returns the lock against other processes."""
     path = job.out / CONFIG

@@ -127,7 +127,7 @@ def score(
         facts = facts_for(spec.policy, row)
         if facts is None:
             continue
-        policies[row.name] = {"name": facts.name, **plain(facts.identity)}
+        policies[row.name] = {"name": facts.name, **plain(facts.described)}
         options = scored_options(facts)
         if facts.robot not in ("", spec.robot):
             raise UsageError(

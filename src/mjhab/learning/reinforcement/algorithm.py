@@ -50,6 +50,15 @@ class AlgorithmRun(ABC):
         """Write a checkpoint; all worlds start new episodes."""
         self.session.save(self.actor, self.tensors())
 
+    def expect_steps(self, steps: int) -> None:
+        """The first update waits for so many control steps, see `ReinforcementSession.expect`."""
+        self.session.expect(
+            "step",
+            steps,
+            f"{steps} control steps of {self.session.worlds.count} worlds",
+            "--worlds and --eval-episodes",
+        )
+
     def between(self, before: int) -> None:
         """Evaluate and write a checkpoint if either became due since ``before`` samples."""
         session = self.session

@@ -37,6 +37,12 @@ from mjhab.learning.reinforcement.environments import training_env
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
+from mjhab.learning.runs.budget import (
+    BudgetTooSmallError,
+    FirstUpdate,
+    Rates,
+    StepClock,
+)
 from mjhab.learning.runs.evaluation import (
     EvaluationClock,
     Evaluations,
@@ -80,6 +86,16 @@ class Standing:
     best_samples: int = 0
     student_samples: int = 0
     trained: bool = False
+
+
+@dataclass(frozen=True)
+class _Expected:
+    """Work that the first update waits for. since: time of the run when it began [s]."""
+
+    needs: FirstUpdate
+    rates: Rates
+    since: float
+    steps: StepClock
 
 
 class ReinforcementSession:
@@ -139,6 +155,9 @@ class ReinforcementSession:
         self.learner_seconds = 0.0
         self.evaluation_seconds = 0.0
         """Wall time of the updates and of the evaluations since this process started the run [s]."""
+        self.shortage = ""
+        """What the run needs, if its time budget ends before its first update; "" while it does not."""
+        self._expected: _Expected | None = None
         self._outcomes: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rewards: deque[float] = deque(maxlen=100)
 
@@ -194,6 +213,10 @@ class ReinforcementSession:
         self._rewards.append(float(transition.reward.mean()))
         if bool(transition.ended.any()):
             self._outcomes.extend(transition.succeeded[transition.ended].tolist())
+        if self._expected is not None:
+            seconds = self._expected.steps.seconds(self.log.seconds)
+            if seconds is not None:
+                self.measured(seconds)
 
     def report(self, numbers: dict[str, float]) -> None:
         """Log the metrics of an update together with the recent rewards and successes."""
@@ -223,6 +246,69 @@ class ReinforcementSession:
         # The first process decides for all: if one process stopped alone, the others would wait for its gradients.
         if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
             raise OutOfTime
+
+    def expect(self, what: str, pieces: int, work: str, less: str) -> None:
+        """The first update waits for some work: refuse the budget if it ends before, as far as earlier runs tell.
+
+        Args:
+            what: a piece of it: "episode" of the expert, or "step".
+            pieces: their number.
+            work: all of it, in words.
+            less: options of which a new run would need less.
+
+        Raises:
+            BudgetTooSmallError: it tells what is needed.
+        """
+        imitated = self.standing.trained and self.start is None
+        self._expected = None
+        if not self.spec.budget_seconds or self.standing.updates or imitated:
+            return
+        episodes = self.spec.eval_episodes + self.spec.round_episodes
+        rates = Rates(
+            {
+                "what": what,
+                "scene": asdict(self.scene),
+                "config": asdict(self.config),
+                "threads": self.spec.threads,
+                "backend": self.spec.asked.backend,
+                "device": str(self.worlds.device),
+                "processes": distributed.processes(),
+            }
+        )
+        needs = FirstUpdate(work, pieces, episodes, less)
+        self._expected = _Expected(needs, rates, self.log.seconds, StepClock())
+        self._check_expected(rates.seconds)
+
+    def measured(self, seconds: float) -> None:
+        """Check the budget again with the measured time of a piece of the expected work [s].
+
+        Raises:
+            BudgetTooSmallError: it tells what is needed.
+        """
+        if self._expected is not None:
+            if not distributed.rank():
+                self._expected.rates.learn(seconds)
+            self._check_expected(seconds)
+
+    def _check_expected(self, seconds: float | None) -> None:
+        expected = self._expected
+        assert expected is not None
+        short = ""
+        if seconds is not None:
+            episodes = expected.needs.evaluated
+            try:
+                expected.needs.check(
+                    self.spec.budget_seconds,
+                    seconds,
+                    expected.since,
+                    self._clock.needed(episodes),
+                    self._clock.reserve(episodes),
+                )
+            except BudgetTooSmallError as error:
+                short = str(error)
+        # The first process decides for all, see `check_time`.
+        if distributed.told_by_first(bool(short)):
+            raise BudgetTooSmallError(short)
 
     def estimate_evaluation(self, seconds: float) -> None:
         """Take the time that an episode of the expert needs [s] for that of an evaluation, until one is measured."""

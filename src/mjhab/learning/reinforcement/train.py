@@ -11,6 +11,7 @@ from mjhab.learning.reinforcement.session import (
     open_reinforcement,
 )
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
+from mjhab.learning.runs.budget import BudgetTooSmallError
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.result import TrainingResult
 from mjhab.learning.runs.run import refused_leaves_nothing
@@ -40,6 +41,11 @@ def train_reinforcement(spec: ReinforcementSpec) -> TrainingResult:
                 run.learn()
             except OutOfTime:
                 session.log.show({"phase": "the budget is spent"})
+            except BudgetTooSmallError as error:
+                session.log.show({"phase": "the budget is too small"})
+                session.shortage = str(error)
+                # Its few steps are no part of the run: a larger budget begins anew.
+                prepared = False
             if prepared:
                 run.save()
             else:
@@ -81,6 +87,7 @@ def summarize(session: ReinforcementSession) -> dict[str, Any]:
         "checkpoint": session.folder.kept_student,
         "student_samples": standing.student_samples,
         "trained": standing.trained,
+        **({"shortage": session.shortage} if session.shortage else {}),
         **session.judged.summary(),
         "rounds": 0,
         "demonstrations": session.demonstrations,

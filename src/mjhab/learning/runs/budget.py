@@ -1,13 +1,39 @@
-"""Whether the time budget of a run covers its first round, told while the round is young."""
+"""Whether the time budget of a run covers its first update, told before the work towards it begins.
+
+What the first update waits for is a number of equal pieces: episodes of the expert, or control steps of all worlds. The
+time of a piece is known from an earlier run on this machine, from a probe of one wave of episodes, or from the first
+control steps. Once the work runs it is measured again, and more accurately.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 import math
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-SECONDS_PER_MINUTE = 60.0
+from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.reading import read_json_object
+from mjhab.core.machine import cores, processor
+from mjhab.core.version import __version__
+from mjhab.learning.runs.specs import SECONDS_PER_MINUTE
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.rollout.sinks import Sink, StepView
+
 MEASURED_WAVES = 2
 """Waves of episodes whose time is measured, after a first one that fills caches. A wave is one episode per world."""
+PROBED_STEPS = 10
+"""Control steps whose time is measured, after a first one that compiles and plans."""
+_RATES = "rates.json"
+_MOST_RATES = 200
+"""Entries of the file of rates: the oldest ones go."""
 
 
 class EpisodeClock:
@@ -41,44 +67,171 @@ class EpisodeClock:
         return (now - then) / (tried - before)
 
 
+class StepClock:
+    """Measures the time of a control step from the first ones of a run."""
+
+    def __init__(self) -> None:
+        self._steps = 0
+        self._mark = 0.0
+
+    def seconds(self, now: float) -> float | None:
+        """Wall time per control step [s], once, when PROBED_STEPS were measured; else None.
+
+        Args:
+            now: time of the run after another control step [s].
+        """
+        self._steps += 1
+        if self._steps == 1:
+            self._mark = now
+        if self._steps != 1 + PROBED_STEPS:
+            return None
+        return (now - self._mark) / PROBED_STEPS
+
+
 class BudgetTooSmallError(Exception):
     """The time budget of a run ends before its first update; the message tells what the run needs."""
 
 
 @dataclass(frozen=True)
-class RoundNeeds:
+class FirstUpdate:
     """What a run needs before its first update, and after its last one.
 
-    episodes: number to collect, of all scenes. seconds: of an episode [s]. spent: time of the run when the collection
-    began [s]. evaluated: number of episodes of the evaluations that the budget must cover. reserved: time that is kept
-    free for these [s].
+    work: what the first update waits for, e.g. "200 episodes of the expert". pieces: their number. evaluated: number of
+    episodes of the evaluations that the budget must cover. less: options of which a new run would need less.
     """
 
-    episodes: int
-    seconds: float
-    spent: float
+    work: str
+    pieces: float
     evaluated: int
-    reserved: float
+    less: str
 
-    def check(self, budget: float) -> None:
+    def check(
+        self,
+        budget: float,
+        seconds: float,
+        spent: float,
+        judging: float,
+        reserved: float,
+    ) -> None:
         """Refuse a budget [s] in which no update would be made; 0 is without limit.
+
+        Args:
+            budget: of the run [s].
+            seconds: of a piece [s].
+            spent: time of the run when the work began [s].
+            judging: time of the evaluations as far as it is known [s].
+            reserved: time that is kept free for these [s].
 
         Raises:
             BudgetTooSmallError: it tells what the run needs.
         """
-        collection = self.seconds * self.episodes
-        if not budget or self.spent + collection + self.reserved <= budget:
+        work = seconds * self.pieces
+        if not budget or spent + work + reserved <= budget:
             return
-        evaluation = self.seconds * self.evaluated
-        needed = self.spent + collection + evaluation
+        needed = spent + work + judging
+        least = math.ceil(needed / SECONDS_PER_MINUTE) + 1
         raise BudgetTooSmallError(
-            f"a budget of {_minutes(budget)} ends before the first update: {self.episodes} episodes of the expert take "
-            f"{_minutes(collection)} here ({self.seconds:.2g} s each), {self.evaluated} episodes of evaluation "
-            f"{_minutes(evaluation)}, and the updates come on top. Give --budget-minutes "
-            f"{math.ceil(needed / SECONDS_PER_MINUTE) + 1} or more (with --resume, what was collected is kept), or "
-            "fewer --demos and --eval-episodes in a new run."
+            f"a budget of {_minutes(budget)} ends before the first update: {self.work} take {_minutes(work)} here "
+            f"({seconds:.2g} s each), {self.evaluated} episodes of evaluation {_minutes(judging)}, and the updates "
+            f"come on top. Give --budget-minutes {least} or more (with --resume, what was collected is kept), or "
+            f"fewer {self.less} in a new run."
         )
 
 
 def _minutes(seconds: float) -> str:
     return f"{seconds / SECONDS_PER_MINUTE:.1f} minutes"
+
+
+class Rates:
+    """How long pieces of work take on this machine, as earlier runs measured it: a file in the cache.
+
+    Args:
+        work: JSON data that determines the time of a piece, besides machine and version.
+    """
+
+    def __init__(self, work: Mapping[str, Any]) -> None:
+        told = [dict(work), processor(), cores(), __version__]
+        text = json.dumps(told, sort_keys=True, default=str)
+        self._key = hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def seconds(self) -> float | None:
+        """The shortest time that was measured of a piece [s]: the machine may have been busy; None without any."""
+        found = self._read().get(self._key)
+        return float(found) if isinstance(found, int | float) else None
+
+    def learn(self, seconds: float) -> None:
+        """Keep a measured time of a piece [s]."""
+        kept = self._read()
+        known = kept.pop(self._key, math.inf)
+        kept[self._key] = min(seconds, known)
+        newest = dict(list(kept.items())[-_MOST_RATES:])
+        text = json.dumps(newest, indent=1) + "\n"
+        # A rate that cannot be kept is measured again.
+        with contextlib.suppress(OSError):
+            write_atomic(_file(), lambda path: path.write_text(text, encoding="utf-8"))
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            return dict(read_json_object(_file()))
+        except UsageError:
+            return {}
+
+
+def _file() -> Path:
+    return cache_dir() / _RATES
+
+
+class _Decided(Exception):
+    """A probe knows enough."""
+
+
+class _Probe(Sink[RolloutEnv]):
+    """Ends a rollout early if even episodes that last to the horizon fit.
+
+    Args:
+        clock: the time [s].
+        enough: longest time of a wave that certainly fits [s].
+        horizon: control steps of an episode at most.
+    """
+
+    def __init__(self, clock: Callable[[], float], enough: float, horizon: int) -> None:
+        self._clock = clock
+        self._enough = enough
+        self._horizon = horizon
+        self._steps = StepClock()
+        self.began = 0.0
+
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
+        """Note the time of a control step."""
+        now = self._clock()
+        self.began = self.began or now
+        seconds = self._steps.seconds(now)
+        if seconds is not None and seconds * self._horizon <= self._enough:
+            raise _Decided
+
+
+def wave_seconds(
+    env: RolloutEnv,
+    policy: Policy,
+    seed: int,
+    enough: float,
+    horizon: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float | None:
+    """Wall time of one episode in every world [s], apart from the reset; the episodes are not kept.
+
+    Args:
+        env: the environment.
+        policy: acts in it.
+        seed: of the episodes 0 to W-1.
+        enough: time [s]; None is returned as soon as a wave of whole horizons is known to take no longer.
+        horizon: control steps of an episode at most.
+        clock: the time [s].
+    """
+    probe = _Probe(clock, enough, horizon)
+    try:
+        rollout(env, policy, range(env.num_envs), seed, [probe])
+    except _Decided:
+        return None
+    return clock() - probe.began

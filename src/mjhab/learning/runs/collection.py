@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
@@ -18,9 +18,11 @@ from mjhab.data.record.generation import Job, Standing, generate
 from mjhab.data.store.images import ImageFormat
 from mjhab.evaluation.generate import make_crew
 from mjhab.learning.demos import SUCCESSES
+from mjhab.learning.runs.budget import wave_seconds
 from mjhab.learning.runs.specs import Means, Scene
 from mjhab.learning.runs.take_over import TakeOver
 from mjhab.tasks.style import Styles
+from mjhab.tasks.subtasks.registry import limits_of
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -137,6 +139,22 @@ class Collector:
                 "expert does in this scene: mjhab eval --policy expert"
             )
         return standing
+
+    def wave_seconds(
+        self, wanted: Round, enough: float, clock: Callable[[], float]
+    ) -> float | None:
+        """Wall time of one episode of a round in every world of this process, see `budget.wave_seconds`."""
+        stage = self._keeper.stage(self._scene, self._view, self._means, wanted)
+        env = cast("SequentialTaskEnv", stage.env)
+        horizon = (
+            wanted.horizon or limits_of(env.task_config, self._scene.subtask).horizon
+        )
+        seed = round_seed(self._seed, wanted.number)
+        seconds = wave_seconds(env, stage.policy, seed, enough, horizon, clock)
+        if self._means.workers > 1 or self._ray:
+            # The workers make environments of their own.
+            self._keeper = StageKeeper()
+        return seconds
 
 
 def round_seed(seed: int, number: int) -> int:

@@ -47,9 +47,13 @@ class EvaluationClock:
         self._episode = seconds
         self._is_measured = True
 
+    def needed(self, episodes: int) -> float:
+        """Time that ``episodes`` take, as far as it is known [s]."""
+        return self._episode * episodes
+
     def reserve(self, episodes: int) -> float:
         """Time to reserve for ``episodes`` [s]; on a guess never more than MOST_GUESSED_SHARE of the budget."""
-        needed = self._episode * episodes
+        needed = self.needed(episodes)
         return (
             needed
             if self._is_measured

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import torch
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.data.record.generation import Standing
+from mjhab.data.record.generation import Standing, tried_in
 from mjhab.data.select.query import Filter
 from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import (
@@ -24,7 +24,7 @@ from mjhab.learning.checkpoint import (
 from mjhab.learning.demos import Demonstrations, load_demonstrations
 from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.layout import Layout
-from mjhab.learning.runs.budget import EpisodeClock, RoundNeeds
+from mjhab.learning.runs.budget import EpisodeClock, FirstUpdate, Rates
 from mjhab.learning.runs.collection import Collector, Round
 from mjhab.learning.runs.evaluation import (
     EvaluationClock,
@@ -114,7 +114,6 @@ class Session:
         self._saved_at = time.perf_counter()
         self.shortage = ""
         """What the run needs, if its time budget ends before its first update; "" while it does not."""
-        self._collecting_since = 0.0
         self._clock = EvaluationClock(spec.budget_seconds)
 
     # -- data --------------------------------------------------------------------------------------------------------
@@ -154,9 +153,9 @@ class Session:
             BudgetTooSmallError: it will end before the first update.
         """
         began = time.perf_counter()
-        self._collecting_since = self.log.seconds
         tried = 0
         kept = 0
+        check = self._budget_check(wanted)
         for scene, collector in zip(self.scenes, self.collectors, strict=True):
             phase = f"collecting round {wanted.number}"
             if len(self.scenes) > 1:
@@ -168,7 +167,9 @@ class Session:
                 now: Standing, phase: str = phase, pace: EpisodeClock = pace
             ) -> None:
                 self.log.show({"phase": f"{phase}: {now.tried}/{wanted.episodes}"})
-                self._check_budget(wanted, pace.seconds(now.tried, self.log.seconds))
+                seconds = pace.seconds(now.tried, self.log.seconds)
+                if seconds is not None:
+                    check(seconds)
 
             self.log.show({"phase": phase})
             out = self.place(self.folder.data(wanted.number), scene)
@@ -189,25 +190,63 @@ class Session:
         }
         self.log.report(self.trainer.step, self.progress.samples, numbers)
 
-    def _check_budget(self, wanted: Round, seconds: float | None) -> None:
-        """Refuse a budget in which the first round would end without an update.
+    def _budget_check(self, wanted: Round) -> Callable[[float], None]:
+        """Refuse a budget in which the first round would end without an update, before the round begins.
 
         Args:
-            wanted: the round that is being collected.
-            seconds: wall time of one of its episodes [s], None while it is not known.
+            wanted: the round that is to be collected.
+
+        Returns:
+            Checks again, with a measured time of an episode [s].
 
         Raises:
             BudgetTooSmallError: it tells what is needed.
         """
-        if seconds is None or self.trainer.step:
-            return
-        episodes = len(self.scenes) * wanted.episodes
+        budget = self.spec.budget_seconds
+        out = self.folder.data(wanted.number)
+        made = sum(tried_in(self.place(out, scene)) for scene in self.scenes)
+        left = len(self.scenes) * wanted.episodes - made
+        if not budget or self.trainer.step or left <= 0:
+            return lambda _: None
         judged = self._episodes_to_judge()
-        self._clock.guess(len(self.scenes) * seconds)
-        reserved = self._clock.reserve(judged)
-        evaluated = len(self.scenes) * judged
-        needs = RoundNeeds(episodes, seconds, self._collecting_since, evaluated, reserved)
-        needs.check(self.spec.budget_seconds)
+        needs = FirstUpdate(
+            f"{left} episodes of the expert",
+            left,
+            len(self.scenes) * judged,
+            "--demos and --eval-episodes",
+        )
+        spent = self.log.seconds
+        rates = Rates(
+            {
+                "scenes": [asdict(scene) for scene in self.scenes],
+                "view": self.layout.env_options(),
+                "means": asdict(self.spec.means),
+                "style": wanted.style,
+                "hold_steps": wanted.hold_steps,
+            }
+        )
+
+        def check(seconds: float) -> None:
+            self._clock.guess(len(self.scenes) * seconds)
+            judging = self._clock.needed(judged)
+            needs.check(budget, seconds, spent, judging, self._clock.reserve(judged))
+
+        def learn_and_check(seconds: float) -> None:
+            rates.learn(seconds)
+            check(seconds)
+
+        known = rates.seconds
+        if known is None:
+            self.log.show({"phase": "timing the expert"})
+            at_once = self.spec.means.at_once
+            room = budget - spent - self._clock.reserve(judged)
+            wave = self.collectors[0].wave_seconds(
+                wanted, room * at_once / left, lambda: self.log.seconds
+            )
+            known = None if wave is None else wave / at_once
+        if known is not None:
+            check(known)
+        return learn_and_check
 
     def sampler(self, new_share: float) -> BatchSampler:
         """Sampler of batches from the loaded data; ``new_share`` is the fraction from the newest demonstrations."""

@@ -47,10 +47,15 @@ def collect_demonstrations(
     play = _Play(session, min(DEMONSTRATION_WORLDS, episodes), Styles.parse(style))
     buffer = make(play.worlds)
     rounds = -(-episodes // play.worlds)
+    whole = rounds * play.worlds
+    session.expect("episode", whole, f"{whole} episodes of the expert", "--eval-episodes")
     for number in range(rounds):
         play.record_round(buffer)
         finished = (number + 1) * play.worlds
-        session.estimate_evaluation((time.perf_counter() - began) / finished)
+        seconds = (time.perf_counter() - began) / finished
+        session.estimate_evaluation(seconds)
+        if not number:
+            session.measured(seconds)
         # Several processes decide together, and only their numbers of rounds are the same.
         session.check_time()
         tell(min(finished, episodes))

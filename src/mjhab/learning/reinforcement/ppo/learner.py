@@ -94,8 +94,8 @@ class PpoLearner:
 
     # -- acting -------------------------------------------------------------------------------------------------------
 
-    def collect(self) -> tuple[Rollout, list[Transition]]:
-        """Act for ``rollout_steps`` control steps in every world; returns the rollout and its T transitions."""
+    def collect(self, tell: Callable[[Transition], object] = bool) -> Rollout:
+        """Act for ``rollout_steps`` control steps in every world; ``tell`` gets the transition of each."""
         agent = self.agent.eval()
         random = self._random("act")
         rows: list[Seen] = []
@@ -115,11 +115,12 @@ class PpoLearner:
                 densities.append(drawn.log_probability(action))
                 stds.append(drawn.log_std.exp())
                 transitions.append(self.worlds.step(action))
+                tell(transitions[-1])
         seen = _joined(rows)
         outcomes = self._outcomes(seen, transitions)
         estimate = finite_horizon_advantages if self.config.finite_horizon else advantages
         gains = estimate(outcomes, self.config.gamma, self.config.gae_lambda)
-        rollout = Rollout(
+        return Rollout(
             seen,
             torch.cat(actions),
             torch.cat(densities),
@@ -128,7 +129,6 @@ class PpoLearner:
             (gains + outcomes.values).flatten(),
             torch.cat(encoded) if self.config.freeze_encoder else None,
         )
-        return rollout, transitions
 
     @torch.no_grad()
     def _outcomes(self, seen: Seen, transitions: list[Transition]) -> Outcomes:

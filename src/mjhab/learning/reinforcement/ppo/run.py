@@ -81,12 +81,11 @@ class PpoRun(AlgorithmRun):
         session = self.session
         learner = self.learner
         standing = session.standing
+        self.expect_steps(learner.config.rollout_steps)
         while standing.samples < self.config.samples:
             before = standing.samples
             began = time.perf_counter()
-            rollout, transitions = learner.collect()
-            for transition in transitions:
-                session.note(transition)
+            rollout = learner.collect(session.note)
             acted = time.perf_counter()
             numbers = learner.update(rollout, standing.samples / self.config.samples)
             learner.normalize(rollout.seen)

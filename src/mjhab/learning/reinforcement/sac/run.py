@@ -104,6 +104,8 @@ class SacRun(AlgorithmRun):
         worlds = session.worlds
         ratio = self.sac.updates_per_step or 1.0 / worlds.count
         told_at = 0.0
+        left = self.first_update - standing.samples
+        self.expect_steps(-(-left // (worlds.count * distributed.processes())))
         while standing.samples < self.config.samples:
             before = standing.samples
             began = time.perf_counter()

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.command import run_command
-from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.output import print_json, print_table
+from mjhab.core.files.interrupts import sigterm_interrupts
+from mjhab.core.files.run_folder import write_text
 from mjhab.learning.reinforcement.specs import PpoSpec
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.learning.runs.run import FINAL
-from mjhab.rollout.store import write_text
 
 TARGET = "kitchen_counter/drawer3"
 PRESETS = ("fast", "paper_state")

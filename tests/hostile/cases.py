@@ -22,7 +22,7 @@ from mjhab.cli.main import main
 from mjhab.core.files.reading import MAX_JSON_MB
 from mjhab.data.select.query import Filter
 from mjhab.episodes.hab.format import read_hab
-from mjhab.rollout.store import RunFolder, read_records
+from mjhab.rollout.store import EvaluationFolder, read_records
 from mjhab.scenes.formats.gltf import read_glb
 from mjhab.scenes.formats.urdf import read_urdf
 from mjhab.scenes.home_files import home_pack, read_home_file
@@ -103,7 +103,7 @@ def in_data_set(name: str, content: bytes) -> Act:
 
 
 def resumed(folder: Path) -> Any:
-    return RunFolder.open(folder, CONFIG, resume=True)
+    return EvaluationFolder.open(folder, CONFIG, resume=True)
 
 
 CONFIG = {"task": "set_table", "policy": "zero", "seed": 0, "episodes": 6, "worlds": 2}
@@ -222,7 +222,7 @@ def with_summary(content: bytes) -> Act:
 
     def act(folder: Path) -> Any:
         (folder / "summary.json").write_bytes(content)
-        with RunFolder.open(folder, CONFIG, overwrite=True) as run:
+        with EvaluationFolder.open(folder, CONFIG, overwrite=True) as run:
             (folder / "summary.json").write_bytes(content)
             return 2 if run.earlier_seconds() == 0.0 else 0
 

@@ -36,7 +36,7 @@ from mjhab.learning.configs import (
 )
 from mjhab.learning.runs.evaluation import EvaluationClock
 from mjhab.learning.runs.report import success_curves
-from mjhab.learning.runs.run import Logbook, TrainingFolder
+from mjhab.learning.runs.run import Logbook, TrainingFolder, read_metrics
 from mjhab.learning.runs.session import Session, open_session
 from mjhab.learning.runs.specs import ImitationSpec, Scene, TrainSpec
 from mjhab.learning.runs.training import BrokenLossError, Trainer
@@ -563,7 +563,7 @@ def test_the_split_told_is_that_of_the_episodes_behind_the_rate(
     assert summary["evaluated_samples"] == (32 if last else 24)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert f"{last or 2} episodes in homes of split {split}" in page
-    rows = TrainingFolder(tmp_path / "run", {}).read_metrics()
+    rows = read_metrics(tmp_path / "run")
     told_rows = [
         (row["evaluation"], row["evaluated_split"], row["evaluated_episodes"])
         for row in rows
@@ -606,7 +606,7 @@ def test_a_resumed_run_makes_the_evaluation_that_was_interrupted(
         patch.setattr(Session, "_evaluate_in", interrupted)
         assert train_in(told, tmp_path / "run").interrupted
     train_in(told, tmp_path / "run", resume=True)
-    rows = TrainingFolder(tmp_path / "run", {}).read_metrics()
+    rows = read_metrics(tmp_path / "run")
     assert [row["step"] for row in rows if "success_once" in row] == [1, 2, 3]
     assert len(asked) == 3
     about = load_checkpoint(tmp_path / "run" / "training.safetensors").about

@@ -13,7 +13,7 @@ from mjhab.core.errors import UsageError
 from mjhab.reports.students import judged_row, main, read_rows, student_row
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
-from mjhab.rollout.store import RunFolder
+from mjhab.rollout.store import EvaluationFolder
 from tests.rollout.fake_env import FakeEnv
 
 SUMMARY = {
@@ -59,7 +59,7 @@ def make_evaluation(folder: Path, weights: bytes, **changes: Any) -> Path:
         **changes,
     }
     records = rollout(FakeEnv(2), ZeroPolicy(), range(4), 0)
-    with RunFolder.open(folder, config) as store:
+    with EvaluationFolder.open(folder, config) as store:
         for record in records:
             store.add(record)
     return folder

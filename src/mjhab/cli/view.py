@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from typing import TYPE_CHECKING
 
 from mjhab.cli.output import print_json
+from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.data.select.query import read_filter
 from mjhab.evaluation.resolve import full_spec, inspect_policy
 from mjhab.viewer import require_viser
@@ -52,23 +52,21 @@ def _serve(spec: ViewSpec, json: bool) -> int:
     except BaseException:
         source.close()
         raise
-    ended = threading.Event()
-    before = signal.signal(signal.SIGTERM, lambda *_: ended.set())
     try:
-        viewer.start()
-        url = f"http://{spec.host}:{viewer.port}"
-        if json:
-            print_json({"url": url, "port": viewer.port})
-        else:
-            in_use = spec.port not in (0, viewer.port)
-            other = f" (port {spec.port} is in use)" if in_use else ""
-            print(f"Open {url}{other}. Ctrl-C ends.", flush=True)
-        ended.wait()
+        with sigterm_interrupts():
+            viewer.start()
+            url = f"http://{spec.host}:{viewer.port}"
+            if json:
+                print_json({"url": url, "port": viewer.port})
+            else:
+                in_use = spec.port not in (0, viewer.port)
+                other = f" (port {spec.port} is in use)" if in_use else ""
+                print(f"Open {url}{other}. Ctrl-C ends.", flush=True)
+            threading.Event().wait()
     except KeyboardInterrupt:
         pass
     finally:
         viewer.close()
-        signal.signal(signal.SIGTERM, before)
     return 0
 
 

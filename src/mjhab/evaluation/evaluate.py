@@ -47,7 +47,7 @@ from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.policy import Clipped, Composed, Policy, RolloutEnv, Timed
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
-from mjhab.rollout.store import REPORT, RunFolder, StoreSink, check_folder, read_records
+from mjhab.rollout.store import REPORT, EvaluationFolder, StoreSink, read_records
 from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
@@ -143,10 +143,10 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     facts = describe_policy(spec.policy)
     config = resolved_config(spec, facts)
     path = spec.out or default_out(spec, facts.name)
-    check_folder(path, config, resume=spec.resume, overwrite=spec.overwrite)
+    EvaluationFolder.check(path, config, resume=spec.resume, overwrite=spec.overwrite)
     alone = read_alone(spec.alone)
     if not _anything_left(path, spec):
-        with RunFolder.open(path, config, resume=spec.resume) as folder:
+        with EvaluationFolder.open(path, config, resume=spec.resume) as folder:
             requests = folder.earlier_requests(REQUEST_FACTS)
             return finish(folder, folder.earlier_seconds(), None, alone, requests)
     env = make_env(spec, env_options(spec, facts))
@@ -155,7 +155,7 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
         with SeededGlobals(spec.asked.seed) as random:
             policy = make_policy(spec, env)
             random.take_torch()
-            with RunFolder.open(
+            with EvaluationFolder.open(
                 path, config, resume=spec.resume, overwrite=spec.overwrite
             ) as folder:
                 return _run(spec, env, policy, folder, sinks, alone)
@@ -168,7 +168,7 @@ def _run(
     spec: EvalSpec,
     env: RolloutEnv,
     policy: Policy,
-    folder: RunFolder,
+    folder: EvaluationFolder,
     sinks: Sequence[Sink],
     alone: AloneRates | None,
 ) -> Run:
@@ -360,7 +360,7 @@ def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
 
 
 def finish(
-    folder: RunFolder,
+    folder: EvaluationFolder,
     seconds: float,
     film_problem: str | None,
     alone: AloneRates | None,

@@ -21,13 +21,14 @@ from typing import Any
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import read_json_object
+from mjhab.core.files.run_folder import write_text
 from mjhab.core.machine import cores
 from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.places import episodes
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.paper import paper_success
-from mjhab.rollout.store import read_records, write_text
+from mjhab.rollout.store import read_records
 
 SECONDS_PER_MINUTE = 60.0
 IDENTITY = ("task", "subtask", "target", "assets", "preset", "image_size", "seed")

@@ -352,7 +352,7 @@ def test_bad_input_is_refused_before_anything_is_made(
         (("--workers", "0", *out), "--workers must be at least 1"),
         (("--episodes", "0", "--chains", "0", *out), "nothing to measure"),
         (("--subtask", "open", "--task", "tidy_house", *out), "nothing to measure"),
-        (("--out", str(made)), "add --resume"),
+        (("--out", str(made)), "Give --resume"),
         (("--out", str(made), "--resume", "--seed", "1"), "was made with seed 0"),
         (("--out", str(tmp_path / "other"), "--resume"), "holds no measurement"),
         (("--out", str(tmp_path / "other" / "notes.txt")), "is a file"),

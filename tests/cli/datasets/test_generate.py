@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 import mjhab
-from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
+from mjhab.core.files.interrupts import stop_signals
 from mjhab.data.store.reading import open_shard
 from mjhab.evaluation.generate import build_stage, make_job
 from mjhab.evaluation.specs import GenerateSpec
@@ -215,7 +215,7 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
             ("generate", "--episodes", "1", "--images", "dept", *out),
             "unknown observation mode",
         ),
-        (("generate", "--episodes", "1", "--out", str(made)), "add --resume"),
+        (("generate", "--episodes", "1", "--out", str(made)), "Give --resume"),
         (
             (
                 "generate",

@@ -16,7 +16,7 @@ from mjhab.cli.main import main
 from mjhab.evaluation import evaluate
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import PolicyFacts
-from mjhab.rollout.store import RunFolder, read_records
+from mjhab.rollout.store import EvaluationFolder, read_records
 from tests.rollout.fake_env import FakeEnv
 
 KEYS = [
@@ -272,7 +272,7 @@ def test_two_runs_into_one_folder_never_mix(
 ) -> None:
     assert run() == 0
     config = json.loads((tmp_path / "run" / "config.json").read_text())
-    with RunFolder.open(tmp_path / "run", config, resume=True):
+    with EvaluationFolder.open(tmp_path / "run", config, resume=True):
         for extra in (
             ("--overwrite", "--seed", "1"),
             ("--resume",),

@@ -318,12 +318,12 @@ def test_a_worker_that_always_dies_or_fails_is_given_up(tmp_path: Path) -> None:
 
 def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
     generate(job(tmp_path / "a", episodes=3), InlineCrew())
-    with pytest.raises(UsageError, match="not empty; add --resume"):
+    with pytest.raises(UsageError, match=r"not empty .*Give --resume"):
         generate(job(tmp_path / "a", episodes=3), InlineCrew())
-    with pytest.raises(UsageError, match="another keep"):
+    with pytest.raises(UsageError, match="started with keep = '', now it is"):
         generate(job(tmp_path / "a", "success", episodes=3), InlineCrew(), resume=True)
     (tmp_path / "a" / CONFIG).unlink()
-    with pytest.raises(UsageError, match="did not write"):
+    with pytest.raises(UsageError, match="nothing to resume"):
         generate(job(tmp_path / "a", episodes=3), InlineCrew(), resume=True)
     with pytest.raises(UsageError, match="is a file"):
         generate(job(tmp_path / "a" / "shard_000.h5", episodes=3), InlineCrew())

@@ -25,22 +25,25 @@ from mjhab.bench.experts.rows import (
 )
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.config.profile_choice import profile_options, resolved_profile
-from mjhab.core.errors import MjhabError, UsageError
-from mjhab.core.files.reading import read_json_object
+from mjhab.core.errors import MjhabError
+from mjhab.core.files.run_folder import REPORT, RunFolder, write_text
 from mjhab.core.machine import cores
 from mjhab.data.record.generation import Standing
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.data.store.places import episodes as recorded_episodes
 from mjhab.data.store.shard import StorageError
 from mjhab.evaluation.generate import GenerateSpec, run_generation
-from mjhab.rollout.store import write_text
 
-CONFIG = "config.json"
 RESULTS = "results.json"
 TABLE = "table.csv"
-REPORT = "report.html"
 EPISODES = "episodes.jsonl"
 Measured = dict[Row, list[MeasuredEpisode]]
+
+
+class ExpertsFolder(RunFolder):
+    """The folder of a measurement of experts; its rows are data sets."""
+
+    WORK = ("*.h5",)
 
 
 @contextmanager
@@ -76,7 +79,16 @@ def measure_experts(
         UsageError: nothing to measure, or a folder that cannot be gone on with. StorageError: the disk is full.
     """
     rows = make_rows(spec)
-    _open_folder(spec)
+    with ExpertsFolder.open(spec.out, _config(spec), resume=spec.resume):
+        return _measure(spec, rows, stopped, watch)
+
+
+def _measure(
+    spec: ExpertsSpec,
+    rows: Sequence[Row],
+    stopped: Callable[[], bool],
+    watch: Callable[[Measured], AbstractContextManager[Callable[[Row, int], None]]],
+) -> Measurement:
     measured: Measured = {row: read_row(spec, row) for row in rows}
     errors: dict[Row, str] = {}
     with watch(measured) as tell:
@@ -188,37 +200,6 @@ def _config(spec: ExpertsSpec) -> dict[str, Any]:
 def _short(assets: str) -> str:
     """Name of a pack's folder, without where it lies on this machine; generation.json of a row has that."""
     return Path(assets).name
-
-
-def _open_folder(spec: ExpertsSpec) -> None:
-    """Make the folder, or check that what is in it can be gone on with.
-
-    Raises:
-        UsageError: it holds something, and --resume is not given or it was made with other spec.
-    """
-    out = spec.out
-    config = _config(spec)
-    if out.exists() and not out.is_dir():
-        raise UsageError(f"--out {out} is a file; give a folder.")
-    there = out.is_dir() and any(out.iterdir())
-    if there and not spec.resume:
-        raise UsageError(
-            f"{out} is not empty; add --resume to go on with what is in it, or choose another --out."
-        )
-    if there:
-        try:
-            before = read_json_object(out / CONFIG)
-        except UsageError as error:
-            raise UsageError(
-                f"{out} holds no measurement of experts that could be gone on with ({error}); choose another --out."
-            ) from error
-        for key, value in config.items():
-            if before.get(key) != value:
-                raise UsageError(
-                    f"{out} was made with {key} {before.get(key)}, now it is {value}. Give the same, or choose "
-                    "another --out."
-                )
-    write_text(out / CONFIG, json.dumps(config, indent=1) + "\n")
 
 
 def _csv(results: Sequence[Result], profile: str) -> str:

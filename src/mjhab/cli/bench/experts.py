@@ -13,10 +13,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from mjhab.bench.experts.rows import CHAIN, Result, Row
 from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_experts
-from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.arithmetic.sums import ordered_sum
+from mjhab.core.files.interrupts import stop_signals
 
 CHAIN_WEIGHT = 8.0
 """Duration of a whole task in units of a single subtask, for the estimate of the remaining time."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 from mjhab.cli.output import print_json
+from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import late_bar
 from mjhab.evaluation.datasets.export import run_lerobot, run_maniskill
 from mjhab.evaluation.datasets.specs import ExportSpec, LerobotSpec, ManiskillSpec
@@ -16,7 +14,7 @@ from mjhab.evaluation.datasets.specs import ExportSpec, LerobotSpec, ManiskillSp
 def run_export(spec: ExportSpec, json: bool) -> int:
     """Run a parsed ``mjhab export`` command; returns 0, or 130 after Ctrl-C or SIGTERM."""
     try:
-        with _interrupted_by_sigterm():
+        with sigterm_interrupts():
             if isinstance(spec, LerobotSpec):
                 return _lerobot(spec, json)
             assert isinstance(spec, ManiskillSpec)
@@ -27,16 +25,6 @@ def run_export(spec: ExportSpec, json: bool) -> int:
             file=sys.stderr,
         )
         return 130
-
-
-@contextmanager
-def _interrupted_by_sigterm() -> Iterator[None]:
-    """Within this context SIGTERM has the effect of Ctrl-C."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _lerobot(spec: LerobotSpec, json: bool) -> int:

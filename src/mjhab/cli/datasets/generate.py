@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mjhab.cli.interrupts import stop_signals
 from mjhab.cli.output import (
     print_json,
     print_table,
     tell_caution,
     tell_skipped,
 )
+from mjhab.core.files.interrupts import stop_signals
 from mjhab.data.record.generation import Standing
 from mjhab.evaluation.generate import GeneratedData, run_generation
 from mjhab.evaluation.specs import GenerateSpec

@@ -17,7 +17,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.evaluate import DemoOptions
 from mjhab.cli.output import (
     print_json,
@@ -26,6 +25,7 @@ from mjhab.cli.output import (
     tell_skipped,
 )
 from mjhab.cli.streams import with_way_on
+from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.evaluation.evaluate import EvaluationInterrupted, Run, run_evaluation
 from mjhab.evaluation.specs import EvalSpec
 from mjhab.reports.metrics import SubtaskRow, rows_of

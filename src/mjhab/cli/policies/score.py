@@ -7,12 +7,12 @@ import re
 import sys
 from pathlib import Path
 
-from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.score import ScoreOptions
 from mjhab.cli.output import print_json, print_table, tell_caution
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import progress_bar
 from mjhab.evaluation.evaluate import EvaluationInterrupted
 from mjhab.evaluation.score.leaderboard import leaderboard

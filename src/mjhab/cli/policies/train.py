@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.output import print_json
+from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.result import TrainingResult
 from mjhab.learning.runs.run import TRAINING

@@ -20,10 +20,9 @@ from typing import Any
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.cache import write_atomic
-from mjhab.core.files.locking import WriteLock, is_written
-from mjhab.core.files.outputs import check_output
-from mjhab.core.files.reading import parse_json, read_bytes, read_json_object, reason
-from mjhab.data.export.folders import differences
+from mjhab.core.files.locking import is_written
+from mjhab.core.files.reading import parse_json, read_bytes, reason
+from mjhab.core.files.run_folder import RunFolder
 from mjhab.data.record.crew import (
     Crew,
     Done,
@@ -48,6 +47,13 @@ _PATIENCE = 0.2
 """Longest time to wait for messages before checking whether to stop [s]."""
 _MOST_DEATHS = 3
 """Number of deaths of a worker, without a finished episode in between, after which generation fails."""
+
+
+class DataFolder(RunFolder):
+    """The folder of a data set that is generated."""
+
+    CONFIG_FILE = CONFIG
+    WORK = ("*.h5", TRIED)
 
 
 @dataclass(frozen=True)
@@ -112,7 +118,7 @@ def generate(
         StorageError: the disk is full; the same job can be resumed.
         MjhabError: a worker failed.
     """
-    with _open_folder(job, resume):
+    with DataFolder.open(job.out, job.config, resume=resume):
         try:
             return _fill(job, crew, tell, stopped)
         except OSError as error:
@@ -400,36 +406,6 @@ def tried_in(folder: Path) -> int:
         with open_shard(path) as shard:
             tried += len(shard)
     return tried
-
-
-def _open_folder(job: Job, resume: bool) -> WriteLock:
-    """Make the folder, or check that its content can be continued; returns the lock against other processes."""
-    path = job.out / CONFIG
-    config = json.loads(json.dumps(job.config))
-    check_output(job.out)
-    if job.out.exists() and not job.out.is_dir():
-        raise UsageError(f"--out {job.out} is a file; give a folder.")
-    there = job.out.is_dir() and any(job.out.iterdir())
-    if there and not resume:
-        raise UsageError(
-            f"{job.out} is not empty; add --resume to continue its data set, or choose another --out."
-        )
-    if there and path.exists():
-        other = differences(read_json_object(path), config)
-        if other:
-            raise UsageError(
-                f"{job.out} was made with another {other}. Give the same options, or choose another --out."
-            )
-    elif there and any(job.out.glob("*.h5")):
-        raise UsageError(
-            f"{job.out} holds shards that `mjhab generate` did not write; choose another --out."
-        )
-    job.out.mkdir(parents=True, exist_ok=True)
-    lock = WriteLock(path, job.out)
-    if not path.exists():
-        text = json.dumps(config, indent=2) + "\n"
-        write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    return lock
 
 
 def _read_tried(path: Path) -> list[Outcome]:

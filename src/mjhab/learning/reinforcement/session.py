@@ -7,7 +7,7 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,6 @@ from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import gaussian_of
 from mjhab.learning.students.heads import check_student
 from mjhab.learning.students.student import Student
-from mjhab.rollout.store import check_folder
 from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
 REPLAY = "replay"
@@ -541,9 +540,9 @@ def open_reinforcement(spec: ReinforcementSpec) -> Iterator[ReinforcementSession
     if not first:
         # The first process refuses a folder that is not empty, so it goes first.
         distributed.wait()
-    check_folder(mine, config, resume=spec.resume, replaceable=False)
+    TrainingFolder.check(mine, config, resume=spec.resume)
     _check_start(spec)
-    with closing(TrainingFolder.open(mine, config, resume=spec.resume)) as folder:
+    with TrainingFolder.open(mine, config, resume=spec.resume) as folder:
         if first:
             distributed.wait()
         session = ReinforcementSession(spec, folder, spec.out / TRAINING)

@@ -14,7 +14,6 @@ from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.budget import BudgetTooSmallError
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.result import TrainingResult
-from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime
 
 
@@ -28,7 +27,7 @@ def train_reinforcement(spec: ReinforcementSpec) -> TrainingResult:
         BrokenLossError: a loss or a gradient is not finite; the run's student is that of the last checkpoint.
     """
     interrupted = False
-    with refused_leaves_nothing(spec.out), open_reinforcement(spec) as session:
+    with open_reinforcement(spec) as session:
         run = PpoRun(session) if session.config.ppo is not None else SacRun(session)
         prepared = False
         try:

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -28,12 +27,9 @@ from rich.live import Live
 from rich.table import Table
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import UsageError
-from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json
-from mjhab.rollout.store import check_folder, write_text
+from mjhab.core.files.run_folder import RunFolder, write_text
 
-CONFIG = "config.json"
 METRICS = "metrics.jsonl"
 TENSORBOARD = "tensorboard"
 DATA = "data"
@@ -43,8 +39,6 @@ STUDENT = "student.safetensors"
 BEST = "best.safetensors"
 ROUNDS = "rounds"
 EVALUATIONS = "evaluations"
-SUMMARY = "summary.json"
-REPORT = "report.html"
 REFRESH_SECONDS = 0.5
 """Shortest time between two updates of the table in the terminal [s]."""
 
@@ -53,70 +47,12 @@ ON_THE_WAY = "on_the_way"
 FINAL = "final"
 """Which evaluation a row of metrics.jsonl tells of ("evaluation"): one during training, or that of the finished policy.
 """
-WORK = (f"*{SUFFIX}", "*.h5", "*.jsonl", "complete.json", "row.json")
-"""Files of a run that cost time to make, below its folder; metrics.jsonl counts if it has a line."""
 
 
-@contextmanager
-def refused_leaves_nothing(path: Path) -> Iterator[None]:
-    """After a UsageError within this context, delete what it has put into ``path``, so that a corrected command may
-    use the folder.
+class TrainingFolder(RunFolder):
+    """The folder of a training run; metrics.jsonl counts as work if it has a line."""
 
-    A folder that held something before stays as it is, and so does one with work in it, see WORK.
-    """
-    is_new = not path.exists()
-    was_empty = is_new or (path.is_dir() and not any(path.iterdir()))
-    try:
-        yield
-    except UsageError:
-        if was_empty and path.is_dir() and not _has_work(path):
-            for entry in list(path.iterdir()):
-                if entry.is_dir():
-                    shutil.rmtree(entry, ignore_errors=True)
-                else:
-                    entry.unlink(missing_ok=True)
-            if is_new:
-                path.rmdir()
-        raise
-
-
-def _has_work(path: Path) -> bool:
-    return any(
-        file.stat().st_size > 0 for pattern in WORK for file in path.rglob(pattern)
-    )
-
-
-class TrainingFolder:
-    """An opened folder of a run: nobody else can open it until `close`. Make one with ``TrainingFolder.open``."""
-
-    def __init__(
-        self, path: Path, config: Mapping[str, Any], lock: WriteLock | None = None
-    ) -> None:
-        self.path = path
-        self.config = dict(config)
-        self._lock = lock
-
-    @classmethod
-    def open(
-        cls, path: Path, config: Mapping[str, Any], *, resume: bool = False
-    ) -> TrainingFolder:
-        """Prepare ``path`` for a run of ``config`` (plain JSON data).
-
-        Raises:
-            UsageError: the folder is not empty and ``resume`` is not set, it holds a run of another config, or another
-                process writes into it.
-        """
-        check_folder(path, config, resume=resume, replaceable=False)
-        path.mkdir(parents=True, exist_ok=True)
-        lock = WriteLock(path / CONFIG, path)
-        write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
-        return cls(path, config, lock)
-
-    def close(self) -> None:
-        """Let others write into the folder; closing twice is fine."""
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
+    WORK = (f"*{SUFFIX}", "*.h5", "*.jsonl", "complete.json")
 
     @property
     def training(self) -> Path:
@@ -150,31 +86,15 @@ class TrainingFolder:
         """Run folder of an evaluation."""
         return self.path / EVALUATIONS / name
 
-    def read_metrics(self, step: int | None = None) -> list[dict[str, Any]]:
-        """Read the reported rows, up to ``step`` updates if given; incomplete lines are skipped."""
-        path = self.path / METRICS
-        found = []
-        for line in (
-            path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        ):
-            try:
-                found.append(parse_json(line))
-            except ValueError:
-                continue
-        return [row for row in found if step is None or row["step"] <= step]
 
-    def write_metrics(self, rows: list[dict[str, Any]]) -> None:
-        """Replace the reported rows."""
-        write_text(self.path / METRICS, "".join(json.dumps(row) + "\n" for row in rows))
-
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write summary.json atomically."""
-        write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
-
-    def write_report(self, html: str) -> Path:
-        """Write report.html atomically and return its path."""
-        write_text(self.path / REPORT, html)
-        return self.path / REPORT
+def read_metrics(folder: Path, step: int | None = None) -> list[dict[str, Any]]:
+    """Read the rows that a run has reported, up to ``step`` updates if given; incomplete lines are skipped."""
+    path = folder / METRICS
+    found = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
+        with suppress(ValueError):
+            found.append(parse_json(line))
+    return [row for row in found if step is None or row["step"] <= step]
 
 
 class Logbook:
@@ -191,8 +111,9 @@ class Logbook:
     ) -> None:
         from torch.utils.tensorboard.writer import SummaryWriter
 
-        self.rows = folder.read_metrics(step)
-        folder.write_metrics(self.rows)
+        self.rows = read_metrics(folder.path, step)
+        lines = "".join(json.dumps(row) + "\n" for row in self.rows)
+        write_text(folder.path / METRICS, lines)
         self._file = (folder.path / METRICS).open("a", encoding="utf-8")
         self._board = SummaryWriter(
             str(folder.path / TENSORBOARD), purge_step=step or None

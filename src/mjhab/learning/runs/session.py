@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import torch
 
 from mjhab.core.arithmetic.sums import ordered_sum
+from mjhab.core.files.interrupts import held_interrupts
 from mjhab.data.record.generation import Standing, tried_in
 from mjhab.data.select.query import Filter
 from mjhab.learning.batches import BatchSampler
@@ -32,7 +33,6 @@ from mjhab.learning.runs.evaluation import (
     Judgement,
     judgement_row,
 )
-from mjhab.learning.runs.interrupts import held_interrupts
 from mjhab.learning.runs.request import layout_for, resolved_config
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.specs import ImitationSpec, Scene
@@ -40,7 +40,6 @@ from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.rollout.store import check_folder
 
 REPORT_EVERY = 50
 """Number of updates between two reports of the loss."""
@@ -413,10 +412,10 @@ def open_session(spec: ImitationSpec) -> Iterator[Session]:
         UsageError: data, folder or scene do not fit; then nothing was written.
     """
     config = resolved_config(spec)
-    check_folder(spec.out, config, resume=spec.resume, replaceable=False)
+    TrainingFolder.check(spec.out, config, resume=spec.resume)
     layout = layout_for(spec)
     check_student(spec.config.student, layout)
-    with closing(TrainingFolder.open(spec.out, config, resume=spec.resume)) as folder:
+    with TrainingFolder.open(spec.out, config, resume=spec.resume) as folder:
         session = Session(spec, layout, folder)
         with session.log:
             yield session

@@ -9,7 +9,6 @@ from mjhab.learning.runs.budget import BudgetTooSmallError
 from mjhab.learning.runs.dagger import train_dagger
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.result import TrainingResult
-from mjhab.learning.runs.run import refused_leaves_nothing
 from mjhab.learning.runs.session import OutOfTime, Session, open_session
 from mjhab.learning.runs.specs import ImitationSpec
 from mjhab.learning.runs.supervised import train_supervised
@@ -27,7 +26,7 @@ def train_imitation(spec: ImitationSpec) -> TrainingResult:
         BrokenLossError: the loss became NaN; the weights from before it are kept.
     """
     interrupted = False
-    with refused_leaves_nothing(spec.out), open_session(spec) as session:
+    with open_session(spec) as session:
         try:
             _learn(session)
             session.save()

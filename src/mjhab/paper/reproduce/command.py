@@ -6,10 +6,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mjhab.cli.interrupts import sigterm_interrupts
 from mjhab.cli.options.policies.reproduce import ReproduceOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.policies.evaluate import ProgressSink
+from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.paper.reproduce.make import reproduce
 from mjhab.paper.reproduce.results import REPORT, TITLES, cells, titles
 from mjhab.paper.reproduce.spec import TableSpec

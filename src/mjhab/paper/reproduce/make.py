@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
+from mjhab.core.files.run_folder import CONFIG, RunFolder, write_text
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.by_subtask import Entry, entries_text
 from mjhab.learning.require import require_learn
-from mjhab.learning.runs.run import refused_leaves_nothing
+from mjhab.learning.runs.run import TrainingFolder
 from mjhab.paper.reproduce.results import measured, untrained, write_results
 from mjhab.paper.reproduce.rows import (
     FOR_ALL,
@@ -35,16 +36,22 @@ from mjhab.paper.reproduce.spec import (
 )
 from mjhab.paper.reproduce.variants import STUDIES, Variant
 from mjhab.rollout.sinks import Sink
-from mjhab.rollout.store import check_folder, write_text
 
 if TYPE_CHECKING:
     from mjhab.learning.runs.result import TrainingResult
 
-CONFIG = "config.json"
 ROW = "row.json"
 TRAIN = "train"
 STUDENT = "student.safetensors"
 POLICIES = "policies.json"
+
+
+class TableFolder(RunFolder):
+    """The folder of a table of the paper."""
+
+    WORK = (*TrainingFolder.WORK, ROW)
+
+
 Sinks = Callable[[EvalSpec], Sequence[Sink]]
 """Makes the listeners of an evaluation, for instance a progress bar."""
 
@@ -72,11 +79,8 @@ def reproduce(
     require_learn()
     rows = chosen_rows(spec)
     config = table_config(spec)
-    check_folder(spec.out, config, resume=spec.resume, replaceable=False)
     interrupted = False
-    with refused_leaves_nothing(spec.out):
-        spec.out.mkdir(parents=True, exist_ok=True)
-        write_text(spec.out / CONFIG, json.dumps(config, indent=2) + "\n")
+    with TableFolder.open(spec.out, config, resume=spec.resume):
         try:
             for row in rows:
                 tell(row)

@@ -9,6 +9,7 @@ from typing import Any
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.reading import read_json_object
+from mjhab.core.files.run_folder import write_text
 from mjhab.data.store.episode_data import last_label
 from mjhab.paper.reproduce.rows import TableRow
 from mjhab.paper.reproduce.variants import (
@@ -24,7 +25,7 @@ from mjhab.paper.reproduce.variants import (
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_success
-from mjhab.rollout.store import read_records, write_text
+from mjhab.rollout.store import read_records
 
 RESULTS = "results.json"
 REPORT = "report.html"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import torch
 
+from mjhab.core.files.run_folder import write_text
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
-from mjhab.rollout.store import write_text
 
 COMPLETE = "complete.json"
 """File that marks a complete buffer; it holds the buffer's shape and ring positions."""

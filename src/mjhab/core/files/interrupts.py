@@ -1,11 +1,14 @@
-"""Handling of Ctrl-C and SIGTERM in commands: running writes are completed, and finished results are kept."""
+"""Ctrl-C and SIGTERM: running writes and updates are completed, and finished results are kept."""
 
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+
+_BOTH = (signal.SIGTERM, signal.SIGINT)
 
 
 @contextmanager
@@ -18,9 +21,7 @@ def stop_signals() -> Iterator[Any]:
             raise KeyboardInterrupt
         seen.append(number)
 
-    before = {
-        number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)
-    }
+    before = {number: signal.signal(number, note) for number in _BOTH}
     try:
         yield lambda: bool(seen)
     finally:
@@ -43,3 +44,29 @@ def sigterm_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def held_interrupts() -> Iterator[None]:
+    """Delay Ctrl-C and SIGTERM that come within this context until it ends; their own handlers take them then.
+
+    For what must be whole: a checkpoint that is written after an update holds all of it.
+
+    Outside of the main thread, which alone receives signals, this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, Any]] = []
+
+    def note(number: int, frame: Any) -> None:
+        came.append((number, frame))
+
+    before = {number: signal.signal(number, note) for number in _BOTH}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for number, _ in came[:1]:
+        signal.raise_signal(number)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.run_folder import write_text
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
@@ -18,7 +19,6 @@ from mjhab.rollout.store import (
     StoreSink,
     config_hash,
     read_records,
-    write_text,
 )
 from tests.rollout.fake_env import FakeEnv
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import curves
 from benchmarks.curves import main
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
-from mjhab.learning.runs.result import TrainingResult
+from mjhab.learning.runs.run import TrainingResult
 
 SUCCESS = (0.1, 0.6, 0.9)
 """At evaluations after 100, 200 and 300 samples."""

@@ -12,6 +12,7 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.evaluation import resolve
 from mjhab.evaluation.resolve import (
+    OpenedPolicy,
     PolicyFacts,
     PolicyKind,
     PolicyOptions,
@@ -185,24 +186,22 @@ def test_env_options_must_be_a_dict(tmp_path: Path) -> None:
         inspect_policy(f"{path}:A")
 
 
-class _Kind:
-    """Stands in for the module of another kind of policies."""
+class _Kind(OpenedPolicy):
+    """Another kind of policies."""
 
-    @staticmethod
-    def inspect_policy(spec: str) -> PolicyFacts:
-        return PolicyFacts(spec.removeprefix("test:"), {"weights": "abc"})
+    @property
+    def facts(self) -> PolicyFacts:
+        return PolicyFacts(self.spec.removeprefix("test:"), {"weights": "abc"})
 
-    @staticmethod
-    def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
         return RandomPolicy(options.seed + env.num_envs)
 
 
 def test_other_kinds_can_be_registered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resolve, "POLICY_KINDS", list(resolve.POLICY_KINDS))
-    monkeypatch.setitem(sys.modules, "tests_policy_kind", _Kind)  # type: ignore[arg-type]
     register_policy_kind(
         PolicyKind(
-            "test:NAME", lambda spec: spec.startswith("test:"), "tests_policy_kind"
+            "test:NAME", lambda spec: spec.startswith("test:"), f"{__name__}:_Kind"
         )
     )
     assert inspect_policy("test:mine") == PolicyFacts("mine", {"weights": "abc"})

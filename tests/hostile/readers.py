@@ -17,9 +17,9 @@ from mjhab.data.store.reading import open_shard
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.hab.format import from_json, read_hab, to_json
 from mjhab.episodes.spawn_sets import SpawnRow, SpawnSet, content_digest, pack_rows, write
-from mjhab.learning.by_subtask import describe_entries, read_entries
+from mjhab.learning.by_subtask import PoliciesFile
 from mjhab.learning.checkpoint import load_student, save_student
-from mjhab.learning.policy_kind import inspect_policy
+from mjhab.learning.policy_kind import CheckpointFiles
 from mjhab.learning.students.heads import make_student
 from mjhab.paper.ms_hab.checkpoint import load_network
 from mjhab.scenes.formats.gltf import read_glb
@@ -235,7 +235,7 @@ def policies_bytes(folder: Path) -> bytes:
 
 
 def use_policies(path: Path) -> None:
-    describe_entries("policies", read_entries(path))
+    _ = PoliciesFile(str(path)).facts
 
 
 def checkpoint_bytes(folder: Path) -> bytes:
@@ -245,7 +245,7 @@ def checkpoint_bytes(folder: Path) -> bytes:
 
 
 def use_checkpoint(path: Path) -> None:
-    inspect_policy(str(path))
+    _ = CheckpointFiles(str(path)).facts
     student = load_student(path)
     student.layout.check_env(small.fake_env())
 

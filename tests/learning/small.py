@@ -26,7 +26,7 @@ from mjhab.learning.demos import Demonstrations
 from mjhab.learning.layout import Layout
 from mjhab.learning.observation.parts import SubtaskTold, code_of
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
-from mjhab.learning.runs.result import TrainingResult
+from mjhab.learning.runs.run import TrainingResult
 from mjhab.learning.runs.specs import ImitationSpec
 from mjhab.learning.train import train_spec
 

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from mjhab.data.record.generation import Standing
-from mjhab.learning.runs import budget
-from mjhab.learning.runs import session as sessions
+from mjhab.learning.runs import budget, imitation
 from mjhab.learning.runs.budget import EpisodeClock, Rates, StepClock, wave_seconds
+from mjhab.learning.runs.imitation import ImitationSession
 from mjhab.learning.runs.run import Logbook
-from mjhab.learning.runs.session import Session
 from tests.learning.small import layout, train_config, train_in
 from tests.learning.test_training import request, source
 from tests.rollout.fake_env import FakeEnv
@@ -99,7 +98,7 @@ def expert(
 ) -> dict[str, list[Any]]:
     """The expert needs 2 s for an episode; what was probed and tried."""
     seen: dict[str, list[Any]] = {"probed": [], "tried": []}
-    monkeypatch.setattr(sessions, "layout_for", lambda _: layout())
+    monkeypatch.setattr(imitation, "layout_for", lambda _: layout())
 
     def collect(collector: Any, wanted: Any, out: Path, tell: Any, stopped: Any) -> Any:
         for number in range(1, wanted.episodes + 1):
@@ -116,10 +115,12 @@ def expert(
         wave = 4 * 2.0
         return None if enough >= 100.0 else wave
 
-    monkeypatch.setattr(sessions.Collector, "collect", collect)
-    monkeypatch.setattr(sessions.Collector, "wave_seconds", probe)
-    monkeypatch.setattr(Session, "load_round", lambda session, _: session.load(source))
-    monkeypatch.setattr(Session, "evaluate", lambda *_, **__: 0.0)
+    monkeypatch.setattr(imitation.Collector, "collect", collect)
+    monkeypatch.setattr(imitation.Collector, "wave_seconds", probe)
+    monkeypatch.setattr(
+        ImitationSession, "load_round", lambda session, _: session.load(source)
+    )
+    monkeypatch.setattr(ImitationSession, "evaluate", lambda *_, **__: 0.0)
     return seen
 
 
@@ -170,7 +171,7 @@ def test_what_a_probe_did_not_see_is_told_while_the_round_is_young(
     expert: dict[str, Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(sessions.Collector, "wave_seconds", lambda *_: None)
+    monkeypatch.setattr(imitation.Collector, "wave_seconds", lambda *_: None)
     early = train_in(asked(source, 1.0), tmp_path / "run").summary
     assert "--budget-minutes 5 or more" in early["shortage"]
     # A first wave, counted from the first standing, and two that are measured.

@@ -17,7 +17,7 @@ from mjhab.evaluation.generate import resolved_config as generated_config
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
 from mjhab.evaluation.specs import GenerateSpec
 from mjhab.learning.by_subtask import Entry, entries_text
-from mjhab.learning.checkpoint import load_checkpoint, save_student, save_training
+from mjhab.learning.checkpoint import load_checkpoint, save_student, save_tensors
 from mjhab.learning.observation.depth import nearness, pooled
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
 from mjhab.learning.policy import StudentEnsemble, StudentPolicy
@@ -268,7 +268,8 @@ def test_weights_that_are_not_finite_are_refused_by_name(
     told = f"bad.safetensors cannot act: 2 of the .* numbers of its tensor {name} are not finite"
     with pytest.raises(UsageError, match=told):
         inspect_policy(str(path))
-    save_training(path, Trainer(student, seed=0, updates=1), {})
+    trainer = Trainer(student, seed=0, updates=1)
+    save_tensors(path, student, trainer.tensors(), {"step": 0})
     with pytest.raises(UsageError, match=f"tensor .*{name} are not finite"):
         load_checkpoint(path)
 

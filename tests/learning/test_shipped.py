@@ -113,7 +113,7 @@ def test_one_student_may_act_for_several_names_and_together_with_others(
     (shelf / "index.json").write_text(
         json.dumps({name: ["all"], "set_table.pick": ["all"]})
     )
-    entries = shipped_kind.shipped_entries("set_table")
+    entries = shipped_kind.ShippedTask("student", "set_table").entries
     assert [(entry.subtask, entry.target) for entry in entries] == [
         ("close", CLOSE["target"]),
         ("pick", ""),
@@ -133,7 +133,7 @@ def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
     path = shelf / "set_table.close.kitchen_counter-drawer3.safetensors"
     scene = {"task": "set_table", "subtask": "close", "target": CLOSE["target"]}
     save_student(path, make_student(config(), layout()), {"scene": scene})
-    (entry,) = shipped_kind.shipped_entries("set_table")
+    (entry,) = shipped_kind.ShippedTask("student", "set_table").entries
     assert (entry.subtask, entry.target, entry.checkpoint) == (
         "close",
         CLOSE["target"],
@@ -170,12 +170,12 @@ def test_the_expert_drives_where_no_student_does(
 ) -> None:
     monkeypatch.setattr(shipped_kind, "FOLDER", tmp_path)
     monkeypatch.setattr(
-        shipped_kind, "build_entries", lambda name, entries, env, options: entries
+        shipped_kind.ShippedTask, "together", lambda self, entries, *_: entries
     )
     driving: Any = SimpleNamespace(config=SimpleNamespace(navigate="drive"))
 
     def drivers() -> list[str]:
-        entries: Any = shipped_kind.build_policy("student:set_table", driving, None)  # pyright: ignore[reportArgumentType]
+        entries: Any = resolve_policy("student:set_table", driving)
         return [entry.checkpoint for entry in entries if entry.subtask == "navigate"]
 
     def ship(subtask: str) -> str:

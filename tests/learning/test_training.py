@@ -23,7 +23,7 @@ from mjhab.learning.checkpoint import (
     load_student,
     save_compact,
     save_student,
-    save_training,
+    save_tensors,
 )
 from mjhab.learning.configs import (
     HEADS,
@@ -35,9 +35,10 @@ from mjhab.learning.configs import (
     to_plain,
 )
 from mjhab.learning.runs.evaluation import EvaluationClock
+from mjhab.learning.runs.imitation import ImitationSession, open_session
 from mjhab.learning.runs.report import success_curves
 from mjhab.learning.runs.run import Logbook, TrainingFolder, read_metrics
-from mjhab.learning.runs.session import Session, open_session
+from mjhab.learning.runs.session import Session
 from mjhab.learning.runs.specs import ImitationSpec, Scene, TrainSpec
 from mjhab.learning.runs.training import BrokenLossError, Trainer
 from mjhab.learning.students.heads import check_student, make_student
@@ -178,7 +179,9 @@ def test_training_goes_on_bit_by_bit(algorithm: str, tmp_path: Path) -> None:
         whole.update(batch(step))
     for step in range(2):
         part.update(batch(step))
-    save_training(tmp_path / "t.safetensors", part, {})
+    save_tensors(
+        tmp_path / "t.safetensors", part.student, part.tensors(), {"step": part.step}
+    )
     saved = load_checkpoint(tmp_path / "t.safetensors")
     again = Trainer(
         make_student(saved.config, saved.layout, seed=77), seed=2, updates=100
@@ -253,7 +256,8 @@ def test_files_that_are_no_students_are_refused(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(1)}, path)
     with pytest.raises(UsageError, match="not a checkpoint of `mjhab train`"):
         load_student(path)
-    save_training(path, trainer_of(), {})
+    trainer = trainer_of()
+    save_tensors(path, trainer.student, trainer.tensors(), {"step": 0})
     with pytest.raises(
         UsageError, match=r"a student alone\. A training file .* student.safetensors"
     ):
@@ -363,7 +367,7 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
             raise KeyboardInterrupt
         return make_updates(trainer, one, rate)
 
-    monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr("mjhab.learning.runs.imitation.CHECKPOINT_SECONDS", -1.0)
     monkeypatch.setattr(Trainer, "update", stop_after_two)
     stopped = train_in(request(source), tmp_path / "part")
     assert stopped.interrupted and stopped.summary["steps"] == 2
@@ -385,9 +389,9 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
 def test_nan_keeps_the_last_good_checkpoint(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain = Session._batch
+    plain = ImitationSession._batch
 
-    def broken(session: Session, sampler: BatchSampler) -> Batch:
+    def broken(session: ImitationSession, sampler: BatchSampler) -> Batch:
         one = plain(session, sampler)
         return (
             dataclasses.replace(one, actions=one.actions * torch.nan)
@@ -395,8 +399,8 @@ def test_nan_keeps_the_last_good_checkpoint(
             else one
         )
 
-    monkeypatch.setattr(Session, "_batch", broken)
-    monkeypatch.setattr("mjhab.learning.runs.session.CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr(ImitationSession, "_batch", broken)
+    monkeypatch.setattr("mjhab.learning.runs.imitation.CHECKPOINT_SECONDS", -1.0)
     with pytest.raises(BrokenLossError, match="batch 4"):
         train_in(request(source), tmp_path / "run")
     kept = load_checkpoint(tmp_path / "run" / "training.safetensors")
@@ -515,7 +519,9 @@ def test_the_cosine_schedule_ends_with_the_last_round(
         return report
 
     monkeypatch.setattr(Trainer, "update", note)
-    monkeypatch.setattr(Session, "collect", lambda session, _: session.load(source))
+    monkeypatch.setattr(
+        ImitationSession, "collect", lambda session, _: session.load(source)
+    )
     optimizer = dataclasses.replace(
         config().optimizer, schedule="cosine", warmup=0, learning_rate=1.0
     )
@@ -597,7 +603,7 @@ def test_a_resumed_run_makes_the_evaluation_that_was_interrupted(
     judge = Session._evaluate_in
 
     def interrupted(session: Session, *given: Any) -> Any:
-        if session.trainer.step == 2:
+        if session.state.updates == 2:
             raise KeyboardInterrupt
         return judge(session, *given)
 
@@ -714,7 +720,7 @@ def test_before_the_data_are_read_there_is_no_checkpoint(
     def interrupted(session: Session, *_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Session, "load", interrupted)
+    monkeypatch.setattr(ImitationSession, "load", interrupted)
     stopped = train_in(request(source), tmp_path / "run")
     assert stopped.interrupted and stopped.summary["checkpoint"] is None
     assert stopped.summary["trained"] is False

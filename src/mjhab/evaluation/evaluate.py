@@ -8,11 +8,11 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,18 +20,12 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.version import __version__
 from mjhab.evaluation.global_random import SeededGlobals
-from mjhab.evaluation.own_policy import (
-    check_methods,
-    check_policy,
-    construct_policy,
-    env_options_of,
-)
+from mjhab.evaluation.own_policy import OwnPolicy
 from mjhab.evaluation.resolve import (
+    OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
-    inspect_policy,
-    no_instruction,
-    resolve_policy,
+    open_policy,
 )
 from mjhab.evaluation.specs import EvalSpec, PolicyLike, env_names
 from mjhab.reports.metrics import (
@@ -140,7 +134,8 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
         UsageError: see `evaluate`.
         EvaluationInterrupted: Ctrl-C was pressed; summary and report are written before it is raised.
     """
-    facts = describe_policy(spec.policy)
+    opened = open_any(spec.policy)
+    facts = opened.facts
     config = resolved_config(spec, facts)
     path = spec.out or default_out(spec, facts.name)
     EvaluationFolder.check(path, config, resume=spec.resume, overwrite=spec.overwrite)
@@ -153,7 +148,7 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     policy = None
     try:
         with SeededGlobals(spec.asked.seed) as random:
-            policy = make_policy(spec, env)
+            policy = opened.build(env, policy_options(spec))
             random.take_torch()
             with EvaluationFolder.open(
                 path, config, resume=spec.resume, overwrite=spec.overwrite
@@ -234,41 +229,27 @@ def _quantiles(latency_ms: Sequence[float]) -> dict[str, float | None]:
     return {"p50": round(float(p50), 3), "p99": round(float(p99), 3)}
 
 
+def open_any(policy: PolicyLike) -> OpenedPolicy:
+    """Open a policy before its environment is built.
+
+    Raises:
+        UsageError: there is no such policy, or it lacks a method.
+    """
+    return open_policy(policy) if isinstance(policy, str) else OwnPolicy(policy)
+
+
 def describe_policy(policy: PolicyLike) -> PolicyFacts:
     """Describe a policy before its environment is built.
 
     Raises:
         UsageError: there is no such policy, or it lacks a method.
     """
-    if isinstance(policy, str):
-        return inspect_policy(policy)
-    called = getattr(policy, "__name__", type(policy).__name__)
-    name = getattr(policy, "name", None)
-    if not isinstance(name, str):
-        # On a class, name may be a property; a function that makes a policy has no name attribute.
-        name = called
-    if isinstance(policy, type) or not callable(policy):
-        check_methods(policy, called)
-    return PolicyFacts(name, env_options=env_options_of(policy))
+    return open_any(policy).facts
 
 
-def make_policy(spec: EvalSpec, env: RolloutEnv) -> Policy:
-    """Build the policy of an evaluation.
-
-    Raises:
-        UsageError: the policy lacks a part of the Policy protocol, or cannot act in this environment.
-    """
-    policy = spec.policy
-    if isinstance(policy, str):
-        return resolve_policy(
-            policy, env, PolicyOptions(spec.asked.seed, spec.style, spec.instruction)
-        )
-    if spec.instruction:
-        raise no_instruction(describe_policy(policy).name)
-    if isinstance(policy, type) or not hasattr(policy, "act"):
-        return construct_policy(cast(Callable[..., Policy], policy), env)
-    check_policy(policy, type(policy).__name__)
-    return cast(Policy, policy)
+def policy_options(spec: EvalSpec) -> PolicyOptions:
+    """What an evaluation tells its policy."""
+    return PolicyOptions(spec.asked.seed, spec.style, spec.instruction)
 
 
 def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:

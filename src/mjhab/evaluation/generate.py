@@ -30,7 +30,8 @@ from mjhab.evaluation.evaluate import (
     describe_policy,
     env_options,
     make_env,
-    make_policy,
+    open_any,
+    policy_options,
     recorded_value,
 )
 from mjhab.evaluation.resolve import PolicyFacts
@@ -202,7 +203,8 @@ def make_crew(workers: int, ray: str | None = None) -> Crew:
 
 def build_stage(spec: GenerateSpec) -> Stage:
     """Build the environment and the policy of a worker; called in the worker's process."""
-    facts = describe_policy(spec.policy)
+    opened = open_any(spec.policy)
+    facts = opened.facts
     evaluation = spec.as_evaluation()
     env = make_env(evaluation, recorded_env_options(spec, facts))
     targets = (ALL,)
@@ -213,7 +215,7 @@ def build_stage(spec: GenerateSpec) -> Stage:
             if asked.target
             else tuple(valid_targets(env.config, env.layout))
         )
-    policy = make_policy(evaluation, env)
+    policy = opened.build(env, policy_options(evaluation))
     return Stage(
         env,
         policy,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 from mjhab.core.errors import UsageError
+from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 METHODS = ("reset", "act")
@@ -80,3 +81,35 @@ def check_methods(policy: Any, called: str) -> None:
             f"the policy {called} has no {' and no '.join(lacking)}; it needs reset(mask) and act(obs, info), see "
             "mjhab.rollout.policy.Policy."
         )
+
+
+class OwnPolicy(OpenedPolicy):
+    """A policy that is an object of the caller, or a class or function that makes one.
+
+    Args:
+        policy: it.
+
+    Raises:
+        UsageError: the policy lacks a method.
+    """
+
+    def __init__(self, policy: Any) -> None:
+        called = getattr(policy, "__name__", type(policy).__name__)
+        name = getattr(policy, "name", None)
+        # On a class, name may be a property; a function that makes a policy has no name attribute.
+        super().__init__(name if isinstance(name, str) else called)
+        self._policy = policy
+        if isinstance(policy, type) or not callable(policy):
+            check_methods(policy, called)
+
+    @property
+    def facts(self) -> PolicyFacts:
+        """Its name and the environment options that it needs."""
+        return PolicyFacts(self.spec, env_options=env_options_of(self._policy))
+
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        policy = self._policy
+        if isinstance(policy, type) or not hasattr(policy, "act"):
+            return construct_policy(cast(Callable[..., Policy], policy), env)
+        check_policy(policy, type(policy).__name__)
+        return cast(Policy, policy)

@@ -1,4 +1,4 @@
-"""Policies in a file of the user: ``FILE.py:CLASS``. See `resolve.PolicyModule`.
+"""Policies in a file of the user: ``FILE.py:CLASS``. See `resolve.OpenedPolicy`.
 
 The class has ``name``, ``reset`` and ``act`` of the `Policy` protocol. If its constructor has a parameter, it gets the
 vector environment. The class attribute ``env_options`` holds the environment options that the policy needs, e.g.
@@ -18,33 +18,36 @@ from types import ModuleType
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.evaluation.own_policy import check_methods, construct_policy, env_options_of
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 
-def inspect_policy(spec: str) -> PolicyFacts:
-    """Load the file and describe the class; the hash of the file identifies its version.
+class PolicyClass(OpenedPolicy):
+    """A class in a file; the hash of the file identifies its version."""
 
-    Raises:
-        UsageError: the file is missing or raises on import; it has no such class; or the class lacks a method.
-    """
-    path, _ = _split(spec)
-    policy_class = _load_class(spec)
-    name = f"{path.name}:{policy_class.__name__}"
-    return PolicyFacts(
-        name, {"policy_sha256": _file_hash(path)}, env_options_of(policy_class)
-    )
+    @property
+    def facts(self) -> PolicyFacts:
+        """Load the file and describe the class.
 
+        Raises:
+            UsageError: the file is missing or raises on import; it has no such class; or the class lacks a method.
+        """
+        path, _ = _split(self.spec)
+        policy_class = _load_class(self.spec)
+        return PolicyFacts(
+            f"{path.name}:{policy_class.__name__}",
+            {"policy_sha256": _file_hash(path)},
+            env_options_of(policy_class),
+        )
 
-def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-    """Instantiate the class.
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        """Instantiate the class.
 
-    Raises:
-        UsageError: as `inspect_policy`; or ``options`` sets a style; or the constructor has other parameters.
-    """
-    if options.style:
-        raise UsageError(f"only the policy expert has a style; {spec} has none.")
-    return construct_policy(_load_class(spec), env)
+        Raises:
+            UsageError: as `facts`; or ``options`` sets a style; or the constructor has other parameters.
+        """
+        self.refuse_style(options)
+        return construct_policy(_load_class(self.spec), env)
 
 
 def _split(spec: str) -> tuple[Path, str]:

@@ -1,15 +1,16 @@
 """Policies by specification, as for ``--policy`` of every command and for ``mjhab.evaluate``.
 
-Each kind of specification (a name, ``FILE.py:CLASS``, ...) is an entry of ``POLICY_KINDS``. Its code lies in a module
+Each kind of specification (a name, ``FILE.py:CLASS``, ...) is an entry of ``POLICY_KINDS``. Its class lies in a module
 that is imported on first use, so that a kind may need a heavy library, or a package that itself imports this one.
 """
 
 from __future__ import annotations
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -61,24 +62,56 @@ class PolicyOptions:
     instruction: str = ""
 
 
-class PolicyModule(Protocol):
-    """Interface of the module of a policy kind."""
+class OpenedPolicy(ABC):
+    """A policy that a specification names: its files are read once, when they are first asked for.
 
-    def inspect_policy(self, spec: str) -> PolicyFacts:
-        """Describe the policy without building it; this must be cheap.
+    Args:
+        spec: the specification.
+    """
+
+    takes_instruction = False
+    """Whether it may be told `PolicyOptions.instruction`."""
+
+    def __init__(self, spec: str) -> None:
+        self.spec = spec
+
+    @property
+    @abstractmethod
+    def facts(self) -> PolicyFacts:
+        """Description of the policy without an environment.
 
         Raises:
             UsageError: there is no such policy; the message names what was looked for and a valid form.
         """
-        ...
 
-    def build_policy(self, spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-        """Build the policy for an environment.
+    def build(self, env: RolloutEnv, options: PolicyOptions | None = None) -> Policy:
+        """Build the policy.
+
+        Args:
+            env: the vector environment that it will act in, with autoreset "disabled".
+            options: None for seed 0, no style and the instructions of the episodes.
 
         Raises:
-            UsageError: the policy cannot act in this environment.
+            UsageError: there is no such policy, it cannot act in this environment, or it takes no instruction and
+                ``options`` has one.
         """
-        ...
+        options = options or PolicyOptions()
+        if options.instruction and not self.takes_instruction:
+            raise no_instruction(self.spec)
+        return self._build(env, options)
+
+    @abstractmethod
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        """Build the policy of this kind, see `build`."""
+
+    def refuse_style(self, options: PolicyOptions) -> None:
+        """Refuse style options, which only the expert has.
+
+        Raises:
+            UsageError: there are some.
+        """
+        if options.style:
+            raise UsageError(f"only the policy expert has a style; {self.spec} has none.")
 
 
 @dataclass(frozen=True)
@@ -86,59 +119,62 @@ class PolicyKind:
     """A kind of policy specification.
 
     form: pattern of its specifications, for messages. matches: whether a specification is of this kind; kinds are
-    tried in order of registration. module: full name of a `PolicyModule`. takes_instruction: whether its policies may
-    be told `PolicyOptions.instruction`.
+    tried in order of registration. opened: ``module:class`` of the kind's `OpenedPolicy`. takes_instruction: see there.
     """
 
     form: str
     matches: Callable[[str], bool]
-    module: str
+    opened: str
     takes_instruction: bool = False
 
-    def load(self) -> PolicyModule:
-        """Import the module."""
-        return cast(PolicyModule, importlib.import_module(self.module))
+    def open(self, spec: str) -> OpenedPolicy:
+        """Open a policy of this kind; its module is imported now."""
+        module, _, name = self.opened.partition(":")
+        kind = getattr(importlib.import_module(module), name)
+        opened = cast(OpenedPolicy, kind(spec))
+        opened.takes_instruction = self.takes_instruction
+        return opened
 
 
 POLICY_KINDS: list[PolicyKind] = [
     PolicyKind(
         ", ".join(NAMED_POLICIES),
         lambda spec: spec in NAMED_POLICIES,
-        "mjhab.evaluation.named_policies",
+        "mjhab.evaluation.named_policies:NamedPolicy",
     ),
     PolicyKind(
         STUDENT,
         lambda spec: spec.partition(":")[0] == STUDENT,
-        "mjhab.learning.shipped_kind",
+        "mjhab.learning.shipped_kind:ShippedPolicy",
         takes_instruction=True,
     ),
     PolicyKind(
         f"{MS_HAB_PREFIX}CHECKPOINT.pt",
         lambda spec: spec.startswith(MS_HAB_PREFIX),
-        "mjhab.paper.ms_hab.policy_kind",
+        "mjhab.paper.ms_hab.policy_kind:MsHabFile",
     ),
     PolicyKind(
         "ws://HOST:PORT",
         lambda spec: spec.startswith(("ws://", "wss://")),
-        "mjhab.evaluation.served.kind",
+        "mjhab.evaluation.served.kind:ServerAddress",
         takes_instruction=True,
     ),
     PolicyKind(
         "CHECKPOINT.safetensors",
         lambda spec: spec.endswith(".safetensors"),
-        "mjhab.learning.policy_kind",
+        "mjhab.learning.policy_kind:CheckpointFiles",
         takes_instruction=True,
     ),
     PolicyKind(
         "POLICIES.json",
         lambda spec: spec.endswith(".json"),
-        "mjhab.learning.by_subtask",
+        "mjhab.learning.by_subtask:PoliciesFile",
         takes_instruction=True,
     ),
     PolicyKind(
         "FILE.py:CLASS",
         lambda spec: spec.endswith(".py") or ".py:" in spec,
-        "mjhab.evaluation.policy_file",
+        "mjhab.evaluation.policy_file:PolicyClass",
     ),
 ]
 """All kinds; the first match is used."""
@@ -149,34 +185,33 @@ def register_policy_kind(kind: PolicyKind) -> None:
     POLICY_KINDS.append(kind)
 
 
+def open_policy(spec: str) -> OpenedPolicy:
+    """Open the policy that a specification names: "expert", "FILE.py:CLASS" or another form; see `full_spec`.
+
+    Raises:
+        UsageError: the specification matches no kind.
+    """
+    return _kind_of(spec).open(spec)
+
+
 def inspect_policy(spec: str) -> PolicyFacts:
     """Describe the policy that a specification names, without an environment.
 
     Raises:
         UsageError: the specification matches no kind, or there is no such policy.
     """
-    return _kind_of(spec).load().inspect_policy(spec)
+    return open_policy(spec).facts
 
 
 def resolve_policy(
     spec: str, env: RolloutEnv, options: PolicyOptions | None = None
 ) -> Policy:
-    """Build the policy that a specification names.
-
-    Args:
-        spec: "expert", "random", "zero", "FILE.py:CLASS", or the form of another registered kind; see `full_spec`.
-        env: the vector environment that it will act in, with autoreset "disabled".
-        options: None for seed 0, no style and the instructions of the episodes.
+    """Build the policy that a specification names, see `OpenedPolicy.build`.
 
     Raises:
-        UsageError: the specification matches no kind, there is no such policy, it cannot act in this environment, or
-            it takes no instruction and ``options`` has one.
+        UsageError: the specification matches no kind, or as `OpenedPolicy.build`.
     """
-    options = options or PolicyOptions()
-    kind = _kind_of(spec)
-    if options.instruction and not kind.takes_instruction:
-        raise no_instruction(spec)
-    return kind.load().build_policy(spec, env, options)
+    return open_policy(spec).build(env, options)
 
 
 def no_instruction(policy: str) -> UsageError:

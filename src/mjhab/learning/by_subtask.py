@@ -1,4 +1,4 @@
-"""A separate policy for each subtask of a chain: ``--policy POLICIES.json``. See `evaluation.resolve.PolicyModule`.
+"""A separate policy for each subtask of a chain: ``--policy POLICIES.json``. See `evaluation.resolve.OpenedPolicy`.
 
 The file is ``{"policies": [{"subtask": "pick", "target": "024_bowl", "checkpoint": "pick.safetensors"}, ...]}``; its
 paths are relative to its folder. In place of a checkpoint an entry may name any other policy, as for ``--policy``:
@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,11 +29,11 @@ from mjhab.evaluation.resolve import (
     MS_HAB_PREFIX,
     NAMED_POLICIES,
     STUDENT,
+    OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
-    resolve_policy,
+    open_policy,
 )
-from mjhab.evaluation.resolve import inspect_policy as inspect_any
 from mjhab.learning import policy_kind
 from mjhab.rollout.policy import Fallible, Policy, RolloutEnv, Selective
 from mjhab.tasks.household.registry import TASKS
@@ -124,88 +126,111 @@ def entries_text(path: Path, entries: Sequence[Entry]) -> str:
     return json.dumps({"policies": rows}, indent=1) + "\n"
 
 
-def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe the policies together: one hash over all of them, and the environment options that they need.
+class PoliciesTogether(OpenedPolicy):
+    """The policies of some entries; each is opened once.
 
-    Raises:
-        UsageError: see `read_entries`; or two policies need different environment options.
+    Args:
+        spec: their name.
     """
-    path = Path(spec)
-    return describe_entries(path.stem, read_entries(path))
 
+    @cached_property
+    @abstractmethod
+    def entries(self) -> tuple[Entry, ...]:
+        """The entries.
 
-def describe_entries(name: str, entries: Sequence[Entry]) -> PolicyFacts:
-    """`inspect_policy` for the policies of ``entries``.
+        Raises:
+            UsageError: they cannot be read.
+        """
 
-    Raises:
-        UsageError: two policies need different environment options, or a checkpoint cannot be read.
-    """
-    hashes = []
-    needed = []
-    profiles = set()
-    robot = ""
-    reads = False
-    cautions = []
-    for entry in entries:
-        facts = inspect_any(entry.checkpoint)
-        known = facts.identity.get("policy_sha256") or json.dumps(
-            [facts.name, dict(facts.identity)], sort_keys=True
-        )
-        hashes.append([entry.subtask, entry.target, known])
-        if "policy_profile" in facts.identity:
-            profiles.add(facts.identity["policy_profile"])
-        needed.append((entry.checkpoint, facts.env_options))
-        robot = robot or facts.robot
-        reads = reads or facts.reads_instruction
-        cautions.append(facts.caution)
-    options = policy_kind.joined(name, needed)
-    digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
-    identity = {"policy_sha256": digest}
-    if profiles:
-        identity["policy_profile"] = ", ".join(sorted(profiles))
-    caution = " ".join(filter(None, dict.fromkeys(cautions)))
-    return PolicyFacts(name, identity, options, robot, reads, caution)
+    @cached_property
+    def opened(self) -> list[OpenedPolicy]:
+        """Their policies."""
+        return [open_policy(entry.checkpoint) for entry in self.entries]
 
+    @property
+    def name(self) -> str:
+        """Name of the policies together."""
+        return Path(self.spec).stem
 
-def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-    """Build all policies.
+    @property
+    def facts(self) -> PolicyFacts:
+        """One hash over all of them, and the environment options that they need.
 
-    Raises:
-        UsageError: as `inspect_policy`; ``options`` sets a style; or a subtask of the environment has no policy.
-    """
-    return build_entries(spec, read_entries(Path(spec)), env, options)
-
-
-def build_entries(
-    name: str, entries: Sequence[Entry], env: RolloutEnv, options: PolicyOptions
-) -> Policy:
-    """`build_policy` for the policies of ``entries``.
-
-    Raises:
-        UsageError: as `build_policy`.
-    """
-    config = cast(Any, env).config
-    wanted = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
-    having = {entry.subtask for entry in entries}
-    for subtask in wanted:
-        teleports = SUBTASKS[subtask].navigates and config.navigate == "teleport"
-        if subtask not in having and not teleports:
-            raise UsageError(
-                f"{name} has no policy for {subtask}; it has some for {sorted(having)}."
+        Raises:
+            UsageError: see `entries`; two policies need different environment options, or a checkpoint cannot be read.
+        """
+        hashes = []
+        needed = []
+        profiles = set()
+        cautions = []
+        every = [opened.facts for opened in self.opened]
+        for entry, facts in zip(self.entries, every, strict=True):
+            known = facts.identity.get("policy_sha256") or json.dumps(
+                [facts.name, dict(facts.identity)], sort_keys=True
             )
-    policies = [_build(entry.checkpoint, env, options) for entry in entries]
-    width = len(cast(Any, env).action_table)
-    return PoliciesBySubtask(entries, policies, env.num_envs, width)
+            hashes.append([entry.subtask, entry.target, known])
+            if "policy_profile" in facts.identity:
+                profiles.add(facts.identity["policy_profile"])
+            needed.append((entry.checkpoint, facts.env_options))
+            cautions.append(facts.caution)
+        digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
+        identity = {"policy_sha256": digest}
+        if profiles:
+            identity["policy_profile"] = ", ".join(sorted(profiles))
+        return PolicyFacts(
+            self.name,
+            identity,
+            policy_kind.joined(self.name, needed),
+            next((facts.robot for facts in every if facts.robot), ""),
+            any(facts.reads_instruction for facts in every),
+            " ".join(filter(None, dict.fromkeys(cautions))),
+        )
+
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        return self.together(self.entries, self.opened, env, options)
+
+    def together(
+        self,
+        entries: Sequence[Entry],
+        opened: Sequence[OpenedPolicy],
+        env: RolloutEnv,
+        options: PolicyOptions,
+    ) -> Policy:
+        """Build the policies of entries.
+
+        Raises:
+            UsageError: as `facts`; ``options`` sets a style; or a subtask of the environment has no policy.
+        """
+        config = cast(Any, env).config
+        wanted = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
+        having = {entry.subtask for entry in entries}
+        for subtask in wanted:
+            teleports = SUBTASKS[subtask].navigates and config.navigate == "teleport"
+            if subtask not in having and not teleports:
+                raise UsageError(
+                    f"{self.spec} has no policy for {subtask}; it has some for {sorted(having)}."
+                )
+        policies = [_built(one, env, options) for one in opened]
+        width = len(cast(Any, env).action_table)
+        return PoliciesBySubtask(entries, policies, env.num_envs, width)
 
 
-def _build(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
+class PoliciesFile(PoliciesTogether):
+    """The policies of a file."""
+
+    @cached_property
+    def entries(self) -> tuple[Entry, ...]:
+        """The entries of the file, see `read_entries`."""
+        return read_entries(Path(self.spec))
+
+
+def _built(opened: OpenedPolicy, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """The policy of an entry; a checkpoint may see means of the pixels of larger images."""
-    if spec.endswith(policy_kind.SUFFIX):
-        return policy_kind.build_policy(spec, env, options, pools=True)
+    if isinstance(opened, policy_kind.CheckpointFiles):
+        return opened.build_in(env, options, pools=True)
     # Only the expert has a style.
-    return resolve_policy(
-        spec, env, options if spec == EXPERT else replace(options, style=())
-    )
+    mine = options if opened.spec == EXPERT else replace(options, style=())
+    return opened.build(env, mine)
 
 
 class PoliciesBySubtask:

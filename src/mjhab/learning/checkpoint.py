@@ -26,7 +26,6 @@ from mjhab.learning.compact import compacted, expanded
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
 from mjhab.learning.layout import Layout
 from mjhab.learning.runs.run import STUDENT
-from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
 
@@ -68,16 +67,10 @@ def save_compact(
     Raises:
         UsageError: see `load_student`.
     """
-    student = load_student(source)
-    told = load_checkpoint(source).about if about is None else about
+    saved = load_checkpoint(source)
+    student = student_of(source, saved)
+    told = saved.about if about is None else about
     save_tensors(target, student, compacted(student.state_dict()), told)
-
-
-def save_training(path: Path, trainer: Trainer, about: Mapping[str, Any]) -> None:
-    """Write the state needed to continue training atomically."""
-    save_tensors(
-        path, trainer.student, trainer.tensors(), {**about, "step": trainer.step}
-    )
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -125,9 +118,21 @@ def load_student(path: Path) -> Student:
     """Load the student of a student file, ready for inference.
 
     Raises:
-        UsageError: see `load_checkpoint`; or the file is a training file or holds the weights of another network.
+        UsageError: see `load_checkpoint` and `student_of`.
     """
-    saved = load_checkpoint(path)
+    return student_of(path, load_checkpoint(path))
+
+
+def student_of(path: Path, saved: Checkpoint) -> Student:
+    """The student of a student file, ready for inference.
+
+    Args:
+        path: the file, for the message.
+        saved: its content.
+
+    Raises:
+        UsageError: the file is a training file or holds the weights of another network.
+    """
     if _described_shapes(path, saved) != _shapes(saved.tensors):
         raise UsageError(
             f"{path} does not hold the weights of a student alone. {_remedy(path)}"

@@ -1,19 +1,25 @@
 """Checkpoints as policies: ``--policy CHECKPOINT.safetensors`` of every command.
 
 ``A.safetensors+B.safetensors`` names several that act together, see `policy.StudentEnsemble`. See
-`evaluation.resolve.PolicyModule`.
+`evaluation.resolve.OpenedPolicy`.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import is_file
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions, no_instruction
+from mjhab.evaluation.resolve import (
+    OpenedPolicy,
+    PolicyFacts,
+    PolicyOptions,
+    no_instruction,
+)
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 
@@ -65,85 +71,97 @@ def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[s
     return options
 
 
-def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe a checkpoint, or several: name, hash of the bytes, profile, and the environment that is needed.
+class CheckpointFiles(OpenedPolicy):
+    """A checkpoint, or several together. Their content is kept: for the description and for the policy."""
 
-    The run's records hold the checkpoint's profile as ``policy_profile`` and the environment's as ``profile``.
+    @cached_property
+    def paths(self) -> list[Path]:
+        """The files."""
+        return members(self.spec)
 
-    Raises:
-        UsageError: torch is not installed, a file cannot be read, or the students need different environments.
-    """
-    require_learn()
-    from mjhab.learning.checkpoint import load_checkpoint
+    @cached_property
+    def content(self) -> list[Checkpoint]:
+        """What they hold.
 
-    paths = members(spec)
-    checkpoints = [load_checkpoint(path) for path in paths]
-    layouts = [checkpoint.layout for checkpoint in checkpoints]
-    reads = any(layout.inputs.sentence for layout in layouts)
-    digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
-    digest = digests[0]
-    if len(digests) > 1:
-        digest = hashlib.sha256("".join(digests).encode()).hexdigest()
-    named = zip(
-        map(str, paths), (layout.env_options() for layout in layouts), strict=True
-    )
-    identity = {"policy_sha256": digest, "policy_profile": layouts[0].profile}
-    name = AND.join(path.stem for path in paths)
-    return PolicyFacts(
-        name,
-        identity,
-        joined(spec, named),
-        layouts[0].robot_name,
-        reads,
-        _caution(paths, checkpoints),
-    )
+        Raises:
+            UsageError: torch is not installed, or a file cannot be read.
+        """
+        require_learn()
+        from mjhab.learning.checkpoint import load_checkpoint
 
+        return [load_checkpoint(path) for path in self.paths]
 
-def _caution(paths: Sequence[Path], checkpoints: Sequence[Checkpoint]) -> str:
-    """What to warn of: networks that were never updated."""
-    pairs = zip(paths, checkpoints, strict=True)
-    random = [str(path) for path, checkpoint in pairs if checkpoint.is_untrained]
-    if not random:
-        return ""
-    return f"{', '.join(random)} has random weights: it was never trained (0 updates)."
+    @cached_property
+    def facts(self) -> PolicyFacts:
+        """Name, hash of the bytes, profile, and the environment that is needed.
 
+        The run's records hold the checkpoint's profile as ``policy_profile`` and the environment's as ``profile``.
 
-def build_policy(
-    spec: str, env: RolloutEnv, options: PolicyOptions, pools: bool = False
-) -> Policy:
-    """Build the policy of a checkpoint, or that of several together.
-
-    Args:
-        spec: the files.
-        env: the environment.
-        options: of the run.
-        pools: whether images may be larger than those that a student was trained with, as they may with several.
-
-    Raises:
-        UsageError: as `inspect_policy`; the environment's observations or actions do not match the student's; or
-            ``options`` sets a style, or an instruction for students without sentences.
-    """
-    if options.style:
-        raise UsageError(f"only the policy expert has a style; {spec} has none.")
-    require_learn()
-    from mjhab.learning.checkpoint import load_student
-    from mjhab.learning.policy import StudentEnsemble, StudentPolicy
-
-    acting = cast("ActingEnv", env)
-    students = [load_student(path) for path in members(spec)]
-    if options.instruction and not any(
-        student.config.inputs.sentence for student in students
-    ):
-        raise no_instruction(spec)
-    several = len(students) > 1
-    policies = [
-        StudentPolicy(
-            student,
-            acting,
-            options.seed,
-            student.layout.pool_in(acting) if pools or several else 1,
-            options.instruction,
+        Raises:
+            UsageError: see `content`; or the students need different environments.
+        """
+        layouts = [checkpoint.layout for checkpoint in self.content]
+        digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in self.paths]
+        digest = digests[0]
+        if len(digests) > 1:
+            digest = hashlib.sha256("".join(digests).encode()).hexdigest()
+        options = (layout.env_options() for layout in layouts)
+        return PolicyFacts(
+            AND.join(path.stem for path in self.paths),
+            {"policy_sha256": digest, "policy_profile": layouts[0].profile},
+            joined(self.spec, zip(map(str, self.paths), options, strict=True)),
+            layouts[0].robot_name,
+            any(layout.inputs.sentence for layout in layouts),
+            self._caution(),
         )
-        for student in students
-    ]
-    return StudentEnsemble(policies) if several else policies[0]
+
+    def _caution(self) -> str:
+        """What to warn of: networks that were never updated."""
+        pairs = zip(self.paths, self.content, strict=True)
+        random = [str(path) for path, checkpoint in pairs if checkpoint.is_untrained]
+        if not random:
+            return ""
+        return (
+            f"{', '.join(random)} has random weights: it was never trained (0 updates)."
+        )
+
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        return self.build_in(env, options)
+
+    def build_in(
+        self, env: RolloutEnv, options: PolicyOptions, pools: bool = False
+    ) -> Policy:
+        """Build the policy.
+
+        Args:
+            env: the environment.
+            options: of the run.
+            pools: whether images may be larger than those that a student was trained with, as they may with several.
+
+        Raises:
+            UsageError: see `content`; the environment's observations or actions do not match the student's; or
+                ``options`` sets a style, or an instruction for students without sentences.
+        """
+        self.refuse_style(options)
+        pairs = zip(self.paths, self.content, strict=True)
+        from mjhab.learning.checkpoint import student_of
+        from mjhab.learning.policy import StudentEnsemble, StudentPolicy
+
+        acting = cast("ActingEnv", env)
+        students = [student_of(path, checkpoint) for path, checkpoint in pairs]
+        if options.instruction and not any(
+            student.config.inputs.sentence for student in students
+        ):
+            raise no_instruction(self.spec)
+        several = len(students) > 1
+        policies = [
+            StudentPolicy(
+                student,
+                acting,
+                options.seed,
+                student.layout.pool_in(acting) if pools or several else 1,
+                options.instruction,
+            )
+            for student in students
+        ]
+        return StudentEnsemble(policies) if several else policies[0]

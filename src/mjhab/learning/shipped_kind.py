@@ -1,4 +1,4 @@
-"""Checkpoints that come with the package: ``--policy student`` of every command. See `evaluation.resolve.PolicyModule`.
+"""Checkpoints that come with the package: ``--policy student`` of every command. See `evaluation.resolve.OpenedPolicy`.
 
 `evaluation.resolve.full_spec` adds the subtask to "student", for instance ``student:set_table/close/fridge/top_door``.
 Without a subtask the students of a task's subtasks act in turn; where the robot is not teleported and the task has no
@@ -10,15 +10,22 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import read_json_object
-from mjhab.evaluation.resolve import EXPERT, STUDENT, PolicyFacts, PolicyOptions
-from mjhab.learning import policy_kind
-from mjhab.learning.by_subtask import Entry, build_entries, describe_entries
-from mjhab.learning.policy_kind import AND, SUFFIX
+from mjhab.evaluation.resolve import (
+    EXPERT,
+    STUDENT,
+    OpenedPolicy,
+    PolicyFacts,
+    PolicyOptions,
+    open_policy,
+)
+from mjhab.learning.by_subtask import Entry, PoliciesTogether
+from mjhab.learning.policy_kind import AND, SUFFIX, CheckpointFiles
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.tasks.household.registry import TASKS
@@ -69,28 +76,6 @@ def shipped_path(task: str, subtask: str, target: str) -> str:
     raise unknown_name("student of this package", file_name(task, subtask, target), there)
 
 
-def shipped_entries(task: str) -> tuple[Entry, ...]:
-    """The checkpoints for the subtasks of a task.
-
-    Raises:
-        UsageError: there is none; the message lists the existing ones.
-    """
-    require_learn()
-    from mjhab.learning.checkpoint import load_checkpoint
-
-    entries = []
-    for name, path in shipped().items():
-        if name.startswith(f"{task}."):
-            told = load_checkpoint(policy_kind.members(path)[0]).about
-            scene = next(one for one in scenes_of(told) if file_name(**one) == name)
-            entries.append(Entry(scene["subtask"], scene["target"], path))
-    if not entries:
-        raise UsageError(
-            f"the package has no student for the task {task!r}, but for: {_listed()}; train others with `mjhab train`."
-        )
-    return tuple(entries)
-
-
 def scenes_of(about: Mapping[str, Any]) -> list[dict[str, str]]:
     """Task, subtask and target of everything that a checkpoint was trained for, from what its file says."""
     return [
@@ -116,26 +101,75 @@ def file_name(task: str, subtask: str, target: str) -> str:
     return ".".join(part for part in parts if part)
 
 
-def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe a student of the package, or those of a task together, see `policy_kind.inspect_policy`."""
-    task, subtask, target = _parts(spec)
-    if not subtask:
-        return describe_entries(STUDENT, shipped_entries(task))
-    facts = policy_kind.inspect_policy(shipped_path(task, subtask, target))
-    return dataclasses.replace(facts, name=STUDENT)
+class ShippedTask(PoliciesTogether):
+    """The package's students of a task together.
 
+    Args:
+        spec: their name.
+        task: the task.
+    """
 
-def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-    """Build a student of the package, or those of a task together, see `policy_kind.build_policy`."""
-    task, subtask, target = _parts(spec)
-    if not subtask:
-        entries = shipped_entries(task)
-        if cast(Any, env).config.navigate != "teleport":
-            learned = {entry.subtask for entry in entries}
-            entries += tuple(
-                Entry(name, "", EXPERT)
-                for name in TASKS[task].subtasks
-                if SUBTASKS[name].navigates and name not in learned
+    def __init__(self, spec: str, task: str) -> None:
+        super().__init__(spec)
+        self._task = task
+
+    @cached_property
+    def opened(self) -> list[OpenedPolicy]:
+        """The checkpoints for the subtasks of the task.
+
+        Raises:
+            UsageError: there is none; the message lists the existing ones.
+        """
+        require_learn()
+        named = [name for name in shipped() if name.startswith(f"{self._task}.")]
+        if not named:
+            raise UsageError(
+                f"the package has no student for the task {self._task!r}, but for: {_listed()}; train others with "
+                "`mjhab train`."
             )
-        return build_entries(STUDENT, entries, env, options)
-    return policy_kind.build_policy(shipped_path(task, subtask, target), env, options)
+        return [CheckpointFiles(shipped()[name]) for name in named]
+
+    @cached_property
+    def entries(self) -> tuple[Entry, ...]:
+        """What they act for."""
+        named = [name for name in shipped() if name.startswith(f"{self._task}.")]
+        entries = []
+        for name, opened in zip(named, self.opened, strict=True):
+            assert isinstance(opened, CheckpointFiles)
+            told = opened.content[0].about
+            scene = next(one for one in scenes_of(told) if file_name(**one) == name)
+            entries.append(Entry(scene["subtask"], scene["target"], opened.spec))
+        return tuple(entries)
+
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        """Build them; where the robot is not teleported, the expert drives if no student does."""
+        if cast(Any, env).config.navigate != "teleport":
+            learned = {entry.subtask for entry in self.entries}
+            driving = [
+                name
+                for name in TASKS[self._task].subtasks
+                if SUBTASKS[name].navigates and name not in learned
+            ]
+            entries = (*self.entries, *(Entry(name, "", EXPERT) for name in driving))
+            opened = [*self.opened, *(open_policy(EXPERT) for _ in driving)]
+            return self.together(entries, opened, env, options)
+        return super()._build(env, options)
+
+
+class ShippedPolicy(OpenedPolicy):
+    """A student of the package, or those of a task together."""
+
+    @cached_property
+    def _found(self) -> OpenedPolicy:
+        task, subtask, target = _parts(self.spec)
+        if not subtask:
+            return ShippedTask(STUDENT, task)
+        return CheckpointFiles(shipped_path(task, subtask, target))
+
+    @property
+    def facts(self) -> PolicyFacts:
+        """Those of what was found, by the name of students of the package."""
+        return dataclasses.replace(self._found.facts, name=STUDENT)
+
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        return self._found._build(env, options)

@@ -14,7 +14,7 @@ from mjhab.learning.reinforcement.specs import (
     SacSpec,
 )
 from mjhab.learning.require import require_learn
-from mjhab.learning.runs.result import TrainingResult
+from mjhab.learning.runs.run import TrainingResult
 from mjhab.learning.runs.specs import (
     ActSpec,
     BcSpec,
@@ -83,6 +83,8 @@ def train_spec(spec: ImitationSpec | ReinforcementSpec) -> TrainingResult:
         from mjhab.learning.reinforcement.train import train_reinforcement
 
         return train_reinforcement(spec)
-    from mjhab.learning.runs.train import train_imitation
+    from mjhab.learning.runs.imitation import open_session
+    from mjhab.learning.runs.session import run_session
 
-    return train_imitation(spec)
+    with open_session(spec) as session:
+        return run_session(session)

@@ -353,7 +353,10 @@ def test_bad_input_is_refused_before_anything_is_made(
         (("--episodes", "0", "--chains", "0", *out), "nothing to measure"),
         (("--subtask", "open", "--task", "tidy_house", *out), "nothing to measure"),
         (("--out", str(made)), "Give --resume"),
-        (("--out", str(made), "--resume", "--seed", "1"), "started with seed = 0, now it is 1"),
+        (
+            ("--out", str(made), "--resume", "--seed", "1"),
+            "started with seed = 0, now it is 1",
+        ),
         (("--out", str(tmp_path / "other"), "--resume"), "nothing to resume"),
         (("--out", str(tmp_path / "other" / "notes.txt")), "is a file"),
     ):

@@ -8,12 +8,12 @@ from pathlib import Path
 import torch
 from torch.multiprocessing.spawn import spawn
 
-from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import changed
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner, Rollout
 from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
+from mjhab.learning.runs import distributed
 from tests.learning.reinforcement.toy import LAYOUT, PPO_TOY, Toy
 
 CONFIG = changed(PPO_TOY, {"minibatches": 1, "epochs": 2, "target_kl": 0.0})

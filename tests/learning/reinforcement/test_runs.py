@@ -21,7 +21,6 @@ from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import InputConfig, NetworkConfig
 from mjhab.learning.reinforcement import algorithm
 from mjhab.learning.reinforcement import session as sessions
-from mjhab.learning.reinforcement import train as training
 from mjhab.learning.reinforcement.configs import (
     PPO,
     RLPD,
@@ -36,9 +35,11 @@ from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs import budget
+from mjhab.learning.runs import session as runs
 from mjhab.learning.runs.evaluation import Evaluations
 from mjhab.learning.runs.run import Logbook
 from mjhab.learning.runs.session import OutOfTime
+from mjhab.learning.runs.time_budget import TimeBudget
 from mjhab.learning.runs.training import BrokenLossError
 from tests.learning.small import train_in
 
@@ -150,7 +151,7 @@ def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     check = sessions.ReinforcementSession.check_time
 
     def killed(self: sessions.ReinforcementSession) -> None:
-        if self.standing.samples >= 40:
+        if self.state.samples >= 40:
             raise Killed
         check(self)
 
@@ -203,7 +204,7 @@ def _train_and_kill(rank: int, out: Path) -> None:
     check = sessions.ReinforcementSession.check_time
 
     def killed(self: sessions.ReinforcementSession) -> None:
-        if self.standing.samples >= 40:
+        if self.state.samples >= 40:
             os.kill(os.getpid(), signal.SIGKILL)
         check(self)
 
@@ -314,7 +315,7 @@ def test_a_killed_run_keeps_the_best_actor_of_one_that_was_not(
     monkeypatch.setattr(
         sessions.ReinforcementSession,
         "_judge",
-        lambda self, episodes, last: rates[self.standing.samples],
+        lambda self, episodes, last: rates[self.state.samples],
     )
     told = dataclasses.replace(
         request(dataclasses.replace(TINY, eval_samples=32)), round_episodes=1
@@ -322,7 +323,7 @@ def test_a_killed_run_keeps_the_best_actor_of_one_that_was_not(
     check = sessions.ReinforcementSession.check_time
 
     def killed(self: sessions.ReinforcementSession) -> None:
-        if self.standing.samples >= 32:
+        if self.state.samples >= 32:
             raise Killed
         check(self)
 
@@ -356,7 +357,7 @@ def test_the_success_that_chooses_the_student_can_be_told(
         dataclasses.replace(TINY, samples=48, eval_samples=16), (f"keep_best_by={by}",)
     )
     # The page shows real records.
-    monkeypatch.setattr(training, "render_training_report", lambda *_: "")
+    monkeypatch.setattr(runs, "render_training_report", lambda *_: "")
     result = train_in(
         dataclasses.replace(request(config), round_episodes=10), tmp_path / "run"
     )
@@ -414,7 +415,7 @@ def test_ctrl_c_before_the_first_checkpoint_keeps_the_actor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(self: sessions.ReinforcementSession) -> None:
-        if self.standing.samples >= 16:
+        if self.state.samples >= 16:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(sessions.ReinforcementSession, "check_time", interrupted)
@@ -451,9 +452,7 @@ def test_the_budget_holds_for_demonstrations_and_imitation(
 
     monkeypatch.setattr(owner, name, passes)
     # The expert's episodes take real time, which must not decide here.
-    monkeypatch.setattr(
-        sessions.ReinforcementSession, "estimate_evaluation", lambda *_: None
-    )
+    monkeypatch.setattr(TimeBudget, "estimate_evaluation", lambda *_: None)
     config = dataclasses.replace(TINY_IMITATING, samples=64)
     assert config.ppo is not None
     config = dataclasses.replace(
@@ -546,7 +545,7 @@ def train_killed_and_whole(number: int, folder: str, port: int) -> None:
     check = sessions.ReinforcementSession.check_time
 
     def killed(self: sessions.ReinforcementSession) -> None:
-        if self.standing.samples >= 300:
+        if self.state.samples >= 300:
             raise Killed
         check(self)
 

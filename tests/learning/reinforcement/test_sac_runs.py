@@ -13,9 +13,9 @@ import torch
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, changed
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.sac.run import SacRun
-from mjhab.learning.reinforcement.session import Standing
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
+from mjhab.learning.runs.session import TrainState
 from tests.learning.reinforcement.toy import LAYOUT, SAC_TOY, Toy
 
 WORLDS = 16
@@ -41,11 +41,11 @@ class Session:
         self.training_file = folder / "training.safetensors"
         self.folder = SimpleNamespace(path=folder)
         self.log = SimpleNamespace(say=bool, show=bool)
-        self.standing = Standing()
+        self.state = TrainState()
         self.learner_seconds = 0.0
 
     def note(self, transition: Transition) -> None:
-        self.standing.samples += self.worlds.count
+        self.state.samples += self.worlds.count
 
     def due(self, every: int, before: int) -> bool:
         return False
@@ -53,15 +53,15 @@ class Session:
     def check_time(self) -> None:
         """There is no budget."""
 
-    def expect(self, *_: object) -> None:
+    def expect_work(self, *_: object, **__: object) -> None:
         """There is no budget."""
 
     def report(self, numbers: dict[str, float]) -> None:
         """Nobody reads it."""
 
     def save(self, actor: object, tensors: object) -> None:
-        self.standing.checkpoints += 1
-        self.worlds.begin(self.standing.checkpoints)
+        self.state.checkpoints += 1
+        self.worlds.begin(self.state.checkpoints)
 
 
 class InMemory(SacRun):
@@ -133,7 +133,7 @@ def test_a_run_whose_buffer_is_gone_fills_it_before_it_goes_on(
     session = Session(run.config, tmp_path / "moved", None)
     session.config = changed(run.config, {"samples": 224})
     session.saved = SimpleNamespace(tensors=run.tensors())
-    session.standing = dataclasses.replace(run.session.standing)
+    session.state = dataclasses.replace(run.session.state)
     again = kind(session)  # type: ignore[arg-type]
     before = again.learner.updates
     normalizer = again.actor.normalizer.mean.clone()

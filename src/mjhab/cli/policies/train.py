@@ -10,8 +10,7 @@ from typing import Any
 from mjhab.cli.output import print_json
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
-from mjhab.learning.runs.result import TrainingResult
-from mjhab.learning.runs.run import TRAINING
+from mjhab.learning.runs.run import TRAINING, TrainingResult
 from mjhab.learning.runs.specs import SECONDS_PER_MINUTE, ImitationSpec, TrainSpec
 from mjhab.learning.train import train_spec
 

@@ -1,4 +1,4 @@
-"""Remote policies: ``--policy ws://host:port`` of every command. See `evaluation.resolve.PolicyModule`."""
+"""Remote policies: ``--policy ws://host:port`` of every command. See `evaluation.resolve.OpenedPolicy`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 from typing import Any, cast
 
 from mjhab.core.errors import UsageError
-from mjhab.evaluation.resolve import PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.evaluation.served.metadata import env_options_of, own_part, space_of
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -16,55 +16,61 @@ from mjhab.serving import require_serving
 from mjhab.serving.address import Address, without_password
 
 
-def inspect_policy(spec: str) -> PolicyFacts:
-    """Connect to the server and describe its policy from the metadata it sends.
+class ServerAddress(OpenedPolicy):
+    """The policy of a server."""
 
-    Raises:
-        UsageError: there is no server, it requires a token, or it uses another protocol.
-    """
-    require_serving()
-    from mjhab.serving.client import Connection
+    @property
+    def facts(self) -> PolicyFacts:
+        """Connect to the server and describe its policy from the metadata it sends.
 
-    address = Address.parse(spec)
-    connection = Connection(address)
-    try:
-        metadata = connection.greet()
-    finally:
-        connection.close()
-    own = own_part(metadata)
-    told = _as_json(metadata)
-    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
-    identity = {
-        "dialect": address.dialect,
-        "execute": address.execute,
-        "prompt": address.prompt,
-        "actions": space_of(address, metadata),
-        "server_metadata_sha256": digest,
-        "server": _as_json(own.get("identity", {})),
-    }
-    name = str(own.get("policy") or metadata.get("model_name") or address.dialect)
-    return PolicyFacts(
-        f"served-{re.sub(r'[^A-Za-z0-9_.-]', '-', name)[:60]}",
-        identity,
-        env_options_of(address, metadata),
-    )
+        Raises:
+            UsageError: there is no server, it requires a token, or it uses another protocol.
+        """
+        require_serving()
+        from mjhab.serving.client import Connection
 
-
-def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-    """Connect to the server.
-
-    Raises:
-        UsageError: as `inspect_policy`; the environment's actions do not match the policy's; or ``options`` sets a
-            style.
-    """
-    if options.style:
-        raise UsageError(
-            f"only the policy expert has a style; give it to its server (mjhab serve), not to {without_password(spec)}."
+        address = Address.parse(self.spec)
+        connection = Connection(address)
+        try:
+            metadata = connection.greet()
+        finally:
+            connection.close()
+        own = own_part(metadata)
+        told = _as_json(metadata)
+        digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        identity = {
+            "dialect": address.dialect,
+            "execute": address.execute,
+            "prompt": address.prompt,
+            "actions": space_of(address, metadata),
+            "server_metadata_sha256": digest,
+            "server": _as_json(own.get("identity", {})),
+        }
+        name = str(own.get("policy") or metadata.get("model_name") or address.dialect)
+        return PolicyFacts(
+            f"served-{re.sub(r'[^A-Za-z0-9_.-]', '-', name)[:60]}",
+            identity,
+            env_options_of(address, metadata),
         )
-    require_serving()
-    from mjhab.evaluation.served.policy import ServedPolicy
 
-    return ServedPolicy(Address.parse(spec), cast("Any", env), options.instruction)
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        """Connect to the server.
+
+        Raises:
+            UsageError: as `facts`; the environment's actions do not match the policy's; or ``options`` sets a
+                style.
+        """
+        if options.style:
+            raise UsageError(
+                "only the policy expert has a style; give it to its server (mjhab serve), not to "
+                f"{without_password(self.spec)}."
+            )
+        require_serving()
+        from mjhab.evaluation.served.policy import ServedPolicy
+
+        return ServedPolicy(
+            Address.parse(self.spec), cast("Any", env), options.instruction
+        )
 
 
 def _as_json(value: Any) -> Any:

@@ -22,8 +22,7 @@ from mjhab.evaluation.resolve import (
     PolicyFacts,
     PolicyOptions,
     check_style,
-    inspect_policy,
-    resolve_policy,
+    open_policy,
 )
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy
@@ -71,8 +70,8 @@ class TwinResponder:
         check_style(spec, options.style)
         if assets != BUILTIN:
             open_pack(assets)
-        self.facts: PolicyFacts = inspect_policy(spec)
-        self._spec = spec
+        self._opened = open_policy(spec)
+        self.facts: PolicyFacts = self._opened.facts
         self._options = options
         self._assets = assets
         self._idle: list[tuple[Mapping[str, Any], Twin]] = []
@@ -108,7 +107,7 @@ class TwinResponder:
                     return twin
             env = self._make_env(config)
             env.reset(seed=0)
-            return Twin(env, resolve_policy(self._spec, env, self._options))
+            return Twin(env, self._opened.build(env, self._options))
 
     def give_back(self, config: Mapping[str, Any], twin: Twin) -> None:
         """Return a twin to the idle ones, for the next connection."""

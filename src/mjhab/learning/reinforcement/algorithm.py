@@ -6,12 +6,12 @@ from abc import ABC, abstractmethod
 
 from torch import Tensor
 
-from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.demonstrations.expert import collect_demonstrations
 from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
 from mjhab.learning.reinforcement.demonstrations.recorded import replay_recorded
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.session import DEMONSTRATIONS, ReinforcementSession
+from mjhab.learning.runs import distributed
 from mjhab.learning.students.student import Student
 from mjhab.tasks.subtasks.registry import SUBTASKS, horizons
 
@@ -51,12 +51,13 @@ class AlgorithmRun(ABC):
         self.session.save(self.actor, self.tensors())
 
     def expect_steps(self, steps: int) -> None:
-        """The first update waits for so many control steps, see `ReinforcementSession.expect`."""
-        self.session.expect(
-            "step",
+        """The first update waits for so many control steps, see `Session.expect`."""
+        worlds = self.session.worlds.count
+        self.session.expect_work(
             steps,
-            f"{steps} control steps of {self.session.worlds.count} worlds",
+            f"{steps} control steps of {worlds} worlds",
             "--worlds and --eval-episodes",
+            of_expert=False,
         )
 
     def between(self, before: int) -> None:
@@ -64,7 +65,7 @@ class AlgorithmRun(ABC):
         session = self.session
         every = self.config.eval_samples
         if session.spec.round_episodes and session.due(every, before):
-            session.evaluate(self.actor, session.spec.round_episodes)
+            session.evaluate(session.spec.round_episodes)
         # After the evaluation, so that a resumed run knows the best success.
         if session.due(self.config.checkpoint_samples, before):
             self.save()

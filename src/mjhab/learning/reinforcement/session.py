@@ -1,56 +1,35 @@
-"""A run of reinforcement learning: environment, logs, evaluations and checkpoints, for both PPO and SAC."""
+"""A run of reinforcement learning: the worlds that it acts in, for both PPO and SAC."""
 
 from __future__ import annotations
 
 import dataclasses
-import shutil
 import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError
-from mjhab.core.files.cache import write_atomic
 from mjhab.core.seeding import stream
-from mjhab.core.version import __version__
 from mjhab.envs.parts.reporting import CHECKERS
-from mjhab.learning.checkpoint import (
-    Checkpoint,
-    load_checkpoint,
-    load_student,
-    save_student,
-    save_tensors,
-    saved_state,
-)
+from mjhab.learning.checkpoint import load_student
 from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS
 from mjhab.learning.layout import Layout, layout_of
-from mjhab.learning.reinforcement import distributed
-from mjhab.learning.reinforcement.configs import ONCE
 from mjhab.learning.reinforcement.environments import training_env
 from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
-from mjhab.learning.runs.budget import (
-    BudgetTooSmallError,
-    FirstUpdate,
-    Rates,
-    StepClock,
-)
-from mjhab.learning.runs.evaluation import (
-    EvaluationClock,
-    Evaluations,
-    Judgement,
-    judgement_row,
-)
-from mjhab.learning.runs.run import TRAINING, Logbook, TrainingFolder
-from mjhab.learning.runs.session import FIRST, LATEST, OutOfTime
+from mjhab.learning.runs import distributed
+from mjhab.learning.runs.budget import BudgetTooSmallError, FirstUpdate, StepClock
+from mjhab.learning.runs.request import config_of
+from mjhab.learning.runs.run import TRAINING, TrainingFolder
+from mjhab.learning.runs.session import Session
 from mjhab.learning.runs.specs import Means
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import gaussian_of
@@ -63,42 +42,33 @@ DEMONSTRATIONS = "demonstrations"
 """Folders of a run's replay buffers."""
 RECENT_EPISODES = 200
 """Number of most recent training episodes that the reported training success rate covers."""
+EVALUATION_WORLDS = 16
+"""Most worlds of an evaluation."""
 
 
-@dataclass
-class Standing:
-    """Progress of a run.
+class Learner(Protocol):
+    """What a session asks of its algorithm, an `AlgorithmRun`."""
 
-    checkpoints: number of checkpoints written. seconds: wall time. evaluated: number of samples at each evaluation.
-    best_success, best_samples: success rate of the best evaluation during training, and its number of samples;
-    ``keep_best_by`` of the config says which success counts.
-    student_samples: number of samples of the actor in the student checkpoint. trained: whether the actor was ever
-    updated, or began from a checkpoint.
-    """
+    actor: Student
 
-    samples: int = 0
-    updates: int = 0
-    checkpoints: int = 0
-    seconds: float = 0.0
-    evaluated: list[int] = field(default_factory=list)
-    best_success: float = -1.0
-    best_samples: int = 0
-    student_samples: int = 0
-    trained: bool = False
+    def prepare(self) -> None:
+        """Make or read the demonstrations and imitate them, if the config asks for it."""
+        ...
+
+    def learn(self) -> None:
+        """Train until the run's number of samples is reached."""
+        ...
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+        ...
 
 
-@dataclass(frozen=True)
-class _Expected:
-    """Work that the first update waits for. since: time of the run when it began [s]."""
+class ReinforcementSession(Session):
+    """A run of reinforcement learning. Make one with `open_reinforcement`, and give it the algorithm, ``run``."""
 
-    needs: FirstUpdate
-    rates: Rates
-    since: float
-    steps: StepClock
-
-
-class ReinforcementSession:
-    """State of a run. Make one with `open_reinforcement`."""
+    spec: ReinforcementSpec
+    run: Learner
 
     def __init__(
         self,
@@ -109,16 +79,18 @@ class ReinforcementSession:
         threads = spec.config.inputs.network_threads(spec.threads)
         if threads:
             torch.set_num_threads(threads)
-        self.spec = spec
-        self.folder = folder
-        self.training_file = checkpoint
-        """The state that the next update depends on, of this process."""
+        super().__init__(spec, folder, checkpoint)
         self.start = _start_of(spec)
         self.config = spec.config
         if self.start is not None:
             self.config = dataclasses.replace(
                 spec.config, inputs=self.start.config.inputs
             )
+            self.state.trained = self.began_trained = True
+        self.keep_best_by = self.config.keep_best_by
+        self.judging = Means(
+            worlds=min(EVALUATION_WORLDS, self.config.worlds), threads=spec.threads
+        )
         # Each process draws its own episodes and its own noise.
         self.seed = spec.seed + 1_000_003 * distributed.rank()
         self.env = training_env(
@@ -131,34 +103,26 @@ class ReinforcementSession:
             device=spec.asked.device,
             **self._episodes(),
         )
-        self.saved: Checkpoint | None = None
-        self.standing = Standing()
-        if spec.resume and checkpoint.is_file():
-            self.saved = load_checkpoint(checkpoint)
-            self.standing = saved_state(checkpoint, self.saved.about, Standing)
-        self.layout = self._layout()
-        check_student(self.config.student, self.layout)
-        sight = Sight(self.env, self.layout, self.config.privileged_critic)
+        layout = self._layout()
+        check_student(self.config.student, layout)
+        self.settle(layout)
+        sight = Sight(self.env, layout, self.config.privileged_critic)
         self.privileged_width = sight.privileged_width
-        self.scene = dataclasses.replace(spec.scene, profile=self.layout.profile)
-        if self.start is not None:
-            self.standing.trained = True
         self.worlds = Worlds(self.env, sight, self._episodes_seed(), self._rules())
-        self.log = Logbook(folder, self.standing.seconds, self.standing.updates)
-        self.judged = Judgement()
-        """The latest evaluation; none after `keep_best` has chosen an actor that was evaluated earlier."""
         self.demonstrations = 0
         """Number of episodes in the demonstration buffer."""
-        self._clock = EvaluationClock(spec.budget_seconds)
-        self._began = time.perf_counter()
         self.learner_seconds = 0.0
-        self.evaluation_seconds = 0.0
-        """Wall time of the updates and of the evaluations since this process started the run [s]."""
-        self.shortage = ""
-        """What the run needs, if its time budget ends before its first update; "" while it does not."""
-        self._expected: _Expected | None = None
+        """Wall time of the updates since this process started the run [s]."""
+        self._began = time.perf_counter()
+        self._prepared = False
+        self._steps = StepClock()
         self._outcomes: deque[bool] = deque(maxlen=RECENT_EPISODES)
         self._rewards: deque[float] = deque(maxlen=100)
+
+    @property
+    def policy(self) -> Student:
+        """The actor."""
+        return self.run.actor
 
     def _rules(self) -> TrainingRules:
         """Rules of training episodes in addition to those of the environment."""
@@ -204,18 +168,86 @@ class ReinforcementSession:
             layout, profile=self.spec.scene.profile or layout.profile
         )
 
+    # -- the run -----------------------------------------------------------------------------------------------------
+
+    def learn(self) -> None:
+        """Prepare the algorithm, evaluate its actor, and let it learn."""
+        self.run.prepare()
+        self._prepared = True
+        self.check_time()
+        if self.spec.round_episodes and not self.state.evaluated:
+            self.evaluate(self.spec.round_episodes)
+        try:
+            self.run.learn()
+        except BudgetTooSmallError:
+            # Its few steps are no part of the run: a larger budget begins anew.
+            self._prepared = False
+            raise
+
+    def finish(self) -> None:
+        """Write the last checkpoint, and choose the best actor."""
+        if self._prepared:
+            self.run.save()
+        else:
+            # A checkpoint would be resumed without the rest of the imitation.
+            self.stop(broken=False)
+        self.keep_best()
+
+    def stop(self, broken: bool) -> None:
+        """Make the actor of this moment the run's student if it was ever updated, after Ctrl-C.
+
+        The training checkpoint stays that of the last regular one, so a resumed run is exactly repeated from there.
+        After a broken loss the student stays that one, too: earlier minibatches of the update have changed the actor.
+        """
+        if self.state.trained and not broken and not distributed.rank():
+            self.save_policy()
+
+    def save(self, actor: Student, tensors: dict[str, Tensor]) -> None:
+        """Write the training and the student checkpoint, and start new episodes in all worlds.
+
+        The new episodes make an uninterrupted run equal to one that is resumed from this checkpoint.
+        """
+        self.write_checkpoint(actor, tensors)
+        self.worlds.begin(self._episodes_seed())
+
+    def _episodes_seed(self) -> int:
+        """Seed of the episodes after the latest checkpoint; runs of other seeds have none in common."""
+        drawn = stream(self.seed, "episodes", self.state.checkpoints)
+        return int(drawn.integers(1 << 31))
+
     # -- progress -----------------------------------------------------------------------------------------------------
 
     def note(self, transition: Transition) -> None:
-        """Count one control step of all worlds and remember its rewards and finished episodes."""
-        self.standing.samples += self.worlds.count * distributed.processes()
+        """Count one control step of all worlds and remember its rewards and finished episodes.
+
+        Raises:
+            BudgetTooSmallError: the first steps show that the budget ends before the first update.
+        """
+        self.state.samples += self.worlds.count * distributed.processes()
         self._rewards.append(float(transition.reward.mean()))
         if bool(transition.ended.any()):
             self._outcomes.extend(transition.succeeded[transition.ended].tolist())
-        if self._expected is not None:
-            seconds = self._expected.steps.seconds(self.log.seconds)
-            if seconds is not None:
-                self.measured(seconds)
+        seconds = self._steps.seconds(self.log.seconds)
+        if seconds is not None:
+            self.time.measured(seconds)
+
+    def expect_work(self, pieces: int, work: str, less: str, of_expert: bool) -> None:
+        """The first update waits for so many episodes of the expert, or control steps, see `Session.expect`.
+
+        Raises:
+            BudgetTooSmallError: the budget ends before.
+        """
+        kind = {
+            "of_expert": of_expert,
+            "scene": asdict(self.scenes[0]),
+            "config": asdict(self.config),
+            "threads": self.spec.threads,
+            "backend": self.spec.asked.backend,
+            "device": str(self.worlds.device),
+            "processes": distributed.processes(),
+        }
+        self._steps = StepClock()
+        self.expect(FirstUpdate(work, pieces, less, of_expert), kind)
 
     def report(self, numbers: dict[str, float]) -> None:
         """Log the metrics of an update together with the recent rewards and successes."""
@@ -226,134 +258,11 @@ class ReinforcementSession:
         told |= {f"holds/{name}": share for name, share in self.worlds.held().items()}
         if self._outcomes:
             told["training_success"] = sum(self._outcomes) / len(self._outcomes)
-        self.log.report(self.standing.updates, self.standing.samples, told)
+        self.log.report(self.state.updates, self.state.samples, told)
 
     def due(self, every: int, before: int) -> bool:
         """Whether the number of samples has passed a multiple of ``every`` since it was ``before``."""
-        return self.standing.samples // every > before // every
-
-    def check_time(self) -> None:
-        """Check that the time budget still covers the final evaluation.
-
-        Raises:
-            OutOfTime: it does not, so training must end now.
-        """
-        budget = self.spec.budget_seconds
-        # At the end the last actor may have to be compared with the best one.
-        episodes = self.spec.eval_episodes + self.spec.round_episodes
-        reserve = self._clock.reserve(episodes)
-        # The first process decides for all: if one process stopped alone, the others would wait for its gradients.
-        if budget and distributed.told_by_first(self.log.seconds + reserve > budget):
-            raise OutOfTime
-
-    def expect(self, what: str, pieces: int, work: str, less: str) -> None:
-        """The first update waits for some work: refuse the budget if it ends before, as far as earlier runs tell.
-
-        Args:
-            what: a piece of it: "episode" of the expert, or "step".
-            pieces: their number.
-            work: all of it, in words.
-            less: options of which a new run would need less.
-
-        Raises:
-            BudgetTooSmallError: it tells what is needed.
-        """
-        imitated = self.standing.trained and self.start is None
-        self._expected = None
-        if not self.spec.budget_seconds or self.standing.updates or imitated:
-            return
-        episodes = self.spec.eval_episodes + self.spec.round_episodes
-        rates = Rates(
-            {
-                "what": what,
-                "scene": asdict(self.scene),
-                "config": asdict(self.config),
-                "threads": self.spec.threads,
-                "backend": self.spec.asked.backend,
-                "device": str(self.worlds.device),
-                "processes": distributed.processes(),
-            }
-        )
-        needs = FirstUpdate(work, pieces, episodes, less)
-        self._expected = _Expected(needs, rates, self.log.seconds, StepClock())
-        self._check_expected(rates.seconds)
-
-    def measured(self, seconds: float) -> None:
-        """Check the budget again with the measured time of a piece of the expected work [s].
-
-        Raises:
-            BudgetTooSmallError: it tells what is needed.
-        """
-        if self._expected is not None:
-            if not distributed.rank():
-                self._expected.rates.learn(seconds)
-            self._check_expected(seconds)
-
-    def _check_expected(self, seconds: float | None) -> None:
-        expected = self._expected
-        assert expected is not None
-        short = ""
-        if seconds is not None:
-            episodes = expected.needs.evaluated
-            try:
-                expected.needs.check(
-                    self.spec.budget_seconds,
-                    seconds,
-                    expected.since,
-                    self._clock.needed(episodes),
-                    self._clock.reserve(episodes),
-                )
-            except BudgetTooSmallError as error:
-                short = str(error)
-        # The first process decides for all, see `check_time`.
-        if distributed.told_by_first(bool(short)):
-            raise BudgetTooSmallError(short)
-
-    def estimate_evaluation(self, seconds: float) -> None:
-        """Take the time that an episode of the expert needs [s] for that of an evaluation, until one is measured."""
-        self._clock.guess(seconds)
-
-    # -- checkpoints --------------------------------------------------------------------------------------------------
-
-    def save(self, actor: Student, tensors: dict[str, Tensor]) -> None:
-        """Write the training and the student checkpoint, and start new episodes in all worlds.
-
-        The new episodes make an uninterrupted run equal to one that is resumed from this checkpoint.
-        """
-        if distributed.rank() == 0:
-            self._write(actor, tensors)
-        self.standing.checkpoints += 1
-        self.worlds.begin(self._episodes_seed())
-
-    def _episodes_seed(self) -> int:
-        """Seed of the episodes after the latest checkpoint; runs of other seeds have none in common."""
-        drawn = stream(self.seed, "episodes", self.standing.checkpoints)
-        return int(drawn.integers(1 << 31))
-
-    def _write(self, actor: Student, tensors: dict[str, Tensor]) -> None:
-        self.standing.seconds = self.log.seconds
-        self.standing.student_samples = self.standing.samples
-        about = {
-            **vars(self.standing),
-            "checkpoints": self.standing.checkpoints + 1,
-            "algorithm": self.config.algorithm,
-            "preset": self.config.preset,
-        }
-        save_tensors(self.folder.training, actor, tensors, about)
-        self.save_actor(actor)
-
-    def keep_last(self, actor: Student) -> None:
-        """Make the actor of this moment the run's student, after Ctrl-C, if it was ever updated.
-
-        The training checkpoint stays that of the last regular one, so a resumed run is exactly repeated from there.
-        """
-        if self.standing.trained and not distributed.rank():
-            self.save_actor(actor)
-
-    def drop_untrained(self) -> None:
-        """Delete the student checkpoint if it holds random weights: they are no policy."""
-        if not self.standing.trained and not distributed.rank():
-            self.folder.student.unlink(missing_ok=True)
+        return self.state.samples // every > before // every
 
     def time_shares(self) -> dict[str, float]:
         """Fractions of the wall time since this process started: env, learner, evaluation, other (acting, files)."""
@@ -367,93 +276,14 @@ class ReinforcementSession:
         shares["other"] = 1.0 - ordered_sum(shares.values())
         return {name: round(share, 4) for name, share in shares.items()}
 
-    def save_actor(self, actor: Student, path: Path | None = None) -> None:
-        """Write the actor as a student checkpoint, which `mjhab eval` can run; by default as the run's student."""
-        about = {
-            "algorithm": self.config.algorithm,
-            "step": self.standing.updates,
-            "samples": self.standing.samples,
-            "trained": self.standing.trained,
-            "scene": vars(self.scene),
-            "seed": self.spec.seed,
+    def summarize(self) -> dict[str, Any]:
+        """See `Session.summarize`."""
+        return {
+            **super().summarize(),
+            "rounds": 0,
+            "demonstrations": self.demonstrations,
+            "time_shares": self.time_shares(),
         }
-        save_student(path or self.folder.student, actor, about)
-        if path is None:
-            self.standing.student_samples = self.standing.samples
-
-    def keep_best(self, actor: Student) -> None:
-        """Make the checkpoint with the best evaluation the run's student; of equal ones the latest.
-
-        The actor at the end of training takes part, too.
-        """
-        standing = self.standing
-        if distributed.rank() or not standing.evaluated:
-            return
-        episodes = self.spec.round_episodes
-        if episodes and standing.evaluated[-1] != standing.samples:
-            self.evaluate(actor, episodes)
-        if self.folder.best.is_file() and standing.best_samples != standing.samples:
-            best = self.folder.best
-            write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
-            standing.student_samples = standing.best_samples
-            # It was of the last actor, and the summary tells of the student.
-            self.judged = Judgement()
-
-    def evaluate(self, actor: Student, episodes: int) -> None:
-        """Evaluate the actor during training, and keep it if no earlier one was better."""
-        if distributed.rank():
-            return
-        self.save_actor(actor)
-        standing = self.standing
-        success = self._judge(episodes, last=False)
-        standing.evaluated.append(standing.samples)
-        if success >= standing.best_success:
-            standing.best_success = success
-            standing.best_samples = standing.samples
-            self.save_actor(actor, self.folder.best)
-
-    def evaluate_student(self, episodes: int) -> None:
-        """The final evaluation, of the run's student checkpoint."""
-        if not distributed.rank():
-            self._judge(episodes, last=True)
-
-    def _judge(self, episodes: int, last: bool) -> float:
-        """Success rate of the student checkpoint in the episodes 0 to ``episodes`` - 1, as by `mjhab eval`.
-
-        It is success once or at the end, as ``keep_best_by`` of the config says.
-        """
-        first = not self.standing.evaluated
-        films = self.spec.films if first or last else 0
-        began = time.perf_counter()
-
-        def tell(done: int) -> None:
-            self.log.show({"phase": f"evaluating: {done}/{episodes}"})
-
-        tell(0)
-        means = Means(worlds=min(16, self.config.worlds), threads=self.spec.threads)
-        # Those on the way choose the best actor: not in the homes that it is judged in.
-        split = self.spec.judged_split if last else self.scene.split
-        judged = dataclasses.replace(self.scene, split=split)
-        evaluations = Evaluations(judged, means, self.spec.seed, tell)
-        out = self.folder.evaluation(FIRST if first and not last else LATEST)
-        run = evaluations.run(self.folder.student, episodes, films, out)
-        self.judged = Judgement(
-            split, self.standing.student_samples, {self.scene.name: run.records}
-        )
-        spent = time.perf_counter() - began
-        self._clock.measured(spent / episodes)
-        self.evaluation_seconds += spent
-        once = sum(record.success_once for record in run.records) / episodes
-        at_end = sum(record.success_at_end for record in run.records) / episodes
-        self.log.report(
-            self.standing.updates,
-            self.standing.samples,
-            {
-                **judgement_row(once, episodes, split, last),
-                "success_at_end": at_end,
-            },
-        )
-        return once if self.config.keep_best_by == ONCE else at_end
 
 
 def _start_of(spec: ReinforcementSpec) -> Student | None:
@@ -511,18 +341,11 @@ def resolved_config(spec: ReinforcementSpec) -> dict[str, Any]:
             config, inputs=load_student(spec.start).config.inputs
         )
     return {
-        "algorithm": config.algorithm,
-        "config": asdict(config),
-        "scene": asdict(spec.scene),
-        "seed": spec.seed,
+        **config_of(spec, config),
         "start": str(spec.start or ""),
-        "data": [str(path) for path in spec.data],
-        "where": spec.where or "",
-        "eval_split": spec.judged_split,
         "recompute_rewards": spec.recompute_rewards,
         "backend": spec.asked.backend,
         "processes": distributed.processes(),
-        "mjhab": __version__,
     }
 
 

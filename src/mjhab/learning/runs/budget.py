@@ -96,20 +96,22 @@ class BudgetTooSmallError(Exception):
 class FirstUpdate:
     """What a run needs before its first update, and after its last one.
 
-    work: what the first update waits for, e.g. "200 episodes of the expert". pieces: their number. evaluated: number of
-    episodes of the evaluations that the budget must cover. less: options of which a new run would need less.
+    work: what the first update waits for, e.g. "200 episodes of the expert". pieces: their number. less: options of
+    which a new run would need less. of_expert: pieces are episodes of the expert, which last about as long as evaluated
+    ones.
     """
 
     work: str
     pieces: float
-    evaluated: int
     less: str
+    of_expert: bool = False
 
     def check(
         self,
         budget: float,
         seconds: float,
         spent: float,
+        evaluated: int,
         judging: float,
         reserved: float,
     ) -> None:
@@ -119,8 +121,9 @@ class FirstUpdate:
             budget: of the run [s].
             seconds: of a piece [s].
             spent: time of the run when the work began [s].
-            judging: time of the evaluations as far as it is known [s].
-            reserved: time that is kept free for these [s].
+            evaluated: number of episodes of the evaluations that the budget must cover.
+            judging: time of these as far as it is known [s].
+            reserved: time that is kept free for them [s].
 
         Raises:
             BudgetTooSmallError: it tells what the run needs.
@@ -132,7 +135,7 @@ class FirstUpdate:
         least = math.ceil(needed / SECONDS_PER_MINUTE) + 1
         raise BudgetTooSmallError(
             f"a budget of {_minutes(budget)} ends before the first update: {self.work} take {_minutes(work)} here "
-            f"({seconds:.2g} s each), {self.evaluated} episodes of evaluation {_minutes(judging)}, and the updates "
+            f"({seconds:.2g} s each), {evaluated} episodes of evaluation {_minutes(judging)}, and the updates "
             f"come on top. Give --budget-minutes {least} or more (with --resume, what was collected is kept), or "
             f"fewer {self.less} in a new run."
         )

@@ -180,12 +180,11 @@ def stage_in(env: SequentialTaskEnv, collected: Round) -> Stage:
     student = None
     about: dict[str, Any] = {"name": TakeOver.name, "longest_prefix": collected.longest}
     if collected.student is not None:
-        from mjhab.learning.checkpoint import load_student
-        from mjhab.learning.policy import StudentPolicy
-        from mjhab.learning.policy_kind import inspect_policy
+        from mjhab.learning.policy_kind import CheckpointFiles
 
-        student = StudentPolicy(load_student(collected.student), env)
-        about |= inspect_policy(str(collected.student)).identity
+        opened = CheckpointFiles(str(collected.student))
+        student = opened.build(env)
+        about |= opened.facts.identity
     styles = Styles.parse(collected.style)
     if collected.style:
         about["style"] = styles.words

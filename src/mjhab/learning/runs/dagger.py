@@ -8,58 +8,70 @@ of every batch comes from the newest round.
 
 from __future__ import annotations
 
+from typing import Any
+
 from mjhab.learning.configs import DaggerConfig
 from mjhab.learning.runs.collection import Round
-from mjhab.learning.runs.session import Session
+from mjhab.learning.runs.imitation import ImitationSession
 
 
-def train_dagger(session: Session, config: DaggerConfig) -> None:
-    """Run the remaining rounds.
+class DaggerSession(ImitationSession):
+    """A run of DAgger: imitation in rounds."""
 
-    Raises:
-        OutOfTime: the budget is spent.
-    """
-    restore_rounds(session, config)
-    while session.progress.round <= config.rounds:
-        number = session.progress.round
-        if len(session.sources) <= number:
-            collect_round(session, config, number)
-        updates = config.updates if number else session.config.updates
-        session.train(updates, config.new_share)
-        if session.spec.round_episodes:
-            session.evaluate(session.spec.round_episodes)
-        if number == config.rounds and not config.final_updates:
+    @property
+    def dagger(self) -> DaggerConfig:
+        """The rounds."""
+        config = self.spec.config.dagger
+        assert config is not None
+        return config
+
+    def learn(self) -> None:
+        """Run the remaining rounds."""
+        config = self.dagger
+        self.restore_rounds()
+        while self.state.round <= config.rounds:
+            number = self.state.round
+            if len(self.sources) <= number:
+                self.collect_round(number)
+            updates = config.updates if number else self.config.updates
+            self.train(updates, config.new_share)
+            if self.spec.round_episodes:
+                self.evaluate(self.spec.round_episodes)
+            if number == config.rounds and not config.final_updates:
+                return
+            self.save_policy(self.folder.round_student(number + 1))
+            self.next_round()
+        self.train(config.final_updates, self.newest_share, cool_down=True)
+
+    def restore_rounds(self) -> None:
+        """Load the demonstrations of the finished rounds."""
+        for number in range(self.state.round):
+            if number == 0 and self.spec.data:
+                self.take_demonstrations()
+            else:
+                self.load_round(number)
+
+    def collect_round(self, number: int) -> None:
+        """Load or collect the demonstrations of a round; round 0 takes the data of the specification, if any."""
+        if not number:
+            self.take_demonstrations()
             return
-        session.save_student(session.folder.round_student(number + 1))
-        session.next_round()
-    session.train(config.final_updates, session.newest_share, cool_down=True)
+        config = self.dagger
+        wanted = Round(
+            number=number,
+            episodes=config.episodes,
+            longest=config.longest_prefix(number),
+            student=self.folder.round_student(number),
+            # Without a student prefix, in round 0, the task's own horizon is long enough.
+            horizon=config.horizon,
+            hold_steps=self.config.hold_steps,
+            style=self.config.style,
+        )
+        self.collect(wanted)
 
-
-def restore_rounds(session: Session, config: DaggerConfig) -> None:
-    """Load the demonstrations of the finished rounds."""
-    for number in range(session.progress.round):
-        if number == 0 and session.spec.data:
-            session.load(session.spec.data, session.spec.filter)
-        else:
-            session.load_round(number)
-
-
-def collect_round(session: Session, config: DaggerConfig, number: int) -> None:
-    """Load or collect the demonstrations of a round; round 0 takes the data of the specification, if there are any."""
-    if number == 0 and session.spec.data:
-        session.load(session.spec.data, session.spec.filter)
-        return
-    student = session.folder.round_student(number) if number else None
-    episodes = config.episodes if number else session.config.demos
-    # Without a student prefix the task's own horizon is long enough.
-    horizon = config.horizon if number else 0
-    wanted = Round(
-        number=number,
-        episodes=episodes,
-        longest=config.longest_prefix(number),
-        student=student,
-        horizon=horizon,
-        hold_steps=session.config.hold_steps,
-        style=session.config.style,
-    )
-    session.collect(wanted)
+    def summarize(self) -> dict[str, Any]:
+        """See `Session.summarize`; a round after the last one makes the final updates."""
+        return {
+            **super().summarize(),
+            "rounds": min(self.state.round, self.dagger.rounds),
+        }

@@ -16,7 +16,7 @@ from mjhab.learning.layout import (
     layout_of,
 )
 from mjhab.learning.runs.collection import make_env
-from mjhab.learning.runs.specs import ImitationSpec, Means
+from mjhab.learning.runs.specs import ImitationSpec, Means, TrainSpec
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -93,11 +93,23 @@ def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
     """Everything that determines the result of a run, as JSON data."""
     also = [asdict(scene) for scene in spec.scenes[1:]]
     return {
-        "algorithm": spec.config.algorithm,
-        "config": asdict(spec.config),
-        "scene": asdict(spec.scene),
+        **config_of(spec, spec.config),
         **({"also": also} if also else {}),
         **({"per_target": spec.per_target} if spec.per_target else {}),
+    }
+
+
+def config_of(spec: TrainSpec, config: Any) -> dict[str, Any]:
+    """The part of a run's resolved config that all algorithms have.
+
+    Args:
+        spec: of the run.
+        config: its preset with all changes.
+    """
+    return {
+        "algorithm": config.algorithm,
+        "config": asdict(config),
+        "scene": asdict(spec.scene),
         "seed": spec.seed,
         "data": [str(place) for place in spec.data],
         "where": spec.where or "",

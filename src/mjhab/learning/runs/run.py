@@ -18,6 +18,7 @@ import os
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -95,6 +96,18 @@ def read_metrics(folder: Path, step: int | None = None) -> list[dict[str, Any]]:
         with suppress(ValueError):
             found.append(parse_json(line))
     return [row for row in found if step is None or row["step"] <= step]
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """Result of a training run.
+
+    summary: results as JSON data. report: path of the HTML report. interrupted: Ctrl-C ended the run.
+    """
+
+    summary: dict[str, Any]
+    report: Path
+    interrupted: bool
 
 
 class Logbook:

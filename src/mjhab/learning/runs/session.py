@@ -1,376 +1,273 @@
-"""A run of imitation learning: its data, student, log and checkpoints, for all algorithms."""
+"""A run of training: its folder, state, log, checkpoints, evaluations and time budget, for all algorithms.
+
+A subclass says where the samples come from: `ImitationSession`, `ReinforcementSession`.
+"""
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
-import torch
+from torch import Tensor
 
-from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.files.interrupts import held_interrupts
-from mjhab.data.record.generation import Standing, tried_in
-from mjhab.data.select.query import Filter
-from mjhab.learning.batches import BatchSampler
+from mjhab.core.files.cache import write_atomic
+from mjhab.data.record.provenance import source_commit
 from mjhab.learning.checkpoint import (
+    Checkpoint,
     load_checkpoint,
-    restoring,
     save_student,
-    save_training,
+    save_tensors,
     saved_state,
 )
-from mjhab.learning.demos import Demonstrations, load_demonstrations
-from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.layout import Layout
-from mjhab.learning.runs.budget import EpisodeClock, FirstUpdate, Rates
-from mjhab.learning.runs.collection import Collector, Round
+from mjhab.learning.runs import distributed
+from mjhab.learning.runs.budget import BudgetTooSmallError, FirstUpdate
 from mjhab.learning.runs.evaluation import (
-    EvaluationClock,
     Evaluations,
     Judgement,
     judgement_row,
 )
-from mjhab.learning.runs.request import layout_for, resolved_config
-from mjhab.learning.runs.run import Logbook, TrainingFolder
-from mjhab.learning.runs.specs import ImitationSpec, Scene
-from mjhab.learning.runs.training import Trainer
-from mjhab.learning.students.heads import check_student, make_student
-from mjhab.learning.students.student import Batch
+from mjhab.learning.runs.report import render_training_report
+from mjhab.learning.runs.run import Logbook, TrainingFolder, TrainingResult
+from mjhab.learning.runs.specs import Means, Scene, TrainSpec
+from mjhab.learning.runs.time_budget import TimeBudget
+from mjhab.learning.runs.training import BrokenLossError
+from mjhab.learning.students.student import Student
 from mjhab.rollout.records import EpisodeRecord
 
-REPORT_EVERY = 50
-"""Number of updates between two reports of the loss."""
-CHECKPOINT_SECONDS = 60.0
-"""Time between checkpoints [s]."""
 FIRST = "first"
 LATEST = "latest"
 """Names of the evaluations that are kept."""
-LOAD_SHARE = "loading_share"
-"""Metric: fraction of the training time spent on reading batches."""
+ONCE = "once"
+"""Value of ``keep_best_by``: the success at any time of an episode, not at its end."""
 
 
 @dataclass
-class Progress:
-    """Progress of a run.
+class TrainState:
+    """How far a run is: what its training checkpoint holds besides tensors.
 
-    round: current round of DAgger. round_step: updates made in it. seconds: wall time. evaluated: number of updates at
-    each evaluation.
+    updates, samples: made so far. seconds: wall time of the run [s]. evaluated: number of updates at each evaluation on
+    the way. trained: whether the policy was ever updated, or began from a checkpoint. fitted: whether its normalizers
+    are those of its data. round, round_step: round of DAgger, and updates made in it. checkpoints: number of those
+    written. best_success, best_samples: of the best evaluation on the way. student_samples: number of samples of the
+    policy in the student checkpoint.
     """
 
+    updates: int = 0
+    samples: int = 0
+    seconds: float = 0.0
+    evaluated: list[int] = field(default_factory=list)
+    trained: bool = False
+    fitted: bool = False
     round: int = 0
     round_step: int = 0
-    seconds: float = 0.0
-    samples: int = 0
-    evaluated: list[int] = field(default_factory=list)
+    checkpoints: int = 0
+    best_success: float = -1.0
+    best_samples: int = 0
+    student_samples: int = 0
 
 
 class OutOfTime(Exception):
     """The time budget is spent."""
 
 
-class Session:
-    """State of a run. Make one with `open_session`."""
+class Session(ABC):
+    """State of a run.
+
+    Args:
+        spec: what to train.
+        folder: of the run.
+        checkpoint: the training checkpoint to go on from; by default that of the folder.
+    """
 
     def __init__(
-        self, spec: ImitationSpec, layout: Layout, folder: TrainingFolder
+        self, spec: TrainSpec, folder: TrainingFolder, checkpoint: Path | None = None
     ) -> None:
-        threads = spec.config.student.inputs.network_threads(spec.torch_threads)
-        if threads:
-            torch.set_num_threads(threads)
         self.spec = spec
         self.folder = folder
-        self.scenes = [replace(scene, profile=layout.profile) for scene in spec.scenes]
-        self.config = spec.config.student
-        self.sources: list[Demonstrations] = []
-        self.progress = Progress()
+        self.training_file = checkpoint or folder.training
+        """The state that the next update depends on, of this process."""
+        self.saved: Checkpoint | None = None
+        self.state = TrainState()
+        if spec.resume and self.training_file.is_file():
+            self.saved = load_checkpoint(self.training_file)
+            about = self.saved.about
+            self.state = saved_state(self.training_file, about, TrainState)
+            # Files of older versions tell fewer things.
+            self.state.updates = int(about.get("step", self.state.updates))
+            self.state.trained = self.state.trained or self.state.updates > 0
+            self.state.fitted = bool(about.get("fitted", True))
         self.judged = Judgement()
-        """The latest complete evaluation."""
-        saved = (
-            load_checkpoint(folder.training)
-            if spec.resume and folder.training.is_file()
-            else None
-        )
-        if saved is not None:
-            self.progress = saved_state(folder.training, saved.about, Progress)
-            # An older version began the run with other conventions, perhaps; its weights keep them.
-            layout = layout.told_in(saved.layout.conventions)
-        self.layout = layout
-        self.device = training_device(spec.device)
-        student = make_student(self.config, layout, spec.seed).to(self.device)
-        self.trainer = Trainer(student, spec.seed, spec.config.updates)
-        if saved is not None:
-            with restoring(folder.training):
-                self.trainer.restore(dict(saved.tensors), int(saved.about["step"]))
-        self.fitted = saved is not None and bool(saved.about.get("fitted", True))
-        self.collectors = [
-            Collector(scene, layout.env_options(), spec.means, spec.seed, spec.ray or "")
-            for scene in self.scenes
-        ]
-        self.log = Logbook(folder, self.progress.seconds, self.trainer.step)
-        self._saved_at = time.perf_counter()
+        """The latest complete evaluation; none after `keep_best` has chosen a policy that was evaluated earlier."""
         self.shortage = ""
         """What the run needs, if its time budget ends before its first update; "" while it does not."""
-        self._clock = EvaluationClock(spec.budget_seconds)
-
-    # -- data --------------------------------------------------------------------------------------------------------
-
-    def load(self, places: Path | Sequence[Path], where: Filter | None = None) -> None:
-        """Add demonstrations to the training data; the first ones added determine the normalizers."""
-        self.log.show({"phase": "reading demonstrations"})
-        workers = self.spec.means.workers
-        data = load_demonstrations(
-            places,
-            self.layout,
-            self.config.hold_steps,
-            where,
-            workers,
-            self.spec.per_target,
-        )
-        self.sources.append(data if self.device.type == CPU else data.on(self.device))
-        if not self.fitted:
-            self.trainer.student.fit_normalizers(data)
-            self.trainer.restart_average()
-            self.fitted = True
-
-    def place(self, folder: Path, scene: Scene) -> Path:
-        """Where a folder of the run keeps what belongs to a scene: below it, if there are several."""
-        return folder / scene.name.replace("/", ".") if len(self.scenes) > 1 else folder
-
-    def load_round(self, number: int) -> None:
-        """Add the collected demonstrations of a round to the training data."""
-        folder = self.folder.data(number)
-        self.load([self.place(folder, scene) for scene in self.scenes])
-
-    def collect(self, wanted: Round) -> None:
-        """Collect the missing demonstrations of a round, in every scene, and add them to the training data.
-
-        Raises:
-            OutOfTime: the time budget ended before they were complete.
-            BudgetTooSmallError: it will end before the first update.
-        """
-        began = time.perf_counter()
-        tried = 0
-        kept = 0
-        check = self._budget_check(wanted)
-        for scene, collector in zip(self.scenes, self.collectors, strict=True):
-            phase = f"collecting round {wanted.number}"
-            if len(self.scenes) > 1:
-                phase += f", {scene.name}"
-
-            pace = EpisodeClock(self.spec.means.at_once)
-
-            def tell(
-                now: Standing, phase: str = phase, pace: EpisodeClock = pace
-            ) -> None:
-                self.log.show({"phase": f"{phase}: {now.tried}/{wanted.episodes}"})
-                seconds = pace.seconds(now.tried, self.log.seconds)
-                if seconds is not None:
-                    check(seconds)
-
-            self.log.show({"phase": phase})
-            out = self.place(self.folder.data(wanted.number), scene)
-            standing = collector.collect(wanted, out, tell, self._out_of_time)
-            if not standing.complete:
-                raise OutOfTime
-            tried += standing.tried
-            kept += standing.kept
-        if tried:
-            # The episodes of every scene are evaluated, so the scenes' times add up.
-            self._clock.guess(len(self.scenes) * (time.perf_counter() - began) / tried)
-        self.load_round(wanted.number)
-        numbers = {
-            "round": wanted.number,
-            "episodes": sum(source.episodes for source in self.sources),
-            "collection_success": kept / max(tried, 1),
-            "collection_seconds": round(time.perf_counter() - began, 2),
-        }
-        self.log.report(self.trainer.step, self.progress.samples, numbers)
-
-    def _budget_check(self, wanted: Round) -> Callable[[float], None]:
-        """Refuse a budget in which the first round would end without an update, before the round begins.
-
-        Args:
-            wanted: the round that is to be collected.
-
-        Returns:
-            Checks again, with a measured time of an episode [s].
-
-        Raises:
-            BudgetTooSmallError: it tells what is needed.
-        """
-        budget = self.spec.budget_seconds
-        out = self.folder.data(wanted.number)
-        made = sum(tried_in(self.place(out, scene)) for scene in self.scenes)
-        left = len(self.scenes) * wanted.episodes - made
-        if not budget or self.trainer.step or left <= 0:
-            return lambda _: None
-        judged = self._episodes_to_judge()
-        needs = FirstUpdate(
-            f"{left} episodes of the expert",
-            left,
-            len(self.scenes) * judged,
-            "--demos and --eval-episodes",
-        )
-        spent = self.log.seconds
-        rates = Rates(
-            {
-                "scenes": [asdict(scene) for scene in self.scenes],
-                "view": self.layout.env_options(),
-                "means": asdict(self.spec.means),
-                "style": wanted.style,
-                "hold_steps": wanted.hold_steps,
-            }
-        )
-
-        def check(seconds: float) -> None:
-            self._clock.guess(len(self.scenes) * seconds)
-            judging = self._clock.needed(judged)
-            needs.check(budget, seconds, spent, judging, self._clock.reserve(judged))
-
-        def learn_and_check(seconds: float) -> None:
-            rates.learn(seconds)
-            check(seconds)
-
-        known = rates.seconds
-        if known is None:
-            self.log.show({"phase": "timing the expert"})
-            at_once = self.spec.means.at_once
-            room = budget - spent - self._clock.reserve(judged)
-            wave = self.collectors[0].wave_seconds(
-                wanted, room * at_once / left, lambda: self.log.seconds
-            )
-            known = None if wave is None else wave / at_once
-        if known is not None:
-            check(known)
-        return learn_and_check
-
-    def sampler(self, new_share: float) -> BatchSampler:
-        """Sampler of batches from the loaded data; ``new_share`` is the fraction from the newest demonstrations."""
-        return BatchSampler(
-            self.sources, self.config.optimizer.batch, new_share, self.spec.seed
-        )
+        self.evaluation_seconds = 0.0
+        """Wall time of the evaluations since this process started the run [s]."""
+        self.began_trained = False
+        """Whether the policy began from a checkpoint."""
+        self.keep_best_by = ""
+        """Which success chooses the policy that is kept: once or at_end; "" keeps the last one."""
+        self.judging = Means()
+        """Resources of evaluations."""
 
     @property
-    def newest_share(self) -> float:
-        """Fraction of the training data's control steps that belong to the newest demonstrations."""
-        return len(self.sources[-1].usable) / sum(
-            len(source.usable) for source in self.sources
+    @abstractmethod
+    def policy(self) -> Student:
+        """What is evaluated."""
+
+    def settle(self, layout: Layout) -> None:
+        """Take the layout of the policy, and open the log."""
+        self.layout = layout
+        self.scenes = [
+            replace(scene, profile=layout.profile) for scene in self.spec.scenes
+        ]
+        self.log = Logbook(self.folder, self.state.seconds, self.state.updates)
+        self.time = TimeBudget(
+            self.spec.budget_seconds,
+            lambda: self.log.seconds,
+            self._episodes_to_judge,
+            len(self.scenes),
         )
 
-    # -- training ----------------------------------------------------------------------------------------------------
-
-    def train(
-        self, updates: int, new_share: float = 1.0, cool_down: bool = False
-    ) -> None:
-        """Make the remaining updates of this round.
-
-        Args:
-            updates: total number of updates in the round.
-            new_share: fraction of every batch that comes from the newest demonstrations.
-            cool_down: decrease the learning rate linearly to zero.
+    @abstractmethod
+    def learn(self) -> None:
+        """Train until the end of the run.
 
         Raises:
-            OutOfTime: the rest of the time budget is needed for the final evaluation.
+            OutOfTime: the budget is spent. BudgetTooSmallError: it ends before the first update.
         """
-        sampler = self.sampler(new_share)
-        losses: list[float] = []
-        began = time.perf_counter()
-        loading = 0.0
-        while self.progress.round_step < updates:
-            if self._out_of_time():
-                raise OutOfTime
-            before = time.perf_counter()
-            batch = self._batch(sampler)
-            loading += time.perf_counter() - before
-            rate = 1.0 - self.progress.round_step / updates if cool_down else 1.0
-            with held_interrupts():
-                losses.append(self.trainer.update(batch, rate).loss)
-                self.progress.round_step += 1
-                self.progress.samples += len(batch.actions)
-            if (
-                self.trainer.step % REPORT_EVERY == 0
-                or self.progress.round_step == updates
-            ):
-                seconds = time.perf_counter() - began
-                numbers = {
-                    "loss": ordered_sum(losses) / len(losses),
-                    "samples_per_second": len(losses) * len(batch.actions) / seconds,
-                    LOAD_SHARE: loading / seconds,
-                }
-                self.log.show({"phase": f"training, round {self.progress.round}"})
-                self.log.report(self.trainer.step, self.progress.samples, numbers)
-                losses = []
-                began = time.perf_counter()
-                loading = 0.0
-            if time.perf_counter() - self._saved_at > CHECKPOINT_SECONDS:
-                self.save()
-        self.save()
 
-    def _batch(self, sampler: BatchSampler) -> Batch:
-        config = self.config
-        chunks = sampler.batch(
-            self.trainer.step, config.chunk, config.inputs.history, config.inputs.shift
-        )
-        return Batch.of(chunks)
+    @abstractmethod
+    def finish(self) -> None:
+        """Write the checkpoints at the end of the training, also where the budget ended it."""
 
-    def _out_of_time(self) -> bool:
-        """Whether the rest of the time budget is needed for the final evaluation."""
-        budget = self.spec.budget_seconds
-        reserve = self._clock.reserve(self._episodes_to_judge())
-        return bool(budget) and self.log.seconds + reserve > budget
+    @abstractmethod
+    def stop(self, broken: bool) -> None:
+        """Write what is worth keeping after Ctrl-C, or after a broken loss."""
+
+    # -- time --------------------------------------------------------------------------------------------------------
+
+    def check_time(self) -> None:
+        """Check that the time budget still covers the evaluations to come.
+
+        Raises:
+            OutOfTime: it does not, so training must end now.
+        """
+        if self.time.is_spent():
+            raise OutOfTime
 
     def _episodes_to_judge(self) -> int:
         """Number of episodes of every scene whose evaluation the time budget must still cover."""
-        first = 0 if self.progress.evaluated else self.spec.round_episodes
-        return self.spec.eval_episodes + first
+        # At the end the last policy may have to be compared with the best one.
+        once_more = self.keep_best_by or not self.state.evaluated
+        return self.spec.eval_episodes + (self.spec.round_episodes if once_more else 0)
 
-    def next_round(self) -> None:
-        """Begin the next round."""
-        self.progress.round += 1
-        self.progress.round_step = 0
-        self.save()
+    def expect(self, needs: FirstUpdate, kind: Mapping[str, Any]) -> bool:
+        """The first update waits for some work, see `TimeBudget.expect`; nothing is checked where it was made.
 
-    def save(self) -> None:
-        """Write the training and the student checkpoint."""
-        self.progress.seconds = self.log.seconds
+        Returns:
+            Whether nothing need be measured beforehand.
+
+        Raises:
+            BudgetTooSmallError: the time budget ends before.
+        """
+        state = self.state
+        imitated = state.trained and not self.began_trained
+        if state.updates or imitated:
+            self.time.expect_nothing()
+            return True
+        return self.time.expect(needs, kind)
+
+    # -- checkpoints -------------------------------------------------------------------------------------------------
+
+    def write_checkpoint(self, network: Student, tensors: Mapping[str, Tensor]) -> None:
+        """Write the training checkpoint, and that of the policy if it was ever updated: random weights are no policy.
+
+        Args:
+            network: that is trained.
+            tensors: state that the next update depends on.
+        """
+        state = self.state
+        state.seconds = self.log.seconds
+        state.checkpoints += 1
+        if distributed.rank():
+            return
+        if state.trained:
+            state.student_samples = state.samples
+        about = {**vars(state), "step": state.updates, **self._named()}
+        save_tensors(self.folder.training, network, tensors, about)
+        if state.trained:
+            self.save_policy()
+
+    def save_policy(self, path: Path | None = None) -> None:
+        """Write the policy as a student checkpoint, which `mjhab eval` can run; by default as the run's student."""
         about = {
-            **vars(self.progress),
-            "algorithm": self.spec.config.algorithm,
-            "preset": self.config.preset,
-            "fitted": self.fitted,
-        }
-        save_training(self.folder.training, self.trainer, about)
-        # Random weights are no policy.
-        if self.trainer.step:
-            self.save_student(self.folder.student)
-        self._saved_at = time.perf_counter()
-
-    def save_student(self, path: Path) -> None:
-        """Write the policy for evaluation, the moving average of the weights, as a student checkpoint."""
-        about = {
-            "algorithm": self.spec.config.algorithm,
-            "step": self.trainer.step,
-            "samples": self.progress.samples,
+            **self._named(),
+            "step": self.state.updates,
+            "samples": self.state.samples,
+            "trained": self.state.trained,
             "scene": vars(self.scenes[0]),
             "also": [vars(scene) for scene in self.scenes[1:]],
             "seed": self.spec.seed,
         }
-        save_student(path, self.trainer.average, about)
+        save_student(path or self.folder.student, self.policy, about)
+        if path is None:
+            self.state.student_samples = self.state.samples
+
+    def _named(self) -> dict[str, Any]:
+        config = self.spec.config
+        return {"algorithm": config.algorithm, "preset": config.preset}
+
+    def keep_best(self) -> None:
+        """Make the checkpoint with the best evaluation the run's student; of equal ones the latest.
+
+        The policy at the end of training takes part, too.
+        """
+        state = self.state
+        if distributed.rank() or not state.evaluated:
+            return
+        if self.spec.round_episodes and state.evaluated[-1] != state.updates:
+            self.evaluate(self.spec.round_episodes)
+        if self.folder.best.is_file() and state.best_samples != state.samples:
+            best = self.folder.best
+            write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
+            state.student_samples = state.best_samples
+            # It was of the last policy, and the summary tells of the student.
+            self.judged = Judgement()
 
     # -- evaluation --------------------------------------------------------------------------------------------------
 
-    def evaluate(self, episodes: int, last: bool = False) -> float:
-        """Evaluate the student in the episodes 0 to ``episodes`` - 1 of every scene and return its success-once rate.
+    def evaluate(self, episodes: int, last: bool = False) -> None:
+        """Evaluate the student in the episodes 0 to ``episodes`` - 1 of every scene.
 
-        The first and the ``last`` evaluation are filmed. The folders of the first and the latest one are kept.
+        On the way it is the policy of this moment, which is kept if no earlier one was better. The ``last`` evaluation
+        is that of the run's student checkpoint. The first and the last evaluation are filmed; their folders are kept.
         """
-        self.save()
-        first = not self.progress.evaluated
+        if distributed.rank():
+            return
+        state = self.state
+        if last:
+            self._judge(episodes, last)
+            return
+        self.save_policy()
+        success = self._judge(episodes, last)
+        state.evaluated.append(state.updates)
+        if self.keep_best_by and success >= state.best_success:
+            state.best_success = success
+            state.best_samples = state.samples
+            self.save_policy(self.folder.best)
+
+    def _judge(self, episodes: int, last: bool) -> float:
+        """Success rate of the student checkpoint, as by `mjhab eval`: once or at the end, as ``keep_best_by`` says."""
+        first = not self.state.evaluated
         films = self.spec.films if first or last else 0
         folder = self.folder.evaluation(FIRST if first and not last else LATEST)
+        # Those on the way choose the best policy: not in the homes that it is judged in.
         split = self.spec.judged_split if last else self.spec.scene.split
         began = time.perf_counter()
         found = {
@@ -379,18 +276,20 @@ class Session:
             )
             for scene in self.scenes
         }
-        self.judged = Judgement(split, self.progress.samples, found)
-        self._clock.measured((time.perf_counter() - began) / episodes)
-        by_row = self.judged.success_by_row()
-        success = float(self.judged.summary()["success_once"])
-        self.progress.evaluated.append(self.trainer.step)
-        self.save()
-        numbers = judgement_row(success, len(self.judged.records), split, last)
-        numbers["round"] = self.progress.round
+        self.judged = Judgement(split, self.state.student_samples, found)
+        spent = time.perf_counter() - began
+        self.time.evaluations.measured(spent / episodes)
+        self.evaluation_seconds += spent
+        records = self.judged.records
+        once = sum(record.success_once for record in records) / len(records)
+        at_end = sum(record.success_at_end for record in records) / len(records)
+        numbers = judgement_row(once, len(records), split, last)
+        numbers |= {"success_at_end": at_end, "round": self.state.round}
         if len(found) > 1:
-            numbers |= {f"success_once/{row}": rate for row, rate in by_row.items()}
-        self.log.report(self.trainer.step, self.progress.samples, numbers)
-        return success
+            rates = self.judged.success_by_row()
+            numbers |= {f"success_once/{row}": rate for row, rate in rates.items()}
+        self.log.report(self.state.updates, self.state.samples, numbers)
+        return at_end if self.keep_best_by not in ("", ONCE) else once
 
     def _evaluate_in(
         self, scene: Scene, split: str, episodes: int, films: int, out: Path
@@ -400,22 +299,83 @@ class Session:
 
         tell(0)
         judged = replace(scene, split=split)
-        evaluations = Evaluations(judged, self.spec.means, self.spec.seed, tell)
+        evaluations = Evaluations(judged, self.judging, self.spec.seed, tell)
         return list(evaluations.run(self.folder.student, episodes, films, out).records)
 
+    def place(self, folder: Path, scene: Scene) -> Path:
+        """Where a folder of the run keeps what belongs to a scene: below it, if there are several."""
+        return folder / scene.name.replace("/", ".") if len(self.scenes) > 1 else folder
 
-@contextmanager
-def open_session(spec: ImitationSpec) -> Iterator[Session]:
-    """Open a training session in the folder of the run; its logs are closed on exit.
+    # -- results -----------------------------------------------------------------------------------------------------
+
+    def summarize(self) -> dict[str, Any]:
+        """Results of the run as JSON data.
+
+        ``split``, ``success_once``, ``interval``, ``success_at_end``, ``episodes`` and ``rows`` come from one
+        evaluation, the latest complete one, that of the policy after ``evaluated_samples``. ``checkpoint`` is None
+        while there is none; it holds the policy after ``student_samples``. ``trained`` tells whether it was ever
+        updated, and ``shortage`` what a budget lacks that ends before the first update.
+        """
+        state = self.state
+        judged = self.judged
+        return {
+            **self._named(),
+            "steps": state.updates,
+            "samples": state.samples,
+            "seconds": round(self.log.seconds, 1),
+            "cpu_seconds": round(self.log.cpu_seconds, 1),
+            "checkpoint": self.folder.kept_student,
+            "student_samples": state.student_samples,
+            "trained": state.trained,
+            **({"shortage": self.shortage} if self.shortage else {}),
+            **judged.summary(),
+            "rows": [
+                {"row": row, "success_once": rate, "episodes": len(judged.rows[row])}
+                for row, rate in judged.success_by_row().items()
+            ],
+            "commit": source_commit(),
+        }
+
+    def write_results(self) -> tuple[dict[str, Any], Path]:
+        """Write summary and report; returns the summary and the path of the report."""
+        summary = self.summarize()
+        self.folder.write_summary(summary)
+        page = render_training_report(
+            self.folder, self.log.rows, self.judged.records, summary
+        )
+        return summary, self.folder.write_report(page)
+
+
+def run_session(session: Session) -> TrainingResult:
+    """Train, evaluate, and write everything into the folder of the run.
+
+    After Ctrl-C the student is the policy of that moment; a resumed run goes on from the last training checkpoint.
 
     Raises:
-        UsageError: data, folder or scene do not fit; then nothing was written.
+        BrokenLossError: a loss or a gradient is not finite; the weights from before it are kept.
     """
-    config = resolved_config(spec)
-    TrainingFolder.check(spec.out, config, resume=spec.resume)
-    layout = layout_for(spec)
-    check_student(spec.config.student, layout)
-    with TrainingFolder.open(spec.out, config, resume=spec.resume) as folder:
-        session = Session(spec, layout, folder)
-        with session.log:
-            yield session
+    interrupted = False
+    try:
+        try:
+            session.learn()
+        except OutOfTime:
+            session.log.show({"phase": "the budget is spent"})
+        except BudgetTooSmallError as error:
+            session.log.show({"phase": "the budget is too small"})
+            session.shortage = str(error)
+        session.finish()
+        # Random weights are not judged.
+        if session.spec.eval_episodes and session.state.trained:
+            session.evaluate(session.spec.eval_episodes, last=True)
+    except BrokenLossError:
+        session.stop(broken=True)
+        raise
+    except KeyboardInterrupt:
+        session.stop(broken=False)
+        interrupted = True
+    finally:
+        if not session.state.trained and not distributed.rank():
+            # An evaluation of random weights has left them: they are no policy.
+            session.folder.student.unlink(missing_ok=True)
+        summary, report = session.write_results()
+    return TrainingResult(summary, report, interrupted)

@@ -216,6 +216,11 @@ class TrainSpec(EnvSpec):
         return Scene(**given)
 
     @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """All that the policy learns."""
+        return (self.scene,)
+
+    @property
     def seed(self) -> int:
         """Seed of the run."""
         return self.asked.seed
@@ -302,7 +307,7 @@ class ImitationSpec(TrainSpec):
         student = dataclasses.replace(config.student, inputs=inputs)
         return dataclasses.replace(config, student=student)
 
-    @cached_property
+    @property
     def scenes(self) -> tuple[Scene, ...]:
         """All scenes: that of ``env``, and those of ``also``, which differ in task, subtask and target only."""
         return (self.scene, *(_also(self.scene, text) for text in self.also))

@@ -64,7 +64,11 @@ def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
             the policy needs.
     """
     check_environment(env.config)
-    name, network = load_network(Path(path))
+    return policy_of(*load_network(Path(path)), env)
+
+
+def policy_of(name: str, network: Network, env: Environment) -> MsHabPolicy:
+    """The policy of a network of `load_network` in an environment that `check_environment` accepts."""
     device = "cuda" if torch.cuda.is_available() else "cpu"
     is_published = Conventions.of(vars(env.config)) == PUBLISHED
     state = None if is_published else lambda: to_numpy(env.state_as(PUBLISHED))

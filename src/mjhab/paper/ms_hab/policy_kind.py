@@ -1,53 +1,72 @@
-"""MS-HAB checkpoints as policies: ``--policy ms_hab:CHECKPOINT.pt``. See `evaluation.resolve.PolicyModule`."""
+"""MS-HAB checkpoints as policies: ``--policy ms_hab:CHECKPOINT.pt``. See `evaluation.resolve.OpenedPolicy`."""
 
 from __future__ import annotations
 
 import hashlib
+from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from mjhab.core.errors import UsageError
-from mjhab.evaluation.resolve import MS_HAB_PREFIX, PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import (
+    MS_HAB_PREFIX,
+    OpenedPolicy,
+    PolicyFacts,
+    PolicyOptions,
+)
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 
-
-def inspect_policy(spec: str) -> PolicyFacts:
-    """Describe a checkpoint: its name, the hash of its bytes, and the options of the environment that it needs.
-
-    They include MS-HAB's profile; options of the user take precedence.
-
-    Raises:
-        UsageError: torch is not installed, or the file cannot be read as a policy of MS-HAB.
-    """
-    require_learn()
-    from mjhab.paper.ms_hab.checkpoint import load_network
-    from mjhab.paper.ms_hab.policy import ENV_OPTIONS
-
-    path = _path_of(spec)
-    load_network(path)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return PolicyFacts(
-        f"ms_hab-{path.stem}",
-        {"policy_sha256": digest},
-        ENV_OPTIONS,
-        reads_instruction=False,
-    )
+if TYPE_CHECKING:
+    from mjhab.paper.ms_hab.network import Network
 
 
-def build_policy(spec: str, env: RolloutEnv, options: PolicyOptions) -> Policy:
-    """Build the policy of a checkpoint.
+class MsHabFile(OpenedPolicy):
+    """A checkpoint of MS-HAB."""
 
-    Raises:
-        UsageError: as `inspect_policy`; the environment lacks observations that the policy needs; or ``options`` sets a
-            style.
-    """
-    if options.style:
-        raise UsageError(f"only the policy expert has a style; {spec} has none.")
-    require_learn()
-    from mjhab.paper.ms_hab.policy import Environment, ms_hab_policy
+    @cached_property
+    def network(self) -> tuple[str, Network]:
+        """Name and network, see `ms_hab.checkpoint.load_network`."""
+        require_learn()
+        from mjhab.paper.ms_hab.checkpoint import load_network
 
-    return ms_hab_policy(_path_of(spec), cast(Environment, env))
+        return load_network(_path_of(self.spec))
+
+    @property
+    def facts(self) -> PolicyFacts:
+        """Its name, the hash of its bytes, and the options of the environment that it needs.
+
+        They include MS-HAB's profile; options of the user take precedence.
+
+        Raises:
+            UsageError: torch is not installed, or the file cannot be read as a policy of MS-HAB.
+        """
+        _ = self.network
+        from mjhab.paper.ms_hab.policy import ENV_OPTIONS
+
+        path = _path_of(self.spec)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        return PolicyFacts(
+            f"ms_hab-{path.stem}",
+            {"policy_sha256": digest},
+            ENV_OPTIONS,
+            reads_instruction=False,
+        )
+
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        """Build the policy.
+
+        Raises:
+            UsageError: as `facts`; the environment lacks observations that the policy needs; or ``options`` sets a
+                style.
+        """
+        self.refuse_style(options)
+        require_learn()
+        from mjhab.paper.ms_hab.policy import Environment, check_environment, policy_of
+
+        acting = cast(Environment, env)
+        check_environment(acting.config)
+        return policy_of(*self.network, acting)
 
 
 def _path_of(spec: str) -> Path:

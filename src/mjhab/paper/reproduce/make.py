@@ -38,7 +38,7 @@ from mjhab.paper.reproduce.variants import STUDIES, Variant
 from mjhab.rollout.sinks import Sink
 
 if TYPE_CHECKING:
-    from mjhab.learning.runs.result import TrainingResult
+    from mjhab.learning.runs.run import TrainingResult
 
 ROW = "row.json"
 TRAIN = "train"
@@ -272,18 +272,18 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
         "eval_split": TRAINED_IN,
         "resume": (run / CONFIG).is_file(),
     }
+    from mjhab.learning.train import train_spec
+
     if spec.column == STUDENTS:
         from mjhab.learning.devices import CPU
         from mjhab.learning.runs.specs import DaggerSpec
-        from mjhab.learning.runs.train import train_imitation
 
         common["env"]["num_envs"] = spec.worlds
-        return train_imitation(DaggerSpec(device=spec.device or CPU, **common))
+        return train_spec(DaggerSpec(device=spec.device or CPU, **common))
     from mjhab.learning.reinforcement.configs import reinforcement_preset
     from mjhab.learning.reinforcement.specs import ReinforcementSpec
-    from mjhab.learning.reinforcement.train import train_reinforcement
 
     algorithm = algorithm_of(row, spec.column)
     common["preset"] = reinforcement_preset(algorithm, spec.preset_name)
     common["env"] |= {"backend": spec.backend, "device": spec.device}
-    return train_reinforcement(ReinforcementSpec(**common))
+    return train_spec(ReinforcementSpec(**common))

@@ -13,7 +13,7 @@ from mjhab.paper.reproduce.spec import TRAINED_IN, TableSpec, env_of
 from mjhab.paper.reproduce.variants import STYLES, Imitation
 
 if TYPE_CHECKING:
-    from mjhab.learning.runs.result import TrainingResult
+    from mjhab.learning.runs.run import TrainingResult
     from mjhab.learning.runs.specs import ImitationSpec
 
 DATA = "data"
@@ -41,7 +41,7 @@ def train_imitation(
         KeyboardInterrupt: Ctrl-C was pressed while demonstrations were collected; they are kept.
     """
     from mjhab.learning.runs.specs import ImitationSpec
-    from mjhab.learning.runs.train import train_imitation
+    from mjhab.learning.train import train_spec
 
     asked = ImitationSpec(
         out=run,
@@ -59,7 +59,7 @@ def train_imitation(
         _collected(spec, asked, folder / DATA, name) for name in imitation.data
     )
     half = f"success and index < {_episodes(spec) // 2}" if len(places) > 1 else None
-    return train_imitation(
+    return train_spec(
         dataclasses.replace(
             asked, data=places, where=half, per_target=imitation.per_target
         )

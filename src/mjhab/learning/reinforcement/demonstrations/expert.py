@@ -9,11 +9,11 @@ from typing import Any
 import torch
 
 from mjhab.experts import make_expert
-from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.environments import demonstration_env
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession
 from mjhab.learning.reinforcement.sight import Sight
+from mjhab.learning.runs import distributed
 from mjhab.tasks.style import Styles
 
 DEMONSTRATION_WORLDS = 16
@@ -48,14 +48,15 @@ def collect_demonstrations(
     buffer = make(play.worlds)
     rounds = -(-episodes // play.worlds)
     whole = rounds * play.worlds
-    session.expect("episode", whole, f"{whole} episodes of the expert", "--eval-episodes")
+    work = f"{whole} episodes of the expert"
+    session.expect_work(whole, work, "--eval-episodes", of_expert=True)
     for number in range(rounds):
         play.record_round(buffer)
         finished = (number + 1) * play.worlds
         seconds = (time.perf_counter() - began) / finished
-        session.estimate_evaluation(seconds)
+        session.time.estimate_evaluation(seconds)
         if not number:
-            session.measured(seconds)
+            session.time.measured(seconds)
         # Several processes decide together, and only their numbers of rounds are the same.
         session.check_time()
         tell(min(finished, episodes))

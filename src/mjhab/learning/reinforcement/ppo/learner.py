@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.seeding import stream
 from mjhab.learning.networks import Normalizer
-from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.finite import check_finite
 from mjhab.learning.reinforcement.ppo.agent import Ppo
@@ -24,6 +23,7 @@ from mjhab.learning.reinforcement.returns import (
 from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
+from mjhab.learning.runs import distributed
 
 RATE_STEP = 1.5
 MOST_RATE = 3e-3

@@ -55,7 +55,7 @@ class PpoRun(AlgorithmRun):
 
     def _imitated(self) -> None:
         """Note one update of the imitation, and end it in time for the evaluations."""
-        self.session.standing.trained = True
+        self.session.state.trained = True
         self.session.check_time()
 
     def _restore(self, tensors: Any) -> None:
@@ -64,7 +64,7 @@ class PpoRun(AlgorithmRun):
         restore_optimizer(learner.optimizer, part_of("optimizer", tensors))
         learner.statistics.restore(part_of("statistics", tensors))
         learner.privileged.restore(part_of("privileged", tensors))
-        learner.updates = self.session.standing.updates
+        learner.updates = self.session.state.updates
         learner.learning_rate = float(tensors["learning_rate"])
 
     def tensors(self) -> dict[str, Tensor]:
@@ -80,21 +80,21 @@ class PpoRun(AlgorithmRun):
     def learn(self) -> None:
         session = self.session
         learner = self.learner
-        standing = session.standing
+        state = session.state
         self.expect_steps(learner.config.rollout_steps)
-        while standing.samples < self.config.samples:
-            before = standing.samples
+        while state.samples < self.config.samples:
+            before = state.samples
             began = time.perf_counter()
             rollout = learner.collect(session.note)
             acted = time.perf_counter()
-            numbers = learner.update(rollout, standing.samples / self.config.samples)
+            numbers = learner.update(rollout, state.samples / self.config.samples)
             learner.normalize(rollout.seen)
-            standing.updates = learner.updates
-            standing.trained = True
+            state.updates = learner.updates
+            state.trained = True
             ended = time.perf_counter()
             session.learner_seconds += ended - acted
             numbers["loss"] = numbers["value_loss"]
-            numbers["samples_per_second"] = (standing.samples - before) / (ended - began)
+            numbers["samples_per_second"] = (state.samples - before) / (ended - began)
             numbers["learner_share"] = (ended - acted) / (ended - began)
             session.log.show({"phase": "learning"})
             session.report(numbers)

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.core.seeding import stream
-from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, SacConfig
 from mjhab.learning.reinforcement.finite import check_finite, gradient_norm
 from mjhab.learning.reinforcement.replay import ReplayBuffer, Transitions
 from mjhab.learning.reinforcement.sac.agent import Sac
 from mjhab.learning.reinforcement.sight import Seen
+from mjhab.learning.runs import distributed
 from mjhab.learning.students.gaussian import LARGEST_ACTION
 
 

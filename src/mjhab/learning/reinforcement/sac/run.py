@@ -10,7 +10,6 @@ from torch import Tensor
 
 from mjhab.core.seeding import stream
 from mjhab.learning.checkpoint import restoring
-from mjhab.learning.reinforcement import distributed
 from mjhab.learning.reinforcement.algorithm import AlgorithmRun
 from mjhab.learning.reinforcement.keeping import (
     optimizer_tensors,
@@ -23,6 +22,7 @@ from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sac.agent import Sac
 from mjhab.learning.reinforcement.sac.learner import SacLearner
 from mjhab.learning.reinforcement.session import REPLAY, ReinforcementSession
+from mjhab.learning.runs import distributed
 from mjhab.learning.students.gaussian import SquashedGaussian
 
 REPORT_SECONDS = 2.0
@@ -71,13 +71,13 @@ class SacRun(AlgorithmRun):
         self.agent.load_state_dict(part_of("agent", tensors))
         for name, optimizer in learner.optimizers.items():
             restore_optimizer(optimizer, part_of(f"optimizer_{name}", tensors))
-        learner.updates = self.session.standing.updates
+        learner.updates = self.session.state.updates
         self.owed = float(tensors["owed"])
         position = tensors["position"].chunk(distributed.processes())[distributed.rank()]
         if not self.online.is_new:
             self.online.position.copy_(position)
         elif bool(position.any()):
-            self.first_update = self.session.standing.samples + self.warm_up
+            self.first_update = self.session.state.samples + self.warm_up
             self.session.log.say(
                 f"the replay buffer of the earlier start is gone; {self.warm_up:,} samples fill it again before the "
                 "next update"
@@ -100,19 +100,19 @@ class SacRun(AlgorithmRun):
 
     def learn(self) -> None:
         session = self.session
-        standing = session.standing
+        state = session.state
         worlds = session.worlds
         ratio = self.sac.updates_per_step or 1.0 / worlds.count
         told_at = 0.0
-        left = self.first_update - standing.samples
+        left = self.first_update - state.samples
         self.expect_steps(-(-left // (worlds.count * distributed.processes())))
-        while standing.samples < self.config.samples:
-            before = standing.samples
+        while state.samples < self.config.samples:
+            before = state.samples
             began = time.perf_counter()
             self._step()
             acted = time.perf_counter()
             numbers: dict[str, float] = {}
-            if standing.samples >= self.first_update:
+            if state.samples >= self.first_update:
                 if before < self.first_update and not self.learner.updates:
                     self._fit_normalizers()
                 self.owed += ratio * worlds.count
@@ -128,7 +128,7 @@ class SacRun(AlgorithmRun):
                 numbers["learner_share"] = (ended - acted) / (ended - began)
                 session.log.show({"phase": "learning"})
                 session.report(numbers)
-            if standing.samples >= self.sac.warm_up:
+            if state.samples >= self.sac.warm_up:
                 self.between(before)
             else:
                 session.check_time()
@@ -140,7 +140,7 @@ class SacRun(AlgorithmRun):
         with torch.no_grad():
             random = self._noise()
             if (
-                self.session.standing.samples < self.sac.warm_up
+                self.session.state.samples < self.sac.warm_up
                 and self.session.start is None
             ):
                 shape = (worlds.count, len(self.session.layout.actions))
@@ -158,13 +158,13 @@ class SacRun(AlgorithmRun):
         self.session.note(transition)
 
     def _noise(self) -> torch.Generator:
-        drawn = stream(self.session.seed, "sac-act", self.session.standing.samples)
+        drawn = stream(self.session.seed, "sac-act", self.session.state.samples)
         return torch.Generator().manual_seed(int(drawn.integers(1 << 62)))
 
     def _update(self) -> dict[str, float]:
-        standing = self.session.standing
+        state = self.session.state
         sac = self.sac
-        since = standing.samples - sac.warm_up
+        since = state.samples - sac.warm_up
         share = max(0.0, 1.0 - since / max(sac.imitation_samples, 1))
         batch = self.learner.batch(self.online, self.shown)
         demonstrated = round(sac.demonstration_share * sac.batch) if self.shown else 0
@@ -172,8 +172,8 @@ class SacRun(AlgorithmRun):
         told = self.learner.update(
             batch, demonstrated, sac.imitation_coefficient * share, frozen
         )
-        standing.updates = self.learner.updates
-        standing.trained = True
+        state.updates = self.learner.updates
+        state.trained = True
         return told
 
     def _fit_normalizers(self) -> None:

@@ -16,7 +16,8 @@ from benchmarks.command import run_command
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
-from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
 from mjhab.learning.reinforcement.configs import (
     PPO,
     SAC,
@@ -30,7 +31,6 @@ from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac.agent import Sac
 from mjhab.learning.reinforcement.sac.learner import SacLearner
-from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs.specs import Scene
 
@@ -142,16 +142,18 @@ def measure_sac(preset: str, batch: int, spec: LearnerSpec) -> float:
     return round(spec.updates / seconds, 2)
 
 
-def _worlds(config: ReinforcementConfig, threads: int) -> tuple[Worlds, Layout, int]:
+def _worlds(
+    config: ReinforcementConfig, threads: int
+) -> tuple[Worlds, ObservationSpec, int]:
     """Worlds of the scene, the layout of what is seen in them, and how much only a critic sees.
 
     Networks get as many threads as in a run.
     """
     torch.set_num_threads(config.inputs.network_threads(threads or cores()))
     env = training_env(SCENE, config.inputs, config.worlds, threads, 0)
-    layout = layout_of(env, config.inputs, (SCENE.target,))
-    sight = Sight(env, layout, config.privileged_critic)
-    return Worlds(env, sight, 0), layout, sight.privileged_width
+    layout = observation_spec_of(env, config.inputs, (SCENE.target,))
+    encoder = AgentEncoder(env, layout, config.privileged_critic)
+    return Worlds(env, encoder, 0), layout, encoder.privileged_width
 
 
 def _step_alone(worlds: Worlds, actions: Tensor) -> None:
@@ -160,7 +162,7 @@ def _step_alone(worlds: Worlds, actions: Tensor) -> None:
         worlds.step(action)
 
 
-def _buffer(like: Seen, actions: int) -> ReplayBuffer:
+def _buffer(like: AgentObs, actions: int) -> ReplayBuffer:
     """A replay buffer of random numbers in the shapes of an observation."""
     channels, height, width = like.images.shape[1:]
     shape = ReplayShape(
@@ -175,7 +177,7 @@ def _buffer(like: Seen, actions: int) -> ReplayBuffer:
     rows = BUFFER_WORLDS
     buffer = ReplayBuffer(shape, like.vector.device)
     for _ in range(BUFFER_STEPS):
-        seen = Seen(
+        seen = AgentObs(
             torch.randn(rows, shape.vector, generator=random),
             torch.randint(
                 256, (rows, *shape.images), generator=random, dtype=torch.uint8

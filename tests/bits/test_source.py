@@ -84,7 +84,7 @@ INTEGER_SUMS = {
     "evaluation/score/result.py": {"_begins_elsewhere(asked, episode)"},
     "experts/planning/reach.py": {"map(len, found)"},
     "layout/contact_sensors.py": {"1 << field"},
-    "learning/layout.py": {"width", "widths"},
+    "learning/observation/spec.py": {"width", "widths"},
     "learning/observation/parts.py": {"width"},
     "paper/ms_hab/sac.py": {
         "size(shapes, f'{_PIXELS}{camera}.projection.0.weight', 0, 50)",

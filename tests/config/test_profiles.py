@@ -18,7 +18,7 @@ from mjhab.data.record.provenance import describe_run
 from mjhab.envs.wrappers import FrameStack
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.experts import make_expert
-from mjhab.learning.layout import profile_of
+from mjhab.learning.observation.spec import profile_of
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.subtasks.registry import force_limits, limits_of, number_of
 from mjhab.tasks.subtasks.registry import horizons as horizons_of

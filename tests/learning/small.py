@@ -23,8 +23,8 @@ from mjhab.learning.configs import (
     TrainConfig,
 )
 from mjhab.learning.demos import Demonstrations
-from mjhab.learning.layout import Layout
 from mjhab.learning.observation.parts import SubtaskTold, code_of
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.run import TrainingResult
 from mjhab.learning.runs.specs import ImitationSpec
@@ -45,11 +45,13 @@ def train_in(
     return train_spec(dataclasses.replace(spec, out=out, resume=resume))
 
 
-def layout(inputs: InputConfig = INPUTS) -> Layout:
-    return Layout(inputs, STATE, ACTIONS, TARGETS, CONTROL)
+def layout(inputs: InputConfig = INPUTS) -> ObservationSpec:
+    return ObservationSpec(inputs, STATE, ACTIONS, TARGETS, CONTROL)
 
 
-def condition_of(told: Layout, kind: str, target: str, sentence: str = "") -> np.ndarray:
+def condition_of(
+    told: ObservationSpec, kind: str, target: str, sentence: str = ""
+) -> np.ndarray:
     return code_of(SubtaskTold(kind, target, sentence), told)
 
 
@@ -90,7 +92,9 @@ def train_config(**changes: Any) -> TrainConfig:
 
 
 def demonstrations(
-    seed: int = 0, lengths: tuple[int, ...] = (7, 11, 5), told: Layout | None = None
+    seed: int = 0,
+    lengths: tuple[int, ...] = (7, 11, 5),
+    told: ObservationSpec | None = None,
 ) -> Demonstrations:
     """Episodes whose first action is a line through the state, and the others 0.5."""
     told = told or layout()
@@ -121,7 +125,7 @@ def demonstrations(
     return Demonstrations.join(parts)
 
 
-def fake_env(worlds: int = 3, told: Layout | None = None) -> Any:
+def fake_env(worlds: int = 3, told: ObservationSpec | None = None) -> Any:
     """What a student asks of an environment."""
     told = told or layout()
     rows = [SimpleNamespace(key=key, shape=(width,)) for key, width in STATE]

@@ -31,11 +31,11 @@ from mjhab.data.store.shard import ShardWriter
 from mjhab.envs import make
 from mjhab.learning.checkpoint import load_student, save_student
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.demos import layout_of_data, read_episode
-from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.demos import observation_spec_of_data, read_episode
 from mjhab.learning.observation.encoder import ObservationEncoder
+from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
 from mjhab.learning.policy import StudentPolicy
-from mjhab.learning.reinforcement.sight import Sight
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.students.heads import make_student
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
@@ -126,12 +126,12 @@ def older(folder: Path, out: Path, **changes: Any) -> RecordedEpisode:
     return old
 
 
-def inputs_of(layout: Layout, env: Any) -> np.ndarray:
+def inputs_of(layout: ObservationSpec, env: Any) -> np.ndarray:
     """(42,) what a policy and an agent of a layout are given in the present state of an environment."""
     obs = {"state": env.state_as(env.config.conventions)}
     info = env.info() | {"episode_spec": [env.episode_spec(0)]}
-    sight = Sight(env, layout, False)
-    seen = sight.see(obs, info).vector[0].numpy()
+    encoder = AgentEncoder(env, layout, False)
+    seen = encoder.see(obs, info).vector[0].numpy()
     acting = ObservationEncoder(env, layout).encode(obs, info).vector[0]
     np.testing.assert_array_equal(acting, seen)
     policy = StudentPolicy(make_student(config(inputs=STATE_ALONE), layout), env)
@@ -148,7 +148,7 @@ def box(request: pytest.FixtureRequest) -> Iterator[str]:
 def test_train_then_eval(box: str, tmp_path: Path) -> None:
     env = environment(box)
     env.reset(seed=0)
-    trained = layout_of(env, STATE_ALONE, (box,))
+    trained = observation_spec_of(env, STATE_ALONE, (box,))
     assert trained.conventions == PUBLISHED and trained.profile == "ms_hab"
     path = tmp_path / "student.safetensors"
     save_student(path, make_student(config(inputs=STATE_ALONE), trained), {})
@@ -165,10 +165,10 @@ def test_train_then_eval(box: str, tmp_path: Path) -> None:
 def test_checkpoints_of_older_versions_see_our_axes(box: str) -> None:
     env = environment(box)
     env.reset(seed=0)
-    trained = layout_of(env, STATE_ALONE, (box,))
+    trained = observation_spec_of(env, STATE_ALONE, (box,))
     plain = trained.to_plain()
     del plain["object_axes"], plain["joint_angles"]
-    old = Layout.from_plain(STATE_ALONE, plain)
+    old = ObservationSpec.from_plain(STATE_ALONE, plain)
     assert old.conventions == Conventions("object", "unwrapped")
     seen = inputs_of(old, env)
     ours = environment(box, "mjhab")
@@ -192,7 +192,7 @@ def test_export_then_clone_then_eval_and_import_then_eval(
     np.testing.assert_array_equal(pose, seen[:, POSE])
     import_ms_hab(file, tmp_path / "imported")
     for folder in (tmp_path / "shards", tmp_path / "imported"):
-        layout = layout_of_data(folder, STATE_ALONE, EVERY)
+        layout = observation_spec_of_data(folder, STATE_ALONE, EVERY)
         assert layout.conventions == PUBLISHED and layout.profile == "ms_hab"
         (one,) = episodes(folder)
         np.testing.assert_array_equal(read_episode(one, layout, -1).vector, seen[:-1])
@@ -232,7 +232,7 @@ def test_shards_of_older_versions_are_read_in_the_axes_of_their_profile(
     np.testing.assert_array_equal(
         old.observation("extra/obj_pose_wrt_base")[-1], env.state_as(PUBLISHED)[0, POSE]
     )
-    layout = layout_of_data(tmp_path / "old", STATE_ALONE, EVERY)
+    layout = observation_spec_of_data(tmp_path / "old", STATE_ALONE, EVERY)
     assert layout.conventions == PUBLISHED
     told = read_episode(old, layout, -1).vector
     np.testing.assert_array_equal(told, old.array("obs/state")[:-1])

@@ -20,8 +20,8 @@ from mjhab.data.store.places import episodes
 from mjhab.learning.batches import BatchSampler, shift_images, take_chunks
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import (
-    layout_of_data,
     load_demonstrations,
+    observation_spec_of_data,
 )
 from mjhab.learning.observation.depth import nearness
 from mjhab.learning.observation.parts import base_velocity
@@ -155,7 +155,7 @@ EVERY = Filter("success or not success")
 
 
 def test_what_is_read_is_what_was_recorded(source: Path) -> None:
-    told = layout_of_data(source, INPUTS, EVERY)
+    told = observation_spec_of_data(source, INPUTS, EVERY)
     assert told.targets == ("024_bowl",) and told.state == (
         ("agent/qpos", 4),
         ("extra/is_grasped", 1),
@@ -188,7 +188,7 @@ def test_several_processes_read_the_same(source: Path, tmp_path: Path) -> None:
         FakeEnv(subtask="pick", images=True),
         images=ImageFormat(),
     )
-    told = layout_of_data(tmp_path, INPUTS, EVERY)
+    told = observation_spec_of_data(tmp_path, INPUTS, EVERY)
     one, two = (
         load_demonstrations(tmp_path, told, -1, EVERY, workers) for workers in (1, 2)
     )
@@ -205,13 +205,13 @@ def test_data_that_do_not_fit_are_refused_with_what_to_do(
         UsageError,
         match=f"16x16 px; the preset needs 32x32 px.*replay.*--camera-size {2 * SIZE}",
     ):
-        layout_of_data(source, larger, EVERY)
+        observation_spec_of_data(source, larger, EVERY)
     hand = InputConfig(cameras=("fetch_hand",), image_size=SIZE)
     with pytest.raises(UsageError, match=r"no depth images of fetch_hand.*mjhab replay"):
-        layout_of_data(source, hand, EVERY)
+        observation_spec_of_data(source, hand, EVERY)
     with pytest.raises(UsageError, match="no episode passes"):
-        layout_of_data(source, INPUTS, Filter("steps > 1000"))
-    told = layout_of_data(source, INPUTS, EVERY)
+        observation_spec_of_data(source, INPUTS, Filter("steps > 1000"))
+    told = observation_spec_of_data(source, INPUTS, EVERY)
     record(
         tmp_path / "other.h5",
         range(1),

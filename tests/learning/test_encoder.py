@@ -24,12 +24,12 @@ from mjhab.learning.batches import take_chunks
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.configs import PRESETS, InputConfig
 from mjhab.learning.demos import read_episode
-from mjhab.learning.layout import Layout, layout_of
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
 from mjhab.learning.observation.parts import VECTOR_PARTS
+from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
 from mjhab.learning.policy_kind import members
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import PRESETS as AGENT_PRESETS
-from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.shipped_kind import shipped
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
@@ -95,14 +95,16 @@ class InTorch:
 class Watching(RandomPolicy):
     """Acts at random, and keeps what encoders of all inputs make of it."""
 
-    def __init__(self, env: Any, specs: Mapping[str, Layout]) -> None:
+    def __init__(self, env: Any, specs: Mapping[str, ObservationSpec]) -> None:
         super().__init__(3)
         self.specs = specs
         self.numpy = {n: ObservationEncoder(env, spec) for n, spec in specs.items()}
         self.torch = {
             n: ObservationEncoder(InTorch(env), spec) for n, spec in specs.items()
         }
-        self.agents = {n: Sight(env, spec, privileged=False) for n, spec in specs.items()}
+        self.agents = {
+            n: AgentEncoder(env, spec, privileged=False) for n, spec in specs.items()
+        }
         self.seen: dict[str, list[list[Any]]] = {n: [] for n in specs}
 
     def reset(self, mask: np.ndarray) -> None:
@@ -147,7 +149,10 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Watching, Path, A
         threads=1,
         autoreset="disabled",
     )
-    specs = {name: layout_of(env, inputs, (TARGET,)) for name, inputs in INPUTS.items()}
+    specs = {
+        name: observation_spec_of(env, inputs, (TARGET,))
+        for name, inputs in INPUTS.items()
+    }
     policy = Watching(env, specs)
     path = tmp_path_factory.mktemp("watched") / "a.h5"
     with ShardWriter(path) as writer:
@@ -220,7 +225,9 @@ def test_the_target_in_the_hand_is_the_handle_seen_from_the_tcp(
 
 def test_the_target_in_the_hand_needs_the_tasks_state() -> None:
     inputs = InputConfig(cameras=(), image_size=0, target_in_hand=True)
-    spec = Layout(inputs, (("agent/qpos", 4),), ("a0",), (TARGET,), ("pd", "forward"))
+    spec = ObservationSpec(
+        inputs, (("agent/qpos", 4),), ("a0",), (TARGET,), ("pd", "forward")
+    )
     env = SimpleNamespace(num_envs=1, config=SimpleNamespace())
     obs = {"state": np.zeros((1, 4), np.float32)}
     plan = ({"kind": "open", "target": TARGET},)

@@ -17,7 +17,7 @@ from mjhab.data.select.sets import select
 from mjhab.data.store.places import episodes
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.demos import entries_of, layout_of_data, load_demonstrations
+from mjhab.learning.demos import entries_of, load_demonstrations, observation_spec_of_data
 from mjhab.learning.reinforcement.demonstrations.recorded import check_episode
 from tests.data.imports.test_ms_hab import original
 
@@ -67,12 +67,12 @@ def test_what_needs_states_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(
         UsageError, match=r"128x128 px\. It was imported .*inputs\.image_size=8$"
     ):
-        layout_of_data(data, InputConfig(image_size=128))
+        observation_spec_of_data(data, InputConfig(image_size=128))
     with pytest.raises(
         UsageError, match=r"no depth images of cam.*fetch_hand, fetch_head"
     ):
-        layout_of_data(data, InputConfig(cameras=("cam",), image_size=8))
-    layout = layout_of_data(data, InputConfig(image_size=8, base_velocity=True))
+        observation_spec_of_data(data, InputConfig(cameras=("cam",), image_size=8))
+    layout = observation_spec_of_data(data, InputConfig(image_size=8, base_velocity=True))
     with pytest.raises(UsageError, match=r"data without states.*--preset paper"):
         load_demonstrations(data, layout, -1)
     session: Any = SimpleNamespace(request=SimpleNamespace(recompute_rewards=False))

@@ -20,12 +20,12 @@ from mjhab.evaluation.evaluate import (
     resolved_config,
 )
 from mjhab.learning.checkpoint import save_student
-from mjhab.learning.demos import layout_of_data, load_demonstrations
-from mjhab.learning.layout import Layout, profile_of
+from mjhab.learning.demos import load_demonstrations, observation_spec_of_data
+from mjhab.learning.observation.spec import ObservationSpec, profile_of
 from mjhab.learning.policy import StudentPolicy
 from mjhab.learning.runs.collection import longer, make_env
 from mjhab.learning.runs.request import layout_for
-from mjhab.learning.runs.specs import ImitationSpec, Means, Scene
+from mjhab.learning.runs.specs import ImitationSpec, Resources, Scene
 from mjhab.learning.students.heads import make_student
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
@@ -36,7 +36,7 @@ BOTH = dataclasses.replace(INPUTS, cameras=CAMERAS)
 CLOSE: dict[str, Any] = {"task": "set_table", "subtask": "close", "profile": "ms_hab"}
 
 
-def of_ms_hab() -> Layout:
+def of_ms_hab() -> ObservationSpec:
     told = layout(BOTH)
     return dataclasses.replace(told, control=(*told.control, "head"), profile="ms_hab")
 
@@ -60,7 +60,7 @@ def test_demonstrations_are_of_the_profile_and_last_as_long_as_asked(
 
 
 def test_no_demonstration_is_cut_to_the_horizon_of_training() -> None:
-    env = make_env(Scene(**CLOSE, home="builtin_m0_00"), {}, Means(1, 1, 1))
+    env = make_env(Scene(**CLOSE, home="builtin_m0_00"), {}, Resources(1, 1, 1))
     assert env.config.horizon == 200
     assert env.config.stationary == ("head",)
 
@@ -120,7 +120,7 @@ def test_demonstrations_of_another_profile_are_refused(tmp_path: Path) -> None:
         match=r"demonstrations are of profile mjhab, not ms_hab.*generate --profile ms_hab",
     ):
         layout_for(request)
-    told = layout_of_data(tmp_path, INPUTS, request.filter)
+    told = observation_spec_of_data(tmp_path, INPUTS, request.filter)
     with pytest.raises(UsageError, match="profile mjhab instead of ms_hab"):
         load_demonstrations(
             tmp_path, dataclasses.replace(told, profile="ms_hab"), 3, request.filter
@@ -130,6 +130,6 @@ def test_demonstrations_of_another_profile_are_refused(tmp_path: Path) -> None:
 def test_layouts_come_back_from_json_and_old_ones_are_of_the_default_profile() -> None:
     told = of_ms_hab()
     plain = told.to_plain()
-    assert Layout.from_plain(told.inputs, plain) == told
+    assert ObservationSpec.from_plain(told.inputs, plain) == told
     del plain["profile"]
-    assert Layout.from_plain(told.inputs, plain).profile == "mjhab"
+    assert ObservationSpec.from_plain(told.inputs, plain).profile == "mjhab"

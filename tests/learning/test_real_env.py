@@ -29,7 +29,7 @@ from mjhab.learning.reinforcement.configs import RLPD, ReinforcementConfig, SacC
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.collection import make_env
 from mjhab.learning.runs.request import layout_for
-from mjhab.learning.runs.specs import ImitationSpec, Means, Scene
+from mjhab.learning.runs.specs import ImitationSpec, Resources, Scene
 from mjhab.reports import students as students_report
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.tasks.plan import GOAL_OF
@@ -258,7 +258,7 @@ def test_a_student_of_navigate_knows_where_its_ways_lead(task: str, target: str)
         **env_of(scene),
     )
     layout = layout_for(request)
-    env = make_env(scene, {}, Means(worlds=4, threads=1))
+    env = make_env(scene, {}, Resources(worlds=4, threads=1))
     found: set[str] = set()
     for seed in range(3):
         env.reset(seed=seed)

@@ -18,11 +18,15 @@ from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
 from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import load_checkpoint, save_student
 from mjhab.learning.configs import ACT, BC, FLOW, student_from_plain, to_plain
-from mjhab.learning.demos import Demonstrations, layout_of_data, load_demonstrations
-from mjhab.learning.layout import Layout
+from mjhab.learning.demos import (
+    Demonstrations,
+    load_demonstrations,
+    observation_spec_of_data,
+)
 from mjhab.learning.observation.sentences import SENTENCE_WIDTH, encode_sentence
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.policy import StudentPolicy
-from mjhab.learning.reinforcement.sight import Sight
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.runs.specs import ImitationSpec
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
@@ -152,7 +156,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_demonstrations_hold_the_sentence_of_the_active_subtask(source: Path) -> None:
-    told = layout_of_data(source, TOLD, Filter(EVERY))
+    told = observation_spec_of_data(source, TOLD, Filter(EVERY))
     data = load_demonstrations(source, told, -1, Filter(EVERY))
     codes = data.vector[:, told.measured_width :]
     recorded = sorted(episodes(source), key=lambda episode: episode.name)
@@ -170,8 +174,8 @@ def test_data_without_instructions_are_refused(tmp_path: Path) -> None:
     record(tmp_path / "older.h5", range(1), FakeEnv(subtask="close"))
     told = "recorded without instructions.*inputs.sentence=true.*mjhab generate"
     with pytest.raises(UsageError, match=told):
-        layout_of_data(tmp_path, TOLD, Filter(EVERY))
-    assert layout_of_data(
+        observation_spec_of_data(tmp_path, TOLD, Filter(EVERY))
+    assert observation_spec_of_data(
         tmp_path, dataclasses.replace(TOLD, sentence=False), Filter(EVERY)
     )
 
@@ -228,7 +232,7 @@ def info_of(sentences: list[str], pointer: int = 0) -> dict[str, Any]:
 
 def taught(algorithm: str, updates: int) -> StudentPolicy:
     """A student of both subtasks, in four worlds: it has seen that one takes action 0.5 and the other -0.5."""
-    told = Layout(TOLD, STATE, layout().actions, (DRAWER,), layout().control)
+    told = ObservationSpec(TOLD, STATE, layout().actions, (DRAWER,), layout().control)
     random = np.random.default_rng(0)
     parts = []
     for subtask, action in (("open", -0.5), ("close", 0.5)):
@@ -322,7 +326,7 @@ def test_agents_of_reinforcement_learning_see_the_sentence_of_their_episode() ->
         LINE, inputs=dataclasses.replace(LINE.inputs, sentence=True)
     )
     env = Toy(2)
-    sight = Sight(env, told, privileged=False)
+    sight = AgentEncoder(env, told, privileged=False)
     plan = ({"kind": "close", "target": DRAWER},)
     sentences = WORDINGS["close"]
     specs = [{"plan": plan, "instructions": (one,)} for one in sentences]

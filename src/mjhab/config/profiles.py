@@ -144,7 +144,7 @@ def unbound(options: Mapping[str, Any], subtask: str, *, trains: bool) -> dict[s
     """Environment options with the values of their profile as single options, so that others may differ from it.
 
     A binding profile allows no other value, so the profile of the result is the default one. The environment still
-    counts as one of the profile where it differs in the horizon only, see `learning.layout.profile_of`.
+    counts as one of the profile where it differs in the horizon only, see `learning.observation.spec.profile_of`.
 
     Args:
         options: environment options. subtask: "" for a whole task. trains: for an environment of training.

@@ -24,7 +24,7 @@ from mjhab.core.typed.records import read_record
 from mjhab.core.version import __version__
 from mjhab.learning.compact import compacted, expanded
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
-from mjhab.learning.layout import Layout
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs.run import STUDENT
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
@@ -39,7 +39,7 @@ class Checkpoint:
     """Content of a checkpoint file. about: JSON data added by the writer, e.g. the number of updates."""
 
     config: StudentConfig
-    layout: Layout
+    layout: ObservationSpec
     about: Mapping[str, Any]
     tensors: Mapping[str, Tensor]
 
@@ -102,7 +102,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
             for name in ("student", "layout")
         }
         config = student_from_plain(described["student"])
-        layout = Layout.from_plain(config.inputs, described["layout"])
+        layout = ObservationSpec.from_plain(config.inputs, described["layout"])
         about = read_record(dict[str, Any], head.get("about", {}), "about")
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error

@@ -22,10 +22,10 @@ from mjhab.data.select.sets import first_of_targets, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.layout import Layout, compare_layouts, profile_of
 from mjhab.learning.observation.parts import Entry
 from mjhab.learning.observation.recorded import check_inputs, encode_episode
-from mjhab.learning.runs.take_over import expert_steps
+from mjhab.learning.observation.spec import ObservationSpec, compare_specs, profile_of
+from mjhab.learning.runs.intervention import expert_steps
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -37,7 +37,7 @@ SUCCESSES = "success"
 class Demonstrations:
     """N control steps of several episodes, in sequence; numpy arrays, or after `on` tensors.
 
-    vector (N, D) float32: inputs except images, see `Layout.entries`. images (N, C, H, W) uint8: see
+    vector (N, D) float32: inputs except images, see `ObservationSpec.entries`. images (N, C, H, W) uint8: see
     `parts.DepthImages`. actions (N, A) float32: actions to imitate. first, last (N,): first and last row of the step's
     episode. usable (M,): rows at which a training sample may start, numpy always. episodes: number of episodes.
     """
@@ -95,7 +95,7 @@ class Demonstrations:
 
 def load_demonstrations(
     places: Path | Sequence[Path],
-    layout: Layout,
+    layout: ObservationSpec,
     hold_steps: int,
     where: Filter | None = None,
     workers: int = 1,
@@ -139,7 +139,7 @@ def load_demonstrations(
 
 
 def _read_shard(
-    path: Path, names: Sequence[str], layout: Layout, hold_steps: int
+    path: Path, names: Sequence[str], layout: ObservationSpec, hold_steps: int
 ) -> dict[str, Demonstrations]:
     """The named episodes of a shard."""
     with open_shard(path) as shard:
@@ -148,10 +148,10 @@ def _read_shard(
         }
 
 
-def layout_of_data(
+def observation_spec_of_data(
     places: Path | Sequence[Path], inputs: InputConfig, where: Filter | None = None
-) -> Layout:
-    """Layout of a student that learns from a data set; its targets are those of the selected episodes.
+) -> ObservationSpec:
+    """ObservationSpec of a student that learns from a data set; its targets are those of the selected episodes.
 
     Raises:
         UsageError: no episode passes the filter, or the first one lacks the images.
@@ -164,7 +164,7 @@ def layout_of_data(
     with open_shard(path) as shard:
         episode = shard.episode(name)
         state, actions, control = entries_of(episode)
-        layout = Layout(
+        layout = ObservationSpec(
             inputs,
             state,
             actions,
@@ -194,7 +194,7 @@ def _goals(records: Iterable[EpisodeRecord]) -> set[tuple[str, str]]:
 def entries_of(
     episode: RecordedEpisode,
 ) -> tuple[tuple[Entry, ...], tuple[str, ...], tuple[str, ...]]:
-    """State, actions and control of a recorded episode, as in `Layout`.
+    """State, actions and control of a recorded episode, as in `ObservationSpec`.
 
     Raises:
         UsageError: the episode was imported without them.
@@ -227,7 +227,7 @@ def nothing_to_learn() -> UsageError:
 
 
 def read_episode(
-    episode: RecordedEpisode, layout: Layout, hold_steps: int
+    episode: RecordedEpisode, layout: ObservationSpec, hold_steps: int
 ) -> Demonstrations:
     """Read one episode as Demonstrations.
 
@@ -249,9 +249,9 @@ def read_episode(
     )
 
 
-def _check_layout(episode: RecordedEpisode, layout: Layout) -> None:
+def _check_layout(episode: RecordedEpisode, layout: ObservationSpec) -> None:
     state, actions, control = entries_of(episode)
-    wrong = compare_layouts(layout, state, actions, control)
+    wrong = compare_specs(layout, state, actions, control)
     profile = recorded_profile(episode)
     if profile != layout.profile:
         wrong.append(f"profile {profile} instead of {layout.profile}")

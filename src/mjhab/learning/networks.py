@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
-from mjhab.learning.layout import Layout
+from mjhab.learning.observation.spec import ObservationSpec
 
 LEAST_SPREAD = 0.02
 """Smallest standard deviation to divide by, so that nearly constant inputs and actions are not amplified."""
@@ -207,7 +207,7 @@ class Encoder(nn.Module):
     (B, image_features) per camera, and the normalized vector (B, vector_width).
     """
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__()
         inputs = config.inputs
         network = config.network
@@ -261,7 +261,7 @@ class Encoder(nn.Module):
 class Trunk(nn.Module):
     """Encoder and fully connected layers, from a student's observations to features (B, width)."""
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__()
         network = config.network
         self.encoder = Encoder(config, layout)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.seeding import stream
-from mjhab.learning.layout import ActingEnv
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
+from mjhab.learning.observation.spec import ActingEnv
 from mjhab.learning.students.student import Student
 
 INFERENCE_ROWS = 16

@@ -25,7 +25,7 @@ from mjhab.rollout.policy import Policy, RolloutEnv
 
 if TYPE_CHECKING:
     from mjhab.learning.checkpoint import Checkpoint
-    from mjhab.learning.layout import ActingEnv
+    from mjhab.learning.observation.spec import ActingEnv
 
 AND = "+"
 SUFFIX = ".safetensors"

@@ -19,7 +19,7 @@ from mjhab.evaluation.served.action_spaces import space_named
 from mjhab.evaluation.served.twin import Place, Twin, TwinResponder, TwinSession
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.layout import layout_of
+from mjhab.learning.observation.spec import observation_spec_of
 from mjhab.learning.students.heads import make_student
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import Selective, ZeroPolicy
@@ -345,7 +345,9 @@ def test_a_student_is_told_the_sentence_of_the_client(tmp_path: Path) -> None:
     env = world(target="kitchen_counter/drawer3")
     path = str(tmp_path / "told.safetensors")
     save_student(
-        Path(path), make_student(config(inputs=inputs), layout_of(env, inputs, ())), {}
+        Path(path),
+        make_student(config(inputs=inputs), observation_spec_of(env, inputs, ())),
+        {},
     )
 
     def final_states(policy: str, instruction: str = "") -> list[str]:

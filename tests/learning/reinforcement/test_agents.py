@@ -13,7 +13,8 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.configs import preset_of
-from mjhab.learning.layout import Layout
+from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import (
     LEAST_STD,
     MOST_STD,
@@ -28,7 +29,6 @@ from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from mjhab.learning.reinforcement.sac.agent import Sac
 from mjhab.learning.reinforcement.sac.learner import SacLearner
-from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Worlds
 from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.bc import BehaviourCloning
@@ -52,8 +52,8 @@ torch.set_num_threads(1)
 def worlds(privileged: bool = False, terminates: bool = False) -> tuple[Worlds, int]:
     """The toy's worlds, and the numbers that only a critic sees."""
     env = Toy(WORLDS, terminates)
-    sight = Sight(env, LAYOUT, privileged)
-    return Worlds(env, sight, 0), sight.privileged_width
+    encoder = AgentEncoder(env, LAYOUT, privileged)
+    return Worlds(env, encoder, 0), encoder.privileged_width
 
 
 def reward_of(policy: object, steps: int = 5 * HORIZON) -> float:
@@ -212,7 +212,7 @@ def test_the_last_observation_of_an_episode_is_what_follows_its_last_step() -> N
 def test_first_episodes_end_at_different_times_and_as_by_time() -> None:
     env = Toy(WORLDS, terminates=True)
     place = Worlds(
-        env, Sight(env, LAYOUT, False), 0, TrainingRules(longest_first=HORIZON)
+        env, AgentEncoder(env, LAYOUT, False), 0, TrainingRules(longest_first=HORIZON)
     )
     ends = []
     for _ in range(HORIZON - 1):
@@ -228,8 +228,8 @@ def test_too_much_force_ends_an_episode_and_every_force_costs() -> None:
     rules = TrainingRules(
         force_limit=1000.0, force_ends=True, force_cost=5.0, conditions=("force_ok",)
     )
-    place = Worlds(env, Sight(env, LAYOUT, False), 0, rules)
-    free = Worlds(Toy(2), Sight(env, LAYOUT, False), 0)
+    place = Worlds(env, AgentEncoder(env, LAYOUT, False), 0, rules)
+    free = Worlds(Toy(2), AgentEncoder(env, LAYOUT, False), 0)
     for step in range(1, 5):
         happened = place.step(torch.zeros(2, 1))
         usual = free.step(torch.zeros(2, 1))
@@ -243,7 +243,9 @@ def test_too_much_force_ends_an_episode_and_every_force_costs() -> None:
 
 def test_a_success_may_end_an_episode() -> None:
     env = Toy(2)
-    place = Worlds(env, Sight(env, LAYOUT, False), 0, TrainingRules(success_ends=True))
+    place = Worlds(
+        env, AgentEncoder(env, LAYOUT, False), 0, TrainingRules(success_ends=True)
+    )
     env.place[:] = 0.0, 1.0
     happened = place.step(torch.zeros(2, 1))
     assert happened.succeeded.tolist() == [True, False]
@@ -294,10 +296,10 @@ def in_pictures(**changes: object) -> tuple[PpoLearner, Ppo]:
         changed(PPO_TOY, changes), inputs=inputs, network=network
     )
     told = dataclasses.replace(LAYOUT, inputs=inputs)
-    sight = Sight(ToyInPictures(WORLDS), told, True)
-    place = Worlds(sight._env, sight, 0)
+    encoder = AgentEncoder(ToyInPictures(WORLDS), told, True)
+    place = Worlds(encoder._env, encoder, 0)
     start = make_student(config.student, told, 3)
-    agent = Ppo(config, told, sight.privileged_width, 0, start)
+    agent = Ppo(config, told, encoder.privileged_width, 0, start)
     return PpoLearner(agent, place, config, seed=0), agent
 
 
@@ -422,7 +424,7 @@ def published(
     )
 
 
-STATE_42 = Layout(
+STATE_42 = ObservationSpec(
     PAPER_INPUTS,
     (("state", 42),),
     tuple(f"a{i}" for i in range(13)),
@@ -480,7 +482,7 @@ def test_an_environment_that_resets_itself_is_refused() -> None:
     env = Toy(2)
     env.config.autoreset = "same_step"
     with pytest.raises(UsageError, match="autoreset='disabled'"):
-        Worlds(env, Sight(env, LAYOUT, False), 0)
+        Worlds(env, AgentEncoder(env, LAYOUT, False), 0)
 
 
 def test_worlds_that_do_not_divide_into_minibatches_are_refused() -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import torch
 from torch.multiprocessing.spawn import spawn
 
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
 from mjhab.learning.reinforcement.configs import changed
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner, Rollout
-from mjhab.learning.reinforcement.sight import Seen, Sight
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs import distributed
 from tests.learning.reinforcement.toy import LAYOUT, PPO_TOY, Toy
@@ -28,7 +28,7 @@ def rollout(rows: slice) -> Rollout:
     images = torch.zeros(count, 0, 0, 0, dtype=torch.uint8)
     actions = torch.randn(ROWS, 1, generator=random)[rows]
     numbers = torch.randn(3, ROWS, generator=random)[:, rows]
-    seen = Seen(vector, images, torch.zeros(count, 0))
+    seen = AgentObs(vector, images, torch.zeros(count, 0))
     return Rollout(seen, actions, numbers[0] - 1.0, actions, numbers[1], numbers[2])
 
 
@@ -36,7 +36,9 @@ def learn(rows: slice) -> dict[str, torch.Tensor]:
     """Weights after one update from a part of the rollout."""
     agent = Ppo(CONFIG, LAYOUT, 0, seed=0)
     env = Toy(2)
-    learner = PpoLearner(agent, Worlds(env, Sight(env, LAYOUT, False), 0), CONFIG, seed=0)
+    learner = PpoLearner(
+        agent, Worlds(env, AgentEncoder(env, LAYOUT, False), 0), CONFIG, seed=0
+    )
     learner.update(rollout(rows), 0.0)
     return agent.state_dict()
 

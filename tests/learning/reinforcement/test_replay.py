@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
-from mjhab.learning.reinforcement.sight import Seen
 
 CPU = torch.device("cpu")
 SHAPE = ReplayShape(
@@ -18,10 +18,10 @@ SHAPE = ReplayShape(
 )
 
 
-def seen(episode: torch.Tensor, step: torch.Tensor) -> Seen:
+def seen(episode: torch.Tensor, step: torch.Tensor) -> AgentObs:
     """Observations that tell episode and step of every world."""
     images = step[:, None, None, None].expand(-1, 1, 4, 4).to(torch.uint8)
-    return Seen(
+    return AgentObs(
         torch.stack([episode, step], dim=1).float(), images, step[:, None].float()
     )
 

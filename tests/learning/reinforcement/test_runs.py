@@ -429,7 +429,7 @@ def test_ctrl_c_before_the_first_checkpoint_keeps_the_actor(
     assert not early.summary["trained"] and early.summary["split"] is None
 
 
-def ctrl_c(learner: PpoLearner) -> None:
+def ctrl_c(*_: object) -> None:
     raise KeyboardInterrupt
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 import torch
 
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, changed
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.sac.run import SacRun
-from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.session import TrainState
 from tests.learning.reinforcement.toy import LAYOUT, SAC_TOY, Toy
@@ -29,11 +29,11 @@ class Session:
     def __init__(self, config: ReinforcementConfig, folder: Path, rules: Any) -> None:
         folder.mkdir(exist_ok=True)
         env = Toy(config.worlds)
-        sight = Sight(env, LAYOUT, False)
+        encoder = AgentEncoder(env, LAYOUT, False)
         self.config = config
-        self.worlds = Worlds(env, sight, 0, rules)
+        self.worlds = Worlds(env, encoder, 0, rules)
         self.layout = LAYOUT
-        self.privileged_width = sight.privileged_width
+        self.privileged_width = encoder.privileged_width
         self.spec = SimpleNamespace(seed=0, round_episodes=0)
         self.seed = 0
         self.start = None

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.core.conventions.names import Conventions
 from mjhab.learning.configs import InputConfig, NetworkConfig
-from mjhab.learning.layout import Layout
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.reinforcement.configs import (
     PPO,
     SAC,
@@ -28,7 +28,7 @@ INPUTS = InputConfig(
     normalize=True,
     shift=0,
 )
-LAYOUT = Layout(INPUTS, (("place", 1),), ("left_right",), (), ("pd", "forward"))
+LAYOUT = ObservationSpec(INPUTS, (("place", 1),), ("left_right",), (), ("pd", "forward"))
 NETWORK = NetworkConfig(hidden=32, layers=2)
 PPO_TOY = ReinforcementConfig(
     PPO,

@@ -194,7 +194,7 @@ class ReinforcementConfig:
 
     samples: total number of samples. worlds: number of parallel worlds; changing it changes the result.
     privileged_critic: the critic also receives simulator state that the actor does not observe, see
-    `sight.PRIVILEGED`.
+    `agent_encoder.PRIVILEGED`.
     horizon: control steps of a training episode; 0 takes the horizon of the profile. stagger: the first episodes have
     random lengths, so that the worlds do not all reset in the same step.
     episode_pool: number of start states that training episodes are drawn from; 0 takes the default of `TrainConfig`.

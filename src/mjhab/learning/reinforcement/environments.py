@@ -6,7 +6,7 @@ from typing import Any
 
 from mjhab.config.profiles import unbound
 from mjhab.learning.configs import InputConfig
-from mjhab.learning.layout import image_options
+from mjhab.learning.observation.spec import image_options
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.runs.specs import Scene
 

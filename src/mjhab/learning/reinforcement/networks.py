@@ -6,16 +6,18 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import MOST_SPREADS, Encoder, Normalizer, mlp
+from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import SacConfig
-from mjhab.learning.reinforcement.sight import Seen
 
 
 class Value(nn.Module):
     """State value network with its own encoder; ``privileged`` is the width P of the privileged input."""
 
-    def __init__(self, config: StudentConfig, layout: Layout, privileged: int) -> None:
+    def __init__(
+        self, config: StudentConfig, layout: ObservationSpec, privileged: int
+    ) -> None:
         super().__init__()
         self.encoder = Encoder(config, layout)
         self.privileged = Normalizer(privileged, MOST_SPREADS)
@@ -23,7 +25,7 @@ class Value(nn.Module):
         widths = [self.encoder.width + privileged, *[network.hidden] * network.layers, 1]
         self.layers = mlp(widths, norm=network.norm, last=False)
 
-    def forward(self, seen: Seen) -> Tensor:
+    def forward(self, seen: AgentObs) -> Tensor:
         """State values (B,)."""
         features = self.encoder.joined(seen.vector, seen.images)
         return self.layers(

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.envs.parts.memory import available_mb
-from mjhab.learning.reinforcement.sight import Seen
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 
 MEMORY_SHARE = 0.8
 """Largest fraction of the free memory that a buffer may occupy."""
@@ -97,10 +97,10 @@ class ReplayShape:
 class Transitions:
     """B transitions: observations, actions (B, A), reward (B,), next observations, terminated (B,) bool."""
 
-    seen: Seen
+    seen: AgentObs
     actions: Tensor
     reward: Tensor
-    next_seen: Seen
+    next_seen: AgentObs
     terminated: Tensor
 
 
@@ -194,7 +194,7 @@ class ReplayBuffer:
 
     def add(
         self,
-        seen: Seen,
+        seen: AgentObs,
         actions: Tensor,
         reward: Tensor,
         terminated: Tensor,
@@ -207,13 +207,13 @@ class ReplayBuffer:
         at = self._rows if worlds is None else worlds
         self._write(at, seen, actions, reward, terminated, True)
 
-    def close(self, worlds: Tensor, last: Seen) -> None:
+    def close(self, worlds: Tensor, last: AgentObs) -> None:
         """Append the last observation of the worlds (n,) whose episodes ended; ``last`` has n rows."""
         nothing = torch.zeros(len(worlds), self.shape.actions, device=self.device)
         zero = torch.zeros(len(worlds), device=self.device)
         self._write(worlds, last, nothing, zero, zero.bool(), False)
 
-    def cut(self, last: Seen) -> None:
+    def cut(self, last: AgentObs) -> None:
         """End the running episodes of all worlds here; ``last`` (W rows) are their last observations."""
         newest = (self.position - 1) % self.shape.steps
         running = (self.position > 0) & self._data["begins"][self._rows, newest]
@@ -223,7 +223,7 @@ class ReplayBuffer:
     def _write(
         self,
         worlds: Tensor,
-        seen: Seen,
+        seen: AgentObs,
         actions: Tensor,
         reward: Tensor,
         terminated: Tensor,
@@ -277,6 +277,6 @@ class ReplayBuffer:
             data["terminated"][here],
         )
 
-    def _seen(self, at: tuple[Tensor, Tensor]) -> Seen:
+    def _seen(self, at: tuple[Tensor, Tensor]) -> AgentObs:
         data = self._data
-        return Seen(data["vector"][at], data["images"][at], data["privileged"][at])
+        return AgentObs(data["vector"][at], data["images"][at], data["privileged"][at])

@@ -20,9 +20,9 @@ from mjhab.core.seeding import stream
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.learning.checkpoint import load_student
 from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS
-from mjhab.learning.layout import Layout, layout_of
+from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.environments import training_env
-from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs import distributed
@@ -30,7 +30,7 @@ from mjhab.learning.runs.budget import BudgetTooSmallError, FirstUpdate, StepClo
 from mjhab.learning.runs.request import config_of
 from mjhab.learning.runs.run import TRAINING, TrainingFolder
 from mjhab.learning.runs.session import Session
-from mjhab.learning.runs.specs import Means
+from mjhab.learning.runs.specs import Resources
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import gaussian_of
 from mjhab.learning.students.heads import check_student
@@ -88,7 +88,7 @@ class ReinforcementSession(Session):
             )
             self.state.trained = self.began_trained = True
         self.keep_best_by = self.config.keep_best_by
-        self.judging = Means(
+        self.judging = Resources(
             worlds=min(EVALUATION_WORLDS, self.config.worlds), threads=spec.threads
         )
         # Each process draws its own episodes and its own noise.
@@ -106,9 +106,9 @@ class ReinforcementSession(Session):
         layout = self._layout()
         check_student(self.config.student, layout)
         self.settle(layout)
-        sight = Sight(self.env, layout, self.config.privileged_critic)
-        self.privileged_width = sight.privileged_width
-        self.worlds = Worlds(self.env, sight, self._episodes_seed(), self._rules())
+        encoder = AgentEncoder(self.env, layout, self.config.privileged_critic)
+        self.privileged_width = encoder.privileged_width
+        self.worlds = Worlds(self.env, encoder, self._episodes_seed(), self._rules())
         self.demonstrations = 0
         """Number of episodes in the demonstration buffer."""
         self.learner_seconds = 0.0
@@ -150,16 +150,16 @@ class ReinforcementSession(Session):
             del options["horizon"]
         return {name: value for name, value in options.items() if value}
 
-    def _layout(self) -> Layout:
+    def _layout(self) -> ObservationSpec:
         """Observation and action layout: that of the start checkpoint, else derived from the environment."""
         if self.start is not None:
-            # The student was trained with demonstrations of the same profile; see `Layout.check_env`.
+            # The student was trained with demonstrations of the same profile; see `ObservationSpec.check_env`.
             self.start.layout.check_env(self.env)
             return self.start.layout
         from mjhab.episodes.starts import aims_of
 
         targets = aims_of(self.env.config, self.env.layout)
-        layout = layout_of(self.env, self.config.inputs, targets)
+        layout = observation_spec_of(self.env, self.config.inputs, targets)
         if self.saved is not None:
             # An older version began the run with other conventions, perhaps; its weights keep them.
             layout = layout.told_in(self.saved.layout.conventions)

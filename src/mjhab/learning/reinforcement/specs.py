@@ -72,7 +72,7 @@ class ReinforcementSpec(TrainSpec):
     def config(self) -> ReinforcementConfig:
         """The preset with the changes of the options, with the cameras of the scene's robot."""
         # Here: the help of a command does not wait for layouts.
-        from mjhab.learning.layout import inputs_of_robot
+        from mjhab.learning.observation.spec import inputs_of_robot
 
         config: ReinforcementConfig = self._chosen(
             ReinforcementConfig, reinforcement_preset

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
-from mjhab.learning.reinforcement.sight import Seen, Sight
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Transition:
     """
 
     reward: Tensor
-    next_seen: Seen
+    next_seen: AgentObs
     terminated: Tensor
     ended: Tensor
     succeeded: Tensor
@@ -74,7 +74,7 @@ class Worlds:
     environment that resets by itself returns only ``info["final_obs"]``.
 
     Args:
-        env: environment of either backend. sight: of the same environment. seed: of the first episodes.
+        env: environment of either backend. encoder: of the same environment. seed: of the first episodes.
         rules: additional rules of training episodes; none if not given.
 
     Raises:
@@ -82,7 +82,11 @@ class Worlds:
     """
 
     def __init__(
-        self, env: Any, sight: Sight, seed: int, rules: TrainingRules | None = None
+        self,
+        env: Any,
+        encoder: AgentEncoder,
+        seed: int,
+        rules: TrainingRules | None = None,
     ) -> None:
         if env.config.autoreset != "disabled":
             raise UsageError(
@@ -90,26 +94,26 @@ class Worlds:
                 f"{env.config.autoreset!r}."
             )
         self.env = env
-        self.sight = sight
+        self.encoder = encoder
         self.count: int = env.num_envs
-        self.device = sight.device
+        self.device = encoder.device
         self.rules = rules or TrainingRules()
-        self._holding = torch.zeros(len(self.rules.conditions), device=sight.device)
+        self._holding = torch.zeros(len(self.rules.conditions), device=encoder.device)
         self._steps = 0
         self.seconds = 0.0
         """Wall time spent in the environment and in converting its observations [s]."""
         self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
         self._succeeded = self._none
-        self.seen: Seen = self.begin(seed)
+        self.seen: AgentObs = self.begin(seed)
 
-    def begin(self, seed: int) -> Seen:
+    def begin(self, seed: int) -> AgentObs:
         """Start new episodes in all worlds; they depend on ``seed`` only."""
         began = time.perf_counter()
         seen = self._begin(seed)
         self.seconds += time.perf_counter() - began
         return seen
 
-    def _begin(self, seed: int) -> Seen:
+    def _begin(self, seed: int) -> AgentObs:
         obs, info = self.env.reset(seed=seed)
         every = ~self._none
         self._succeeded = self._none
@@ -117,8 +121,8 @@ class Worlds:
         if longest:
             drawn = stream(seed, "stagger").integers(1, longest + 1, self.count)
             self._left = torch.from_numpy(drawn).to(self.device)
-        self.sight.begin(every)
-        self.seen = self.sight.see(obs, info)
+        self.encoder.begin(every)
+        self.seen = self.encoder.see(obs, info)
         return self.seen
 
     def step(self, actions: Tensor) -> Transition:
@@ -142,13 +146,13 @@ class Worlds:
             ended = ended | (self._left == 0)
         self._count(info)
         succeeded = self._succeeded | torch.as_tensor(info["success"])
-        self.sight.executed(taken)
-        following = self.sight.see(obs, info)
+        self.encoder.executed(taken)
+        following = self.encoder.see(obs, info)
         self.seen = following
         if bool(ended.any()):
             obs, info = self.env.reset(options={"reset_mask": self._mask(ended)})
-            self.sight.begin(ended)
-            self.seen = self.sight.see(obs, info, again=True)
+            self.encoder.begin(ended)
+            self.seen = self.encoder.see(obs, info, again=True)
         self._succeeded = succeeded & ~ended
         return Transition(
             reward,

@@ -19,8 +19,8 @@ from mjhab.data.store.images import ImageFormat
 from mjhab.evaluation.generate import make_crew
 from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.runs.budget import wave_seconds
-from mjhab.learning.runs.specs import Means, Scene
-from mjhab.learning.runs.take_over import TakeOver
+from mjhab.learning.runs.intervention import Intervention
+from mjhab.learning.runs.specs import Resources, Scene
 from mjhab.tasks.style import Styles
 from mjhab.tasks.subtasks.registry import limits_of
 
@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 class Round:
     """One round of collection.
 
-    number: 0 for the round of the expert alone. episodes: to try. longest: see `TakeOver`. student: checkpoint of the
-    student that starts the episodes, None in round 0. horizon: control steps of an episode, 0 for the task's horizon.
-    hold_steps: control steps after the outcome, see `TaskConfig.hold_steps`. style: of the expert, see `Styles.parse`.
+    number: 0 for the round of the expert alone. episodes: to try. longest: see `Intervention`. student: checkpoint of
+    the student that starts the episodes, None in round 0. horizon: control steps of an episode, 0 for the task's
+    horizon. hold_steps: control steps after the outcome, see `TaskConfig.hold_steps`. style: of the expert, see
+    `Styles.parse`.
     """
 
     number: int
@@ -47,7 +48,7 @@ class Round:
 
 
 def make_env(
-    scene: Scene, view: dict[str, Any], means: Means, collected: Round | None = None
+    scene: Scene, view: dict[str, Any], means: Resources, collected: Round | None = None
 ) -> SequentialTaskEnv:
     """Make the environment of a scene with a student's observations.
 
@@ -89,7 +90,12 @@ class Collector:
     """
 
     def __init__(
-        self, scene: Scene, view: dict[str, Any], means: Means, seed: int, ray: str = ""
+        self,
+        scene: Scene,
+        view: dict[str, Any],
+        means: Resources,
+        seed: int,
+        ray: str = "",
     ) -> None:
         self._scene = scene
         self._view = view
@@ -163,7 +169,7 @@ def round_seed(seed: int, number: int) -> int:
 
 
 def build_stage(
-    scene: Scene, view: dict[str, Any], means: Means, collected: Round
+    scene: Scene, view: dict[str, Any], means: Resources, collected: Round
 ) -> Stage:
     """Make the environment and policy of a worker; called in the worker's process."""
     import torch
@@ -178,7 +184,10 @@ def stage_in(env: SequentialTaskEnv, collected: Round) -> Stage:
     from mjhab.experts import make_expert
 
     student = None
-    about: dict[str, Any] = {"name": TakeOver.name, "longest_prefix": collected.longest}
+    about: dict[str, Any] = {
+        "name": Intervention.name,
+        "longest_prefix": collected.longest,
+    }
     if collected.student is not None:
         from mjhab.learning.policy_kind import CheckpointFiles
 
@@ -188,7 +197,7 @@ def stage_in(env: SequentialTaskEnv, collected: Round) -> Stage:
     styles = Styles.parse(collected.style)
     if collected.style:
         about["style"] = styles.words
-    policy = TakeOver(
+    policy = Intervention(
         student, make_expert(env, styles), collected.longest, len(env.action_table)
     )
     return Stage(env, policy, about, (ALL,))
@@ -202,7 +211,7 @@ class StageKeeper:
         self._made_of: Any = None
 
     def stage(
-        self, scene: Scene, view: dict[str, Any], means: Means, collected: Round
+        self, scene: Scene, view: dict[str, Any], means: Resources, collected: Round
     ) -> Stage:
         """Make the stage of a round."""
         made_of = (

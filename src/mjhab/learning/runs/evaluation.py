@@ -9,7 +9,7 @@ from typing import Any
 
 from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
 from mjhab.learning.runs.run import FINAL, ON_THE_WAY
-from mjhab.learning.runs.specs import Means, Scene
+from mjhab.learning.runs.specs import Resources, Scene
 from mjhab.reports.metrics import mean, wilson
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
@@ -62,7 +62,7 @@ class EvaluationClock:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class EvalResult:
     """Outcome of one evaluation during a run, or of none.
 
     split: of the homes, "" without an evaluation. samples: of the run when it began. rows: episodes by the name of
@@ -109,7 +109,7 @@ class Judgement:
         }
 
 
-def judgement_row(
+def evaluation_row(
     success_once: float, episodes: int, split: str, last: bool
 ) -> dict[str, Any]:
     """What metrics.jsonl tells of an evaluation: success, and of what it is the success.
@@ -136,7 +136,7 @@ class Evaluations:
     """
 
     scene: Scene
-    means: Means
+    means: Resources
     seed: int
     tell: Callable[[int], object] = bool
 

@@ -22,7 +22,7 @@ from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import restoring
 from mjhab.learning.demos import Demonstrations, load_demonstrations
 from mjhab.learning.devices import CPU, training_device
-from mjhab.learning.layout import Layout
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs.budget import EpisodeClock, FirstUpdate
 from mjhab.learning.runs.collection import Collector, Round
 from mjhab.learning.runs.request import layout_for, resolved_config
@@ -49,7 +49,7 @@ class ImitationSession(Session):
     spec: ImitationSpec
 
     def __init__(
-        self, spec: ImitationSpec, layout: Layout, folder: TrainingFolder
+        self, spec: ImitationSpec, layout: ObservationSpec, folder: TrainingFolder
     ) -> None:
         threads = spec.config.student.inputs.network_threads(spec.torch_threads)
         if threads:

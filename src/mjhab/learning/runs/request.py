@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
-from mjhab.learning.demos import goals_of_data, layout_of_data
-from mjhab.learning.layout import (
-    Layout,
-    compare_layouts,
+from mjhab.learning.demos import goals_of_data, observation_spec_of_data
+from mjhab.learning.observation.spec import (
+    ObservationSpec,
+    compare_specs,
     image_options,
-    layout_of,
+    observation_spec_of,
 )
 from mjhab.learning.runs.collection import make_env
-from mjhab.learning.runs.specs import ImitationSpec, Means, TrainSpec
+from mjhab.learning.runs.specs import ImitationSpec, Resources, TrainSpec
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
 
-def layout_for(spec: ImitationSpec) -> Layout:
+def layout_for(spec: ImitationSpec) -> ObservationSpec:
     """Observation and action layout of the given data, or of the environment that demonstrations are collected in.
 
     Raises:
@@ -31,7 +31,7 @@ def layout_for(spec: ImitationSpec) -> Layout:
     inputs = spec.config.student.inputs
     scene = spec.scene
     if spec.data:
-        layout = layout_of_data(spec.data, inputs, spec.filter)
+        layout = observation_spec_of_data(spec.data, inputs, spec.filter)
         if scene.profile and scene.profile != layout.profile:
             raise UsageError(
                 f"the demonstrations are of profile {layout.profile}, not {scene.profile}. Leave out --profile, or "
@@ -40,14 +40,14 @@ def layout_for(spec: ImitationSpec) -> Layout:
         if inputs.condition and (spec.round_episodes or spec.eval_episodes):
             _check_judged(spec)
         return layout
-    layouts: list[Layout] = []
+    layouts: list[ObservationSpec] = []
     for one in spec.scenes:
         # With its images, so that wrong cameras and sizes are told before anything is written.
-        env = make_env(one, image_options(inputs), Means(worlds=1, threads=1))
-        layouts.append(layout_of(env, inputs, _targets(env)))
+        env = make_env(one, image_options(inputs), Resources(worlds=1, threads=1))
+        layouts.append(observation_spec_of(env, inputs, _targets(env)))
     first = layouts[0]
     for other, one in zip(layouts, spec.scenes, strict=True):
-        wrong = compare_layouts(first, other.state, other.actions, other.control)
+        wrong = compare_specs(first, other.state, other.actions, other.control)
         if wrong:
             raise UsageError(
                 f"one student cannot learn {scene.name} and {one.name}: {'; '.join(wrong)}."
@@ -74,7 +74,7 @@ def _check_judged(spec: ImitationSpec) -> None:
     for scene in spec.scenes:
         if (scene.subtask, scene.target) in shown:
             continue
-        env = make_env(scene, {}, Means(worlds=1, threads=1))
+        env = make_env(scene, {}, Resources(worlds=1, threads=1))
         wanted += [(scene.subtask, target) for target in _targets(env)]
     missing = [goal for goal in wanted if goal not in shown]
     if missing:

@@ -24,17 +24,17 @@ from mjhab.learning.checkpoint import (
     save_tensors,
     saved_state,
 )
-from mjhab.learning.layout import Layout
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs import distributed
 from mjhab.learning.runs.budget import BudgetTooSmallError, FirstUpdate
 from mjhab.learning.runs.evaluation import (
+    EvalResult,
     Evaluations,
-    Judgement,
-    judgement_row,
+    evaluation_row,
 )
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.run import Logbook, TrainingFolder, TrainingResult
-from mjhab.learning.runs.specs import Means, Scene, TrainSpec
+from mjhab.learning.runs.specs import Resources, Scene, TrainSpec
 from mjhab.learning.runs.time_budget import TimeBudget
 from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.student import Student
@@ -102,7 +102,7 @@ class Session(ABC):
             self.state.updates = int(about.get("step", self.state.updates))
             self.state.trained = self.state.trained or self.state.updates > 0
             self.state.fitted = bool(about.get("fitted", True))
-        self.judged = Judgement()
+        self.judged = EvalResult()
         """The latest complete evaluation; none after `keep_best` has chosen a policy that was evaluated earlier."""
         self.shortage = ""
         """What the run needs, if its time budget ends before its first update; "" while it does not."""
@@ -112,7 +112,7 @@ class Session(ABC):
         """Whether the policy began from a checkpoint."""
         self.keep_best_by = ""
         """Which success chooses the policy that is kept: once or at_end; "" keeps the last one."""
-        self.judging = Means()
+        self.judging = Resources()
         """Resources of evaluations."""
 
     @property
@@ -120,7 +120,7 @@ class Session(ABC):
     def policy(self) -> Student:
         """What is evaluated."""
 
-    def settle(self, layout: Layout) -> None:
+    def settle(self, layout: ObservationSpec) -> None:
         """Take the layout of the policy, and open the log."""
         self.layout = layout
         self.scenes = [
@@ -238,7 +238,7 @@ class Session(ABC):
             write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
             state.student_samples = state.best_samples
             # It was of the last policy, and the summary tells of the student.
-            self.judged = Judgement()
+            self.judged = EvalResult()
 
     # -- evaluation --------------------------------------------------------------------------------------------------
 
@@ -276,14 +276,14 @@ class Session(ABC):
             )
             for scene in self.scenes
         }
-        self.judged = Judgement(split, self.state.student_samples, found)
+        self.judged = EvalResult(split, self.state.student_samples, found)
         spent = time.perf_counter() - began
         self.time.evaluations.measured(spent / episodes)
         self.evaluation_seconds += spent
         records = self.judged.records
         once = sum(record.success_once for record in records) / len(records)
         at_end = sum(record.success_at_end for record in records) / len(records)
-        numbers = judgement_row(once, len(records), split, last)
+        numbers = evaluation_row(once, len(records), split, last)
         numbers |= {"success_at_end": at_end, "round": self.state.round}
         if len(found) > 1:
             rates = self.judged.success_by_row()

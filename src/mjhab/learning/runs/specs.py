@@ -82,7 +82,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Means:
+class Resources:
     """Resources of collection and evaluation; they change the speed, not the results.
 
     worlds: per process. workers: number of processes. threads: per process, 0 uses all cores.
@@ -128,7 +128,7 @@ def env_options(*more: str, worlds: int = 1) -> OptionsOf:
     )
 
 
-OF_IMITATION = env_options("num_envs", worlds=Means.worlds)
+OF_IMITATION = env_options("num_envs", worlds=Resources.worlds)
 Number = Annotated[int | None, Flag(metavar="N", shown="default: that of the preset")]
 
 
@@ -300,7 +300,7 @@ class ImitationSpec(TrainSpec):
     def config(self) -> TrainConfig:
         """The preset with the changes of the options, with the cameras of the scene's robot."""
         # Here: the help of a command does not wait for layouts.
-        from mjhab.learning.layout import inputs_of_robot
+        from mjhab.learning.observation.spec import inputs_of_robot
 
         config: TrainConfig = self._chosen(TrainConfig, preset_of)
         inputs = inputs_of_robot(config.student.inputs, self.scene.robot)
@@ -313,10 +313,10 @@ class ImitationSpec(TrainSpec):
         return (self.scene, *(_also(self.scene, text) for text in self.also))
 
     @property
-    def means(self) -> Means:
+    def means(self) -> Resources:
         """Resources."""
         threads = self.asked.threads or max(1, cores() // self.workers)
-        return Means(self.asked.num_envs, self.workers, threads)
+        return Resources(self.asked.num_envs, self.workers, threads)
 
     @property
     def torch_threads(self) -> int:

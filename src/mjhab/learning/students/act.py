@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.devices import normal
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Encoder, Normalizer
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.students.student import Batch, Student
 
 HEADS = 4
@@ -23,7 +23,7 @@ class ActionTransformer(Student):
     In training the latent encodes the demonstrated chunk; the acting policy sets it to 0.
     """
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__(config, layout)
         width = config.network.hidden
         layers = config.network.layers

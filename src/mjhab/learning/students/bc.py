@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Encoder, Normalizer, Trunk, mlp
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.students.student import Batch, Student
 
 PAPER_HIDDEN = (2048, 1024, 512)
@@ -20,7 +20,7 @@ class PaperTrunk(nn.Module):
     The features of the state are linear, those of the images pass a ReLU.
     """
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__()
         self.encoder = Encoder(config, layout)
         width = config.network.image_features
@@ -45,7 +45,7 @@ class PaperTrunk(nn.Module):
 class BehaviourCloning(Student):
     """A trunk and one linear layer that outputs all actions of the chunk."""
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__(config, layout)
         build = PaperTrunk if config.network.encoder == "paper" else Trunk
         self.trunk = build(config, layout)

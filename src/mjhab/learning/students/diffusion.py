@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.devices import normal
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, PoolingEncoder
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.students.student import Batch, Student
 
 STEP_FEATURES = 64
@@ -33,7 +33,7 @@ class DiffusionPolicy(Student):
 
     kept: Tensor
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__(config, layout)
         inputs = config.inputs
         self.vector_normalizer = Normalizer(layout.width)

@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.devices import normal, uniform
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, Trunk, mlp
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.students.student import Batch, Student
 
 TIME_FREQUENCIES = 8
@@ -20,7 +20,7 @@ class FlowMatching(Student):
 
     frequencies: Tensor
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__(config, layout)
         self.trunk = Trunk(config, layout)
         width = config.network.hidden

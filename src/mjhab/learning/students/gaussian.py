@@ -12,8 +12,8 @@ from mjhab.core.errors import UsageError
 from mjhab.learning.configs import GAUSSIAN_ACTIONS, StudentConfig
 from mjhab.learning.demos import Demonstrations
 from mjhab.learning.devices import normal
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer, Trunk
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.student import Batch, Student
 
@@ -29,7 +29,7 @@ class SquashedGaussian(Student):
     As a student it imitates one action at a time. Actions are not normalized, because tanh already gives [-1, 1].
     """
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__(config, layout)
         self.trunk = Trunk(config, layout)
         self.mean = nn.Linear(self.trunk.width, len(layout.actions))

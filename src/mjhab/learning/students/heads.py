@@ -19,7 +19,7 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
-from mjhab.learning.layout import Layout
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.students.act import ActionTransformer
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.diffusion import DiffusionPolicy
@@ -37,7 +37,9 @@ HEADS_BY_ALGORITHM: dict[str, type[Student]] = {
 }
 
 
-def make_student(config: StudentConfig, layout: Layout, seed: int = 0) -> Student:
+def make_student(
+    config: StudentConfig, layout: ObservationSpec, seed: int = 0
+) -> Student:
     """Build the network of a config with initial weights drawn from ``seed``.
 
     Raises:
@@ -50,7 +52,7 @@ def make_student(config: StudentConfig, layout: Layout, seed: int = 0) -> Studen
         return HEADS_BY_ALGORITHM[config.algorithm](config, layout)
 
 
-def check_student(config: StudentConfig, layout: Layout) -> None:
+def check_student(config: StudentConfig, layout: ObservationSpec) -> None:
     """Refuse a config whose sizes do not fit together, or do not fit its images; takes no memory for the weights.
 
     Raises:

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from mjhab.learning.batches import Chunks
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.demos import Demonstrations
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Normalizer
+from mjhab.learning.observation.spec import ObservationSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Batch:
 class Student(nn.Module):
     """Base class of the networks of all imitation algorithms."""
 
-    def __init__(self, config: StudentConfig, layout: Layout) -> None:
+    def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__()
         self.config = config
         self.layout = layout

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 
 from mjhab.experts import make_expert
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.environments import demonstration_env
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession
-from mjhab.learning.reinforcement.sight import Sight
 from mjhab.learning.runs import distributed
 from mjhab.tasks.style import Styles
 
@@ -82,7 +82,9 @@ class _Play:
             session.spec.threads,
             DEMONSTRATION_SEED + session.seed,
         )
-        self._sight = Sight(self._env, session.layout, session.config.privileged_critic)
+        self._encoder = AgentEncoder(
+            self._env, session.layout, session.config.privileged_critic
+        )
         self._expert = make_expert(self._env, styles)
         self._every = torch.ones(worlds, dtype=torch.bool)
         self._begun = False
@@ -95,14 +97,14 @@ class _Play:
         """
         device = self._session.worlds.device
         obs, info = self._begin_episodes()
-        seen = self._sight.see(obs, info)
+        seen = self._encoder.see(obs, info)
         ended = torch.zeros(self.worlds, dtype=torch.bool)
         while not bool(ended.all()):
             executed = torch.from_numpy(self._expert.act(obs, info))
             intended = torch.from_numpy(self._expert.notes().intended)
             obs, reward, terminated, truncated, info = self._env.step(executed.numpy())
-            self._sight.executed(executed)
-            following = self._sight.see(obs, info)
+            self._encoder.executed(executed)
+            following = self._encoder.see(obs, info)
             paid, over = self._session.worlds.rules.apply(
                 torch.from_numpy(reward).float(), torch.from_numpy(terminated), info
             )
@@ -122,5 +124,5 @@ class _Play:
         obs, info = self._env.reset(seed=seed)
         self._begun = True
         self._expert.reset(self._every.numpy())
-        self._sight.begin(self._every)
+        self._encoder.begin(self._every)
         return obs, info

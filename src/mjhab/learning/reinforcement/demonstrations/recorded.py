@@ -23,11 +23,11 @@ from mjhab.learning.demos import (
     nothing_to_learn,
     recorded_profile,
 )
-from mjhab.learning.layout import image_options
 from mjhab.learning.observation.recorded import lacks_states
+from mjhab.learning.observation.spec import image_options
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.session import ReinforcementSession
-from mjhab.learning.reinforcement.sight import Seen, Sight
 
 WORLDS = 16
 """Largest number of episodes simulated in parallel."""
@@ -148,7 +148,9 @@ class _Player:
             reward_mode=config.reward_mode,
             **image_options(session.config.inputs),
         )
-        self._sight = Sight(self._env, session.layout, session.config.privileged_critic)
+        self._encoder = AgentEncoder(
+            self._env, session.layout, session.config.privileged_critic
+        )
         self._width = len(session.layout.actions)
         self._device = session.worlds.device
         self._rules = session.worlds.rules
@@ -166,10 +168,10 @@ class _Player:
         for world, episode in enumerate(batch):
             # This version may generate another start state, so the recorded one is set.
             env.set_state(world, episode.initial())
-        self._sight.begin(mine)
+        self._encoder.begin(mine)
         recorded = [episode.array("actions") for episode in batch]
         longest = max(len(actions) for actions in recorded)
-        seen: Seen | None = None
+        seen: AgentObs | None = None
         for t in range(longest):
             actions = np.zeros((env.num_envs, self._width), np.float32)
             for world, rows in enumerate(recorded):
@@ -177,8 +179,8 @@ class _Player:
                     actions[world] = rows[t]
             obs, reward, terminated, _, info = env.step(actions)
             taken = torch.from_numpy(actions)
-            self._sight.executed(taken)
-            following = self._sight.see(obs, info)
+            self._encoder.executed(taken)
+            following = self._encoder.see(obs, info)
             active = torch.tensor([w for w, rows in enumerate(recorded) if t < len(rows)])
             if seen is not None:
                 paid, ended = self._rules.apply(

@@ -10,8 +10,9 @@ from torch import Tensor, nn
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.devices import normal
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Trunk
+from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import (
     LEAST_STD,
     MOST_STD,
@@ -19,7 +20,6 @@ from mjhab.learning.reinforcement.configs import (
     ReinforcementConfig,
 )
 from mjhab.learning.reinforcement.networks import Value
-from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
@@ -41,7 +41,7 @@ class Ppo(nn.Module):
     def __init__(
         self,
         config: ReinforcementConfig,
-        layout: Layout,
+        layout: ObservationSpec,
         privileged: int,
         seed: int,
         start: Student | None = None,
@@ -76,15 +76,15 @@ class Ppo(nn.Module):
         every = [*self.actor.parameters(), *self.spread.parameters()]
         return [parameter for parameter in every if parameter.requires_grad]
 
-    def mean(self, seen: Seen) -> Tensor:
-        """Means (B, A) of the actions."""
+    def mean(self, seen: AgentObs) -> Tensor:
+        """Resources (B, A) of the actions."""
         return self.distribution(seen).mean
 
-    def distribution(self, seen: Seen) -> Actions:
+    def distribution(self, seen: AgentObs) -> Actions:
         """Distribution of the actions given observations."""
         return self.distribution_of(self.encoded(seen))
 
-    def encoded(self, seen: Seen) -> Tensor:
+    def encoded(self, seen: AgentObs) -> Tensor:
         """What the actor's encoder makes of observations, (B, F)."""
         return self.actor.trunk.encoded(seen.vector, seen.images)
 

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.seeding import stream
 from mjhab.learning.networks import Normalizer
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.finite import check_finite
 from mjhab.learning.reinforcement.ppo.agent import Ppo
@@ -21,7 +22,6 @@ from mjhab.learning.reinforcement.returns import (
     finite_horizon_advantages,
 )
 from mjhab.learning.reinforcement.running import RunningStatistics
-from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
 from mjhab.learning.runs import distributed
 
@@ -47,7 +47,7 @@ class Rollout:
     encoded (N, F): observations as the actor's encoder sees them, None if the encoder is trained.
     """
 
-    seen: Seen
+    seen: AgentObs
     actions: Tensor
     log_probabilities: Tensor
     stds: Tensor
@@ -98,7 +98,7 @@ class PpoLearner:
         """Act for ``rollout_steps`` control steps in every world; ``tell`` gets the transition of each."""
         agent = self.agent.eval()
         random = self._random("act")
-        rows: list[Seen] = []
+        rows: list[AgentObs] = []
         actions: list[Tensor] = []
         densities: list[Tensor] = []
         stds: list[Tensor] = []
@@ -131,7 +131,7 @@ class PpoLearner:
         )
 
     @torch.no_grad()
-    def _outcomes(self, seen: Seen, transitions: list[Transition]) -> Outcomes:
+    def _outcomes(self, seen: AgentObs, transitions: list[Transition]) -> Outcomes:
         """Rewards, values and episode ends of the rollout.
 
         The observation after a step is the one before the next step, except where an episode or the rollout ends:
@@ -155,7 +155,7 @@ class PpoLearner:
             ended,
         )
 
-    def _values(self, seen: Seen) -> Tensor:
+    def _values(self, seen: AgentObs) -> Tensor:
         """Values (N,) of N observations, computed in batches of VALUED_ROWS."""
         count = len(seen.vector)
         parts = [
@@ -326,7 +326,7 @@ class PpoLearner:
         self.optimizer.step()
         return float(policy_loss.detach()), float(value_loss.detach()), float(divergence)
 
-    def normalize(self, seen: Seen) -> None:
+    def normalize(self, seen: AgentObs) -> None:
         """Update the running mean and std of the input normalizers, if the config normalizes inputs."""
         if not self.run.inputs.normalize:
             return
@@ -348,8 +348,8 @@ class PpoLearner:
         distributed.average([part.scale for part in normalizers])
 
 
-def _joined(rows: list[Seen]) -> Seen:
-    return Seen(
+def _joined(rows: list[AgentObs]) -> AgentObs:
+    return AgentObs(
         torch.cat([row.vector for row in rows]),
         torch.cat([row.images for row in rows]),
         torch.cat([row.privileged for row in rows]),

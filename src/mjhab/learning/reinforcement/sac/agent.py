@@ -8,11 +8,11 @@ import math
 import torch
 from torch import Tensor, nn
 
-from mjhab.learning.layout import Layout
 from mjhab.learning.networks import Encoder
+from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.networks import Critics
-from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.students.gaussian import SquashedGaussian
 from mjhab.learning.students.heads import make_student
 
@@ -23,7 +23,7 @@ class Judge(nn.Module):
     def __init__(
         self,
         config: ReinforcementConfig,
-        layout: Layout,
+        layout: ObservationSpec,
         privileged: int,
         shared: Encoder | None,
     ) -> None:
@@ -34,7 +34,7 @@ class Judge(nn.Module):
         width = self.encoder.width
         self.critics = Critics(config.student, config.sac, width, privileged, actions)
 
-    def forward(self, seen: Seen, actions: Tensor) -> Tensor:
+    def forward(self, seen: AgentObs, actions: Tensor) -> Tensor:
         """Output (critics, B, atoms or 1) of every critic for actions (B, A)."""
         features = self.encoder.joined(seen.vector, seen.images)
         return self.critics(features, seen.privileged, actions)
@@ -52,7 +52,7 @@ class Sac(nn.Module):
     def __init__(
         self,
         config: ReinforcementConfig,
-        layout: Layout,
+        layout: ObservationSpec,
         privileged: int,
         seed: int,
         start: SquashedGaussian | None = None,

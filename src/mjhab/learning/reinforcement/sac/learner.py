@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.core.seeding import stream
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, SacConfig
 from mjhab.learning.reinforcement.finite import check_finite, gradient_norm
 from mjhab.learning.reinforcement.replay import ReplayBuffer, Transitions
 from mjhab.learning.reinforcement.sac.agent import Sac
-from mjhab.learning.reinforcement.sight import Seen
 from mjhab.learning.runs import distributed
 from mjhab.learning.students.gaussian import LARGEST_ACTION
 
@@ -188,8 +188,8 @@ def _frozen(parameters: list[nn.Parameter]) -> Iterator[None]:
 
 
 def _joined(first: Transitions, second: Transitions) -> Transitions:
-    def seen(a: Seen, b: Seen) -> Seen:
-        return Seen(
+    def seen(a: AgentObs, b: AgentObs) -> AgentObs:
+        return AgentObs(
             torch.cat([a.vector, b.vector]),
             torch.cat([a.images, b.images]),
             torch.cat([a.privileged, b.privileged]),

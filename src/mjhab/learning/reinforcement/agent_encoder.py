@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.learning.layout import Layout
 from mjhab.learning.observation.encoder import EncodedEnv, ObservationEncoder
+from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.tasks.subtasks.registry import horizons
 
 PRIVILEGED = (
@@ -39,14 +39,14 @@ CUMULATIVE_FORCE_SCALE = 5000.0
 
 
 class SteppedEnv(EncodedEnv, Protocol):
-    """The part of an environment that `Sight` reads; ``state`` is a `sim.protocol.SimState`."""
+    """The part of an environment that `AgentEncoder` reads; ``state`` is a `sim.protocol.SimState`."""
 
     config: Any
     task_config: Any
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class AgentObs:
     """Observations of W worlds.
 
     vector (W, history * V) float32. images (W, history * cameras, height, width) uint8: see `parts.DepthImages`.
@@ -57,18 +57,18 @@ class Seen:
     images: Tensor
     privileged: Tensor
 
-    def to(self, device: torch.device) -> Seen:
+    def to(self, device: torch.device) -> AgentObs:
         """Copy on another device."""
-        return Seen(
+        return AgentObs(
             self.vector.to(device), self.images.to(device), self.privileged.to(device)
         )
 
-    def rows(self, index: Any) -> Seen:
+    def rows(self, index: Any) -> AgentObs:
         """The rows that ``index`` selects."""
-        return Seen(self.vector[index], self.images[index], self.privileged[index])
+        return AgentObs(self.vector[index], self.images[index], self.privileged[index])
 
 
-class Sight:
+class AgentEncoder:
     """Converts an environment's observations into the tensors that an agent takes.
 
     Args:
@@ -77,7 +77,9 @@ class Sight:
         privileged: whether to compute the inputs of a privileged critic, see PRIVILEGED.
     """
 
-    def __init__(self, env: SteppedEnv, layout: Layout, privileged: bool) -> None:
+    def __init__(
+        self, env: SteppedEnv, layout: ObservationSpec, privileged: bool
+    ) -> None:
         self._env = env
         self._layout = layout
         self._privileged = privileged
@@ -96,10 +98,10 @@ class Sight:
 
     def see(
         self, obs: Mapping[str, Any], info: Mapping[str, Any], again: bool = False
-    ) -> Seen:
+    ) -> AgentObs:
         """Convert the observations of one step, see `ObservationEncoder.encode`."""
         encoded = self._encoder.encode(obs, info, again)
-        return Seen(
+        return AgentObs(
             torch.as_tensor(encoded.vector),
             torch.as_tensor(encoded.images),
             self._privileged_of(info),

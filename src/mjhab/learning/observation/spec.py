@@ -1,4 +1,4 @@
-"""Layout of a student's inputs and outputs: named entries, which are compared with those of an environment."""
+"""ObservationSpec of a student's inputs and outputs: named entries, which are compared with those of an environment."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class ActingEnv(StudentEnv, Protocol):
 
 
 @dataclass(frozen=True)
-class Layout:
+class ObservationSpec:
     """Inputs and outputs of a student.
 
     inputs: which inputs it has. state: entries of the state vector, in order. actions: names of the dimensions of an
@@ -111,7 +111,7 @@ class Layout:
         """Of the observations that it was trained with."""
         return Conventions(self.object_axes, self.joint_angles)
 
-    def told_in(self, conventions: Conventions) -> Layout:
+    def told_in(self, conventions: Conventions) -> ObservationSpec:
         """The same layout with observations of other conventions."""
         return replace(self, **asdict(conventions))
 
@@ -132,7 +132,7 @@ class Layout:
         """Width of the vector of one observation."""
         return sum(width for _, width in self.entries)
 
-    def without_images(self) -> Layout:
+    def without_images(self) -> ObservationSpec:
         """The same layout for a network that sees no images."""
         return replace(self, inputs=replace(self.inputs, cameras=(), image_size=0))
 
@@ -163,13 +163,17 @@ class Layout:
         return values
 
     @classmethod
-    def from_plain(cls, inputs: InputConfig, values: Mapping[str, Any]) -> Layout:
+    def from_plain(
+        cls, inputs: InputConfig, values: Mapping[str, Any]
+    ) -> ObservationSpec:
         """Build from the dict of ``to_plain``, also after a round trip through JSON.
 
         Raises:
             ValueError: a field is missing, unknown or does not fit; the message names it.
         """
-        layout: Layout = read_record(cls, {**values, "inputs": asdict(inputs)}, "layout")
+        layout: ObservationSpec = read_record(
+            cls, {**values, "inputs": asdict(inputs)}, "layout"
+        )
         widths = [width for _, width in layout.state]
         if min(widths, default=1) < 1 or sum(widths) > MAX_STATE_WIDTH:
             raise ValueError(
@@ -193,7 +197,7 @@ class Layout:
         """
         # Other stationary joint groups than in training are allowed, like another profile: their actions are ignored.
         control = (*control_of(env)[:2], *self.control[2:])
-        wrong = compare_layouts(self, state_of(env), actions_of(env), control)
+        wrong = compare_specs(self, state_of(env), actions_of(env), control)
         size = (pool * self.inputs.image_size, pool * self.inputs.image_size, 1)
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
         for key in self.image_keys:
@@ -259,10 +263,12 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
     }
 
 
-def layout_of(env: StudentEnv, inputs: InputConfig, targets: Sequence[str]) -> Layout:
-    """Layout of a student that is trained in an environment."""
+def observation_spec_of(
+    env: StudentEnv, inputs: InputConfig, targets: Sequence[str]
+) -> ObservationSpec:
+    """ObservationSpec of a student that is trained in an environment."""
     profile = profile_of(vars(env.config))
-    return Layout(
+    return ObservationSpec(
         inputs,
         state_of(env),
         actions_of(env),
@@ -324,8 +330,8 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def compare_layouts(
-    layout: Layout,
+def compare_specs(
+    layout: ObservationSpec,
     state: Sequence[Entry],
     actions: Sequence[str],
     control: tuple[str, ...],

@@ -16,8 +16,8 @@ from mjhab.data.record.recorder import Recorder
 from mjhab.data.store.places import episodes
 from mjhab.data.store.shard import ShardWriter
 from mjhab.learning.configs import DaggerConfig, InputConfig
-from mjhab.learning.demos import layout_of_data, load_demonstrations
-from mjhab.learning.runs.take_over import TakeOver, expert_steps, prefix_length
+from mjhab.learning.demos import load_demonstrations, observation_spec_of_data
+from mjhab.learning.runs.intervention import Intervention, expert_steps, prefix_length
 from mjhab.rollout.loop import rollout
 from tests.data.fake_world import FakeEnv
 from tests.learning.test_demos import EVERY
@@ -53,10 +53,10 @@ class Steady:
         return {}
 
 
-def make(worlds: int, longest: int) -> tuple[TakeOver, Steady, Steady]:
+def make(worlds: int, longest: int) -> tuple[Intervention, Steady, Steady]:
     student = Steady("student", -0.5, worlds)
     expert = Steady("expert", 0.5, worlds)
-    return TakeOver(student, expert, longest), student, expert
+    return Intervention(student, expert, longest), student, expert
 
 
 def roll(path: Path, worlds: int, longest: int, count: int = 5) -> tuple[Steady, Steady]:
@@ -110,7 +110,7 @@ def test_what_the_expert_intended_is_learned_from_the_take_over_on(
     tmp_path: Path,
 ) -> None:
     roll(tmp_path / "a.h5", 2, 12)
-    told = layout_of_data(tmp_path, NO_IMAGES, EVERY)
+    told = observation_spec_of_data(tmp_path, NO_IMAGES, EVERY)
     data = load_demonstrations(tmp_path, told, -1, EVERY)
     assert (data.actions[data.usable] == 0.25).all()
     prefixes = [

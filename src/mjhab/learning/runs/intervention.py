@@ -43,7 +43,7 @@ class Replanning(Protocol):
         ...
 
 
-class TakeOver:
+class Intervention:
     """A policy in which the student acts for a prefix of every episode and the expert acts after it.
 
     The length of the prefix is a function of the episode's seed and index.

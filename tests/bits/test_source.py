@@ -90,6 +90,7 @@ INTEGER_SUMS = {
         "size(shapes, f'{_PIXELS}{camera}.projection.0.weight', 0, 50)",
     },
     "learning/reinforcement/session.py": {"self._outcomes"},
+    "learning/runs/imitation.py": {"tried_in(self.place(out, scene))"},
     "paper/reproduce/results.py": {"summary['demonstrations']"},
     "reports/plots.py": {"counts[kind].values()"},
 }

@@ -280,14 +280,14 @@ class Session(ABC):
         spent = time.perf_counter() - began
         self.time.evaluations.measured(spent / episodes)
         self.evaluation_seconds += spent
-        records = self.judged.records
-        once = sum(record.success_once for record in records) / len(records)
-        at_end = sum(record.success_at_end for record in records) / len(records)
-        numbers = evaluation_row(once, len(records), split, last)
+        rates = self.judged.summary()
+        once = float(rates["success_once"])
+        at_end = float(rates["success_at_end"])
+        numbers = evaluation_row(once, rates["episodes"], split, last)
         numbers |= {"success_at_end": at_end, "round": self.state.round}
         if len(found) > 1:
-            rates = self.judged.success_by_row()
-            numbers |= {f"success_once/{row}": rate for row, rate in rates.items()}
+            by_row = self.judged.success_by_row()
+            numbers |= {f"success_once/{row}": rate for row, rate in by_row.items()}
         self.log.report(self.state.updates, self.state.samples, numbers)
         return at_end if self.keep_best_by not in ("", ONCE) else once
 

@@ -11,6 +11,7 @@ import tyro
 
 from mjhab import register_all
 from mjhab.cli import commands
+from mjhab.cli.exits import BROKEN_PIPE, FAILED, INTERRUPTED, USAGE
 from mjhab.cli.options.limits import check_limits
 from mjhab.cli.parsing import TYRO, Parsed, parse_spec
 from mjhab.cli.renamed import with_new_names
@@ -35,12 +36,6 @@ CONFIG = "config"
 CONFIG_DESCRIPTION = """Print what a command line means, with all defaults, as one line of JSON, without running it.
 
 `mjhab config eval --subtask pick --profile ms_hab`"""
-OK = 0
-FAILED = 1
-USAGE = 2
-INTERRUPTED = 130
-BROKEN_PIPE = 141
-"""Exit code of a process that SIGPIPE ended, as shells report it (128 + 13)."""
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from mjhab.cli.main import INTERRUPTED, OK, USAGE, main
+from mjhab.cli.exits import INTERRUPTED, OK, USAGE
+from mjhab.cli.main import main
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import RecordedEpisode
 from tests.data.fake_world import FakeEnv

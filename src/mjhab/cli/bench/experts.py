@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from mjhab.bench.experts.rows import CHAIN, Result, Row
 from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_experts
+from mjhab.cli.exits import INTERRUPTED, stopped
 from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.core.arithmetic.sums import ordered_sum
@@ -29,10 +30,10 @@ def bench_experts(options: BenchExpertsOptions) -> int:
     for name in ("episodes", "chains", "seed"):
         at_least(name, getattr(options, name), 0)
     begun = time.perf_counter()
-    with stop_signals() as stopped:
-        found = measure_experts(options, stopped, _progress)
+    with stop_signals() as is_stopped:
+        found = measure_experts(options, is_stopped, _progress)
     _tell(options, found, time.perf_counter() - begun)
-    return 1 if found.errors else 130 if found.left else 0
+    return 1 if found.errors else INTERRUPTED if found.left else 0
 
 
 @contextmanager
@@ -83,10 +84,7 @@ def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> N
     for row, error in found.errors.items():
         print(f"mjhab: {row.name} could not be measured: {error}", file=sys.stderr)
     if found.left:
-        print(
-            f"mjhab: stopped, {found.left} episodes are left. The same command with --resume continues.",
-            file=sys.stderr,
-        )
+        stopped(f"{found.left} episodes are left")
     if options.json:
         print_json(_summary(options, found, seconds))
         return

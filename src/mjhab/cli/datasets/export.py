@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-
+from mjhab.cli.exits import stopped
 from mjhab.cli.output import print_json
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import late_bar
@@ -20,11 +19,7 @@ def run_export(spec: ExportSpec, json: bool) -> int:
             assert isinstance(spec, ManiskillSpec)
             return _maniskill(spec, json)
     except KeyboardInterrupt:
-        print(
-            f"mjhab: stopped; finished parts of {spec.out} are kept. The same command with --resume continues.",
-            file=sys.stderr,
-        )
-        return 130
+        return stopped(f"finished parts of {spec.out} are kept")
 
 
 def _lerobot(spec: LerobotSpec, json: bool) -> int:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from mjhab.cli.exits import INTERRUPTED, stopped
 from mjhab.cli.output import (
     print_json,
     print_table,
@@ -32,12 +33,12 @@ def run_generate(spec: GenerateSpec, json: bool) -> int:
     if not spec.workers:
         # A process of its own can be stopped in the middle of an episode.
         spec = dataclasses.replace(spec, workers=1)
-    with stop_signals() as stopped, _progress(spec) as tell:
-        made = run_generation(spec, tell, stopped)
-    interrupted = stopped() and not made.standing.complete
+    with stop_signals() as is_stopped, _progress(spec) as tell:
+        made = run_generation(spec, tell, is_stopped)
+    interrupted = is_stopped() and not made.standing.complete
     _tell(json, made, interrupted)
     if interrupted:
-        return 130
+        return INTERRUPTED
     return 1 if made.is_short or made.standing.errors else 0
 
 
@@ -73,10 +74,7 @@ def _tell(json: bool, made: GeneratedData, interrupted: bool) -> None:
     done = made.standing
     numbers = made.summary
     if interrupted:
-        print(
-            f"mjhab: stopped; {done.kept} episodes are kept in {made.path}. The same command with --resume continues.",
-            file=sys.stderr,
-        )
+        stopped(f"{done.kept} episodes are kept in {made.path}")
     elif made.is_short:
         print(
             f"mjhab: only {done.kept} of {done.wanted} episodes passed of {done.tried} that were tried. A larger "

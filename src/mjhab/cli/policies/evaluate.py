@@ -17,6 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from mjhab.cli.exits import INTERRUPTED, WITH_RESUME, stopped
 from mjhab.cli.options.policies.evaluate import DemoOptions
 from mjhab.cli.output import (
     print_json,
@@ -52,7 +53,7 @@ def run_eval(spec: EvalSpec, json: bool) -> int:
             interrupted = True
     _tell(spec, run, interrupted, json)
     if interrupted:
-        return 130
+        return INTERRUPTED
     return 1 if run.summary["errors"] else 0
 
 
@@ -139,11 +140,8 @@ def _tell(spec: EvalSpec, run: Run, interrupted: bool, json: bool) -> None:
             file=sys.stderr,
         )
     if interrupted:
-        print(
-            f"mjhab: interrupted; {summary['episodes']} of {spec.episodes} episodes are kept in {run.path}. "
-            "The same command with --resume (and without --overwrite) continues.",
-            file=sys.stderr,
-        )
+        kept = f"{summary['episodes']} of {spec.episodes} episodes are kept in {run.path}"
+        stopped(kept, f"{WITH_RESUME} (and without --overwrite)")
     if summary["errors"]:
         reasons = Counter(record.error for record in run.records if record.error)
         reason, count = reasons.most_common(1)[0]

@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+from mjhab.cli.exits import stopped
 from mjhab.cli.options.policies.score import ScoreOptions
 from mjhab.cli.output import print_json, print_table, tell_caution
 from mjhab.cli.policies.evaluate import ProgressSink
@@ -89,11 +90,7 @@ def _score(options: ScoreOptions) -> int:
         try:
             result = score(spec, lambda evaluation: [ProgressSink(evaluation)])
         except EvaluationInterrupted:
-            print(
-                f"mjhab: interrupted; finished episodes are kept in {spec.out}. The same command continues.",
-                file=sys.stderr,
-            )
-            return 130
+            return stopped(f"finished episodes are kept in {spec.out}", again="")
     # One policy may act in many rows.
     cautions = {
         told.get("policy_caution", "") for told in result.facts["policies"].values()

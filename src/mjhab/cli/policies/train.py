@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mjhab.cli.exits import INTERRUPTED, stopped
 from mjhab.cli.output import print_json
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
@@ -31,14 +32,14 @@ def run_train(spec: ImitationSpec | ReinforcementSpec, json: bool) -> int:
         result = train_spec(spec)
     _tell(spec, result, json)
     if result.interrupted:
-        return 130
+        return INTERRUPTED
     return 0 if result.summary["trained"] and "shortage" not in result.summary else 1
 
 
 def _tell(spec: TrainSpec, result: TrainingResult, json: bool) -> None:
     summary = result.summary
     if result.interrupted:
-        print(f"mjhab: interrupted; {_kept(spec.out, summary)}", file=sys.stderr)
+        _tell_stopped(spec.out, summary)
     elif not summary["trained"] or "shortage" in summary:
         print(f"mjhab: {summary.get('shortage', UNTRAINED)}", file=sys.stderr)
     if json:
@@ -58,13 +59,12 @@ def _tell(spec: TrainSpec, result: TrainingResult, json: bool) -> None:
     print(f"report: {result.report}")
 
 
-def _kept(out: Path, summary: Mapping[str, Any]) -> str:
-    """What an interrupted run has left, and what --resume makes of it."""
+def _tell_stopped(out: Path, summary: Mapping[str, Any]) -> None:
+    """Tell what an interrupted run has left, and what --resume makes of it."""
     if (out / TRAINING).is_file():
-        return f"the last checkpoint is kept in {out}. The same command with --resume continues."
-    kept = (
-        f"the policy is kept in {out}"
-        if summary["checkpoint"]
-        else "there is no checkpoint yet"
-    )
-    return f"{kept}. The same command with --resume trains from the beginning."
+        stopped(f"the last checkpoint is kept in {out}")
+        return
+    kept = "there is no checkpoint yet"
+    if summary["checkpoint"]:
+        kept = f"the policy is kept in {out}"
+    stopped(kept, does="trains from the beginning")

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mjhab.cli.exits import INTERRUPTED, stopped
 from mjhab.cli.options.policies.reproduce import ReproduceOptions
 from mjhab.cli.output import at_least, print_json, print_table
 from mjhab.cli.policies.evaluate import ProgressSink
@@ -25,7 +26,7 @@ def run_reproduce(options: ReproduceOptions) -> int:
             lambda row: print(f"mjhab: {row.name}", file=sys.stderr),
         )
     tell(options, results, interrupted)
-    return 130 if interrupted else 0
+    return INTERRUPTED if interrupted else 0
 
 
 def table_spec(options: ReproduceOptions) -> TableSpec:
@@ -73,10 +74,7 @@ def tell(
 ) -> None:
     """Print the table, or its JSON."""
     if interrupted:
-        print(
-            "mjhab: interrupted. The same command with --resume continues.",
-            file=sys.stderr,
-        )
+        stopped(f"finished parts are kept in {options.out}")
     if options.json:
         print_json({"rows": list(results), "report": str(options.out / REPORT)})
         return

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mjhab.data.record.generation import Standing
-from mjhab.learning.runs import budget, imitation
+from mjhab.learning.runs import budget, imitation, train
 from mjhab.learning.runs.budget import EpisodeClock, Rates, StepClock, wave_seconds
 from mjhab.learning.runs.imitation import ImitationSession
 from mjhab.learning.runs.run import Logbook
@@ -98,7 +98,7 @@ def expert(
 ) -> dict[str, list[Any]]:
     """The expert needs 2 s for an episode; what was probed and tried."""
     seen: dict[str, list[Any]] = {"probed": [], "tried": []}
-    monkeypatch.setattr(imitation, "layout_for", lambda _: layout())
+    monkeypatch.setattr(train, "layout_for", lambda _: layout())
 
     def collect(collector: Any, wanted: Any, out: Path, tell: Any, stopped: Any) -> Any:
         for number in range(1, wanted.episodes + 1):

@@ -83,8 +83,8 @@ def train_spec(spec: ImitationSpec | ReinforcementSpec) -> TrainingResult:
         from mjhab.learning.reinforcement.train import train_reinforcement
 
         return train_reinforcement(spec)
-    from mjhab.learning.runs.imitation import open_session
     from mjhab.learning.runs.session import run_session
+    from mjhab.learning.runs.train import open_session
 
     with open_session(spec) as session:
         return run_session(session)

@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,11 @@ from mjhab.learning.devices import CPU, training_device
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs.budget import EpisodeClock, FirstUpdate
 from mjhab.learning.runs.collection import Collector, Round
-from mjhab.learning.runs.request import layout_for, resolved_config
 from mjhab.learning.runs.run import TrainingFolder
 from mjhab.learning.runs.session import OutOfTime, Session
 from mjhab.learning.runs.specs import ImitationSpec
 from mjhab.learning.runs.training import Trainer
-from mjhab.learning.students.heads import check_student, make_student
+from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Batch, Student
 
 REPORT_EVERY = 50
@@ -44,7 +42,7 @@ EVALUATIONS = 4
 
 
 class ImitationSession(Session):
-    """A run of imitation. Make one with `open_session`."""
+    """A run of imitation. Make one with `train.open_session`."""
 
     spec: ImitationSpec
 
@@ -306,23 +304,3 @@ class ImitationSession(Session):
         self.state.round += 1
         self.state.round_step = 0
         self.save()
-
-
-@contextmanager
-def open_session(spec: ImitationSpec) -> Iterator[ImitationSession]:
-    """Open a training session in the folder of the run; its logs are closed on exit.
-
-    Raises:
-        UsageError: data, folder or scene do not fit; then nothing was written.
-    """
-    from mjhab.learning.runs.dagger import DaggerSession
-
-    config = resolved_config(spec)
-    TrainingFolder.check(spec.out, config, resume=spec.resume)
-    layout = layout_for(spec)
-    check_student(spec.config.student, layout)
-    kind = DaggerSession if spec.config.dagger is not None else ImitationSession
-    with TrainingFolder.open(spec.out, config, resume=spec.resume) as folder:
-        session = kind(spec, layout, folder)
-        with session.log:
-            yield session

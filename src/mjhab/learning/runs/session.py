@@ -20,6 +20,7 @@ from mjhab.data.record.provenance import source_commit
 from mjhab.learning.checkpoint import (
     Checkpoint,
     load_checkpoint,
+    restoring,
     save_student,
     save_tensors,
     saved_state,
@@ -99,7 +100,8 @@ class Session(ABC):
             about = self.saved.about
             self.state = saved_state(self.training_file, about, TrainState)
             # Files of older versions tell fewer things.
-            self.state.updates = int(about.get("step", self.state.updates))
+            with restoring(self.training_file):
+                self.state.updates = int(about.get("step", self.state.updates))
             self.state.trained = self.state.trained or self.state.updates > 0
             self.state.fitted = bool(about.get("fitted", True))
         self.judged = EvalResult()

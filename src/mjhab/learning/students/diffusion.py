@@ -114,9 +114,9 @@ def squared_cosine(steps: int) -> Tensor:
 class ConvBlock(nn.Sequential):
     """Convolution over time, group norm, Mish."""
 
-    def __init__(self, before: int, after: int) -> None:
+    def __init__(self, before: int, after: int, kernel: int) -> None:
         super().__init__(
-            nn.Conv1d(before, after, KERNEL, padding=KERNEL // 2),
+            nn.Conv1d(before, after, kernel, padding=kernel // 2),
             nn.GroupNorm(GROUPS, after),
             nn.Mish(),
         )
@@ -125,10 +125,10 @@ class ConvBlock(nn.Sequential):
 class ResidualBlock(nn.Module):
     """Two convolution blocks with a residual connection; the condition (B, F) scales and shifts in between (FiLM)."""
 
-    def __init__(self, before: int, after: int, condition: int) -> None:
+    def __init__(self, before: int, after: int, condition: int, kernel: int) -> None:
         super().__init__()
-        self.first = ConvBlock(before, after)
-        self.second = ConvBlock(after, after)
+        self.first = ConvBlock(before, after, kernel)
+        self.second = ConvBlock(after, after, kernel)
         self.film = nn.Sequential(nn.Mish(), nn.Linear(condition, 2 * after))
         self.past = nn.Conv1d(before, after, 1) if before != after else nn.Identity()
 
@@ -138,48 +138,59 @@ class ResidualBlock(nn.Module):
 
 
 class UNet(nn.Module):
-    """Predicts the noise in a chunk (B, chunk, A) from the diffusion step (B,) and observation features (B, F)."""
+    """Predicts the noise in a chunk (B, chunk, A) from the diffusion step (B,) and observation features (B, F).
+
+    Args:
+        actions: width of an action A.
+        seen: width of the observation features F.
+        levels: channels of each level.
+        kernel: width of the convolutions over time [actions].
+        step_features: width of what is made of the diffusion step.
+    """
 
     frequencies: Tensor
 
-    def __init__(self, actions: int, seen: int, levels: Sequence[int]) -> None:
+    def __init__(
+        self,
+        actions: int,
+        seen: int,
+        levels: Sequence[int],
+        kernel: int = KERNEL,
+        step_features: int = STEP_FEATURES,
+    ) -> None:
         super().__init__()
-        half = STEP_FEATURES // 2
+        half = step_features // 2
+        last = max(half - 1, 1)
         self.register_buffer(
-            "frequencies",
-            torch.exp(-math.log(10_000.0) * torch.arange(half) / (half - 1)),
+            "frequencies", torch.exp(-math.log(10_000.0) * torch.arange(half) / last)
         )
         self.clock = nn.Sequential(
-            nn.Linear(STEP_FEATURES, 4 * STEP_FEATURES),
+            nn.Linear(step_features, 4 * step_features),
             nn.Mish(),
-            nn.Linear(4 * STEP_FEATURES, STEP_FEATURES),
+            nn.Linear(4 * step_features, step_features),
         )
-        condition = STEP_FEATURES + seen
+        condition = step_features + seen
+
+        def block(before: int, after: int) -> ResidualBlock:
+            return ResidualBlock(before, after, condition, kernel)
+
         widths = (actions, *levels)
         self.down = nn.ModuleList()
         self.up = nn.ModuleList()
         for level, (before, after) in enumerate(itertools.pairwise(widths)):
-            last = level == len(levels) - 1
-            shrink = nn.Identity() if last else nn.Conv1d(after, after, 3, 2, 1)
-            blocks = [
-                ResidualBlock(before, after, condition),
-                ResidualBlock(after, after, condition),
-                shrink,
-            ]
-            self.down.append(nn.ModuleList(blocks))
-        self.middle = nn.ModuleList(
-            ResidualBlock(widths[-1], widths[-1], condition) for _ in range(2)
-        )
+            lowest = level == len(levels) - 1
+            shrink = nn.Identity() if lowest else nn.Conv1d(after, after, 3, 2, 1)
+            self.down.append(
+                nn.ModuleList([block(before, after), block(after, after), shrink])
+            )
+        self.middle = nn.ModuleList(block(widths[-1], widths[-1]) for _ in range(2))
         for after, before in zip(widths[1:-1][::-1], widths[2:][::-1], strict=True):
             grow = nn.ConvTranspose1d(after, after, 4, 2, 1)
-            blocks = [
-                ResidualBlock(2 * before, after, condition),
-                ResidualBlock(after, after, condition),
-                grow,
-            ]
-            self.up.append(nn.ModuleList(blocks))
+            self.up.append(
+                nn.ModuleList([block(2 * before, after), block(after, after), grow])
+            )
         self.out = nn.Sequential(
-            ConvBlock(levels[0], levels[0]), nn.Conv1d(levels[0], actions, 1)
+            ConvBlock(levels[0], levels[0], kernel), nn.Conv1d(levels[0], actions, 1)
         )
 
     def forward(self, chunk: Tensor, step: Tensor, seen: Tensor) -> Tensor:

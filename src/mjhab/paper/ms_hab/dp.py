@@ -6,9 +6,10 @@ gymnasium.spaces.Dict, which sorts its keys.
 
 from __future__ import annotations
 
-import itertools
 import math
+import re
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -23,13 +24,12 @@ from mjhab.paper.ms_hab.network import (
     size,
     squash_depth,
 )
+from mjhab.learning.students.diffusion import UNet
 
 ACT_STEPS = 8
 """Number of actions of a plan that are executed."""
 PLAN_STEPS = 16
 """Number of actions in a plan."""
-GROUPS = 8
-"""Groups of the group norms."""
 _NET = "noise_pred_net."
 _CONVS = (16, 32, 64, 128)
 
@@ -51,7 +51,7 @@ class Dp(Network):
         )
         self.frames = max(1, (condition - step_size) // (features + STATE_SIZE))
         self.visual_encoder = _VisualEncoder(shapes, len(self.cameras), features)
-        self.noise_pred_net = _UNet(
+        self.noise_pred_net = PublishedUNet(
             shapes, step_size, self.frames * (features + STATE_SIZE)
         )
         self.noise_shape = (ddpm.STEPS, PLAN_STEPS, self.noise_pred_net.actions)
@@ -91,117 +91,63 @@ class _VisualEncoder(nn.Module):
         return self.fc(self.cnn(images).amax(dim=(2, 3)))
 
 
-class _StepEmbedding(nn.Module):
-    """Sines and cosines of the diffusion step at geometrically spaced frequencies, (B,) to (B, width)."""
+class PublishedUNet(UNet):
+    """The network of our own diffusion policy, with MS-HAB's sizes and names of parameters.
 
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.frequencies = width // 2
+    Args:
+        shapes: of the parameters of a checkpoint. step_size: width of what is made of the diffusion step. observed: of
+            the observation features.
+    """
 
-    def forward(self, step: Tensor) -> Tensor:
-        rate = math.log(10000) / (self.frequencies - 1)
-        angle = (
-            step[:, None]
-            * torch.exp(-rate * torch.arange(self.frequencies, device=step.device))[None]
-        )
-        return torch.cat([angle.sin(), angle.cos()], dim=-1)
-
-
-class _ConvBlock(nn.Module):
-    def __init__(self, inputs: int, outputs: int, kernel: int) -> None:
-        super().__init__()
-        conv = nn.Conv1d(inputs, outputs, kernel, padding=kernel // 2)
-        self.block = nn.Sequential(conv, nn.GroupNorm(GROUPS, outputs), nn.Mish())
-
-    def forward(self, x: Tensor) -> Tensor:
-        return self.block(x)
-
-
-class _ResidualBlock(nn.Module):
-    """Two convolutions over time; the condition scales and shifts the features in between (FiLM)."""
-
-    def __init__(self, inputs: int, outputs: int, condition: int, kernel: int) -> None:
-        super().__init__()
-        self.blocks = nn.ModuleList(
-            [_ConvBlock(inputs, outputs, kernel), _ConvBlock(outputs, outputs, kernel)]
-        )
-        self.cond_encoder = nn.Sequential(nn.Mish(), nn.Linear(condition, 2 * outputs))
-        self.residual_conv = (
-            nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
-        )
-
-    def forward(self, x: Tensor, condition: Tensor) -> Tensor:
-        scale, shift = self.cond_encoder(condition)[..., None].chunk(2, dim=1)
-        return self.blocks[1](scale * self.blocks[0](x) + shift) + self.residual_conv(x)
-
-
-class _Resample(nn.Module):
-    def __init__(self, conv: nn.Module) -> None:
-        super().__init__()
-        self.conv = conv
-
-    def forward(self, x: Tensor) -> Tensor:
-        return self.conv(x)
-
-
-class _UNet(nn.Module):
     def __init__(self, shapes: Shapes, step_size: int, observed: int) -> None:
-        super().__init__()
-        self.actions = size(shapes, f"{_NET}final_conv.1.weight", 0, ACTION_SIZE)
+        actions = size(shapes, f"{_NET}final_conv.1.weight", 0, ACTION_SIZE)
         first = "blocks.0.block.0.weight"
         widths = [
             size(shapes, f"{_NET}down_modules.{i}.0.{first}", 0, published)
             for i, published in enumerate((64, 128, 256))
         ]
         kernel = size(shapes, f"{_NET}down_modules.0.0.{first}", 2, 5)
-        condition = step_size + observed
+        super().__init__(actions, observed, widths, kernel, step_size)
+        self.actions = actions
+        half = step_size // 2
+        # In this order of operations: the last bits of the published actions depend on it.
+        rate = math.log(10000) / max(half - 1, 1)
+        frequencies = torch.exp(-rate * torch.arange(half))
+        self.register_buffer("frequencies", frequencies, persistent=False)
+        self.register_state_dict_post_hook(_publish_names)
+        self.register_load_state_dict_pre_hook(_own_names)
 
-        def block(inputs: int, outputs: int) -> _ResidualBlock:
-            return _ResidualBlock(inputs, outputs, condition, kernel)
 
-        self.diffusion_step_encoder = nn.Sequential(
-            _StepEmbedding(step_size),
-            nn.Linear(step_size, 4 * step_size),
-            nn.Mish(),
-            nn.Linear(4 * step_size, step_size),
-        )
-        self.down_modules = nn.ModuleList()
-        for i, (above, width) in enumerate(
-            zip([self.actions, *widths], widths, strict=False)
-        ):
-            last = i == len(widths) - 1
-            shrink = (
-                nn.Identity() if last else _Resample(nn.Conv1d(width, width, 3, 2, 1))
-            )
-            self.down_modules.append(
-                nn.ModuleList([block(above, width), block(width, width), shrink])
-            )
-        self.mid_modules = nn.ModuleList(
-            [block(widths[-1], widths[-1]), block(widths[-1], widths[-1])]
-        )
-        self.up_modules = nn.ModuleList()
-        for above, width in reversed(list(itertools.pairwise(widths))):
-            grow = _Resample(nn.ConvTranspose1d(above, above, 4, 2, 1))
-            self.up_modules.append(
-                nn.ModuleList([block(2 * width, above), block(above, above), grow])
-            )
-        self.final_conv = nn.Sequential(
-            _ConvBlock(widths[0], widths[0], kernel),
-            nn.Conv1d(widths[0], self.actions, 1),
-        )
+_NAMES = (
+    (r"^clock\.0", "diffusion_step_encoder.1"),
+    (r"^clock\.2", "diffusion_step_encoder.3"),
+    (r"^(down|up)\.(\d+)\.2", r"\1_modules.\2.2.conv"),
+    (r"^(down|up)\.", r"\1_modules."),
+    (r"^middle", "mid_modules"),
+    (r"\.first\.", ".blocks.0.block."),
+    (r"\.second\.", ".blocks.1.block."),
+    (r"\.film\.", ".cond_encoder."),
+    (r"\.past\.", ".residual_conv."),
+    (r"^out\.0", "final_conv.0.block"),
+    (r"^out\.1", "final_conv.1"),
+)
+"""Our names of parameters, and MS-HAB's."""
 
-    def forward(self, actions: Tensor, step: Tensor, observed: Tensor) -> Tensor:
-        """Predict the noise in actions (B, 16, 13) at the diffusion step (B,), given observation features (B, C)."""
-        condition = torch.cat([self.diffusion_step_encoder(step), observed], dim=-1)
-        x = actions.transpose(1, 2)
-        skipped = []
-        for first, second, shrink in self.down_modules:  # type: ignore[misc]
-            x = second(first(x, condition), condition)
-            skipped.append(x)
-            x = shrink(x)
-        for middle in self.mid_modules:
-            x = middle(x, condition)
-        for first, second, grow in self.up_modules:  # type: ignore[misc]
-            x = torch.cat([x, skipped.pop()], dim=1)
-            x = grow(second(first(x, condition), condition))
-        return self.final_conv(x).transpose(1, 2)
+
+def _published(name: str) -> str:
+    """MS-HAB's name of a parameter."""
+    for ours, theirs in _NAMES:
+        name = re.sub(ours, theirs, name)
+    return name
+
+
+def _publish_names(_: nn.Module, state: dict[str, Any], prefix: str, __: Any) -> None:
+    for key in [key for key in state if key.startswith(prefix)]:
+        state[prefix + _published(key.removeprefix(prefix))] = state.pop(key)
+
+
+def _own_names(network: nn.Module, state: dict[str, Any], prefix: str, *_: Any) -> None:
+    for name, _parameter in network.named_parameters():
+        key = prefix + _published(name)
+        if key in state:
+            state[prefix + name] = state.pop(key)

@@ -49,7 +49,10 @@ EVALUATION_WORLDS = 16
 class Learner(Protocol):
     """What a session asks of its algorithm, an `AlgorithmRun`."""
 
-    actor: Student
+    @property
+    def actor(self) -> Student:
+        """What acts and is evaluated."""
+        ...
 
     def prepare(self) -> None:
         """Make or read the demonstrations and imitate them, if the config asks for it."""

@@ -16,7 +16,7 @@ from mjhab.learning.observation.spec import (
     observation_spec_of,
 )
 from mjhab.learning.runs.collection import make_env
-from mjhab.learning.runs.specs import ImitationSpec, Resources, TrainSpec
+from mjhab.learning.runs.specs import ImitationSpec, Resources
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -99,11 +99,11 @@ def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
     }
 
 
-def config_of(spec: TrainSpec, config: Any) -> dict[str, Any]:
+def config_of(spec: Any, config: Any) -> dict[str, Any]:
     """The part of a run's resolved config that all algorithms have.
 
     Args:
-        spec: of the run.
+        spec: of the run, an `ImitationSpec` or a `ReinforcementSpec`.
         config: its preset with all changes.
     """
     return {

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from torch import Tensor
 
@@ -222,7 +222,7 @@ class Session(ABC):
             self.state.student_samples = self.state.samples
 
     def _named(self) -> dict[str, Any]:
-        config = self.spec.config
+        config = cast(Any, self.spec).config
         return {"algorithm": config.algorithm, "preset": config.preset}
 
     def keep_best(self) -> None:

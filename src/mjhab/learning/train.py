@@ -79,12 +79,10 @@ def train(algorithm: str, *, out: Path | str, **options: Any) -> TrainingResult:
 def train_spec(spec: ImitationSpec | ReinforcementSpec) -> TrainingResult:
     """Train what a specification asks for; see `train`."""
     require_learn()
+    from mjhab.learning.reinforcement.train import train_reinforcement
+    from mjhab.learning.runs.train import open_session, run_session
+
     if isinstance(spec, ReinforcementSpec):
-        from mjhab.learning.reinforcement.train import train_reinforcement
-
         return train_reinforcement(spec)
-    from mjhab.learning.runs.session import run_session
-    from mjhab.learning.runs.train import open_session
-
     with open_session(spec) as session:
         return run_session(session)

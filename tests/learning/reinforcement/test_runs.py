@@ -19,7 +19,7 @@ from mjhab.core.errors import UsageError
 from mjhab.learning.changes import with_changes
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import InputConfig, NetworkConfig
-from mjhab.learning.reinforcement import algorithm
+from mjhab.learning.reinforcement import algorithm, train
 from mjhab.learning.reinforcement import session as sessions
 from mjhab.learning.reinforcement.configs import (
     PPO,
@@ -32,6 +32,7 @@ from mjhab.learning.reinforcement.configs import (
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.ppo.run import PpoRun
 from mjhab.learning.reinforcement.replay import ReplayBuffer
+from mjhab.learning.reinforcement.request import resolved_config
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs import budget
@@ -193,8 +194,9 @@ def test_a_budget_that_ends_before_learning_leaves_a_run_to_begin_with(
 def test_demonstrations_end_by_the_rules_of_training(tmp_path: Path) -> None:
     """As they are paid; but the expert closes this drawer without a force that would cost."""
     told = request(dataclasses.replace(TINY_IMITATING, success_ends=True))
-    with sessions.open_reinforcement(dataclasses.replace(told, out=tmp_path)) as session:
-        shown = PpoRun(session).demonstrations(1)
+    with train.open_reinforcement(dataclasses.replace(told, out=tmp_path)) as session:
+        assert isinstance(session.run, PpoRun)
+        shown = session.run.demonstrations(1)
         drawn = shown.draw(500, torch.Generator().manual_seed(0))
     assert bool(drawn.terminated.any()) and not bool(drawn.terminated.all())
 
@@ -270,7 +272,7 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     assert polished.summary["samples"] == 16
     # It sees what its student sees, whatever its preset says, and the config tells so.
     depth = dataclasses.replace(TINY, inputs=InputConfig())
-    told = sessions.resolved_config(dataclasses.replace(request(depth), start=start))
+    told = resolved_config(dataclasses.replace(request(depth), start=start))
     assert told["config"]["inputs"]["image_size"] == 0
     # An actor of SAC takes over its trunk and its actions.
     other = train_in(
@@ -380,7 +382,7 @@ def test_horizon_and_stillness_of_training_may_differ_from_the_profile(
     polishing = dataclasses.replace(
         TINY, horizon=200, reward_mode="sparse", success_ends=True, stillness="absolute"
     )
-    with sessions.open_reinforcement(request(polishing, out=tmp_path)) as session:
+    with train.open_reinforcement(request(polishing, out=tmp_path)) as session:
         assert session.env.task_config.stillness == "absolute"
         assert session.env.task_config.limits["close"].horizon == 200
         assert session.env.config.reward_mode == "sparse"
@@ -391,7 +393,7 @@ def test_a_stillness_of_the_command_goes_before_that_of_the_preset(
     tmp_path: Path,
 ) -> None:
     told = request(dataclasses.replace(TINY, stillness="absolute"), stillness="published")
-    with sessions.open_reinforcement(dataclasses.replace(told, out=tmp_path)) as session:
+    with train.open_reinforcement(dataclasses.replace(told, out=tmp_path)) as session:
         assert session.env.task_config.stillness == "published"
 
 

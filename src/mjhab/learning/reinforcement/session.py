@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,24 +13,19 @@ import torch
 from torch import Tensor
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.reporting import CHECKERS
-from mjhab.learning.checkpoint import load_student
-from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.environments import training_env
+from mjhab.learning.reinforcement.request import start_of
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs import distributed
 from mjhab.learning.runs.budget import BudgetTooSmallError, FirstUpdate, StepClock
-from mjhab.learning.runs.request import config_of
-from mjhab.learning.runs.run import TRAINING, TrainingFolder
+from mjhab.learning.runs.run import TrainingFolder
 from mjhab.learning.runs.session import Session
 from mjhab.learning.runs.specs import Resources
-from mjhab.learning.students.bc import BehaviourCloning
-from mjhab.learning.students.gaussian import gaussian_of
 from mjhab.learning.students.heads import check_student
 from mjhab.learning.students.student import Student
 from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
@@ -68,7 +61,7 @@ class Learner(Protocol):
 
 
 class ReinforcementSession(Session):
-    """A run of reinforcement learning. Make one with `open_reinforcement`, and give it the algorithm, ``run``."""
+    """A run of reinforcement learning. Make one with `train.open_reinforcement`, which sets the algorithm, ``run``."""
 
     spec: ReinforcementSpec
     run: Learner
@@ -83,7 +76,7 @@ class ReinforcementSession(Session):
         if threads:
             torch.set_num_threads(threads)
         super().__init__(spec, folder, checkpoint)
-        self.start = _start_of(spec)
+        self.start = start_of(spec)
         self.config = spec.config
         if self.start is not None:
             self.config = dataclasses.replace(
@@ -287,90 +280,3 @@ class ReinforcementSession(Session):
             "demonstrations": self.demonstrations,
             "time_shares": self.time_shares(),
         }
-
-
-def _start_of(spec: ReinforcementSpec) -> Student | None:
-    """Load the student that the actor starts from; None if the run names none.
-
-    Raises:
-        UsageError: the file cannot be read, or its algorithm does not fit the one to train.
-    """
-    if not spec.start:
-        return None
-    student = load_student(spec.start)
-    # Only the first action of a chunk is used; SAC squashes it, so a student of behaviour cloning is converted.
-    known = (BC,) if spec.config.ppo is not None else (BC, GAUSSIAN, GAUSSIAN_ACTIONS)
-    if student.config.algorithm not in known or student.config.inputs.history != 1:
-        raise UsageError(
-            f"{spec.config.algorithm} begins from a checkpoint of algorithm {' or '.join(known)} with a history of "
-            f"1; {spec.start} has algorithm {student.config.algorithm} and history "
-            f"{student.config.inputs.history}."
-        )
-    if spec.config.sac is not None and isinstance(student, BehaviourCloning):
-        student = gaussian_of(student)
-    student.config = dataclasses.replace(student.config, execute=1)
-    return student.requires_grad_(True)
-
-
-def _check_start(spec: ReinforcementSpec) -> None:
-    """Refuse a preset that keeps the actor at first, if that actor would be a new one.
-
-    Raises:
-        UsageError: names the options that give a trained actor.
-    """
-    ppo = spec.config.ppo
-    if (
-        ppo is not None
-        and ppo.critic_updates
-        and not ppo.demonstrations
-        and not spec.start
-    ):
-        raise UsageError(
-            f"preset {spec.config.preset} begins from a trained student: give --start CHECKPOINT, or train from "
-            "random weights with --preset scratch."
-        )
-
-
-def resolved_config(spec: ReinforcementSpec) -> dict[str, Any]:
-    """Everything that determines the result of a run, as JSON data.
-
-    Raises:
-        UsageError: the student that the actor starts from cannot be read.
-    """
-    config = spec.config
-    if spec.start:
-        # The network of the preset stays: it is that of the critic.
-        config = dataclasses.replace(
-            config, inputs=load_student(spec.start).config.inputs
-        )
-    return {
-        **config_of(spec, config),
-        "start": str(spec.start or ""),
-        "recompute_rewards": spec.recompute_rewards,
-        "backend": spec.asked.backend,
-        "processes": distributed.processes(),
-    }
-
-
-@contextmanager
-def open_reinforcement(spec: ReinforcementSpec) -> Iterator[ReinforcementSession]:
-    """Open a training session in the folder of the run; its logs are closed on exit.
-
-    Raises:
-        UsageError: folder, scene or checkpoint do not fit; then nothing was written.
-    """
-    distributed.join()
-    config = resolved_config(spec)
-    first = distributed.rank() == 0
-    mine = spec.out if first else spec.out / f"rank_{distributed.rank()}"
-    if not first:
-        # The first process refuses a folder that is not empty, so it goes first.
-        distributed.wait()
-    TrainingFolder.check(mine, config, resume=spec.resume)
-    _check_start(spec)
-    with TrainingFolder.open(mine, config, resume=spec.resume) as folder:
-        if first:
-            distributed.wait()
-        session = ReinforcementSession(spec, folder, spec.out / TRAINING)
-        with session.log:
-            yield session

@@ -27,17 +27,16 @@ from mjhab.learning.checkpoint import (
 )
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs import distributed
-from mjhab.learning.runs.budget import BudgetTooSmallError, FirstUpdate
+from mjhab.learning.runs.budget import FirstUpdate
 from mjhab.learning.runs.evaluation import (
     EvalResult,
     Evaluations,
     evaluation_row,
 )
 from mjhab.learning.runs.report import render_training_report
-from mjhab.learning.runs.run import Logbook, TrainingFolder, TrainingResult
+from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.specs import Resources, Scene, TrainSpec
 from mjhab.learning.runs.time_budget import TimeBudget
-from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.student import Student
 from mjhab.rollout.records import EpisodeRecord
 
@@ -346,38 +345,3 @@ class Session(ABC):
             self.folder, self.log.rows, self.judged.records, summary
         )
         return summary, self.folder.write_report(page)
-
-
-def run_session(session: Session) -> TrainingResult:
-    """Train, evaluate, and write everything into the folder of the run.
-
-    After Ctrl-C the student is the policy of that moment; a resumed run goes on from the last training checkpoint.
-
-    Raises:
-        BrokenLossError: a loss or a gradient is not finite; the weights from before it are kept.
-    """
-    interrupted = False
-    try:
-        try:
-            session.learn()
-        except OutOfTime:
-            session.log.show({"phase": "the budget is spent"})
-        except BudgetTooSmallError as error:
-            session.log.show({"phase": "the budget is too small"})
-            session.shortage = str(error)
-        session.finish()
-        # Random weights are not judged.
-        if session.spec.eval_episodes and session.state.trained:
-            session.evaluate(session.spec.eval_episodes, last=True)
-    except BrokenLossError:
-        session.stop(broken=True)
-        raise
-    except KeyboardInterrupt:
-        session.stop(broken=False)
-        interrupted = True
-    finally:
-        if not session.state.trained and not distributed.rank():
-            # An evaluation of random weights has left them: they are no policy.
-            session.folder.student.unlink(missing_ok=True)
-        summary, report = session.write_results()
-    return TrainingResult(summary, report, interrupted)

@@ -1,15 +1,19 @@
-"""Training by imitation: a session of the algorithm that a specification names."""
+"""A run of training from its beginning to its end, and the sessions of imitation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from mjhab.learning.runs import distributed
+from mjhab.learning.runs.budget import BudgetTooSmallError
 from mjhab.learning.runs.dagger import DaggerSession
 from mjhab.learning.runs.imitation import ImitationSession
 from mjhab.learning.runs.request import layout_for, resolved_config
-from mjhab.learning.runs.run import TrainingFolder
+from mjhab.learning.runs.run import TrainingFolder, TrainingResult
+from mjhab.learning.runs.session import OutOfTime, Session
 from mjhab.learning.runs.specs import ImitationSpec
+from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.heads import check_student
 
 
@@ -29,3 +33,38 @@ def open_session(spec: ImitationSpec) -> Iterator[ImitationSession]:
         session = kind(spec, layout, folder)
         with session.log:
             yield session
+
+
+def run_session(session: Session) -> TrainingResult:
+    """Train, evaluate, and write everything into the folder of the run.
+
+    After Ctrl-C the student is the policy of that moment; a resumed run goes on from the last training checkpoint.
+
+    Raises:
+        BrokenLossError: a loss or a gradient is not finite; the weights from before it are kept.
+    """
+    interrupted = False
+    try:
+        try:
+            session.learn()
+        except OutOfTime:
+            session.log.show({"phase": "the budget is spent"})
+        except BudgetTooSmallError as error:
+            session.log.show({"phase": "the budget is too small"})
+            session.shortage = str(error)
+        session.finish()
+        # Random weights are not judged.
+        if session.spec.eval_episodes and session.state.trained:
+            session.evaluate(session.spec.eval_episodes, last=True)
+    except BrokenLossError:
+        session.stop(broken=True)
+        raise
+    except KeyboardInterrupt:
+        session.stop(broken=False)
+        interrupted = True
+    finally:
+        if not session.state.trained and not distributed.rank():
+            # An evaluation of random weights has left them: they are no policy.
+            session.folder.student.unlink(missing_ok=True)
+        summary, report = session.write_results()
+    return TrainingResult(summary, report, interrupted)

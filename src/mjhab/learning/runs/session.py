@@ -116,6 +116,9 @@ class Session(ABC):
         self.judging = Resources()
         """Resources of evaluations."""
 
+    config: Any
+    """Configuration of the policy."""
+
     @property
     @abstractmethod
     def policy(self) -> Student:
@@ -221,8 +224,8 @@ class Session(ABC):
             self.state.student_samples = self.state.samples
 
     def _named(self) -> dict[str, Any]:
-        config = cast(Any, self.spec).config
-        return {"algorithm": config.algorithm, "preset": config.preset}
+        algorithm = cast(Any, self.spec).config.algorithm
+        return {"algorithm": algorithm, "preset": self.config.preset}
 
     def keep_best(self) -> None:
         """Make the checkpoint with the best evaluation the run's student; of equal ones the latest.

@@ -11,7 +11,7 @@ import tyro
 
 from mjhab import register_all
 from mjhab.cli import commands
-from mjhab.cli.exits import BROKEN_PIPE, FAILED, INTERRUPTED, USAGE
+from mjhab.cli.exits import BROKEN_PIPE, FAILED, INTERRUPTED, OK, USAGE
 from mjhab.cli.options.limits import check_limits
 from mjhab.cli.parsing import TYRO, Parsed, parse_spec
 from mjhab.cli.renamed import with_new_names

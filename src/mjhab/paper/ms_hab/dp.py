@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from mjhab.learning.students.diffusion import UNet
 from mjhab.paper.ms_hab import ddpm
 from mjhab.paper.ms_hab.network import (
     ACTION_SIZE,
@@ -24,7 +25,6 @@ from mjhab.paper.ms_hab.network import (
     size,
     squash_depth,
 )
-from mjhab.learning.students.diffusion import UNet
 
 ACT_STEPS = 8
 """Number of actions of a plan that are executed."""

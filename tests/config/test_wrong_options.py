@@ -16,6 +16,7 @@ import mjhab
 from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.core.errors import UsageError
 from mjhab.scenes.pack_source import PackRequest, pack_request
+from tests.refusals import refused
 
 WRONG: dict[Any, tuple[Any, ...]] = {
     str: (3, 1.5, True, [], ["a"], {}, b"x", object(), "x" * 5000, "a\0b", math.nan),
@@ -85,7 +86,7 @@ def test_values_of_another_type_are_refused_by_name(config: type[EnvConfig]):
     "size", [0, 10**6, (3,), (3, 4, 5), (0, 3), ("a", "b"), 1.5, "128"]
 )
 def test_sizes_of_images_are_one_or_two_numbers(size: Any):
-    with pytest.raises(UsageError, match="camera_size must be"):
+    with refused("camera_size"):
         EnvConfig(camera_size=size)
 
 
@@ -176,7 +177,7 @@ def test_masses_and_scales_are_numbers(value: Any):
 
 @pytest.mark.parametrize("value", [None, 3, [], "a b", "../x", object()], ids=type_name)
 def test_sources_of_packs_have_a_name_and_functions(value: Any):
-    with pytest.raises(UsageError, match="is no name"):
+    with pytest.raises(UsageError, match="must be a name"):
         mjhab.PackSource(value, lambda request: mjhab.open_pack())
     with pytest.raises(UsageError, match="must be functions"):
         mjhab.PackSource("mine", value)
@@ -223,6 +224,6 @@ def test_evaluations_and_data_sets_refuse_other_types_before_anything_is_written
                 "episodes": 1,
                 name: value,
             }
-            with pytest.raises(UsageError, match=f"{name} must be"):
+            with refused(name):
                 run("zero", **options)
     assert not list(tmp_path.iterdir())

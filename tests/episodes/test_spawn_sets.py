@@ -194,16 +194,16 @@ def forged(value: Any) -> Callable[[np.ndarray], np.ndarray]:
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("home", forged("../../x"), r"column 'home': '\.\./\.\./x' is no name"),
-        ("home", forged("/etc/x"), r"column 'home': '/etc/x' is no name"),
-        ("targets", forged("a b"), r"column 'targets': 'a b' is no name"),
+        ("home", forged("../../x"), r"column 'home' must be a name"),
+        ("home", forged("/etc/x"), r"column 'home' must be a name"),
+        ("targets", forged("a b"), r"column 'targets' must be a name"),
         ("qpos", forged(np.nan), r"column 'qpos' has numbers that are not finite"),
         (
             "object_pose",
             forged(1e300),
-            r"column 'object_pose': 1e\+300 is out of the range",
+            r"column 'object_pose' must be in the range",
         ),
-        ("points", forged(-5000.0), r"column 'points': -5000 is out of the range"),
+        ("points", forged(-5000.0), r"column 'points' must be in the range"),
         (
             "link_q",
             lambda column: column[:-1],
@@ -264,7 +264,7 @@ def test_a_recipe_with_a_name_that_is_none_is_refused(
     path = tmp_path / "forged.npz"
     write(path, header, made.columns)
     with pytest.raises(
-        UsageError, match=rf"forged\.npz .*recipe, {field}: '\.\./x' is no name"
+        UsageError, match=rf"forged\.npz .*recipe, {field} must be a name"
     ):
         SpawnSet.read(path)
 

@@ -172,31 +172,31 @@ BAD: dict[str, tuple[Change, str]] = {
     ),
     "small floor": (
         setting("floor", size=[0.5, 5.0]),
-        r"floor\.size: 0\.5 is out of the range",
+        r"floor\.size must be in the range",
     ),
     "huge floor": (
         setting("floor", size=[6.0, 1e9]),
-        r"floor\.size: 1e\+09 is out of the range",
+        r"floor\.size must be in the range",
     ),
     "thick walls": (
         setting("walls", thickness=3.0),
-        r"walls\.thickness: 3 is out of the range",
+        r"walls\.thickness must be in the range",
     ),
     "outside": (
         furniture({"kind": "sofa", "at": [9.0, 2.0]}),
-        "furniture 'sofa', x of at: 9 is out of the range 0 to 6",
+        "furniture 'sofa', x of at must be in the range 0 to 6",
     ),
     "turned too far": (
         furniture({"kind": "sofa", "at": [4.0, 1.0], "yaw_degrees": 5000}),
-        "yaw_degrees: 5000 is out of the range",
+        "yaw_degrees must be in the range",
     ),
     "not a number": (
         furniture({"kind": "sofa", "at": [4.0, "left"]}),
-        r"home\.furniture\[2\]\.at\[1\]: expected a number, got 'left'",
+        r"home\.furniture\[2\]\.at\[1\] must be a finite number, got 'left'",
     ),
     "unknown field": (
         furniture({"kind": "sofa", "at": [4.0, 1.0], "color": "red"}),
-        r"home\.furniture\[2\]: unknown field 'color'; fields are kind, at, yaw_degrees",
+        r"home\.furniture\[2\]: unknown field 'color'\. Valid names: at, kind, yaw_degrees",
     ),
     "two fridges": (
         furniture(
@@ -244,7 +244,7 @@ BAD: dict[str, tuple[Change, str]] = {
                 }
             ]
         ),
-        r"half: 1e\+06 is out of the range",
+        r"half must be in the range",
     ),
     "receptacle out of reach": (
         lambda body: (
@@ -259,12 +259,12 @@ BAD: dict[str, tuple[Change, str]] = {
     ),
     "no room": (
         setting("floor", size=[1.9, 5.0]),
-        "furniture 'table_01', x of at: 2 is out of the range 0 to 1.9",
+        "furniture 'table_01', x of at must be in the range 0 to 1.9",
     ),
     "another format": (lambda body: body.update(format="home"), "field 'format' must be"),
     "bad name": (
         lambda body: body.update(name="../room"),
-        r"home\.name: '\.\./room' is no name",
+        r"home\.name must be a name",
     ),
 }
 

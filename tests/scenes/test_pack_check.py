@@ -117,7 +117,7 @@ def test_numbers(saved: tuple[Path, str], place: str, value: Any) -> None:
     field = place.rstrip("0123456789.").rpartition(".")[2]
     with pytest.raises(
         UsageError,
-        match=rf"pack\.json: .*{field}.*(out of the range|has length|finite|empty|no area)",
+        match=rf"pack\.json: .*{field}.*(in the range|of length|finite|empty|no area)",
     ):
         load_pack(write(saved, place, value))
 
@@ -138,7 +138,7 @@ NAMES = [
 @pytest.mark.parametrize("place", NAMES)
 def test_names(saved: tuple[Path, str], place: str, value: str) -> None:
     with pytest.raises(
-        UsageError, match=r"pack\.json: .*(is no name|is not in the pack)"
+        UsageError, match=r"pack\.json: .*(must be a name|is not in the pack)"
     ):
         load_pack(write(saved, place, value))
 

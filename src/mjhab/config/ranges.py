@@ -5,7 +5,7 @@ from __future__ import annotations
 from numbers import Integral
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_type, wrong_value
 
 MAX_NUMBER = 10**9
 """Largest value of an option that has no range of its own."""
@@ -43,9 +43,9 @@ def check_range(shown: str, value: float, least: float, most: float) -> None:
         UsageError: the number is too small or too large.
     """
     if value < least:
-        raise UsageError(f"{shown} must be at least {least:,}, got {value}.")
+        raise wrong_value(shown, value, f"at least {least:,}")
     if value > most:
-        raise UsageError(f"{shown} must be at most {most:,}, got {value}.")
+        raise wrong_value(shown, value, f"at most {most:,}")
 
 
 def whole_number(name: str, value: Any, least: int | None = None) -> int:
@@ -62,8 +62,6 @@ def whole_number(name: str, value: Any, least: int | None = None) -> int:
     low, most = range_of(name)
     low = low if least is None else least
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise UsageError(
-            f"{name} must be a whole number of at least {low:,}, got {value!r}."
-        )
+        raise wrong_type(name, value, f"a whole number of at least {low:,}")
     check_range(name, int(value), low, most)
     return int(value)

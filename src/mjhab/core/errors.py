@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 import logging
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 120
@@ -20,7 +21,33 @@ class MjhabError(Exception):
 
 
 class UsageError(MjhabError):
-    """The caller gave something that cannot work; the message says what would."""
+    """The caller gave something that cannot work; the message says what would.
+
+    Attributes:
+        option: what is at fault: an option, an argument, a field, a key of a file; "" if the error is about none.
+        given: what it was given; None where the message alone tells.
+        expected: the valid names, or a phrase such as ``"at least 1"``; "" where the message alone tells.
+        where: the file or object that has the field; "" for none.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        option: str = "",
+        given: object = None,
+        expected: str | tuple[str, ...] = "",
+        where: str = "",
+    ) -> None:
+        super().__init__(message)
+        self.option = option
+        self.given = given
+        self.expected = expected
+        self.where = where
+
+
+class FieldError(UsageError, ValueError):
+    """A value does not fit its field; whoever knows the file that holds it tells so with `about`."""
 
 
 def shown(value: object) -> str:
@@ -28,12 +55,66 @@ def shown(value: object) -> str:
     return " ".join(_REPR.repr(value).split())
 
 
+def wrong_value(
+    option: str,
+    given: object,
+    expected: str | tuple[str, ...],
+    advice: str = "",
+    where: object = "",
+) -> FieldError:
+    """Build the error for a value that an option or field cannot have: the one form of these messages.
+
+    Args:
+        option: what has the value.
+        given: the value.
+        expected: what would fit, as a phrase that follows "must be", or the names that would.
+        advice: what to do, a sentence; "" if that is clear.
+        where: the file or object that has the field; "" for none.
+    """
+    return _refusal(option, given, expected, shown(given), advice, where)
+
+
+def wrong_type(
+    option: str, given: object, expected: str, advice: str = "", where: object = ""
+) -> FieldError:
+    """Build the error for a value of another type than expected; the message names its type, too. See `wrong_value`."""
+    told = f"{shown(given)} ({type(given).__name__})"
+    return _refusal(option, given, expected, told, advice, where)
+
+
+def _refusal(
+    option: str,
+    given: object,
+    expected: str | tuple[str, ...],
+    told: str,
+    advice: str,
+    where: object,
+) -> FieldError:
+    wanted = expected if isinstance(expected, str) else " or ".join(expected)
+    message = _joined(f"{option} must be {wanted}, got {told}.", advice)
+    return FieldError(
+        f"{where}: {message}" if where else message,
+        option=option,
+        given=given,
+        expected=expected,
+        where=str(where),
+    )
+
+
+def missing_field(name: str, where: object = "") -> FieldError:
+    """Build the error for a field that a file or object ``where`` must have."""
+    message = f"field {name!r} is missing."
+    message = f"{where}: {message}" if where else message
+    return FieldError(message, option=name, expected="given", where=str(where))
+
+
 def unknown_name(
     kind: str,
     given: object,
     valid: Iterable[str],
     elsewhere: Mapping[str, str] | None = None,
-) -> UsageError:
+    where: object = "",
+) -> FieldError:
     """Build the error for a name that is not in a closed list.
 
     Args:
@@ -41,22 +122,57 @@ def unknown_name(
         given: the name that was asked for; whatever is no text is told as such.
         valid: every accepted name; "" is left out.
         elsewhere: names that other projects use, and a sentence about what to give here.
+        where: the file or object that has the name; "" for none.
     """
-    names = sorted(filter(None, valid))
+    names = tuple(sorted(filter(None, valid)))
     if not isinstance(given, str):
-        told = f"{shown(given)} ({type(given).__name__})"
-        return UsageError(
-            f"{kind} must be a name, got {told}. Valid names: {', '.join(names)}."
-        )
-    if elsewhere and given in elsewhere:
-        return UsageError(
-            f"unknown {kind} {shown(given)}. {elsewhere[given]} Valid names: {', '.join(names)}."
-        )
-    near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
-    return UsageError(
-        f"unknown {kind} {shown(given)}.{hint} Valid names: {', '.join(names)}."
+        said = f"{kind} must be a name, got {shown(given)} ({type(given).__name__})."
+    elif elsewhere and given in elsewhere:
+        said = f"unknown {kind} {shown(given)}. {elsewhere[given]}"
+    else:
+        near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
+        hint = f"Did you mean {near[0]!r}?" if near else ""
+        said = _joined(f"unknown {kind} {shown(given)}.", hint)
+    message = f"{said} Valid names: {', '.join(names)}."
+    return FieldError(
+        f"{where}: {message}" if where else message,
+        option=kind,
+        given=given,
+        expected=names,
+        where=str(where),
     )
+
+
+def _joined(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))
+
+
+@contextmanager
+def about(
+    where: object,
+    kinds: type[Exception] | tuple[type[Exception], ...] = ValueError,
+    advice: str = "",
+) -> Iterator[None]:
+    """Errors from inside become a UsageError that names the file or object they are about, and keeps their fields.
+
+    Args:
+        where: the file or object.
+        kinds: which errors; a `FieldError` is a ValueError.
+        advice: what to do, a sentence.
+    """
+    try:
+        yield
+    except kinds as error:
+        message = _joined(f"{where}: {str(error).removesuffix('.')}.", advice)
+        if not isinstance(error, UsageError):
+            raise UsageError(message, where=str(where)) from error
+        raise UsageError(
+            message,
+            option=error.option,
+            given=error.given,
+            expected=error.expected,
+            where=str(where),
+        ) from error
 
 
 def warn_once(text: str) -> None:

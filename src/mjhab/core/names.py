@@ -12,12 +12,16 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import UsageError, shown, wrong_value
 
 MAX_NAME_CHARACTERS = 128
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_./:-]*")
 
 
+_EXPECTED_NAME = (
+    f"a name of letters, digits and _ - . / : (at most {MAX_NAME_CHARACTERS}), without "
+    "'..' and no absolute path"
+)
 _COPY = "_:"
 
 
@@ -50,7 +54,7 @@ def check_name(what: str, name: Any, *, empty: bool = False) -> str:
         empty: "" is accepted, too.
 
     Raises:
-        ValueError: no text; longer than `MAX_NAME_CHARACTERS`; other characters than ASCII letters, digits and
+        FieldError: no text; longer than `MAX_NAME_CHARACTERS`; other characters than ASCII letters, digits and
             ``_ - . / :``; a part that is empty or begins with a dot (so no ``..``); or an absolute path.
     """
     if isinstance(name, str) and len(name) <= MAX_NAME_CHARACTERS:
@@ -63,30 +67,24 @@ def check_name(what: str, name: Any, *, empty: bool = False) -> str:
             and not any(part.startswith(".") or not part for part in parts)
         ):
             return name
-    raise ValueError(
-        f"{what}: {shown(name)} is no name. Expected letters, digits and _ - . / : (at most {MAX_NAME_CHARACTERS}), "
-        "without '..' and not an absolute path."
-    )
+    raise wrong_value(what, name, _EXPECTED_NAME)
 
 
-def check_texts(what: str, texts: Any) -> None:
+def check_texts(what: str, texts: Any, where: str = "") -> None:
     """Check a sequence of texts; a plain text would be read letter by letter.
 
     Args:
-        what: which field of what, for the message: "subtask 'push': words".
+        what: which field, for the message: "words".
         texts: what was given.
+        where: what the field belongs to: "subtask 'push'".
 
     Raises:
         UsageError: it is a plain text, no sequence, or something in it is no text.
     """
-    if isinstance(texts, str):
-        raise UsageError(
-            f"{what} must be a tuple of texts, got the text {texts!r}; write ({texts!r},)."
-        )
-    if not isinstance(texts, Collection) or not all(
-        isinstance(text, str) for text in texts
-    ):
-        raise UsageError(f"{what} must be a tuple of texts, got {texts!r}.")
+    advice = f"Write ({shown(texts)},)." if isinstance(texts, str) else ""
+    is_several = isinstance(texts, Collection) and not isinstance(texts, str)
+    if not is_several or not all(isinstance(text, str) for text in texts):
+        raise wrong_value(what, texts, "a tuple of texts", advice, where)
 
 
 def below(root: Path, *parts: str | Path) -> Path:

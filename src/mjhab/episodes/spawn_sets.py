@@ -28,13 +28,13 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, about
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import is_file, parse_json
 from mjhab.core.names import check_name
 from mjhab.core.seeding import stream
-from mjhab.core.typed.records import read_record
+from mjhab.core.typed.options import read_record
 from mjhab.core.version import __version__
 from mjhab.episodes.episode import Episode
 from mjhab.layout.compile import home_hash
@@ -369,10 +369,8 @@ class SpawnSet:
             stated = header.pop("digest")
             if content_digest(header, columns) != stated:
                 raise ValueError("its content is not what its header says")
-        try:
+        with about(path, advice="Make it again."):
             _check_content(columns)
-        except ValueError as error:
-            raise UsageError(f"{path}: {error} Make it again.") from error
         return cls(path, {**header, "digest": stated}, columns)
 
     @classmethod

@@ -22,7 +22,7 @@ import numpy as np
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import beside, is_file, read_json_object
 from mjhab.core.names import kind_of
-from mjhab.core.typed.records import read_record
+from mjhab.core.typed.options import read_record
 from mjhab.evaluation.evaluate import close_policy
 from mjhab.evaluation.resolve import (
     EXPERT,

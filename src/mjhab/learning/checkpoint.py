@@ -20,7 +20,7 @@ from torch import Tensor
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import is_file, parse_json, reason
-from mjhab.core.typed.records import read_record
+from mjhab.core.typed.options import read_record
 from mjhab.core.version import __version__
 from mjhab.learning.compact import compacted, expanded
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 from mjhab.core.errors import UsageError, shown, unknown_name
 from mjhab.core.typed.bounds import Bound
-from mjhab.core.typed.records import read_record
+from mjhab.core.typed.options import read_record
 from mjhab.robots.registry import robot_named
 
 FromZero = Annotated[int, Bound(0)]

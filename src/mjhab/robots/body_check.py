@@ -52,7 +52,7 @@ def check_record(record: Any, owner: str, apart: Collection[str] = ()) -> None:
     for field in dataclasses.fields(record):
         if field.name not in apart:
             value = getattr(record, field.name)
-            fitting(f"{owner}: {field.name}", hints[field.name], value)
+            fitting(field.name, hints[field.name], value, owner)
 
 
 def check_body(body: Body, needs: BodyNeeds) -> Body:
@@ -105,7 +105,7 @@ def _check_types(body: Body, owner: str) -> None:
         name = f"{owner}.inertials of {link!r}"
         check_record(fitting(name, Inertial, inertial), name)
     for link, geoms in body.collision.items():
-        fitting(f"{owner}.collision of {link!r}", tuple[Geom, ...], geoms)
+        fitting(f"collision of {link!r}", tuple[Geom, ...], geoms, owner)
 
 
 def _is_range(limits: Any) -> bool:

@@ -185,9 +185,9 @@ class Robot:
     def _take_groups(self) -> None:
         """Take the joints of every group as a tuple of names, and the cameras as a tuple."""
         owner = f"robot {self.name!r}"
-        given = fitting(f"{owner}: groups", Mapping, self.groups)
+        given = fitting("groups", Mapping, self.groups, owner)
         groups = {
-            group: fitting(f"{owner}: group {group!r}", tuple[str, ...], joints)
+            group: fitting(f"group {group!r}", tuple[str, ...], joints, owner)
             for group, joints in given.items()
         }
         object.__setattr__(self, "groups", groups)
@@ -205,8 +205,9 @@ class Robot:
             parts[name] = getattr(self, name)
         for name, part in parts.items():
             check_record(part, f"robot {self.name!r}: {name}")
+        owner = f"robot {self.name!r}"
         for name, material in self.materials.items():
-            fitting(f"robot {self.name!r}: material {name!r}", Material, material)
+            fitting(f"material {name!r}", Material, material, owner)
 
     def _check_gains(self) -> None:
         lacking = [g for g in GROUPS if self.group(g) and g not in self.gains]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, about
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
@@ -41,10 +41,8 @@ def check_home(source: Path, pack: Pack, home: Home) -> None:
     Raises:
         UsageError: the home fails a check, see `mjhab.scenes.home_files.home_pack`.
     """
-    try:
+    with about(source):
         _check_numbers(home)
-    except ValueError as error:
-        raise UsageError(f"{source}: {error}") from error
     _check_singles(source, home)
     _check_overlaps(source, pack, home)
     _check_reach(source, pack, home)

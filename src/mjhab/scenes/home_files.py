@@ -15,12 +15,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, about, unknown_name
 from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
-from mjhab.core.typed.options import fitting
-from mjhab.core.typed.records import read_record
+from mjhab.core.typed.options import fitting, read_record
 from mjhab.scenes.builtin.furniture import (
     builtin_articulations,
     builtin_props,
@@ -193,11 +192,9 @@ def read_home_file(file: Path) -> HomeFile:
             f"{file}: field 'walls' is missing: a home has walls around its floor. "
             'At least: "walls": {"outer": "wall_white"}.'
         )
-    try:
+    with about(file):
         stated: HomeFile = read_record(HomeFile, body, "home")
         check_name("home.name", stated.name)
-    except ValueError as error:
-        raise UsageError(f"{file}: {error}") from error
     return stated
 
 
@@ -283,10 +280,7 @@ def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
 def _new_receptacle(record: FileReceptacle, where: str) -> Receptacle:
     if record.center is None or record.half is None:
         raise UsageError(f"{where}: a new receptacle needs both center and half.")
-    try:
-        check_name(f"{where}.name", record.name)
-    except ValueError as error:
-        raise UsageError(str(error)) from error
+    check_name(f"{where}.name", record.name)
     return Receptacle(record.name, record.center, record.half, record.height)
 
 

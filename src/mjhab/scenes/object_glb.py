@@ -62,12 +62,9 @@ def object_from_glb(
     path = Path(fitting("path of the object", str, path))
     mass = fitting(f"mass of {shown(name)}", float, mass)
     scale = fitting(f"scale of {shown(name)}", float, scale)
-    try:
-        check_name("name of the object", name)
-        check_range(f"mass of {name}", mass, MIN_MASS_KG, MAX_MASS_KG, "kg")
-        check_range(f"scale of {name}", scale, 1e-6, 1e6, "1")
-    except ValueError as error:
-        raise UsageError(str(error)) from error
+    check_name("name of the object", name)
+    check_range(f"mass of {name}", mass, MIN_MASS_KG, MAX_MASS_KG, "kg")
+    check_range(f"scale of {name}", scale, 1e-6, 1e6, "1")
     parts = [_upright(part, scale) for part in read_glb(path)]
     pieces = [part for part in parts if part.mesh.startswith(COLLISION_PREFIX)]
     seen = [part for part in parts if not part.mesh.startswith(COLLISION_PREFIX)]

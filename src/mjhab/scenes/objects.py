@@ -43,9 +43,9 @@ class ObjectModel:
             )
         owner = f"object {self.kind.name!r}"
         for name, hint in typing.get_type_hints(ObjectType).items():
-            fitting(f"{owner}: {name}", hint, getattr(self.kind, name))
-        fitting(f"{owner}: meshes", Mapping[str, Mesh], self.meshes)
-        check_texts(f"object {self.kind.name!r}: words", self.words)
+            fitting(name, hint, getattr(self.kind, name), owner)
+        fitting("meshes", Mapping[str, Mesh], self.meshes, owner)
+        check_texts("words", self.words, owner)
         if not all(word.strip() for word in self.words):
             raise UsageError(
                 f"object {self.kind.name!r}: words must not be empty, got {self.words}."

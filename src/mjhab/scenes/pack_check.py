@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import about, wrong_value
 from mjhab.core.names import check_name
 from mjhab.scenes.spec import (
     Geom,
@@ -121,15 +121,13 @@ def check_pack(pack: Pack, source: Path | str) -> Pack:
         UsageError: a name is invalid, a number is not finite or out of its range (`RANGES`, `UNIT_VECTORS`), an object
             or a link has no geom that collides, or a link collides as a mesh; the message names the field.
     """
-    try:
+    with about(source):
         check_name("name of the pack", pack.name)
         extents = {name: _mesh_extent(name, mesh) for name, mesh in pack.meshes.items()}
         _check_each("props", pack.props.values(), extents)
         _check_each("articulations", pack.articulations.values(), extents)
         _check_each("objects", pack.objects.values(), extents)
         _check_each("homes", pack.homes, extents)
-    except ValueError as error:
-        raise UsageError(f"{source}: {error}") from error
     return pack
 
 
@@ -176,15 +174,14 @@ def check_range(where: str, value: Any, low: float, high: float, unit: str) -> N
     """
     for number in np.ravel(np.asarray(value, np.float64)).tolist():
         if not low <= number <= high:
-            raise ValueError(
-                f"{where}: {number:g} is out of the range {low:g} to {high:g} [{unit}]."
-            )
+            expected = f"in the range {low:g} to {high:g} [{unit}]"
+            raise wrong_value(where, number, expected)
 
 
 def _check_unit(where: str, value: tuple[float, ...]) -> None:
     length = math.hypot(*value)
     if not abs(length - 1.0) <= UNIT_TOLERANCE:
-        raise ValueError(f"{where}: {list(value)} has length {length:g}, not 1.")
+        raise wrong_value(where, list(value), f"of length 1, not {length:g}")
 
 
 def _check_size(where: str, geom: Geom, extent: float) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, about
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import read_json_object
-from mjhab.core.typed.records import read_record
+from mjhab.core.typed.options import read_record
 from mjhab.scenes.pack_check import check_pack
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.roles import check_roles, present_roles
@@ -107,10 +107,8 @@ def load_pack(folder: Path) -> Pack:
     except ValueError as error:
         raise UsageError(f"{path}: {error}") from error
     _check_names(pack, path)
-    try:
+    with about(path):
         check_roles(pack)
-    except ValueError as error:
-        raise UsageError(f"{path}: {error}") from error
     return check_pack(pack, path)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, about, shown, unknown_name
 from mjhab.core.files.reading import beside
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
@@ -39,7 +39,7 @@ class PackRequest:
 
     def __post_init__(self) -> None:
         for name, hint in typing.get_type_hints(type(self)).items():
-            value = fitting(f"assets: {name}", hint, getattr(self, name))
+            value = fitting(name, hint, getattr(self, name), "assets")
             object.__setattr__(self, name, value)
         names = [name for text in self.articulate for name in text.split(",") if name]
         object.__setattr__(self, "articulate", tuple(sorted(set(names))))
@@ -125,16 +125,16 @@ class PackSource:
     options: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        try:
-            check_name("name of a pack source", self.name)
-        except ValueError as error:
-            raise UsageError(str(error)) from error
+        check_name("name of a pack source", self.name)
         if not callable(self.open) or not (self.finds is None or callable(self.finds)):
             raise UsageError(
                 f"pack source {self.name!r}: open, and finds unless it is None, must be functions."
             )
         options = fitting(
-            f"pack source {self.name!r}: options", tuple[str, ...], (*self.options,)
+            "options",
+            tuple[str, ...],
+            (*self.options,),
+            f"pack source {self.name!r}",
         )
         object.__setattr__(self, "options", frozenset(options))
 
@@ -176,11 +176,9 @@ def source_of(request: PackRequest) -> PackSource | None:
     Raises:
         UsageError: the source does not accept an option of the request, or the place is not a valid path.
     """
-    try:
+    with about("assets"):
         # Refuse names that no file can have before sources look for files.
         beside(Path(), request.place)
-    except ValueError as error:
-        raise UsageError(f"assets: {error}") from error
     found = _named_source(request.place) or next(
         (
             s

@@ -63,7 +63,7 @@ def test_a_name_is_registered_once(shelf: Registry[object]) -> None:
 @pytest.mark.parametrize("name", ["", 3, [], "../up", "two words"])
 def test_what_is_no_name_is_refused(shelf: Registry[object], name: Any) -> None:
     before = shelf.names()
-    with pytest.raises(UsageError, match="is no name"):
+    with pytest.raises(UsageError, match="must be a name"):
         shelf.add(name, object())
     assert shelf.names() == before
 

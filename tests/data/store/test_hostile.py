@@ -89,13 +89,13 @@ def test_a_name_in_a_record_leads_nowhere(
         lambda: WindowDataset(path),
     ):
         with pytest.raises(
-            DamagedError, match=rf"episode {first} of .*is no name.*mjhab data check"
+            DamagedError, match=rf"episode {first} of .*must be a name.*mjhab data check"
         ):
             act()
     report = check(path)
     assert (
         list(report.damaged) == [(path, first)]
-        and "is no name" in report.damaged[path, first][0]
+        and "must be a name" in report.damaged[path, first][0]
     )
     assert everything(tmp_path) == before
     assert repair(path).kept == 2
@@ -106,7 +106,7 @@ def test_a_name_in_a_record_leads_nowhere(
 def test_a_part_of_a_split_is_a_name(tmp_path: Path, picks: bytes, part: str) -> None:
     (tmp_path / "a.h5").write_bytes(picks)
     before = everything(tmp_path)
-    with pytest.raises(UsageError, match=r"name of a part: .* is no name"):
+    with pytest.raises(UsageError, match=r"name of a part must be a name"):
         split([tmp_path / "a.h5"], tmp_path / "out", {part: 1.0})
     assert everything(tmp_path) == before
 

@@ -107,7 +107,7 @@ def test_what_it_does_not_know_is_named(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('<link name="lid"/>', '<link name="../../lid"/>', "is no name"),
+        ('<link name="lid"/>', '<link name="../../lid"/>', "must be a name"),
         ('xyz="1, 2 3"', 'xyz="1 1e300 3"', "origin xyz: expected 3 numbers"),
         ("0.4, 0.6", "0.4, 1e9", "box size: expected 3 numbers"),
     ],

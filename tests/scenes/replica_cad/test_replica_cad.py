@@ -339,7 +339,7 @@ SCENES = f"configs/scenes/{SCENE}.scene_instance.json"
             SCENES,
             '"template_name": "chest"',
             '"template_name": "/chest"',
-            r"\[0\]\.template_name: .* is no name",
+            r"\[0\]\.template_name must be a name",
         ),
         (
             SCENES,
@@ -351,7 +351,7 @@ SCENES = f"configs/scenes/{SCENE}.scene_instance.json"
             SCENES,
             '"translation": [1, 0.4, 2]',
             '"translation": [900, 0.4, 2]',
-            r"floor: 901.428 is out of the range",
+            r"floor must be in the range",
         ),
         (
             SCENES,

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import UsageError, about, shown
 
 MAX_JSON_MB = 256
 """Largest JSON text that is read [MB], after it was unpacked; 10,000 episodes in the HAB format take about 90."""
@@ -139,10 +139,8 @@ def read_json(path: Path, most_mb: float = MAX_JSON_MB) -> Any:
         UsageError: see `read_bytes`, `unpack_gzip` and `parse_json`; names the file.
     """
     raw = read_bytes(path, most_mb)
-    try:
+    with about(path):
         return parse_json(unpack_gzip(raw, most_mb))
-    except ValueError as error:
-        raise UsageError(f"{path}: {error}.") from error
 
 
 def read_json_object(path: Path, most_mb: float = MAX_JSON_MB) -> dict[str, Any]:

@@ -36,10 +36,7 @@ class Registry(Generic[Item]):
         Raises:
             UsageError: the name is taken; the message says by whom. Or it is no name, see `check_name`.
         """
-        try:
-            check_name(f"name of the {self._what}", name)
-        except ValueError as error:
-            raise UsageError(str(error)) from error
+        check_name(f"name of the {self._what}", name)
         source = plugins.current_source()
         if name in self._names:
             raise UsageError(

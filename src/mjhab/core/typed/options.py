@@ -1,4 +1,9 @@
-"""Types of options that a caller gives in Python, where no parser has looked at them."""
+"""Values checked against annotations: options that a caller gives in Python, and plain data of files.
+
+msgspec 0.22 would check the types, too, but takes no number of numpy, path or object of a user's class, lets NaN and
+unknown fields of dataclasses pass, and its messages tell neither what was given nor the nearest name: what that needs
+around it is as long as this file. tests/config/test_types.py says what is taken.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +11,13 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from numbers import Integral, Real
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import missing_field, unknown_name, wrong_type, wrong_value
 
 MAX_TEXT_CHARACTERS = 4096
 
@@ -26,10 +31,9 @@ def take_types(options: Any, apart: Collection[str] = (), owner: str = "") -> No
         owner: what the fields belong to, for messages: "task 'set_table'".
 
     Raises:
-        UsageError: see `fitting`.
+        FieldError: see `fitting`.
     """
     hints = typing.get_type_hints(type(options))
-    prefix = f"{owner}: " if owner else ""
     for option in dataclasses.fields(options):
         if option.name in apart:
             continue
@@ -38,7 +42,7 @@ def take_types(options: Any, apart: Collection[str] = (), owner: str = "") -> No
             value = _default(option)
         # Some defaults are None themselves: something else determines them later.
         if value is not None or option.default is dataclasses.MISSING:
-            value = fitting(f"{prefix}{option.name}", hints[option.name], value)
+            value = fitting(option.name, hints[option.name], value, owner)
         object.__setattr__(options, option.name, value)
 
 
@@ -48,27 +52,35 @@ def _default(option: dataclasses.Field[Any]) -> Any:
     return None if option.default is dataclasses.MISSING else option.default
 
 
-def fitting(name: str, hint: Any, value: Any) -> Any:
+def fitting(name: str, hint: Any, value: Any, where: str = "") -> Any:
     """The value of an option, as the plain type that its annotation states.
 
     Args:
         name: of the option, for the message.
-        hint: the annotation: text, whole number, number, yes or no, a tuple of these or of dataclasses, a mapping with
-            texts as keys, a function, a dataclass, one of some values, or several of these.
+        hint: the annotation: text, path, whole number, number, yes or no, a tuple, list or mapping of these or of
+            dataclasses, a function, a dataclass, one of some values, or several of these.
         value: what the caller gave; a path stands for its text, a list for a tuple, a number of numpy for a plain one.
+        where: what the option belongs to, for the message.
 
     Raises:
-        UsageError: it is of another type, or a text that is too long or holds NUL.
+        FieldError: it is of another type, or a text that is too long or holds NUL; the message names the entry.
     """
-    kinds = typing.get_args(hint) if _is_union(hint) else (hint,)
-    for kind in kinds:
-        found = _read(name, kind, value)
-        if found is not _UNFIT:
-            return found
-    expected = " or ".join(map(_in_words, kinds))
-    raise UsageError(
-        f"{name} must be {expected}, got {shown(value)} ({type(value).__name__})."
-    )
+    return _Reader(where, plain=False).read(name, hint, value)
+
+
+def read_record(kind: Any, value: Any, name: str, where: object = "") -> Any:
+    """Plain data of a JSON file as ``kind``, see `fitting`; here an object stands for a dataclass with its fields.
+
+    Args:
+        kind: an annotation.
+        value: data of JSON.
+        name: of the value in the file, for the message: "home".
+        where: the file, for the message.
+
+    Raises:
+        FieldError: the value does not fit, or a field is unknown or missing; the message names it: "home.floor.size".
+    """
+    return _Reader(str(where), plain=True).read(name, kind, value)
 
 
 _UNFIT = object()
@@ -79,6 +91,8 @@ _WORDS: dict[Any, str] = {
     bool: "True or False",
     Path: "a path",
     tuple: "a tuple",
+    list: "a list",
+    dict: "an object with texts as keys",
     Mapping: "a mapping with texts as keys",
     Callable: "a function",
     types.NoneType: "None",
@@ -88,70 +102,126 @@ _WORDS: dict[Any, str] = {
 def _in_words(kind: Any) -> str:
     """A type in words, for messages: "a text" for str, "a LabelRule" for a dataclass of that name."""
     origin = typing.get_origin(kind) or kind
+    entries = typing.get_args(kind)
     if origin is typing.Literal:
-        return " or ".join(map(repr, typing.get_args(kind)))
-    is_record = isinstance(kind, type) and dataclasses.is_dataclass(kind)
-    return _WORDS.get(origin, f"a {kind.__name__}" if is_record else str(kind))
+        return " or ".join(map(repr, entries))
+    if origin is tuple and entries and Ellipsis not in entries:
+        return f"a tuple of {len(entries)} entries"
+    return _WORDS.get(origin) or f"a {getattr(kind, '__name__', kind)}"
 
 
-def _is_union(hint: Any) -> bool:
-    return typing.get_origin(hint) in (types.UnionType, typing.Union)
+@dataclasses.dataclass(frozen=True)
+class _Reader:
+    """Turns values into what annotations state.
+
+    where: the file or object that the values are of, for messages.
+    plain: whether they are data of JSON.
+    """
+
+    where: str
+    plain: bool
+
+    def read(self, name: str, hint: Any, value: Any) -> Any:
+        is_union = typing.get_origin(hint) in (types.UnionType, typing.Union)
+        kinds = typing.get_args(hint) if is_union else (hint,)
+        for kind in kinds:
+            found = self._as(name, kind, value)
+            if found is not _UNFIT:
+                return found
+        expected = " or ".join(map(_in_words, kinds))
+        raise wrong_type(name, value, expected, where=self.where)
+
+    def _as(self, name: str, kind: Any, value: Any) -> Any:
+        """The value as ``kind``, or `_UNFIT`."""
+        origin = typing.get_origin(kind) or kind
+        entries = typing.get_args(kind)
+        is_bool = isinstance(value, bool) or type(value).__name__ == "bool"
+        if kind is Any or (origin is typing.Literal and value in entries):
+            return value
+        if origin is bool and is_bool:
+            return bool(value)
+        if origin is int and isinstance(value, Integral) and not is_bool:
+            return int(value)
+        if origin is float and isinstance(value, Real) and not is_bool:
+            return _number(value)
+        if origin in (str, Path) and isinstance(value, str | PathLike):
+            return self._text(name, origin, fspath(value))
+        if origin in (tuple, list) and isinstance(value, list | tuple):
+            return self._sequence(name, kind, value)
+        if origin in (dict, Mapping) and isinstance(value, Mapping):
+            return self._mapping(name, entries, value)
+        if origin is Callable and callable(value):
+            return value
+        if self.plain and dataclasses.is_dataclass(origin) and isinstance(value, dict):
+            return self._fields(name, origin, value)
+        is_object = isinstance(origin, type) and origin not in _WORDS
+        fits = (is_object or origin is types.NoneType) and isinstance(value, origin)
+        return value if fits else _UNFIT
+
+    def _text(self, name: str, kind: Callable[[str], Any], value: Any) -> Any:
+        if not isinstance(value, str):
+            return _UNFIT
+        if len(value) > MAX_TEXT_CHARACTERS or "\0" in value:
+            expected = f"a text of at most {MAX_TEXT_CHARACTERS:,} characters without NUL"
+            raise wrong_value(name, value, expected, where=self.where)
+        return kind(value)
+
+    def _sequence(self, name: str, kind: Any, value: Sequence[Any]) -> Any:
+        origin = typing.get_origin(kind) or kind
+        kinds = typing.get_args(kind) or (Any, ...)
+        if origin is list or Ellipsis in kinds:
+            kinds = (kinds[0],) * len(value)
+        if len(kinds) != len(value):
+            return _UNFIT
+        pairs = enumerate(zip(kinds, value, strict=True))
+        return origin(
+            self.read(f"{name}[{i}]", kind, entry) for i, (kind, entry) in pairs
+        )
+
+    def _mapping(
+        self, name: str, entries: tuple[Any, ...], value: Mapping[Any, Any]
+    ) -> Any:
+        if not all(isinstance(key, str) for key in value):
+            return _UNFIT
+        # Mappings of Python may be read-only or a user's own: only those of files are made anew.
+        if not self.plain or not entries:
+            return value
+        return {
+            key: self.read(f"{name}[{key!r}]", entries[1], entry)
+            for key, entry in value.items()
+        }
+
+    def _fields(self, name: str, kind: Any, value: Mapping[str, Any]) -> Any:
+        hints = typing.get_type_hints(kind)
+        known = {field.name: field for field in dataclasses.fields(kind)}
+        for key in sorted(set(value) - set(known)):
+            raise unknown_name("field", key, known, where=self._place(name))
+        lacking = [
+            key for key, field in known.items() if key not in value and _is_needed(field)
+        ]
+        if lacking:
+            raise missing_field(lacking[0], self._place(name))
+        return kind(
+            **{
+                key: self.read(f"{name}.{key}", hints[key], entry)
+                for key, entry in value.items()
+            }
+        )
+
+    def _place(self, name: str) -> str:
+        return f"{self.where}: {name}" if self.where else name
 
 
-def _read(name: str, kind: Any, value: Any) -> Any:
-    """The value as ``kind``, or `_UNFIT`."""
-    origin = typing.get_origin(kind) or kind
-    is_bool = isinstance(value, bool) or type(value).__name__ == "bool"
-    if origin is types.NoneType:
-        return None if value is None else _UNFIT
-    if origin is bool:
-        return bool(value) if is_bool else _UNFIT
-    if origin is str and isinstance(value, str | PathLike):
-        return _text(name, fspath(value))
-    if origin is Path and isinstance(value, str | PathLike):
-        text = _text(name, fspath(value))
-        return _UNFIT if text is _UNFIT else Path(text)
-    if origin is int and isinstance(value, Integral) and not is_bool:
-        return int(value)
-    if origin is float and isinstance(value, Real) and not is_bool:
-        return _number(value)
-    if origin is tuple and isinstance(value, list | tuple):
-        return _tuple(name, typing.get_args(kind), value)
-    if origin is typing.Literal:
-        return value if value in typing.get_args(kind) else _UNFIT
-    if origin is Callable and callable(value):
-        return value
-    if origin is Mapping and isinstance(value, Mapping):
-        return value if all(isinstance(key, str) for key in value) else _UNFIT
-    if dataclasses.is_dataclass(origin) and isinstance(value, typing.cast(type, origin)):
-        return value
-    return _UNFIT
+def _is_needed(field: dataclasses.Field[Any]) -> bool:
+    return (
+        field.default is dataclasses.MISSING
+        and field.default_factory is dataclasses.MISSING
+    )
 
 
 def _number(value: Real) -> Any:
     try:
         number = float(value)
-    except OverflowError:
+    except OverflowError:  # a whole number of hundreds of digits
         return _UNFIT
     return number if math.isfinite(number) else _UNFIT
-
-
-def _tuple(name: str, kinds: tuple[Any, ...], value: list[Any] | tuple[Any, ...]) -> Any:
-    if Ellipsis in kinds:
-        kinds = (kinds[0],) * len(value)
-    if len(kinds) != len(value):
-        return _UNFIT
-    found = tuple(
-        _read(name, kind, entry) for kind, entry in zip(kinds, value, strict=True)
-    )
-    return _UNFIT if any(entry is _UNFIT for entry in found) else found
-
-
-def _text(name: str, value: Any) -> Any:
-    if not isinstance(value, str):
-        return _UNFIT
-    if len(value) > MAX_TEXT_CHARACTERS or "\0" in value:
-        raise UsageError(
-            f"{name} must be a text of at most {MAX_TEXT_CHARACTERS:,} characters without NUL, got {shown(value)}."
-        )
-    return value

@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import about, missing_field, wrong_type, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import read_json
 from mjhab.core.names import check_name, copy_names
 from mjhab.core.rotations import mat_from_quat, pose_mul, quat_from_mat, quat_from_yaw
+from mjhab.core.typed.checks import check
 from mjhab.scenes.pack_check import MAX_JOINT_POSITION, MAX_POSITION_M, check_range
 
 OBJECT_SUFFIX = ".object_config.json"
@@ -130,17 +131,13 @@ def read_hab(path: Path) -> HabFile:
     """
     body = read_json(path)
     if not isinstance(body, dict) or not isinstance(body.get("episodes"), list):
-        raise UsageError(
-            f"{path}: field 'episodes' must be a list; this is not a file of rearrangement episodes."
-        )
-    if not body["episodes"]:
-        raise UsageError(f"{path}: field 'episodes' is empty.")
-    try:
+        advice = "This is no file of rearrangement episodes."
+        raise wrong_value("episodes", body, "a list", advice, where=path)
+    check(len(body["episodes"]) > 0, "episodes", [], "a list of one or more", where=path)
+    with about(path):
         episodes = tuple(
             _episode(row, f"episodes[{i}]") for i, row in enumerate(body["episodes"])
         )
-    except ValueError as error:
-        raise UsageError(f"{path}: {error}") from error
     return HabFile(
         episodes, {key: value for key, value in body.items() if key != "episodes"}, path
     )
@@ -223,39 +220,38 @@ def from_json(row: Mapping[str, Any]) -> HabEpisode:
     Raises:
         UsageError: a field is missing or has the wrong type.
     """
-    try:
-        return _episode(row, "episode")
-    except ValueError as error:
-        raise UsageError(str(error)) from error
+    return _episode(row, "episode")
 
 
 def _episode(row: Any, where: str) -> HabEpisode:
     if not isinstance(row, Mapping):
-        raise ValueError(f"{where}: expected an object.")
+        raise wrong_type(where, row, "an object")
     for name in ("scene_id", "rigid_objs", "targets"):
         if name not in row:
-            raise ValueError(f"{where}: field {name!r} is missing.")
+            raise missing_field(name, where)
 
     def fitting(name: str, kind: type, default: Any) -> Any:
         value = row.get(name, default)
         if value is None and default is not None:
             return default
         if not isinstance(value, kind):
-            raise ValueError(
-                f"{where}.{name}: expected {kind.__name__}, got {type(value).__name__}."
-            )
+            raise wrong_type(f"{where}.{name}", value, f"a {kind.__name__}")
         return value
 
     objects = fitting("rigid_objs", list, None)
     targets = fitting("targets", dict, None)
     for name, found in (("rigid_objs", objects), ("targets", targets)):
         if len(found) > MAX_OBJECTS:
-            raise ValueError(
-                f"{where}.{name}: {len(found):,} objects; at most {MAX_OBJECTS} can be simulated."
+            raise wrong_value(
+                f"number of {where}.{name}",
+                len(found),
+                f"at most {MAX_OBJECTS:,}: more cannot be simulated",
             )
     info = fitting("info", dict, {})
     if not isinstance(info.get("object_labels", {}), dict):
-        raise ValueError(f"{where}.info.object_labels: expected an object.")
+        raise wrong_type(
+            f"{where}.info.object_labels", info["object_labels"], "an object"
+        )
     episode = HabEpisode(
         episode_id=str(row.get("episode_id", "")),
         scene_id=fitting("scene_id", str, None),
@@ -313,21 +309,21 @@ def _matrix(value: Any, where: str) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ValueError(f"{where}: expected a 4x4 matrix of finite numbers.")
-    check_range(f"{where}: position", matrix[:3, 3], -MAX_POSITION_M, MAX_POSITION_M, "m")
+        raise wrong_value(where, value, "a 4x4 matrix of finite numbers")
+    check_range(f"{where}.position", matrix[:3, 3], -MAX_POSITION_M, MAX_POSITION_M, "m")
     rotation = matrix[:3, :3]
-    check_range(f"{where}: rotation", rotation, -2.0, 2.0, "1")
+    check_range(f"{where}.rotation", rotation, -2.0, 2.0, "1")
     if (
         np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUND_TRIP
         or np.linalg.det(rotation) < 0
     ):
-        raise ValueError(f"{where}: the upper left 3x3 part is not a rotation.")
+        raise wrong_value(where, value, "a pose whose upper left 3x3 part is a rotation")
     return matrix
 
 
 def _rigid(entry: Any, where: str) -> tuple[str, np.ndarray]:
     if not isinstance(entry, list) or len(entry) != 2 or not isinstance(entry[0], str):
-        raise ValueError(f"{where}: expected [file name, 4x4 matrix].")
+        raise wrong_value(where, entry, "[file name, 4x4 matrix]")
     return entry[0], _matrix(entry[1], f"{where}[1]")
 
 
@@ -335,8 +331,10 @@ def _states(value: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
     out: dict[str, dict[str, float]] = {}
     for handle, joints in value.items():
         if not isinstance(joints, dict):
-            raise ValueError(
-                f"{where}[{handle!r}]: expected an object of link number and joint position."
+            raise wrong_value(
+                f"{where}[{handle!r}]",
+                joints,
+                "an object of link number and joint position",
             )
         for number, position in joints.items():
             if (
@@ -344,8 +342,8 @@ def _states(value: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
                 or not isinstance(position, int | float)
                 or not abs(position) <= MAX_JOINT_POSITION
             ):
-                raise ValueError(
-                    f"{where}[{handle!r}][{number!r}]: expected a number, got {position!r}."
+                raise wrong_value(
+                    f"{where}[{handle!r}][{number!r}]", position, "a number"
                 )
         out[handle] = dict(joints)
     return out
@@ -363,9 +361,8 @@ def _marker(value: Any, where: str) -> Marker:
             str(value["type"]),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ValueError(
-            f"{where}: expected name, type and params with offset, link and object."
-        ) from error
+        expected = "an object with name, type and params with offset, link and object"
+        raise wrong_value(where, value, expected) from error
     check_range(
         f"{where}.params.offset", marker.offset, -MAX_POSITION_M, MAX_POSITION_M, "m"
     )
@@ -377,7 +374,7 @@ def _receptacles(value: list[Any], where: str) -> tuple[Receptacle, ...]:
     for i, entry in enumerate(value):
         fits = isinstance(entry, list) and len(entry) == 2 and isinstance(entry[0], str)
         if not fits or not (entry[1] is None or isinstance(entry[1], int)):
-            raise ValueError(f"{where}[{i}]: expected [handle, link number or null].")
+            raise wrong_value(f"{where}[{i}]", entry, "[handle, link number or null]")
         out.append((entry[0], entry[1]))
     return tuple(out)
 

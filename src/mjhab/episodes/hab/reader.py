@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, about, unknown_name
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
@@ -178,12 +178,10 @@ class FileEpisodes:
                 "ReplicaCAD that are not staged are opened by name, as --assets FOLDER/apt_0."
             )
         if episode.scene not in self._furnished:
-            try:
+            with about(f"{where}.scene_id", UsageError):
                 require_furniture(
                     self.layout.pack, [self._homes[episode.scene]], self.task
                 )
-            except UsageError as error:
-                raise UsageError(f"{where}.scene_id: {error}") from error
             self._furnished.add(episode.scene)
         names = episode.target_names
         limit = len(TASKS[self.task].targets)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, about, unknown_name
 from mjhab.core.names import kind_of
 from mjhab.core.registration.plugins import resolved
 from mjhab.core.seeding import stream
@@ -116,10 +116,8 @@ def start_of(kind: int) -> SubtaskStart:
     """
     spec = spec_of(kind)
     where = f"{SUBTASKS.told(spec.name)}: start"
-    try:
+    with about(where, UsageError):
         start = resolved(spec.start)
-    except UsageError as error:
-        raise UsageError(f"{where}: {error}") from error
     if not isinstance(start, SubtaskStart):
         given = (
             f"the class {start.__name__}"

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from mjhab.config.profiles import DEFAULT_PROFILE, FREE, PROFILES, profile_named
 from mjhab.core.conventions.names import OBJECT_AXES, UNWRAPPED, Conventions
 from mjhab.core.errors import UsageError, shown
-from mjhab.core.typed.records import read_record
+from mjhab.core.typed.options import read_record
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.parts import (
     DEPTH_IMAGES,

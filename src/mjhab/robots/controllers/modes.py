@@ -49,10 +49,7 @@ class ControlMode:
     stiff_body: bool = False
 
     def __post_init__(self) -> None:
-        try:
-            check_name("name of the control mode", self.name)
-        except ValueError as error:
-            raise UsageError(str(error)) from error
+        check_name("name of the control mode", self.name)
         if not callable(self.make_arm):
             raise UsageError(
                 f"control mode {self.name!r}: make_arm must be a function or class that takes an ArmRequest and "

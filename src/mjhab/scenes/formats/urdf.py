@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, about
 from mjhab.core.files.reading import beside, read_bytes
 from mjhab.core.names import check_name
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
@@ -163,10 +163,8 @@ def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
         scale = _numbers(
             path, f"link {name!r}: mesh scale", mesh.get("scale", "1 1 1"), 3
         )
-        try:
+        with about(f"{path}: link {name!r}"):
             file = beside(path, _need(path, mesh, "filename"))
-        except ValueError as error:
-            raise UsageError(f"{path}: link {name!r}: {error}.") from error
         visuals.append(UrdfVisual(file, scale, _origin(path, part, f"link {name!r}")))
     value = (
         0.0
@@ -303,12 +301,10 @@ def _need(path: Path, element: ElementTree.Element, attribute: str) -> str:
 
 
 def _name(path: Path, element: ElementTree.Element, attribute: str) -> str:
-    try:
+    with about(path):
         return check_name(
             f"<{element.tag}>, attribute {attribute!r}", _need(path, element, attribute)
         )
-    except ValueError as error:
-        raise UsageError(f"{path}: {error}") from error
 
 
 def _numbers(path: Path, where: str, text: str | None, count: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import UsageError, about, shown
 from mjhab.core.files.reading import beside, read_json_object
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
 from mjhab.scenes.formats.gltf import TO_Z_UP
@@ -108,10 +108,8 @@ def file_in(path: Path, record: Any, key: str) -> Path:
         raise UsageError(
             f"{path}: field {key!r}: expected the name of a file, got {shown(value)}."
         )
-    try:
+    with about(f"{path}: field {key!r}"):
         return beside(path, value).resolve()
-    except ValueError as error:
-        raise UsageError(f"{path}: field {key!r}: {error}.") from error
 
 
 def short_name(template: str) -> str:

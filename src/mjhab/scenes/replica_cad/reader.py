@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, shown, unknown_name, warn_once
+from mjhab.core.errors import UsageError, about, shown, unknown_name, warn_once
 from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import roles
@@ -321,7 +321,5 @@ def _text(path: Path, record: Any, key: str, where: str) -> str:
 def _template(path: Path, record: Any, where: str) -> str:
     """Name of a template, with its folder if the record has one."""
     given = _text(path, record, "template_name", where)
-    try:
+    with about(path):
         return check_name(f"field {where}.template_name", given)
-    except ValueError as error:
-        raise UsageError(f"{path}: {error}") from error

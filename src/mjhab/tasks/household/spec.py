@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, get_args
 
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, about, shown, unknown_name
 from mjhab.core.names import check_texts
 from mjhab.core.typed.options import take_types
 from mjhab.tasks.household.steps import open_goal, open_start, pick_and_place
@@ -61,8 +61,8 @@ class TargetRule:
         take_types(self, ("start", "goal", "opens", "distance_m"), "a TargetRule")
         if self.opens not in get_args(Opens):
             raise unknown_name("opens of a TargetRule", self.opens, get_args(Opens))
-        check_texts("start of a TargetRule", self.start)
-        check_texts("goal of a TargetRule", self.goal)
+        check_texts("start", self.start, "a TargetRule")
+        check_texts("goal", self.goal, "a TargetRule")
         if not self.start or not self.goal:
             raise UsageError(
                 "a TargetRule needs roles of receptacles for its start and its goal."
@@ -127,7 +127,7 @@ class TaskSpec:
                 f"a task needs a name of lower-case letters, digits and _, got {self.name!r}."
             )
         for name in ("words", "objects"):
-            check_texts(f"task {self.name!r}: {name}", getattr(self, name))
+            check_texts(name, getattr(self, name), f"task {self.name!r}")
         missing = [part for part in _NEEDED if not getattr(self, part)]
         if missing:
             raise UsageError(
@@ -205,12 +205,10 @@ class TaskSpec:
             raise UsageError(
                 f"{self.name} handles 1 to {len(self.targets)} objects, got {len(targets)} targets."
             )
-        try:
+        with about(self.name, UsageError):
             subtasks = [
                 subtask
                 for rule, target in zip(self.targets, targets, strict=False)
                 for subtask in rule.subtasks(target)
             ]
-        except UsageError as error:
-            raise UsageError(f"{self.name}: {error}") from error
         return TaskPlan(self.name, tuple(subtasks), home)

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mjhab.core.arrays import Array, value_text
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, about, unknown_name
 from mjhab.core.joints import GROUPS
 from mjhab.core.names import check_texts
 from mjhab.core.registration.plugins import raised_text
@@ -199,7 +199,7 @@ class SubtaskSpec:
                 f"a subtask needs a name of lower-case letters, digits and _, got {self.name!r}."
             )
         for name in _TEXTS:
-            check_texts(f"subtask {self.name!r}: {name}", getattr(self, name))
+            check_texts(name, getattr(self, name), f"subtask {self.name!r}")
         missing = [part for part in _NEEDED if not getattr(self, part)]
         if missing:
             raise UsageError(
@@ -229,16 +229,12 @@ class SubtaskSpec:
 
     def _check_words(self) -> None:
         for wording in self.words:
-            try:
+            with about(f"subtask {self.name!r}: the wording {wording!r} cannot be read"):
                 named = [
                     name
                     for _, name, _, _ in Formatter().parse(wording)
                     if name is not None
                 ]
-            except ValueError as error:
-                raise UsageError(
-                    f"subtask {self.name!r}: the wording {wording!r} cannot be read: {error}."
-                ) from error
             for name in named:
                 if name not in PLACEHOLDERS:
                     raise UsageError(

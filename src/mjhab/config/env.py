@@ -21,6 +21,7 @@ from mjhab.config.profiles import (
 from mjhab.config.ranges import whole_number
 from mjhab.core.conventions.names import AXES, JOINT_ANGLES, WRAPPED, Conventions
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.checks import check
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_types
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
@@ -443,8 +444,7 @@ def _override(
     if isinstance(present, tuple) and good:
         numbers = all(isinstance(n, Real) and math.isfinite(n) for n in new)
         good = numbers and len(new) == len(present)
-    if not good:
-        raise UsageError(f"override {name} must be like {present!r}, got {value!r}")
+    check(good, f"override {name}", value, f"like {present!r}")
     if part:
         limits[group] = dataclasses.replace(owner, **{part: new})
     else:

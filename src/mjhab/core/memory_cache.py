@@ -15,7 +15,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple, TypeVar
 
-from mjhab.core.errors import UsageError
+from mjhab.core.typed.checks import check
 
 LIMIT_VARIABLE = "MJHAB_CACHE_MB"
 """Environment variable with the limit [MB] of all caches of a process together."""
@@ -177,8 +177,7 @@ def _checked(given: object, what: str) -> float:
         mb = float(str(given))
     except ValueError:
         mb = math.nan
-    if not mb >= 0.0:
-        raise UsageError(f"{what} must be a number of megabytes >= 0, got {given!r}")
+    check(mb >= 0.0, what, given, "a number of megabytes >= 0")
     return mb
 
 

@@ -32,7 +32,7 @@ from mjhab.core.arrays import (
     where_rows,
 )
 from mjhab.core.conventions.names import WRAPPED, Conventions
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.envs.episode_length import with_episode_length
 from mjhab.envs.observations.modes import STATE_KEY
 from mjhab.envs.observations.state import state_observation
@@ -290,8 +290,8 @@ class TaskLoop(VectorEnv, ABC):
                 has changed then.
         """
         if not isinstance(options, Mapping | None):
-            raise UsageError(
-                f"options must be a mapping such as {{'reset_mask': mask}}, got {shown(options)}"
+            raise wrong_value(
+                "options", options, "a mapping such as {'reset_mask': mask}"
             )
         options = dict(options or {})
         mask = self._array(options.pop("reset_mask", ~self._no))

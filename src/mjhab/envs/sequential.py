@@ -16,6 +16,7 @@ from mjhab.config.ranges import whole_number
 from mjhab.core.arrays import Array, may_hold
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.joints import BASE_XY
+from mjhab.core.typed.checks import check
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
@@ -97,10 +98,12 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             None if each is None else whole_number("seed", each)
             for each in ([seed] * self.num_envs if given is None else given)
         ]
-        if len(seeds) != self.num_envs:
-            raise UsageError(
-                f"seed must be a number >= 0 or {self.num_envs} of them, one per world; got {seed!r}"
-            )
+        check(
+            len(seeds) == self.num_envs,
+            "seed",
+            seed,
+            f"a number >= 0 or {self.num_envs} of them, one per world",
+        )
         for world in np.flatnonzero(mask).tolist():
             own = seeds[world]
             if own is not None:

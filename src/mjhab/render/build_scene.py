@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
+from mjhab.core.typed.checks import check
 from mjhab.render.mesh_levels import Level, mesh_levels
 from mjhab.render.patterns import PERIODS
 from mjhab.render.primitives import capsule_mesh, primitive_mesh
@@ -194,10 +195,13 @@ class SceneBuilder:
         Raises:
             UsageError: ``body_id`` is 0 or less, or ``mesh`` is not an id of this builder.
         """
-        if body_id <= 0:
-            raise UsageError(
-                f"add_body_instance: body_id must be above 0 (the world); got {body_id}."
-            )
+        check(
+            body_id > 0,
+            "body_id",
+            body_id,
+            "above 0 (the world)",
+            where="add_body_instance",
+        )
         pos, quat = pose
         self._local.append(
             (np.asarray(pos, float), mat_from_quat(np.asarray(quat, float)))

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError
+from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting
 from mjhab.robots.parts import Body, Inertial
 from mjhab.scenes.spec import Geom
@@ -97,10 +98,13 @@ def _check_types(body: Body, owner: str) -> None:
         name = f"{owner}.tree: link {row.link!r}"
         # Limits may be infinite.
         check_record(row, name, ("limits",))
-        if not _is_range(row.limits):
-            raise UsageError(
-                f"{name}: limits must be a lower and an upper number, got {row.limits!r}."
-            )
+        check(
+            _is_range(row.limits),
+            "limits",
+            row.limits,
+            "a lower and an upper number",
+            where=name,
+        )
     for link, inertial in body.inertials.items():
         name = f"{owner}.inertials of {link!r}"
         check_record(fitting(name, Inertial, inertial), name)
@@ -138,17 +142,13 @@ def _check_names(
     field: str, names: Iterable[str], links: tuple[str, ...], robot: str
 ) -> None:
     for name in names:
-        if name not in links:
-            raise UsageError(f"{robot}: {field}: {unknown_name('link', name, links)}")
+        check_one_of("link", name, links, where=f"{robot}: {field}")
 
 
 def _check_rest(body: Body, rest: Mapping[str, float], robot: str) -> None:
     limits = {row.joint: row.limits for row in body.tree if row.joint}
     for joint, value in rest.items():
-        if joint not in limits:
-            raise UsageError(
-                f"{robot}: joints: {unknown_name('joint of load_body', joint, limits)}"
-            )
+        check_one_of("joint of load_body", joint, limits, where=f"{robot}: joints")
         low, high = limits[joint]
         if not low - REST_TOLERANCE <= value <= high + REST_TOLERANCE:
             raise UsageError(

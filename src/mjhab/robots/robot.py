@@ -13,8 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name, wrong_type
 from mjhab.core.joints import BASE, GROUPS, JointColumns
+from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting, take_types
 from mjhab.robots.body_check import BodyNeeds, check_body, check_record
 from mjhab.robots.kinematics import Chain, ChainRoot
@@ -150,10 +151,7 @@ class Robot:
         take_types(self, apart, f"robot {shown(self.name)}")
         self._take_groups()
         for group in self.groups:
-            if group not in GROUPS:
-                raise UsageError(
-                    f"robot {self.name!r}: {unknown_name('joint group', group, GROUPS)}"
-                )
+            check_one_of("joint group", group, GROUPS, where=f"robot {self.name!r}")
         named = sorted(joint for group in self.groups.values() for joint in group)
         if named != sorted(self.joints):
             odd = sorted(set(named) ^ set(self.joints)) or "a joint that is in two groups"
@@ -192,8 +190,8 @@ class Robot:
         }
         object.__setattr__(self, "groups", groups)
         if not isinstance(self.cameras, list | tuple):
-            raise UsageError(
-                f"{owner}: cameras must be a tuple of CameraMount, got {type(self.cameras).__name__}."
+            raise wrong_type(
+                "cameras", self.cameras, "a tuple of CameraMount", where=owner
             )
         object.__setattr__(self, "cameras", tuple(self.cameras))
 
@@ -218,31 +216,33 @@ class Robot:
             )
         for group, gains in (*self.gains.items(), ("stiff_gains", self.stiff_gains)):
             if not isinstance(gains, Gains):
-                raise UsageError(
-                    f"robot {self.name!r}: gains of {group!r} must be a Gains, got {type(gains).__name__}."
+                raise wrong_type(
+                    f"gains of {group!r}", gains, "a Gains", where=f"robot {self.name!r}"
                 )
         arm = self.group("arm")
         if arm and self.elbow not in arm:
-            raise UsageError(
-                f"robot {self.name!r}: elbow: {unknown_name('joint of the arm', self.elbow, arm)}"
+            raise unknown_name(
+                "joint of the arm", self.elbow, arm, where=f"robot {self.name!r}: elbow"
             )
 
     def _check_cameras(self) -> None:
         for k, camera in enumerate(self.cameras):
             if not isinstance(camera, CameraMount):
-                raise UsageError(
-                    f"robot {self.name!r}: cameras[{k}] must be a CameraMount, got {type(camera).__name__}."
+                raise wrong_type(
+                    f"cameras[{k}]", camera, "a CameraMount", where=f"robot {self.name!r}"
                 )
             check_record(camera, f"robot {self.name!r}: cameras[{k}]")
             if camera.name in self.camera_names[:k]:
                 raise UsageError(
                     f"robot {self.name!r}: two cameras are called {camera.name!r}."
                 )
-            if not 0.0 < camera.fovy < np.pi:
-                raise UsageError(
-                    f"robot {self.name!r}: fovy of camera {camera.name!r} must be between 0 and pi [rad], got "
-                    f"{camera.fovy:g}."
-                )
+            check(
+                0.0 < camera.fovy < np.pi,
+                f"fovy of camera {camera.name!r}",
+                camera.fovy,
+                "between 0 and pi [rad]",
+                where=f"robot {self.name!r}",
+            )
 
     # -- joints ----------------------------------------------------------------------------------------------------
 

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import Annotated, Fallible, Policy, RolloutEnv, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
@@ -68,11 +68,11 @@ def _check(episodes: Collection[int], max_steps: int | None) -> None:
     # Those of IndicesLeft are distinct and >= 0, and there may be too many for a set.
     if not isinstance(episodes, IndicesLeft):
         if any(index < 0 for index in episodes):
-            raise UsageError(f"episode indices must be >= 0, got {min(episodes)}.")
+            raise wrong_value("episode indices", min(episodes), "at least 0")
         if len(set(episodes)) != len(episodes):
             raise UsageError("episode indices must be distinct; one is named twice.")
     if max_steps is not None and max_steps < 1:
-        raise UsageError(f"max_steps must be >= 1, got {max_steps}.")
+        raise wrong_value("max_steps", max_steps, "at least 1")
 
 
 def _check_env(env: RolloutEnv) -> None:

@@ -15,10 +15,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from mjhab.core.errors import MjhabError, UsageError, about, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, about, wrong_value
 from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
+from mjhab.core.typed.checks import check_one_of
 from mjhab.core.typed.options import fitting, read_record
 from mjhab.scenes.builtin.furniture import (
     builtin_articulations,
@@ -228,19 +229,13 @@ def _check_names(pack: Pack, stated: HomeFile, file: Path) -> None:
     """
     kinds = (*pack.props, *pack.articulations)
     for k, piece in enumerate(stated.furniture):
-        if piece.kind not in kinds:
-            raise UsageError(
-                f"{file}: furniture[{k}].kind: {unknown_name('furniture', piece.kind, kinds)}"
-            )
+        check_one_of("furniture", piece.kind, kinds, where=f"{file}: furniture[{k}].kind")
     for field, material in (
         ("floor.material", stated.floor.material),
         ("walls.outer", stated.walls.outer),
         ("walls.inner_material", stated.walls.inner_material),
     ):
-        if material not in MATERIALS:
-            raise UsageError(
-                f"{file}: {field}: {unknown_name('material', material, MATERIALS)}"
-            )
+        check_one_of("material", material, MATERIALS, where=f"{file}: {field}")
 
 
 def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
@@ -344,9 +339,11 @@ def _inner_wall(wall: FileWall, walls: FileWalls, where: str) -> list[Geom]:
     length = math.hypot(*along)
     stops = [0.0, *(stop for doorway in wall.doorways for stop in doorway), length]
     if length <= 0.0 or any(b < a for a, b in itertools.pairwise(stops)):
-        raise UsageError(
-            f"{where}: doorways must be in order between 0 and the length of the wall, {length:.2f} m, "
-            f"got {[list(doorway) for doorway in wall.doorways]}."
+        raise wrong_value(
+            "doorways",
+            [list(doorway) for doorway in wall.doorways],
+            f"in order between 0 and the length of the wall, {length:.2f} m",
+            where=where,
         )
     ux = along[0] / length
     uy = along[1] / length

@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_type
 from mjhab.core.names import check_texts
 from mjhab.core.registration.registry import Registry, check_item
 from mjhab.core.typed.options import fitting
@@ -38,9 +38,7 @@ class ObjectModel:
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, ObjectType):
-            raise UsageError(
-                f"the kind of an ObjectModel must be an ObjectType, got {type(self.kind).__name__}."
-            )
+            raise wrong_type("the kind of an ObjectModel", self.kind, "an ObjectType")
         owner = f"object {self.kind.name!r}"
         for name, hint in typing.get_type_hints(ObjectType).items():
             fitting(name, hint, getattr(self.kind, name), owner)

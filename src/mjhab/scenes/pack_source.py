@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from mjhab.core.errors import UsageError, about, shown, unknown_name
+from mjhab.core.errors import UsageError, about, unknown_name, wrong_value
 from mjhab.core.files.reading import beside
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
+from mjhab.core.typed.checks import check_one_of
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import fitting
 from mjhab.scenes.spec import Pack
@@ -86,8 +87,8 @@ def pack_request(assets: Assets) -> PackRequest:
     if isinstance(assets, str):
         return _from_text(assets)
     if not isinstance(assets, Mapping):
-        raise UsageError(
-            f"assets must be the name or path of a pack, or a PackRequest, got {shown(assets)}."
+        raise wrong_value(
+            "assets", assets, "the name or path of a pack, or a PackRequest"
         )
     names = [f.name for f in dataclasses.fields(PackRequest)]
     for key in assets:
@@ -163,10 +164,7 @@ def register_pack(source: PackSource) -> PackSource:
     check_item("register_pack", source, PackSource)
     known = {f.name for f in dataclasses.fields(PackRequest)} - {"place"}
     for option in source.options:
-        if option not in known:
-            raise UsageError(
-                f"pack {source.name!r}: {unknown_name('option', option, known)}"
-            )
+        check_one_of("option", option, known, where=f"pack {source.name!r}")
     return PACK_SOURCES.add(source.name, source)
 
 

@@ -9,6 +9,7 @@ from typing import Annotated
 from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.checks import check, check_least
 from mjhab.core.typed.flags import Flag
 from mjhab.serving.dialects.names import dialect_named
 
@@ -53,14 +54,10 @@ class Address:
         dialect = dialect_named(self.dialect)
         if self.prompt not in PROMPTS:
             raise unknown_name("prompt", self.prompt, PROMPTS)
-        if self.execute < 1:
-            raise UsageError(f"execute must be at least 1, got {self.execute}.")
+        check_least("execute", self.execute, 1)
         for name in ("timeout", "first_timeout", "reconnect"):
             value = getattr(self, name)
-            if not 0.0 < value < float("inf"):
-                raise UsageError(
-                    f"{name} must be a number of seconds above 0, got {value}."
-                )
+            check(0.0 < value < float("inf"), name, value, "a number of seconds above 0")
         if self.batch and not dialect.batches:
             raise UsageError(
                 f"the dialect {self.dialect} has no batches; leave batch away."

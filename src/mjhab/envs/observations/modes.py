@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjhab.config.ranges import range_of
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name, wrong_value
 from mjhab.robots.robot import Robot
 
 STATE_KEY = "state"
@@ -104,7 +104,9 @@ def image_size(size: int | Sequence[int]) -> tuple[int, int]:
         not isinstance(side, int | np.integer) or not MIN_SIZE <= side <= most
         for side in sides
     ):
-        raise UsageError(
-            f"camera size must be one whole number or (height, width), each {MIN_SIZE} to {most}; got {size!r}."
+        raise wrong_value(
+            "camera size",
+            size,
+            f"one whole number or (height, width), each {MIN_SIZE} to {most}",
         )
     return int(sides[0]), int(sides[1])

@@ -9,7 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
+from mjhab.core.typed.checks import check_least
 from mjhab.envs.spaces import batched, with_entries
 from mjhab.envs.wrappers.base import check_key, dict_space, map_final, require_images
 
@@ -44,12 +45,14 @@ class FrameStack(VectorWrapper):
     ) -> None:
         super().__init__(env)
         num_stack = _frames_of(env, num_stack)
-        if num_stack < 1:
-            raise UsageError(f"FrameStack: num_stack must be at least 1, got {num_stack}")
+        check_least("num_stack", num_stack, 1, where="FrameStack")
         mode = env.metadata.get("autoreset_mode")
         if not isinstance(mode, AutoresetMode):
-            raise UsageError(
-                f"FrameStack: metadata['autoreset_mode'] of {env} must be an AutoresetMode, got {mode!r}."
+            raise wrong_value(
+                f"metadata['autoreset_mode'] of {env}",
+                mode,
+                "an AutoresetMode",
+                where="FrameStack",
             )
         # torchrl's GymWrapper looks for it; Gymnasium's wrappers do not pass it on.
         self.autoreset_mode = mode

@@ -9,7 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name
+from mjhab.core.typed.checks import check
 from mjhab.envs.observations.cameras import DEPTH_MAX, DEPTH_SCALE
 from mjhab.envs.spaces import ordered_dict, with_entries
 from mjhab.envs.wrappers.base import ImageLeaf, ObservationMap, dict_space, require_images
@@ -74,10 +75,13 @@ class NormalizeImages(ObservationMap):
             raise unknown_name("depth normalization", depth, DEPTH_WAYS)
         if rgb not in RGB_WAYS:
             raise unknown_name("rgb normalization", rgb, RGB_WAYS)
-        if not depth_clip > 0.0:
-            raise UsageError(
-                f"NormalizeImages: depth_clip must be above 0 m, got {depth_clip}"
-            )
+        check(
+            depth_clip > 0.0,
+            "depth_clip",
+            depth_clip,
+            "above 0 m",
+            where="NormalizeImages",
+        )
         self._depth = depth
         self._rgb = rgb
         self._clip = float(depth_clip)

@@ -21,6 +21,7 @@ from mjhab.core.errors import MjhabError, UsageError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
+from mjhab.core.typed.checks import check
 from mjhab.episodes.grasps.candidates import (
     Grasps,
     LyingObject,
@@ -195,8 +196,7 @@ class StableGrasps:
                 f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}"
             )
         most = self.robot.finger_max
-        if not 0.0 <= fingers <= most:
-            raise UsageError(f"fingers must be between 0 and {most} m, got {fingers}")
+        check(0.0 <= fingers <= most, "fingers", fingers, f"between 0 and {most} m")
         grasp = self._try(kind, pose_inv(pose), 2 * fingers)
         if grasp is None:
             return None

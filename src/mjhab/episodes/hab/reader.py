@@ -16,6 +16,7 @@ from mjhab.core.errors import UsageError, about, unknown_name
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
+from mjhab.core.typed.checks import check_one_of
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.hab.format import (
     MAX_OBJECTS,
@@ -190,10 +191,7 @@ class FileEpisodes:
                 f"{where}.targets: {self.task} handles 1 to {limit} targets, got {len(names)}."
             )
         for name in names:
-            if name not in episode.instances:
-                raise UsageError(
-                    f"{where}.targets: {unknown_name('object', name, episode.instances)}"
-                )
+            check_one_of("object", name, episode.instances, where=f"{where}.targets")
         for name in episode.instances:
             if name not in self.layout.object_names:
                 raise UsageError(

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import MjhabError, UsageError, about, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, about, unknown_name, wrong_value
 from mjhab.core.names import kind_of
 from mjhab.core.registration.plugins import resolved
 from mjhab.core.seeding import stream
@@ -124,9 +124,10 @@ def start_of(kind: int) -> SubtaskStart:
             if isinstance(start, type)
             else type(start).__name__
         )
-        raise UsageError(
-            f"{where} must be an object of a subclass of mjhab.episodes.starts.SubtaskStart, or a reference "
-            f"'module:NAME' to one; got {given}."
+        raise wrong_value(
+            where,
+            given,
+            "an object of a subclass of mjhab.episodes.starts.SubtaskStart, or a reference 'module:NAME' to one",
         )
     return start
 

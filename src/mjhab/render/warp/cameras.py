@@ -16,6 +16,7 @@ import warp as wp
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
+from mjhab.core.typed.checks import check
 from mjhab.render.home_scene import build_render_scene
 from mjhab.render.raster.rasterizer import FAST_CELL, NEAR, OUTPUTS
 from mjhab.render.warp import occlusion as warp_occlusion
@@ -314,8 +315,7 @@ def _check(
         for name in given:
             if name not in known:
                 raise unknown_name(kind, name, known)
-    if min(size) < 1:
-        raise UsageError(f"WarpCameras: size must be positive; got {size}.")
+    check(min(size) >= 1, "size", size, "positive", where="WarpCameras")
 
 
 def _bytes(structs: Sequence[object]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
 from mjhab.robots.controllers.arm import Arm, ArmRequest
@@ -51,9 +51,11 @@ class ControlMode:
     def __post_init__(self) -> None:
         check_name("name of the control mode", self.name)
         if not callable(self.make_arm):
-            raise UsageError(
-                f"control mode {self.name!r}: make_arm must be a function or class that takes an ArmRequest and "
-                f"returns an Arm, got {self.make_arm!r}."
+            raise wrong_value(
+                "make_arm",
+                self.make_arm,
+                "a function or class that takes an ArmRequest and returns an Arm",
+                where=f"control mode {self.name!r}",
             )
 
     def arm(self, request: ArmRequest) -> Arm:

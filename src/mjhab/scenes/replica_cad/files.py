@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about, shown
+from mjhab.core.errors import UsageError, about, shown, wrong_value
 from mjhab.core.files.reading import beside, read_json_object
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
+from mjhab.core.typed.checks import check
 from mjhab.scenes.formats.gltf import TO_Z_UP
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
 from mjhab.scenes.spec import Placement, Quat, Vec3
@@ -90,10 +91,13 @@ def number(
     found = float(
         numbers(path, {key: [field(path, record, key, where)]}, key, 1, where)[0]
     )
-    if positive and not found > 0.0:
-        raise UsageError(
-            f"{path}: field {where}.{key}: expected a number above 0, got {found:g}."
-        )
+    check(
+        not positive or found > 0.0,
+        f"{where}.{key}",
+        found,
+        "a number above 0",
+        where=path,
+    )
     return found
 
 
@@ -105,9 +109,7 @@ def file_in(path: Path, record: Any, key: str) -> Path:
     """
     value = field(path, record, key)
     if not isinstance(value, str):
-        raise UsageError(
-            f"{path}: field {key!r}: expected the name of a file, got {shown(value)}."
-        )
+        raise wrong_value(key, value, "the name of a file", where=path)
     with about(f"{path}: field {key!r}"):
         return beside(path, value).resolve()
 

@@ -18,7 +18,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about, shown, unknown_name, warn_once
+from mjhab.core.errors import (
+    UsageError,
+    about,
+    unknown_name,
+    warn_once,
+    wrong_value,
+)
 from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import roles
@@ -312,9 +318,7 @@ def _text(path: Path, record: Any, key: str, where: str) -> str:
     """Text of a field, or a UsageError that names the field."""
     value = entry(path, record, key, where)
     if not isinstance(value, str):
-        raise UsageError(
-            f"{path}: field {where}.{key}: expected a name, got {shown(value)}."
-        )
+        raise wrong_value(f"{where}.{key}", value, "a name", where=path)
     return value
 
 

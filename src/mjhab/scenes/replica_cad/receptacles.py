@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import wrong_value
 from mjhab.scenes.replica_cad.files import PREFIX, numbers, point
 from mjhab.scenes.shapes.hulls import vertical_extent
 from mjhab.scenes.spec import Receptacle
@@ -60,9 +60,7 @@ def spaces(
     found = []
     given = body.get("user_defined", {})
     if not isinstance(given, dict):
-        raise UsageError(
-            f"{path}: field 'user_defined': expected an object, got {shown(given)}."
-        )
+        raise wrong_value("user_defined", given, "an object", where=path)
     for key, record in given.items():
         if not key.startswith(_KEY_PREFIX):
             continue

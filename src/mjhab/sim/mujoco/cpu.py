@@ -14,6 +14,7 @@ from mjhab.core.arrays import may_hold, norm3
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.core.timing import SUBSTEPS
+from mjhab.core.typed.checks import check_least
 from mjhab.layout.addresses import addresses
 from mjhab.layout.contact_sensors import (
     FORCE_SENSOR_WIDTH,
@@ -69,8 +70,7 @@ class CpuSimulator:
         num_threads: int = 0,
         drives: Drives | None = None,
     ) -> None:
-        if num_worlds < 1:
-            raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
+        check_least("num_worlds", num_worlds, 1)
         mujoco.set_mju_user_warning(_log_warning)
         self.layout = layout
         self.num_worlds = num_worlds

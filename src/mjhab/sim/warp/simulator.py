@@ -12,6 +12,7 @@ import numpy as np
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import install_extra
+from mjhab.core.typed.checks import check_least
 from mjhab.layout.addresses import addresses
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout
@@ -64,8 +65,7 @@ class WarpSimulator:
         sizes: BufferSizes | None = None,
         buffers: Mapping[str, int] | None = None,
     ) -> None:
-        if num_worlds < 1:
-            raise UsageError(f"num_worlds must be at least 1, got {num_worlds}")
+        check_least("num_worlds", num_worlds, 1)
         self.layout = layout
         self.num_worlds = num_worlds
         self.drives = drives or Drives()

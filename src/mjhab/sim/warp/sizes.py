@@ -16,7 +16,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.joints import BASE
 from mjhab.core.seeding import stream
@@ -172,9 +172,7 @@ def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes
         if name not in names:
             raise unknown_name("buffer", name, names)
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise UsageError(
-                f"buffer {name!r} must be a whole number of at least 1, got {value!r}"
-            )
+            raise wrong_value(f"buffer {name!r}", value, "a whole number of at least 1")
     return dataclasses.replace(sizes, **changes)
 
 

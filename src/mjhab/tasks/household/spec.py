@@ -9,7 +9,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, get_args
 
-from mjhab.core.errors import UsageError, about, shown, unknown_name
+from mjhab.core.errors import (
+    UsageError,
+    about,
+    unknown_name,
+    wrong_type,
+    wrong_value,
+)
 from mjhab.core.names import check_texts
 from mjhab.core.typed.options import take_types
 from mjhab.tasks.household.steps import open_goal, open_start, pick_and_place
@@ -136,20 +142,23 @@ class TaskSpec:
             )
         self._check_numbers()
         if not isinstance(self.targets, tuple | list):
-            raise UsageError(
-                f"task {self.name!r}: targets must be a tuple of TargetRules, got {shown(self.targets)}."
+            raise wrong_value(
+                "targets",
+                self.targets,
+                "a tuple of TargetRules",
+                where=f"task {self.name!r}",
             )
         for k, rule in enumerate(self.targets):
             if not isinstance(rule, TargetRule):
-                raise UsageError(
-                    f"task {self.name!r}: targets[{k}] must be a TargetRule, got {type(rule).__name__}."
+                raise wrong_type(
+                    f"targets[{k}]", rule, "a TargetRule", where=f"task {self.name!r}"
                 )
 
     def _check_numbers(self) -> None:
         for name in ("clutter_copies", "shelf_clutter"):
             if getattr(self, name) < 0:
-                raise UsageError(
-                    f"task {self.name!r}: {name} must be at least 0, got {getattr(self, name)}."
+                raise wrong_value(
+                    name, getattr(self, name), "at least 0", where=f"task {self.name!r}"
                 )
         if not 0.0 < self.shelf_region <= 1.0:
             raise UsageError(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.arrays import Array, constant, namespace, pile
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.core.joints import BASE_X, BASE_YAW
 from mjhab.tasks.posture import off_rest
 from mjhab.tasks.signals import Signals, WorldState
@@ -144,8 +144,8 @@ class RewardTable:
                 or not isinstance(scale, int | float)
                 or not math.isfinite(scale)
             ):
-                raise UsageError(
-                    f"the scale of reward term {kind}.{name} must be a finite number, got {scale!r}"
+                raise wrong_value(
+                    f"the scale of reward term {kind}.{name}", scale, "a finite number"
                 )
         terms = tuple(
             dataclasses.replace(t, scale=float(scales.get(t.name, t.scale)))

@@ -12,10 +12,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mjhab.core.arrays import Array, value_text
-from mjhab.core.errors import UsageError, about, unknown_name
+from mjhab.core.errors import UsageError, about, wrong_value
 from mjhab.core.joints import GROUPS
 from mjhab.core.names import check_texts
 from mjhab.core.registration.plugins import raised_text
+from mjhab.core.typed.checks import check_one_of
 from mjhab.core.typed.options import take_types
 from mjhab.tasks.labelling.state import WATCHED, LabelState, uneventful
 from mjhab.tasks.rewards.table import RewardTable
@@ -217,14 +218,19 @@ class SubtaskSpec:
             steps["train_horizon"] = self.train_horizon
         for what, value in steps.items():
             if not isinstance(value, Integral) or value < 1:
-                raise UsageError(
-                    f"subtask {self.name!r}: {what} must be a whole number of control steps of at least 1, "
-                    f"got {value!r}."
+                raise wrong_value(
+                    what,
+                    value,
+                    "a whole number of control steps of at least 1",
+                    where=f"subtask {self.name!r}",
                 )
         force = self.limits.force_limit
         if not isinstance(force, Real) or not force > 0.0:
-            raise UsageError(
-                f"subtask {self.name!r}: force_limit of limits must be a number above 0, or infinite, got {force!r}."
+            raise wrong_value(
+                "force_limit of limits",
+                force,
+                "a number above 0, or infinite",
+                where=f"subtask {self.name!r}",
             )
 
     def _check_words(self) -> None:
@@ -236,11 +242,12 @@ class SubtaskSpec:
                     if name is not None
                 ]
             for name in named:
-                if name not in PLACEHOLDERS:
-                    raise UsageError(
-                        f"subtask {self.name!r}: words: "
-                        f"{unknown_name(f'placeholder of the wording {wording!r}:', name, PLACEHOLDERS)}"
-                    )
+                check_one_of(
+                    f"placeholder of the wording {wording!r}:",
+                    name,
+                    PLACEHOLDERS,
+                    where=f"subtask {self.name!r}: words",
+                )
 
     def _check_names(self) -> None:
         for given, valid, kind in (
@@ -254,19 +261,18 @@ class SubtaskSpec:
             (self.joint_groups, GROUPS, "joint group"),
         ):
             for name in given:
-                if name not in valid:
-                    raise UsageError(
-                        f"subtask {self.name!r}: {unknown_name(kind, name, valid)}"
-                    )
+                check_one_of(kind, name, valid, where=f"subtask {self.name!r}")
         if not _COLOR.fullmatch(self.color):
-            raise UsageError(
-                f"subtask {self.name!r}: color must be like '#3b82f6', got {self.color!r}."
+            raise wrong_value(
+                "color", self.color, "like '#3b82f6'", where=f"subtask {self.name!r}"
             )
         for name, function in self.measures.items():
             if not callable(function):
-                raise UsageError(
-                    f"subtask {self.name!r}: the measure of {name!r} must be a function of (state, active, config), "
-                    f"got {function!r}."
+                raise wrong_value(
+                    f"the measure of {name!r}",
+                    function,
+                    "a function of (state, active, config)",
+                    where=f"subtask {self.name!r}",
                 )
 
     def _check_labels(self) -> None:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 
 _LINK = 0o120000
 MAX_UNPACKED_BYTES = 50e9
@@ -55,8 +55,8 @@ def safe_path(path: str, where: str) -> str:
     parts = [part for part in PurePosixPath(path).parts if part != "."]
     bad = path.startswith("/") or ".." in parts or any(sign in path for sign in "\\:\0")
     if bad or not parts:
-        raise UsageError(
-            f"{where}: the path {path!r} leads out of the folder; nothing was installed."
+        raise fault(
+            where, f"the path {path!r} leads out of the folder; nothing was installed."
         )
     return "/".join(parts)
 
@@ -79,8 +79,9 @@ def unpack(archive: Path, folder: Path) -> None:
         # An error of the system has a number; those of bz2 and gzip for damaged data have none.
         if isinstance(error, OSError) and error.errno is not None:
             raise
-        raise UsageError(
-            f"{archive}: damaged, or neither a zip nor a tar archive ({error}); nothing was installed."
+        raise fault(
+            archive,
+            f"damaged, or neither a zip nor a tar archive ({error}); nothing was installed.",
         ) from error
 
 
@@ -105,7 +106,7 @@ def _read_to_end(content: IO[bytes], archive: Path) -> None:
     while chunk := content.read(MAX_HEADER_BYTES):
         left -= len(chunk)
         if left < 0:
-            raise UsageError(f"{archive}: goes on after its end; nothing was installed.")
+            raise fault(archive, "goes on after its end; nothing was installed.")
 
 
 class _Headers:
@@ -170,15 +171,16 @@ def _write(members: Iterator[Member], folder: Path, archive: Path) -> None:
         found.append((safe_path(path, str(archive)), size, content))
         wanted += size
         if wanted > most:
-            raise UsageError(
-                f"{archive}: holds more than {most / 1e9:.1f} GB, which no data set of its size does; nothing was "
-                "installed."
+            raise fault(
+                archive,
+                f"holds more than {most / 1e9:.1f} GB, which no data set of its size does; nothing was installed.",
             )
     folder.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(folder).free
     if wanted > free:
-        raise UsageError(
-            f"{archive}: holds {wanted / 1e9:.1f} GB, but {folder} has only {free / 1e9:.1f} GB free."
+        raise fault(
+            archive,
+            f"holds {wanted / 1e9:.1f} GB, but {folder} has only {free / 1e9:.1f} GB free.",
         )
     for path, _, content in found:
         target = folder / path

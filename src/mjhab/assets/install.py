@@ -19,7 +19,7 @@ from typing import Any
 from mjhab.assets.archive import safe_path, unpack
 from mjhab.assets.hub import Repository, download, list_files
 from mjhab.assets.sources import Source
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json
@@ -131,8 +131,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
             if not isinstance(row["sha256"], str):
                 raise ValueError(f"files[{name!r}].sha256 must be a string")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UsageError(
-            f"{path}: damaged ({error}); download the data set again with --overwrite."
+        raise fault(
+            path, f"damaged ({error}); download the data set again with --overwrite."
         ) from error
     return body
 

@@ -55,6 +55,20 @@ def shown(value: object) -> str:
     return " ".join(_REPR.repr(value).split())
 
 
+def fault(where: object, problem: str) -> UsageError:
+    """Build the error for what is wrong in a file, an object or a part of the program, where no single value is.
+
+    Args:
+        where: the file or object, which the message begins with.
+        problem: what is wrong there, and what to do.
+    """
+    return UsageError(_placed(where, problem), where=str(where))
+
+
+def _placed(where: object, message: str) -> str:
+    return f"{where}: {message}" if where else message
+
+
 def wrong_value(
     option: str,
     given: object,
@@ -93,7 +107,7 @@ def _refusal(
     wanted = expected if isinstance(expected, str) else " or ".join(expected)
     message = _joined(f"{option} must be {wanted}, got {told}.", advice)
     return FieldError(
-        f"{where}: {message}" if where else message,
+        _placed(where, message),
         option=option,
         given=given,
         expected=expected,
@@ -103,8 +117,7 @@ def _refusal(
 
 def missing_field(name: str, where: object = "") -> FieldError:
     """Build the error for a field that a file or object ``where`` must have."""
-    message = f"field {name!r} is missing."
-    message = f"{where}: {message}" if where else message
+    message = _placed(where, f"field {name!r} is missing.")
     return FieldError(message, option=name, expected="given", where=str(where))
 
 
@@ -135,7 +148,7 @@ def unknown_name(
         said = _joined(f"unknown {kind} {shown(given)}.", hint)
     message = f"{said} Valid names: {', '.join(names)}."
     return FieldError(
-        f"{where}: {message}" if where else message,
+        _placed(where, message),
         option=kind,
         given=given,
         expected=names,

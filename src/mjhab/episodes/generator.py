@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.arithmetic.digest import arithmetic_digest
-from mjhab.core.errors import UsageError, unknown_name, warn_once
+from mjhab.core.errors import UsageError, fault, unknown_name, warn_once
 from mjhab.core.files.cache import cache_dir, read_cached
 from mjhab.core.names import below
 from mjhab.core.registration.plugins import source_digest
@@ -92,9 +92,10 @@ class EpisodeMaker:
         roster = self.layout.roster
         for k, rule in enumerate(self.spec.targets):
             if rule.object and rule.object not in roster:
-                raise UsageError(
-                    f"{TASKS.told(self.task)}: targets[{k}]: {unknown_name('object', rule.object, set(roster))} "
-                    "Name it in TaskSpec.objects, too."
+                raise fault(
+                    TASKS.told(self.task),
+                    f"targets[{k}]: {unknown_name('object', rule.object, set(roster))} Name it in "
+                    "TaskSpec.objects, too.",
                 )
 
     def episode(self, seed: int, index: int) -> Episode:

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, fault, unknown_name
 from mjhab.core.machine import pip_install
 from mjhab.envs.observations.modes import image_output
 from mjhab.envs.wrappers.normalize import normalize_depth
@@ -80,9 +80,10 @@ class _Seen:
         self.key = key
         self._output = image_output(key)
         if not isinstance(space, spaces.Box):
-            raise UsageError(
-                f"to_sb3: {key!r} is a group of observations. Leave out obs_keys='nested' and FlattenStatePixels; "
-                "images are named by keys like 'sensor_data/CAMERA/depth'."
+            raise fault(
+                "to_sb3",
+                f"{key!r} is a group of observations. Leave out obs_keys='nested' and FlattenStatePixels; "
+                "images are named by keys like 'sensor_data/CAMERA/depth'.",
             )
         self.space = space
         if self._output:
@@ -90,21 +91,24 @@ class _Seen:
 
     def _image_space(self, space: spaces.Box, smallest_side: int) -> spaces.Box:
         if self._output not in ("depth", "rgb"):
-            raise UsageError(
-                f"to_sb3: {self.key!r} holds ids, which stable-baselines3 would take for amounts; "
-                "it has networks for depth and rgb."
+            raise fault(
+                "to_sb3",
+                f"{self.key!r} holds ids, which stable-baselines3 would take for amounts; it has networks for "
+                "depth and rgb.",
             )
         if not np.issubdtype(space.dtype, np.integer):
-            raise UsageError(
-                f"to_sb3: {self.key!r} is {space.dtype}, but stable-baselines3 takes bytes and scales them itself: "
-                "leave out NormalizeImages."
+            raise fault(
+                "to_sb3",
+                f"{self.key!r} is {space.dtype}, but stable-baselines3 takes bytes and scales them itself: "
+                "leave out NormalizeImages.",
             )
         *_, height, width, _channels = space.shape
         if min(height, width) < smallest_side:
-            raise UsageError(
-                f"to_sb3: {self.key!r} is {width} x {height} px, but stable-baselines3's NatureCNN takes "
-                f"{smallest_side} px or more: make the environment with camera_size={smallest_side} or more, or give "
-                "smallest_side with a features_extractor_class of your own."
+            raise fault(
+                "to_sb3",
+                f"{self.key!r} is {width} x {height} px, but stable-baselines3's NatureCNN takes "
+                f"{smallest_side} px or more: make the environment with camera_size={smallest_side} or more, "
+                "or give smallest_side with a features_extractor_class of your own.",
             )
         shape = self.of(np.zeros((1, *space.shape), space.dtype)).shape[1:]
         return spaces.Box(0, BYTE, shape, np.uint8)

@@ -12,7 +12,7 @@ from types import TracebackType
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, fault
 
 
 class FilmWriter:
@@ -94,7 +94,7 @@ class FilmWriter:
         """
         if self._process is None or self._part is None:
             self._log.close()
-            raise UsageError(f"{self.path.name}: a film needs at least one frame.")
+            raise fault(self.path.name, "a film needs at least one frame.")
         assert self._process.stdin is not None
         try:
             self._process.stdin.close()

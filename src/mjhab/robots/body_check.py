@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting
 from mjhab.robots.parts import Body, Inertial
@@ -66,16 +66,15 @@ def check_body(body: Body, needs: BodyNeeds) -> Body:
     """
     robot = f"robot {needs.robot!r}"
     if not isinstance(body, Body):
-        raise UsageError(
-            f"{robot}: load_body must return a Body, got {type(body).__name__}."
-        )
+        raise fault(robot, f"load_body must return a Body, got {type(body).__name__}.")
     _check_types(body, f"{robot}: load_body: Body")
     links = _links(body, needs.base_link, robot)
     _check_names("load_body: Body.collision", body.collision, links, robot)
     for link in links:
         if link not in body.inertials:
-            raise UsageError(
-                f"{robot}: load_body: Body.inertials lacks link {link!r}; every link has a mass."
+            raise fault(
+                robot,
+                f"load_body: Body.inertials lacks link {link!r}; every link has a mass.",
             )
     for field, names in needs.links.items():
         _check_names(field, names, links, robot)
@@ -84,9 +83,10 @@ def check_body(body: Body, needs: BodyNeeds) -> Body:
         _check_names(field, names, links, robot)
         for name in names:
             if name not in (*body.collision, *moved, needs.base_link):
-                raise UsageError(
-                    f"{robot}: {field}: link {name!r} has neither a joint nor collision shapes, so that it merges into "
-                    "its parent and no force on it is known. Leave it out, or give it shapes."
+                raise fault(
+                    robot,
+                    f"{field}: link {name!r} has neither a joint nor collision shapes, so that it merges into "
+                    "its parent and no force on it is known. Leave it out, or give it shapes.",
                 )
     _check_rest(body, needs.rest, robot)
     return body
@@ -120,20 +120,20 @@ def _is_range(limits: Any) -> bool:
 def _links(body: Body, base_link: str, robot: str) -> tuple[str, ...]:
     """Return the names of all links, base link first; checks the order of the tree."""
     if base_link in {row.link for row in body.tree}:
-        raise UsageError(
-            f"{robot}: base_link {base_link!r} has a parent in the tree of load_body; it must be its root."
+        raise fault(
+            robot,
+            f"base_link {base_link!r} has a parent in the tree of load_body; it must be its root.",
         )
     found = [base_link]
     for row in body.tree:
         if row.parent not in found:
-            raise UsageError(
-                f"{robot}: load_body: link {row.link!r} hangs on {row.parent!r}, which is neither base_link "
-                f"({base_link!r}) nor a link before it."
+            raise fault(
+                robot,
+                f"load_body: link {row.link!r} hangs on {row.parent!r}, which is neither base_link "
+                f"({base_link!r}) nor a link before it.",
             )
         if row.link in found:
-            raise UsageError(
-                f"{robot}: load_body: link {row.link!r} is in the tree twice."
-            )
+            raise fault(robot, f"load_body: link {row.link!r} is in the tree twice.")
         found.append(row.link)
     return tuple(found)
 
@@ -151,6 +151,7 @@ def _check_rest(body: Body, rest: Mapping[str, float], robot: str) -> None:
         check_one_of("joint of load_body", joint, limits, where=f"{robot}: joints")
         low, high = limits[joint]
         if not low - REST_TOLERANCE <= value <= high + REST_TOLERANCE:
-            raise UsageError(
-                f"{robot}: rest_qpos of joint {joint!r} is {value:g}, outside of its limits {low:g} to {high:g}."
+            raise fault(
+                robot,
+                f"rest_qpos of joint {joint!r} is {value:g}, outside of its limits {low:g} to {high:g}.",
             )

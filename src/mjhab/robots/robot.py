@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, shown, unknown_name, wrong_type
+from mjhab.core.errors import UsageError, fault, shown, unknown_name, wrong_type
 from mjhab.core.joints import BASE, GROUPS, JointColumns
 from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting, take_types
@@ -155,26 +155,28 @@ class Robot:
         named = sorted(joint for group in self.groups.values() for joint in group)
         if named != sorted(self.joints):
             odd = sorted(set(named) ^ set(self.joints)) or "a joint that is in two groups"
-            raise UsageError(
-                f"robot {self.name!r}: every joint belongs to one group; look at {odd}."
+            raise fault(
+                f"robot {self.name!r}",
+                f"every joint belongs to one group; look at {odd}.",
             )
         if (
             self.joints[BASE] != self.group("base")
             or len(self.group("base")) != BASE.stop
         ):
-            raise UsageError(
-                f"robot {self.name!r}: the first three joints must be group 'base' (x, y, yaw), got "
-                f"{self.joints[BASE]} and group {self.group('base')}."
+            raise fault(
+                f"robot {self.name!r}",
+                f"the first three joints must be group 'base' (x, y, yaw), got {self.joints[BASE]} and group "
+                f"{self.group('base')}.",
             )
         fingers = set(self.group("fingers"))
         if set(self.joints[len(self.joints) - len(fingers) :]) != fingers:
-            raise UsageError(
-                f"robot {self.name!r}: the joints of group 'fingers' must be the last."
+            raise fault(
+                f"robot {self.name!r}", "the joints of group 'fingers' must be the last."
             )
         if len(self.rest_qpos) != len(self.joints):
-            raise UsageError(
-                f"robot {self.name!r}: rest_qpos needs {len(self.joints)} values, one per joint, got "
-                f"{len(self.rest_qpos)}."
+            raise fault(
+                f"robot {self.name!r}",
+                f"rest_qpos needs {len(self.joints)} values, one per joint, got {len(self.rest_qpos)}.",
             )
         self._check_gains()
         self._check_cameras()
@@ -210,9 +212,10 @@ class Robot:
     def _check_gains(self) -> None:
         lacking = [g for g in GROUPS if self.group(g) and g not in self.gains]
         if lacking:
-            raise UsageError(
-                f"robot {self.name!r}: gains lack group {' and '.join(map(repr, lacking))}; every group needs a Gains; "
-                f"given are: {', '.join(self.gains) or 'none'}."
+            raise fault(
+                f"robot {self.name!r}",
+                f"gains lack group {' and '.join(map(repr, lacking))}; every group needs a Gains; given are: "
+                f"{', '.join(self.gains) or 'none'}.",
             )
         for group, gains in (*self.gains.items(), ("stiff_gains", self.stiff_gains)):
             if not isinstance(gains, Gains):
@@ -233,8 +236,8 @@ class Robot:
                 )
             check_record(camera, f"robot {self.name!r}: cameras[{k}]")
             if camera.name in self.camera_names[:k]:
-                raise UsageError(
-                    f"robot {self.name!r}: two cameras are called {camera.name!r}."
+                raise fault(
+                    f"robot {self.name!r}", f"two cameras are called {camera.name!r}."
                 )
             check(
                 0.0 < camera.fovy < np.pi,

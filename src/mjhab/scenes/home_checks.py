@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about
+from mjhab.core.errors import about, fault
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
@@ -77,9 +77,9 @@ def _check_singles(source: Path, home: Home) -> None:
     names = [placement.template for placement in home.articulations]
     for name in names:
         if names.count(name) > 1:
-            raise UsageError(
-                f"{source}: furniture: {name!r} stands {names.count(name)} times; a home may have one of each kind "
-                "that opens."
+            raise fault(
+                source,
+                f"furniture: {name!r} stands {names.count(name)} times; a home may have one of each kind that opens.",
             )
 
 
@@ -103,8 +103,8 @@ def _check_overlaps(source: Path, pack: Pack, home: Home) -> None:
         name = _named(placement)
         for other, space in taken:
             if area.meets(space):
-                raise UsageError(
-                    f"{source}: furniture: {name} overlaps {other}; move one of them."
+                raise fault(
+                    source, f"furniture: {name} overlaps {other}; move one of them."
                 )
         taken.append((name, area))
 
@@ -140,8 +140,9 @@ def _check_reach(source: Path, pack: Pack, home: Home) -> None:
     """Raise a UsageError if a robot has no free floor, or cannot reach a receptacle with a role."""
     free = free_map(home, pack)
     if not free.navigable().any():
-        raise UsageError(
-            f"{source}: furniture leaves no floor on which a base of radius {NAVMESH_BASE_RADIUS_M} m can stand."
+        raise fault(
+            source,
+            f"furniture leaves no floor on which a base of radius {NAVMESH_BASE_RADIUS_M} m can stand.",
         )
     roles = roles_of(pack, home)
     for found in reach(home, pack, free):
@@ -155,14 +156,16 @@ def _check_reach(source: Path, pack: Pack, home: Home) -> None:
         if not playing:
             continue
         if not 0.0 <= found.height <= MAX_SURFACE_HEIGHT_M:
-            raise UsageError(
-                f"{source}: receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, "
-                f"is {found.height:.2f} m above the floor; a robot reaches from 0 to {MAX_SURFACE_HEIGHT_M} m. "
-                "Lower it, or give the role to another."
+            raise fault(
+                source,
+                f"receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, is "
+                f"{found.height:.2f} m above the floor; a robot reaches from 0 to {MAX_SURFACE_HEIGHT_M} m. "
+                "Lower it, or give the role to another.",
             )
         if found.center > MAX_REACH_TO_CENTER_M:
-            raise UsageError(
-                f"{source}: receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, "
-                f"is {found.center:.2f} m from where a robot can stand; it reaches {MAX_REACH_TO_CENTER_M} m. "
-                "Make room before it, or give the role to another."
+            raise fault(
+                source,
+                f"receptacle {found.receptacle!r} of {found.thing!r}, which plays the role {playing[0]!r}, is "
+                f"{found.center:.2f} m from where a robot can stand; it reaches {MAX_REACH_TO_CENTER_M} m. "
+                "Make room before it, or give the role to another.",
             )

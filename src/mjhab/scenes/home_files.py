@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from mjhab.core.errors import MjhabError, UsageError, about, wrong_value
+from mjhab.core.errors import MjhabError, UsageError, about, fault, wrong_value
 from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
@@ -168,9 +168,7 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
     pack = dataclasses.replace(pack, roles=present_roles(pack, ROLES))
     for file, stated in read:
         if stated.name in {home.name for home in pack.homes}:
-            raise UsageError(
-                f"{file}: another home of the pack is called {stated.name!r}, too."
-            )
+            raise fault(file, f"another home of the pack is called {stated.name!r}, too.")
         home = _home(pack, stated, file)
         check_home(file, pack, home)
         pack = dataclasses.replace(pack, homes=(*pack.homes, home))
@@ -185,13 +183,15 @@ def read_home_file(file: Path) -> HomeFile:
     """
     body = _body(file)
     if not isinstance(body, dict) or body.get("format") != FORMAT:
-        raise UsageError(
-            f"{file}: field 'format' must be {FORMAT!r}; this is no home file of this version."
+        raise fault(
+            file,
+            f"field 'format' must be {FORMAT!r}; this is no home file of this version.",
         )
     if "walls" not in body:
-        raise UsageError(
-            f"{file}: field 'walls' is missing: a home has walls around its floor. "
-            'At least: "walls": {"outer": "wall_white"}.'
+        raise fault(
+            file,
+            'field \'walls\' is missing: a home has walls around its floor. At least: "walls": {"outer": '
+            '"wall_white"}.',
         )
     with about(file):
         stated: HomeFile = read_record(HomeFile, body, "home")
@@ -202,23 +202,23 @@ def read_home_file(file: Path) -> HomeFile:
 def _body(file: Path) -> Any:
     """The data of a JSON file, or of the variable `PYTHON_NAME` of a Python file."""
     if file.suffix not in HOME_SUFFIXES:
-        raise UsageError(f"{file}: a home file ends with {' or '.join(HOME_SUFFIXES)}.")
+        raise fault(file, f"a home file ends with {' or '.join(HOME_SUFFIXES)}.")
     if file.suffix == ".json":
         return read_json(file)
     read_bytes(file)
     try:
         found = runpy.run_path(str(file))
     except MjhabError as error:
-        raise UsageError(f"{file}: {error}") from error
+        raise fault(file, str(error)) from error
     # The file is the user's code and may raise anything.
     except (Exception, SystemExit) as error:
-        raise UsageError(f"{file}: running it raised {raised_text(error)}.") from error
+        raise fault(file, f"running it raised {raised_text(error)}.") from error
     if PYTHON_NAME not in found:
-        raise UsageError(f"{file}: has no variable {PYTHON_NAME}, which holds the home.")
+        raise fault(file, f"has no variable {PYTHON_NAME}, which holds the home.")
     try:
         return json.loads(json.dumps(found[PYTHON_NAME]))
     except (TypeError, ValueError) as error:
-        raise UsageError(f"{file}: {PYTHON_NAME} is no plain data ({error}).") from error
+        raise fault(file, f"{PYTHON_NAME} is no plain data ({error}).") from error
 
 
 def _check_names(pack: Pack, stated: HomeFile, file: Path) -> None:
@@ -262,8 +262,9 @@ def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
             continue
         new = _new_receptacle(record, where)
         if present not in (None, new):
-            raise UsageError(
-                f"{where}: {record.furniture!r} has another receptacle {record.name!r} already; choose another name."
+            raise fault(
+                where,
+                f"{record.furniture!r} has another receptacle {record.name!r} already; choose another name.",
             )
         if present is None:
             templates[record.furniture] = dataclasses.replace(
@@ -274,7 +275,7 @@ def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
 
 def _new_receptacle(record: FileReceptacle, where: str) -> Receptacle:
     if record.center is None or record.half is None:
-        raise UsageError(f"{where}: a new receptacle needs both center and half.")
+        raise fault(where, "a new receptacle needs both center and half.")
     check_name(f"{where}.name", record.name)
     return Receptacle(record.name, record.center, record.half, record.height)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import QhullError
 
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import fault, shown
 from mjhab.core.names import check_name
 from mjhab.core.typed.options import fitting
 from mjhab.scenes.formats.gltf import TO_Z_UP, Primitive, read_glb
@@ -70,8 +70,8 @@ def object_from_glb(
     seen = [part for part in parts if not part.mesh.startswith(COLLISION_PREFIX)]
     hulls = [_hull(path, part) for part in pieces or seen]
     if len(hulls) > MAX_PIECES:
-        raise UsageError(
-            f"{path}: {len(hulls)} collision pieces; an object has at most {MAX_PIECES}."
+        raise fault(
+            path, f"{len(hulls)} collision pieces; an object has at most {MAX_PIECES}."
         )
     points = np.concatenate([hull.vertices for hull in hulls]).astype(float)
     center = ((points.min(axis=0) + points.max(axis=0)) / 2).round(6)
@@ -107,8 +107,9 @@ def _hull(path: Path, part: Primitive) -> Mesh:
     try:
         return hull_mesh(np.unique(part.vertices[np.unique(part.faces)].round(7), axis=0))
     except (QhullError, ValueError) as error:
-        raise UsageError(
-            f"{path}: mesh {part.mesh!r} is flat or has fewer than four points, so that it has no convex hull."
+        raise fault(
+            path,
+            f"mesh {part.mesh!r} is flat or has fewer than four points, so that it has no convex hull.",
         ) from error
 
 
@@ -129,7 +130,8 @@ def check_extent(path: Path, extent: np.ndarray, remedy: str) -> None:
     """
     measured = " x ".join(f"{size:g}" for size in extent.tolist())
     if extent.max() > MAX_EXTENT_M or extent.min() < MIN_EXTENT_M:
-        raise UsageError(
-            f"{path}: the object measures {measured} m; expected {MIN_EXTENT_M:g} to {MAX_EXTENT_M:g} m along every "
-            f"axis. {remedy}"
+        raise fault(
+            path,
+            f"the object measures {measured} m; expected {MIN_EXTENT_M:g} to {MAX_EXTENT_M:g} m along every "
+            f"axis. {remedy}",
         )

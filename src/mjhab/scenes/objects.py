@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mjhab.core.errors import UsageError, wrong_type
+from mjhab.core.errors import UsageError, fault, wrong_type
 from mjhab.core.names import check_texts
 from mjhab.core.registration.registry import Registry, check_item
 from mjhab.core.typed.options import fitting
@@ -45,8 +45,9 @@ class ObjectModel:
         fitting("meshes", Mapping[str, Mesh], self.meshes, owner)
         check_texts("words", self.words, owner)
         if not all(word.strip() for word in self.words):
-            raise UsageError(
-                f"object {self.kind.name!r}: words must not be empty, got {self.words}."
+            raise fault(
+                f"object {self.kind.name!r}",
+                f"words must not be empty, got {self.words}.",
             )
 
 
@@ -72,17 +73,18 @@ def register_object(model: ObjectModel) -> ObjectModel:
     kind = model.kind
     for geom in (*kind.collision, *kind.visuals):
         if geom.shape == "mesh" and geom.mesh not in model.meshes:
-            raise UsageError(
-                f"object {kind.name!r}: a geom names the mesh {geom.mesh!r}; given are: "
-                f"{', '.join(sorted(model.meshes)) or 'none'}."
+            raise fault(
+                f"object {kind.name!r}",
+                f"a geom names the mesh {geom.mesh!r}; given are: {', '.join(sorted(model.meshes)) or 'none'}.",
             )
     if not any(geom.collide for geom in kind.collision):
         raise UsageError(
             f"object {kind.name!r} has no collision geom: nothing could hold or touch it."
         )
     if kind.name in builtin_objects():
-        raise UsageError(
-            f"object {kind.name!r}: the built-in packs have an object of this name; register it under another name."
+        raise fault(
+            f"object {kind.name!r}",
+            "the built-in packs have an object of this name; register it under another name.",
         )
     check_pack(
         Pack("objects", {}, {}, (), {kind.name: kind}, dict(model.meshes)), kind.name

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about
+from mjhab.core.errors import UsageError, about, fault
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import read_json_object
@@ -76,8 +76,9 @@ def load_pack(folder: Path) -> Pack:
     path = folder / _JSON
     body = read_json_object(path)
     if body.get("format") != PACK_FORMAT:
-        raise UsageError(
-            f"{path}: field 'format' must be {PACK_FORMAT!r}; this is not a pack of this version."
+        raise fault(
+            path,
+            f"field 'format' must be {PACK_FORMAT!r}; this is not a pack of this version.",
         )
     try:
         props = {p.name: p for p in read_record(tuple[Prop, ...], body["props"], "props")}
@@ -103,9 +104,9 @@ def load_pack(folder: Path) -> Pack:
             read_record(Roles, body.get("roles", {}), "roles"),
         )
     except KeyError as error:
-        raise UsageError(f"{path}: field {error} is missing.") from error
+        raise fault(path, f"field {error} is missing.") from error
     except ValueError as error:
-        raise UsageError(f"{path}: {error}") from error
+        raise fault(path, str(error)) from error
     _check_names(pack, path)
     with about(path):
         check_roles(pack)
@@ -126,8 +127,9 @@ def _check_names(pack: Pack, path: Path) -> None:
         ):
             for p in placed:
                 if p.template not in known:
-                    raise UsageError(
-                        f"{path}: home {home.name!r}, {what}: template {p.template!r} is not in the pack."
+                    raise fault(
+                        path,
+                        f"home {home.name!r}, {what}: template {p.template!r} is not in the pack.",
                     )
     links = [link for a in pack.articulations.values() for link in a.links]
     groups = [
@@ -139,8 +141,8 @@ def _check_names(pack: Pack, path: Path) -> None:
     ]
     for geom in (g for group in groups for g in group):
         if geom.shape == "mesh" and geom.mesh not in pack.meshes:
-            raise UsageError(
-                f"{path}: a geom names the mesh {geom.mesh!r}, which is not in the pack."
+            raise fault(
+                path, f"a geom names the mesh {geom.mesh!r}, which is not in the pack."
             )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from mjhab.core.errors import UsageError, about, unknown_name, wrong_value
+from mjhab.core.errors import UsageError, about, fault, unknown_name, wrong_value
 from mjhab.core.files.reading import beside
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
@@ -128,8 +128,9 @@ class PackSource:
     def __post_init__(self) -> None:
         check_name("name of a pack source", self.name)
         if not callable(self.open) or not (self.finds is None or callable(self.finds)):
-            raise UsageError(
-                f"pack source {self.name!r}: open, and finds unless it is None, must be functions."
+            raise fault(
+                f"pack source {self.name!r}",
+                "open, and finds unless it is None, must be functions.",
             )
         options = fitting(
             "options",

@@ -10,7 +10,7 @@ import os
 from collections import Counter
 from pathlib import Path
 
-from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, fault, unknown_name
 from mjhab.core.registration import plugins
 from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.objects import with_registered_objects
@@ -85,12 +85,13 @@ def _opened(source: PackSource, request: PackRequest) -> Pack:
     try:
         pack = source.open(request)
     except MjhabError as error:
-        raise UsageError(f"{told}: {error}") from error
+        raise fault(told, str(error)) from error
     except Exception as error:
-        raise UsageError(f"{told}: its open raised {raised_text(error)}.") from error
+        raise fault(told, f"its open raised {raised_text(error)}.") from error
     if not isinstance(pack, Pack):
-        raise UsageError(
-            f"{told}: its open must return a mjhab.scenes.spec.Pack, got {type(pack).__name__}."
+        raise fault(
+            told,
+            f"its open must return a mjhab.scenes.spec.Pack, got {type(pack).__name__}.",
         )
     return pack
 

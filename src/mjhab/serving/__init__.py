@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.machine import install_extra
 
 
@@ -20,6 +20,6 @@ def require_serving() -> None:
     """
     lacking = [name for name in ("msgpack", "websockets") if find_spec(name) is None]
     if lacking:
-        raise UsageError(
-            f"served policies need {' and '.join(lacking)}: {install_extra('serve')}."
+        raise fault(
+            f"served policies need {' and '.join(lacking)}", f"{install_extra('serve')}."
         )

@@ -22,7 +22,7 @@ from mjhab.core.arrays import (
     pile,
     value_text,
 )
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.tasks.plan import PlanArrays
 from mjhab.tasks.posture import off_rest
@@ -320,9 +320,10 @@ def _own_measures(
         if may_hold(mine):
             own = function(state, active, config)
             if getattr(own, "shape", None) != mine.shape or own.dtype != mine.dtype:
-                raise UsageError(
-                    f"{SUBTASKS.told(SUBTASKS.names()[number])}: the measure of {CHECKS[row]!r} must give one bool per "
-                    f"world, shape {tuple(mine.shape)}; got {value_text(own)}."
+                raise fault(
+                    SUBTASKS.told(SUBTASKS.names()[number]),
+                    f"the measure of {CHECKS[row]!r} must give one bool per world, shape {tuple(mine.shape)}; "
+                    f"got {value_text(own)}.",
                 )
             out[row] = namespace(own).where(mine, own, out[row])
     return out

@@ -13,7 +13,7 @@ from typing import IO
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.files.reading import check_file, reason
 
 _MB = 2**20
@@ -109,9 +109,7 @@ def open_arrays(
         with zipfile.ZipFile(path) as file:
             yield Arrays(file, most_mb)
     except KeyError as error:
-        raise UsageError(
-            f"{path}: array {error} is missing; this is no {what}."
-        ) from error
+        raise fault(path, f"array {error} is missing; this is no {what}.") from error
     except _DAMAGE as error:
         raise UsageError(
             f"{path} is no {what}, or is damaged ({reason(error)}); {remedy}."

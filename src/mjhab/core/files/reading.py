@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError, about, shown
+from mjhab.core.errors import UsageError, about, fault, shown
 
 MAX_JSON_MB = 256
 """Largest JSON text that is read [MB], after it was unpacked; 10,000 episodes in the HAB format take about 90."""
@@ -30,11 +30,9 @@ def check_file(path: Path, most_mb: float = math.inf) -> None:
             raise UsageError(f"{path} is not a file.")
         size = path.stat().st_size
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: cannot be read ({reason(error)}).") from error
+        raise fault(path, f"cannot be read ({reason(error)}).") from error
     if size > most_mb * _MB:
-        raise UsageError(
-            f"{path}: {size / _MB:,.0f} MB; at most {most_mb:g} MB are read."
-        )
+        raise fault(path, f"{size / _MB:,.0f} MB; at most {most_mb:g} MB are read.")
 
 
 def read_bytes(path: Path, most_mb: float = MAX_JSON_MB) -> bytes:
@@ -47,7 +45,7 @@ def read_bytes(path: Path, most_mb: float = MAX_JSON_MB) -> bytes:
     try:
         return path.read_bytes()
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: cannot be read ({reason(error)}).") from error
+        raise fault(path, f"cannot be read ({reason(error)}).") from error
 
 
 def is_file(path: Path) -> bool:
@@ -151,7 +149,7 @@ def read_json_object(path: Path, most_mb: float = MAX_JSON_MB) -> dict[str, Any]
     """
     body = read_json(path, most_mb)
     if not isinstance(body, dict):
-        raise UsageError(f"{path}: expected a JSON object, found {type(body).__name__}.")
+        raise fault(path, f"expected a JSON object, found {type(body).__name__}.")
     return body
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv, VectorWrapper
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, fault, unknown_name
 from mjhab.envs.spaces import batched
 
 IMAGE_PREFIX = "sensor_data/"
@@ -84,8 +84,9 @@ def require_images(
     """
     leaves = tuple(image_leaves(dict_space(env, wrapper)))
     if not leaves:
-        raise UsageError(
-            f"{wrapper}: the observations have no images; make the environment with obs_mode='depth'."
+        raise fault(
+            wrapper,
+            "the observations have no images; make the environment with obs_mode='depth'.",
         )
     if not flat and any(leaf.path[0] == PIXELS for leaf in leaves):
         raise UsageError(

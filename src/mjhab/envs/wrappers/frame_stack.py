@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
-from mjhab.core.errors import UsageError, wrong_value
+from mjhab.core.errors import fault, wrong_value
 from mjhab.core.typed.checks import check_least
 from mjhab.envs.spaces import batched, with_entries
 from mjhab.envs.wrappers.base import check_key, dict_space, map_final, require_images
@@ -98,7 +98,7 @@ class FrameStack(VectorWrapper):
             UsageError: called before the first reset.
         """
         if not self._frames:
-            raise UsageError("FrameStack: call reset() before step().")
+            raise fault("FrameStack", "call reset() before step().")
         obs, reward, terminated, truncated, info = self.env.step(actions)
         info = map_final(info, self._final)
         done = np.asarray(terminated) | np.asarray(truncated)
@@ -158,14 +158,15 @@ def _frames_of(env: VectorEnv, wanted: int | None) -> int:
     configured = getattr(config, "frame_stack", 1)
     if wanted is None or configured in (1, wanted):
         return configured if wanted is None else wanted
-    raise UsageError(
-        f"FrameStack: the environment has frame_stack {configured}, which num_stack={wanted} contradicts. "
-        f"Leave out num_stack, or make the environment with frame_stack={wanted}."
+    raise fault(
+        "FrameStack",
+        f"the environment has frame_stack {configured}, which num_stack={wanted} contradicts. Leave out "
+        f"num_stack, or make the environment with frame_stack={wanted}.",
     )
 
 
 def _stacked(space: spaces.Space, num: int) -> spaces.Box:
     if not isinstance(space, spaces.Box):
-        raise UsageError(f"FrameStack: only arrays can be stacked, got a space {space}.")
+        raise fault("FrameStack", f"only arrays can be stacked, got a space {space}.")
     low, high = (np.repeat(bound[None], num, axis=0) for bound in (space.low, space.high))
     return spaces.Box(low, high, dtype=space.dtype)  # type: ignore[arg-type]

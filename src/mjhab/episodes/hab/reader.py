@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about, unknown_name
+from mjhab.core.errors import UsageError, about, fault, unknown_name
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
@@ -67,11 +67,12 @@ def file_roster(file: HabFile, pack: Pack) -> tuple[str, ...]:
         for k, kind in enumerate(episode.types):
             if kind not in pack.objects:
                 known = unknown_name("object", kind, pack.objects)
-                raise UsageError(f"{file.path}: episodes[{i}].rigid_objs[{k}]: {known}")
+                raise fault(file.path, f"episodes[{i}].rigid_objs[{k}]: {known}")
         most |= Counter(episode.types)
     if most.total() > MAX_OBJECTS:
-        raise UsageError(
-            f"{file.path}: its episodes need {most.total():,} objects at once; at most {MAX_OBJECTS} can be simulated."
+        raise fault(
+            file.path,
+            f"its episodes need {most.total():,} objects at once; at most {MAX_OBJECTS} can be simulated.",
         )
     return tuple(kind for kind in sorted(most) for _ in range(most[kind]))
 
@@ -138,8 +139,8 @@ class FileEpisodes:
                     (home and f"in home {home!r}", target and f"with target {target!r}"),
                 )
             )
-            raise UsageError(
-                f"{file.path}: none of its {len(self.file.episodes)} episodes is {wanted}."
+            raise fault(
+                file.path, f"none of its {len(self.file.episodes)} episodes is {wanted}."
             )
 
     def __len__(self) -> int:

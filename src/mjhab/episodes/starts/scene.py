@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.spawns import Held, SpawnGoal
 from mjhab.episodes.starts.home_state import HomeState
@@ -69,9 +69,10 @@ class Situation:
         for subtask in reversed(self.plan.subtasks[: self.position]):
             if spec_of(subtask.kind).navigates:
                 return subtask.goal_pos
-        raise UsageError(
-            f"{TASKS.told(self.plan.task)}: subtask {self.subtask.name!r} begins where the navigate before it led to, "
-            f"but no navigate is before position {self.position} of the plan. Put one into the chain of the TargetRule."
+        raise fault(
+            TASKS.told(self.plan.task),
+            f"subtask {self.subtask.name!r} begins where the navigate before it led to, but no navigate is "
+            f"before position {self.position} of the plan. Put one into the chain of the TargetRule.",
         )
 
     def open_before(self) -> tuple[str, bool]:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.core.typed.checks import check
 from mjhab.render.home_scene import build_render_scene
@@ -309,9 +309,7 @@ def _check(
         ("output", outputs, OUTPUTS),
     ):
         if not given:
-            raise UsageError(
-                f"WarpCameras: no {kind} given; known are {', '.join(known)}."
-            )
+            raise fault("WarpCameras", f"no {kind} given; known are {', '.join(known)}.")
         for name in given:
             if name not in known:
                 raise unknown_name(kind, name, known)

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.formats.fields import Fields
@@ -100,13 +100,12 @@ def read_glb(path: Path, *, textures: bool = True) -> list[Primitive]:
         with np.errstate(over="ignore", invalid="ignore"):
             parts = _Reader(document, blob).primitives(textures)
     except ValueError as error:
-        raise UsageError(
-            f"{path}: broken glTF ({error}); download the file again."
-        ) from error
+        raise fault(path, f"broken glTF ({error}); download the file again.") from error
     for part in parts:
         if not (np.abs(part.vertices) <= MAX_FILE_NUMBER).all():
-            raise UsageError(
-                f"{path}: mesh {part.mesh!r} has vertices that are not finite or beyond {MAX_FILE_NUMBER:g}."
+            raise fault(
+                path,
+                f"mesh {part.mesh!r} has vertices that are not finite or beyond {MAX_FILE_NUMBER:g}.",
             )
     return parts
 
@@ -127,8 +126,9 @@ def read_hulls(path: Path) -> list[np.ndarray]:
         keys = np.unique(np.round(used, 6), axis=0, return_index=True)[1]
         points = used[np.sort(keys)]
         if len(points) < 4:
-            raise UsageError(
-                f"{path}: mesh {part.mesh!r} has {len(points)} distinct points; a hull needs four."
+            raise fault(
+                path,
+                f"mesh {part.mesh!r} has {len(points)} distinct points; a hull needs four.",
             )
         hulls.append(points)
     return hulls
@@ -138,34 +138,33 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary chunk of a file."""
     raw = read_bytes(path, MAX_FILE_MB)
     if len(raw) < 20 or raw[:4] != b"glTF":
-        raise UsageError(
-            f"{path}: not a binary glTF file (no 'glTF' header); download the file again."
+        raise fault(
+            path, "not a binary glTF file (no 'glTF' header); download the file again."
         )
     length = struct.unpack_from("<I", raw, 8)[0]
     if length > len(raw):
-        raise UsageError(
-            f"{path}: cut off: the header says {length} bytes, the file has {len(raw)}; download it again."
+        raise fault(
+            path,
+            f"cut off: the header says {length} bytes, the file has {len(raw)}; download it again.",
         )
     found: dict[bytes, bytes] = {}
     offset = 12
     while offset + 8 <= length:
         size, kind = struct.unpack_from("<I4s", raw, offset)
         if offset + 8 + size > length:
-            raise UsageError(
-                f"{path}: chunk {kind!r} is cut off; download the file again."
-            )
+            raise fault(path, f"chunk {kind!r} is cut off; download the file again.")
         found.setdefault(kind, raw[offset + 8 : offset + 8 + size])
         offset += 8 + size
     if b"JSON" not in found:
-        raise UsageError(f"{path}: no JSON chunk; download the file again.")
+        raise fault(path, "no JSON chunk; download the file again.")
     try:
         document = parse_json(found[b"JSON"])
     except ValueError as error:
-        raise UsageError(
-            f"{path}: the JSON chunk is broken ({error}); download the file again."
+        raise fault(
+            path, f"the JSON chunk is broken ({error}); download the file again."
         ) from error
     if not isinstance(document, dict):
-        raise UsageError(f"{path}: the JSON chunk is no object; download the file again.")
+        raise fault(path, "the JSON chunk is no object; download the file again.")
     return document, found.get(b"BIN\0", b"")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about
+from mjhab.core.errors import about, fault
 from mjhab.core.files.reading import beside, read_bytes
 from mjhab.core.names import check_name
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
@@ -106,27 +106,27 @@ def read_urdf(path: Path) -> Urdf:
     """
     raw = read_bytes(path, MAX_URDF_MB)
     if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
-        raise UsageError(f"{path}: declares entities, which no furniture needs.")
+        raise fault(path, "declares entities, which no furniture needs.")
     try:
         top = ElementTree.fromstring(raw)
     except (ElementTree.ParseError, RecursionError, ValueError) as error:
-        raise UsageError(
-            f"{path}: not valid XML ({error}); download the file again."
-        ) from error
+        raise fault(path, f"not valid XML ({error}); download the file again.") from error
     links = {_name(path, e, "name"): _link(path, e) for e in top.iter("link")}
     joints = {}
     for element in top.iter("joint"):
         joint = _joint(path, element)
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise UsageError(
-                    f"{path}: joint {joint.name!r} names the link {end!r}, which is not in the file."
+                raise fault(
+                    path,
+                    f"joint {joint.name!r} names the link {end!r}, which is not in the file.",
                 )
         joints[joint.child] = joint
     roots = [name for name in links if name not in joints]
     if len(roots) != 1:
-        raise UsageError(
-            f"{path}: expected one root link, found {len(roots)} ({', '.join(roots) or 'none'})."
+        raise fault(
+            path,
+            f"expected one root link, found {len(roots)} ({', '.join(roots) or 'none'}).",
         )
     for name in links:
         _check_reaches_root(path, name, joints, roots[0])
@@ -142,7 +142,7 @@ def _check_reaches_root(
         if above == root:
             return
         above = joints[above].parent
-    raise UsageError(f"{path}: the joints above link {link!r} form a loop.")
+    raise fault(path, f"the joints above link {link!r} form a loop.")
 
 
 def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
@@ -153,13 +153,13 @@ def _link(path: Path, element: ElementTree.Element) -> UrdfLink:
     for part in element.findall("collision"):
         box = part.find("geometry/box")
         if box is None:
-            raise UsageError(f"{path}: link {name!r}: collision shapes must be boxes.")
+            raise fault(path, f"link {name!r}: collision shapes must be boxes.")
         size = _numbers(path, f"link {name!r}: box size", box.get("size"), 3)
         boxes.append(UrdfBox(size / 2, _origin(path, part, f"link {name!r}")))
     for part in element.findall("visual"):
         mesh = part.find("geometry/mesh")
         if mesh is None:
-            raise UsageError(f"{path}: link {name!r}: visual shapes must be meshes.")
+            raise fault(path, f"link {name!r}: visual shapes must be meshes.")
         scale = _numbers(
             path, f"link {name!r}: mesh scale", mesh.get("scale", "1 1 1"), 3
         )
@@ -197,9 +197,10 @@ def _inertial(
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     moments = np.linalg.eigvalsh(inertia)
     if moments[0] <= 0.0 or moments[2] > moments[:2].sum() * (1 + 1e-9):
-        raise UsageError(
-            f"{path}: {where}: no body has the inertia {given.attrib}: its principal moments must be positive, and "
-            "none larger than the sum of the others."
+        raise fault(
+            path,
+            f"{where}: no body has the inertia {given.attrib}: its principal moments must be positive, and "
+            "none larger than the sum of the others.",
         )
     turn = pose[:3, :3]
     return pose[:3, 3], turn @ inertia @ turn.T
@@ -209,14 +210,15 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
     name = _name(path, element, "name")
     kind = _need(path, element, "type")
     if kind not in JOINT_TYPES:
-        raise UsageError(
-            f"{path}: joint {name!r}: unknown type {kind!r}; known are {', '.join(JOINT_TYPES)}."
+        raise fault(
+            path,
+            f"joint {name!r}: unknown type {kind!r}; known are {', '.join(JOINT_TYPES)}.",
         )
     ends = []
     for tag in ("parent", "child"):
         found = element.find(tag)
         if found is None:
-            raise UsageError(f"{path}: joint {name!r}: no <{tag}>.")
+            raise fault(path, f"joint {name!r}: no <{tag}>.")
         ends.append(_need(path, found, "link"))
     axis = np.array([1.0, 0.0, 0.0])
     limits = (0.0, 0.0)
@@ -227,8 +229,8 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
         if given is not None:
             axis = _numbers(path, f"joint {name!r}: axis", given.get("xyz"), 3)
         if limit is None or not np.linalg.norm(axis):
-            raise UsageError(
-                f"{path}: joint {name!r}: needs a <limit> and an axis that is not zero."
+            raise fault(
+                path, f"joint {name!r}: needs a <limit> and an axis that is not zero."
             )
         axis = axis / np.linalg.norm(axis)
         low, high = (
@@ -260,8 +262,9 @@ def _resistance(
     given = "0" if dynamics is None else dynamics.get(term, "0")
     value = float(_numbers(path, f"joint {joint!r}: {term}", given, 1)[0])
     if value < 0.0:
-        raise UsageError(
-            f"{path}: joint {joint!r}: {term} is {value:g}, which would drive the joint; expected 0 or more."
+        raise fault(
+            path,
+            f"joint {joint!r}: {term} is {value:g}, which would drive the joint; expected 0 or more.",
         )
     return value
 
@@ -296,7 +299,7 @@ def _about(axis: int, angle: float) -> np.ndarray:
 def _need(path: Path, element: ElementTree.Element, attribute: str) -> str:
     value = element.get(attribute)
     if value is None:
-        raise UsageError(f"{path}: <{element.tag}> has no attribute {attribute!r}.")
+        raise fault(path, f"<{element.tag}> has no attribute {attribute!r}.")
     return value
 
 
@@ -314,7 +317,8 @@ def _numbers(path: Path, where: str, text: str | None, count: int) -> np.ndarray
     except ValueError:
         numbers = np.zeros(0)
     if len(numbers) != count or not (np.abs(numbers) <= MAX_FILE_NUMBER).all():
-        raise UsageError(
-            f"{path}: {where}: expected {count} numbers, got {text!r} (up to {MAX_FILE_NUMBER:g})."
+        raise fault(
+            path,
+            f"{where}: expected {count} numbers, got {text!r} (up to {MAX_FILE_NUMBER:g}).",
         )
     return numbers

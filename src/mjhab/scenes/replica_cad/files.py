@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about, shown, wrong_value
+from mjhab.core.errors import UsageError, about, fault, shown, wrong_value
 from mjhab.core.files.reading import beside, read_json_object
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
 from mjhab.core.typed.checks import check
@@ -56,16 +56,14 @@ def load_json(path: Path) -> dict[str, Any]:
         UsageError: the file is missing, cut off or not an object; the message names it.
     """
     if not path.exists():
-        raise UsageError(f"{path}: cannot be read (there is no such file); {HOW_TO_GET}.")
+        raise fault(path, f"cannot be read (there is no such file); {HOW_TO_GET}.")
     return read_json_object(path)
 
 
 def field(path: Path, record: Any, key: str, where: str = "") -> Any:
     """``record[key]``, or a UsageError that names the file and the field."""
     if not isinstance(record, dict) or key not in record:
-        raise UsageError(
-            f"{path}: field {f'{where}.{key}' if where else key!r} is missing."
-        )
+        raise fault(path, f"field {(f'{where}.{key}' if where else key)!r} is missing.")
     return record[key]
 
 
@@ -80,7 +78,7 @@ def numbers(path: Path, record: Any, key: str, count: int, where: str = "") -> n
         expected = (
             f"expected {count} numbers, got {shown(value)} (up to {MAX_FILE_NUMBER:g})"
         )
-        raise UsageError(f"{path}: field {where}.{key}: {expected}.")
+        raise fault(path, f"field {where}.{key}: {expected}.")
     return array
 
 
@@ -141,9 +139,7 @@ def rotation(path: Path, record: dict[str, Any], where: str) -> np.ndarray:
         return np.eye(3)
     given = numbers(path, record, "rotation", 4, where)
     if np.linalg.norm(given) < _MIN_QUATERNION_LENGTH:
-        raise UsageError(
-            f"{path}: field {where}.rotation: not a quaternion: {given.tolist()}."
-        )
+        raise fault(path, f"field {where}.rotation: not a quaternion: {given.tolist()}.")
     return mat_from_quat(given / np.linalg.norm(given))
 
 

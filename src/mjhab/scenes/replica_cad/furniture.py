@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.builtin.furniture_kitchen import FRIDGE_FRONT_AREA
 from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb, read_hulls
@@ -110,9 +110,10 @@ class Furniture:
         """
         name = short_name(template)
         if self._scale.setdefault(name, scale) != scale:
-            raise UsageError(
-                f"{self.folder}: {name!r} has uniform_scale {self._scale[name]} in one scene and {scale} in another; "
-                "scenes of one pack must agree."
+            raise fault(
+                self.folder,
+                f"{name!r} has uniform_scale {self._scale[name]} in one scene and {scale} in another; scenes "
+                "of one pack must agree.",
             )
         world = mat_from_quat(np.array(at.rotation))
         if name not in self.upright:
@@ -149,8 +150,9 @@ class Furniture:
                 )
             ]
         else:
-            raise UsageError(
-                f"{path}: field 'render_asset' names {look}, which does not exist; {HOW_TO_GET}."
+            raise fault(
+                path,
+                f"field 'render_asset' names {look}, which does not exist; {HOW_TO_GET}.",
             )
         if look.is_file():
             geoms.append(self._look(name, f"{name}/look", [(look, _as_pose(TO_Z_UP))]))
@@ -176,9 +178,7 @@ class Furniture:
     def _look(self, name: str, mesh: str, parts: list[tuple[Path, np.ndarray]]) -> Geom:
         for file, pose in parts:
             if not file.is_file():
-                raise UsageError(
-                    f"{name}: render mesh {file} does not exist; {HOW_TO_GET}."
-                )
+                raise fault(name, f"render mesh {file} does not exist; {HOW_TO_GET}.")
             self.looks.add(mesh, file, pose)
         return Geom("mesh", (1.0, 1.0, 1.0), material=MATERIAL, mesh=mesh, collide=False)
 
@@ -230,8 +230,9 @@ class Furniture:
             if joint.kind == "fixed":
                 continue
             if urdf.moving(joint.parent) != urdf.root:
-                raise UsageError(
-                    f"{path}: joint {joint.name!r}: joints on moving links are not supported."
+                raise fault(
+                    path,
+                    f"joint {joint.name!r}: joints on moving links are not supported.",
                 )
             links.append(
                 self._link(
@@ -301,9 +302,7 @@ class Furniture:
     ) -> tuple[tuple[UrdfBox, ...], handles.Grip]:
         """Collision boxes of a link, and its grip, in the frame of the URDF link."""
         if not link.boxes:
-            raise UsageError(
-                f"{path}: link {link.name!r} of {name!r} has no collision boxes."
-            )
+            raise fault(path, f"link {link.name!r} of {name!r} has no collision boxes.")
         if name not in ARTICULATED:
             return link.boxes, handles.plain(
                 link.boxes, np.array(_FRONT.get(name, (1.0, 0.0, 0.0))), scale
@@ -311,8 +310,8 @@ class Furniture:
         try:
             return ARTICULATED[name](link.name, link.boxes)
         except KeyError as error:
-            raise UsageError(
-                f"{path}: link {link.name!r} of {name!r} has no known handle."
+            raise fault(
+                path, f"link {link.name!r} of {name!r} has no known handle."
             ) from error
 
     def _receptacles(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 
 _SET_MAGIC = b"TESM"
 _TILE_MAGIC = b"VAND"
@@ -40,14 +40,10 @@ def read_navmesh(path: Path) -> NavMesh:
     try:
         raw = path.read_bytes()
     except OSError as error:
-        raise UsageError(
-            f"{path}: cannot be read ({error.strerror or error})."
-        ) from error
+        raise fault(path, f"cannot be read ({error.strerror or error}).") from error
     tile = raw.find(_TILE_MAGIC)
     if raw[:4] != _SET_MAGIC or tile < 0:
-        raise UsageError(
-            f"{path}: not a navigation mesh of one tile; download the file again."
-        )
+        raise fault(path, "not a navigation mesh of one tile; download the file again.")
     try:
         x, _, z, width, depth = struct.unpack_from("<5f", raw, 12)
         polygon_count, vertex_count = struct.unpack_from("<2i", raw, tile + 24)
@@ -67,7 +63,5 @@ def read_navmesh(path: Path) -> NavMesh:
                 np.stack([corners[:, 0], -corners[:, 2], corners[:, 1]], axis=1)
             )
     except (struct.error, ValueError, IndexError) as error:
-        raise UsageError(
-            f"{path}: cut off ({error}); download the file again."
-        ) from error
+        raise fault(path, f"cut off ({error}); download the file again.") from error
     return NavMesh((x, -(z + depth), x + width, -z), polygons)

@@ -21,6 +21,7 @@ import numpy as np
 from mjhab.core.errors import (
     UsageError,
     about,
+    fault,
     unknown_name,
     warn_once,
     wrong_value,
@@ -198,8 +199,9 @@ class _Scenes:
         for kind in ("object_instances", "articulated_object_instances"):
             count = len(_list(path, body, kind))
             if count > MAX_INSTANCES:
-                raise UsageError(
-                    f"{path}: field {kind!r} has {count:,} entries; at most {MAX_INSTANCES} fit into a home."
+                raise fault(
+                    path,
+                    f"field {kind!r} has {count:,} entries; at most {MAX_INSTANCES} fit into a home.",
                 )
         for k, record in enumerate(_list(path, body, "object_instances")):
             where = f"object_instances[{k}]"
@@ -221,8 +223,9 @@ class _Scenes:
             (jointed if at.template in self.furniture.articulations else props).append(at)
         for place in jointed:
             if sum(other.template == place.template for other in jointed) > 1:
-                raise UsageError(
-                    f"{path}: more than one {place.template!r}; a home may have one of each that opens."
+                raise fault(
+                    path,
+                    f"more than one {place.template!r}; a home may have one of each that opens.",
                 )
         walls, extent = self._stage(path, body) or ((), None)
         found = STAGED.fullmatch(name)
@@ -310,7 +313,7 @@ def _scale(path: Path, record: dict[str, Any], where: str) -> float:
 def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
     value = body.get(key, [])
     if not isinstance(value, list):
-        raise UsageError(f"{path}: field {key!r}: expected a list.")
+        raise fault(path, f"field {key!r}: expected a list.")
     return value
 
 

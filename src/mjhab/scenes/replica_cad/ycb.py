@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.scenes.builtin.objects import BOWL_WALL_M, MASSES
 from mjhab.scenes.formats.gltf import Primitive, read_glb
 from mjhab.scenes.object_glb import check_extent
@@ -78,9 +78,7 @@ def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
         try:
             types[name], added = object_from_scan(name, read_scan(path))
         except QhullError as error:
-            raise UsageError(
-                f"{path}: the scan is flat; download the file again."
-            ) from error
+            raise fault(path, "the scan is flat; download the file again.") from error
         meshes.update(added)
     return types, meshes
 
@@ -93,8 +91,8 @@ def read_scan(path: Path) -> Scan:
     """
     part, *others = read_glb(path)
     if others or part.texture is None or part.uv is None:
-        raise UsageError(
-            f"{path}: not one mesh with a base colour texture; download the file again."
+        raise fault(
+            path, "not one mesh with a base colour texture; download the file again."
         )
     extent = np.ptp(part.vertices, axis=0)
     check_extent(

@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 from mjhab.core.errors import (
     UsageError,
     about,
+    fault,
     unknown_name,
     wrong_type,
     wrong_value,
@@ -161,8 +162,9 @@ class TaskSpec:
                     name, getattr(self, name), "at least 0", where=f"task {self.name!r}"
                 )
         if not 0.0 < self.shelf_region <= 1.0:
-            raise UsageError(
-                f"task {self.name!r}: shelf_region is a share above 0 and up to 1, got {self.shelf_region}."
+            raise fault(
+                f"task {self.name!r}",
+                f"shelf_region is a share above 0 and up to 1, got {self.shelf_region}.",
             )
 
     @property

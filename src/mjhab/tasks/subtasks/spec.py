@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mjhab.core.arrays import Array, value_text
-from mjhab.core.errors import UsageError, about, wrong_value
+from mjhab.core.errors import UsageError, about, fault, wrong_value
 from mjhab.core.joints import GROUPS
 from mjhab.core.names import check_texts
 from mjhab.core.registration.plugins import raised_text
@@ -299,7 +299,7 @@ class SubtaskSpec:
         try:
             given = rule.holds(uneventful(_TRIED_WORLDS))
         except UsageError as error:
-            raise UsageError(f"{where}: {error}") from error
+            raise fault(where, str(error)) from error
         # A plugin's rule can raise any exception.
         except Exception as error:
             raise UsageError(f"{where} raised {raised_text(error)}.") from error

@@ -16,6 +16,33 @@ def missing_libraries(names: Sequence[str]) -> list[str]:
     return [name for name in names if not _is_installed(name)]
 
 
+def missing_library(user: str, names: Sequence[str], install: str) -> UsageError:
+    """Build the error for libraries that are not installed.
+
+    Args:
+        user: what needs them, an option or a function: "--ray", "learning".
+        names: of the libraries.
+        install: the command that installs them, see `core.machine.install_extra`.
+    """
+    verb = "is" if len(names) == 1 else "are"
+    return UsageError(
+        f"{user} needs {', '.join(names)}, which {verb} not installed. Install with: {install}",
+        option=user,
+        expected=tuple(names),
+    )
+
+
+def require_libraries(user: str, names: Sequence[str], extra: str) -> None:
+    """Check that the libraries of an extra are installed; nothing is imported. See `missing_library`.
+
+    Raises:
+        UsageError: one is not.
+    """
+    missing = missing_libraries(names)
+    if missing:
+        raise missing_library(user, missing, install_extra(extra))
+
+
 def check_imports(names: Sequence[str], extra: str) -> None:
     """Import libraries that are installed.
 

@@ -8,6 +8,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError
+from mjhab.core.libraries import missing_library
 from mjhab.core.machine import pip_install
 from mjhab.integrations.tensors import observation_tensors
 from mjhab.tasks.subtasks.registry import horizons
@@ -32,8 +33,8 @@ def to_rsl_rl(env: VectorEnv) -> Any:
         from rsl_rl.env import VecEnv  # pyright: ignore[reportMissingImports]
         from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise UsageError(
-            f"to_rsl_rl needs rsl_rl: {pip_install('rsl-rl-lib')}"
+        raise missing_library(
+            "to_rsl_rl", ("rsl_rl",), pip_install("rsl-rl-lib")
         ) from error
     _require_own_resets(env)
     numpy = not env.metadata.get("tensors", False)

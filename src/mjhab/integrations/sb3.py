@@ -10,6 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError, fault, unknown_name
+from mjhab.core.libraries import missing_library
 from mjhab.core.machine import pip_install
 from mjhab.envs.observations.modes import image_output
 from mjhab.envs.wrappers.normalize import normalize_depth
@@ -53,8 +54,8 @@ def to_sb3(
             VecMonitor,
         )
     except ImportError as error:
-        raise UsageError(
-            f"to_sb3 needs stable-baselines3: {pip_install('stable-baselines3')}"
+        raise missing_library(
+            "to_sb3", ("stable-baselines3",), pip_install("stable-baselines3")
         ) from error
     if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
         raise UsageError(

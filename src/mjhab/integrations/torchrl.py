@@ -8,6 +8,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from mjhab.core.errors import UsageError
+from mjhab.core.libraries import missing_library
 from mjhab.core.machine import pip_install
 from mjhab.integrations.tensors import observation_tensors
 
@@ -33,7 +34,9 @@ def to_torchrl(env: VectorEnv) -> Any:
     try:
         from torchrl.envs import EnvBase  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise UsageError(f"to_torchrl needs torchrl: {pip_install('torchrl')}") from error
+        raise missing_library(
+            "to_torchrl", ("torchrl",), pip_install("torchrl")
+        ) from error
     if env.metadata.get("autoreset_mode") != AutoresetMode.DISABLED:
         raise UsageError(
             "torchrl resets worlds itself; make the environment with autoreset='disabled'."

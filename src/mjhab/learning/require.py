@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.core.errors import UsageError
-from mjhab.core.libraries import check_imports, missing_libraries
-from mjhab.core.machine import install_extra
+from mjhab.core.libraries import check_imports, require_libraries
 
 LIBRARIES = ("torch", "safetensors", "tensorboard")
 """What the extra ``[learn]`` installs."""
@@ -18,10 +16,5 @@ def require_learn() -> None:
     Raises:
         UsageError: a library is missing or broken; the message says how to install it.
     """
-    missing = missing_libraries(LIBRARIES)
-    if missing:
-        raise UsageError(
-            f"learning needs {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed. "
-            f"Install the extra: {install_extra('learn')}"
-        )
+    require_libraries("learning", LIBRARIES, "learn")
     check_imports(IMPORTED, "learn")

@@ -6,10 +6,7 @@ unpickled.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
-from mjhab.core.errors import fault
-from mjhab.core.machine import install_extra
+from mjhab.core.libraries import require_libraries
 
 
 def require_serving() -> None:
@@ -18,8 +15,4 @@ def require_serving() -> None:
     Raises:
         UsageError: one of them is not installed.
     """
-    lacking = [name for name in ("msgpack", "websockets") if find_spec(name) is None]
-    if lacking:
-        raise fault(
-            f"served policies need {' and '.join(lacking)}", f"{install_extra('serve')}."
-        )
+    require_libraries("a served policy", ("msgpack", "websockets"), "serve")

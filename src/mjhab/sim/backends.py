@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.libraries import check_imports, missing_libraries
-from mjhab.core.machine import install_extra
+from mjhab.core.libraries import check_imports, missing_libraries, require_libraries
 
 if TYPE_CHECKING:
     from mjhab.layout.layout import Layout
@@ -36,10 +35,7 @@ def resolve(name: str) -> str:
     if name == "auto":
         name = "warp" if not missing and cuda_devices() else "cpu"
     if name == "warp":
-        if missing:
-            raise UsageError(
-                f"backend 'warp' needs {', '.join(missing)}, not installed here: {install_extra('gpu')}"
-            )
+        require_libraries("backend 'warp'", GPU_MODULES, "gpu")
         check_imports(COMPILED_MODULES, "gpu")
     return name
 

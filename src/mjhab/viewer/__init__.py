@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-
-from mjhab.core.errors import UsageError
-from mjhab.core.machine import install_extra
+from mjhab.core.libraries import require_libraries
 
 
 def require_viser() -> None:
@@ -14,8 +11,4 @@ def require_viser() -> None:
     Raises:
         UsageError: it is not installed.
     """
-    if importlib.util.find_spec("viser") is None:
-        raise UsageError(
-            f"mjhab view needs viser, which is not installed: {install_extra('view')}. Without it, --export writes "
-            "an episode as a page."
-        )
+    require_libraries("mjhab view without --export", ("viser",), "view")

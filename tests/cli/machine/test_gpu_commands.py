@@ -52,7 +52,7 @@ def test_auto_is_warp_where_the_extra_finds_a_device(
     devices.append("cuda:0")
     assert backends.resolve("auto") == "cpu"
     with pytest.raises(
-        UsageError, match=r"needs torch, not installed here: .*pip install .*\[gpu\]'"
+        UsageError, match=r"needs torch, which is not installed.*pip install .*\[gpu\]'"
     ):
         backends.resolve("warp")
     with pytest.raises(UsageError, match=r"unknown backend 'wrap'.*warp"):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
+from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
 from mjhab.data.record.crew import (
     Failed,
@@ -75,9 +76,7 @@ class RayCrew:
         try:
             ray: Any = importlib.import_module("ray")
         except ImportError as error:
-            raise UsageError(
-                f"--ray needs Ray, which is not installed: {install_extra('scale')}."
-            ) from error
+            raise missing_library("--ray", ("Ray",), install_extra("scale")) from error
         self._ray = ray
         _check_reachable(address)
         try:

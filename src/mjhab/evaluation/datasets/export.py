@@ -10,7 +10,7 @@ from collections.abc import Callable
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
 from mjhab.data.export.maniskill import ManiSkillSet, write_maniskill
 from mjhab.data.export.request import ExportRequest
@@ -104,8 +104,8 @@ def run_lerobot(spec: LerobotSpec, begin: Begin | None = None) -> Exported:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise
-        raise UsageError(
-            f"LeRobot data sets need pyarrow; install it with: {install_extra('data')}"
+        raise missing_library(
+            "a LeRobot data set", ("pyarrow",), install_extra("data")
         ) from error
     films = FilmTools(
         functools.partial(FilmWriter, quality=spec.quality, keyframes=KEYFRAMES),

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
+from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
 from mjhab.core.typed.checks import check_least
 from mjhab.layout.addresses import addresses
@@ -30,8 +31,8 @@ try:
     from mjhab.sim.warp.rest import RestFinder
     from mjhab.sim.warp.sizes import buffer_sizes, changed_sizes
 except ModuleNotFoundError as error:
-    raise UsageError(
-        f"backend 'warp' needs {error.name}, which is not installed: {install_extra('gpu')}"
+    raise missing_library(
+        "backend 'warp'", (str(error.name),), install_extra("gpu")
     ) from error
 
 

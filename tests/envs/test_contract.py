@@ -57,8 +57,8 @@ def physics(env: SequentialTaskEnv, world: int) -> list[bytes]:
     return [row.tobytes() for row in env.sim.get_world(world).values()]
 
 
-@pytest.mark.parametrize("env_id", sorted(env_ids()))
-def test_check_env_passes_for_every_id(env_id: str):
+@pytest.mark.parametrize("env_id", ["mjhab/SetTable-v1", "mjhab/PickSubtaskTrain-v1"])
+def test_check_env_passes_for_a_task_and_for_a_subtask(env_id: str):
     with warnings.catch_warnings():
         # The checker warns that state observations are unbounded; joint speeds and positions are.
         warnings.filterwarnings("ignore", message=".*Box observation space.*")
@@ -67,9 +67,7 @@ def test_check_env_passes_for_every_id(env_id: str):
         env.close()
 
 
-@pytest.mark.parametrize(
-    "env_id", sorted(name for name, chosen in env_ids().items() if "subtask" in chosen)
-)
+@pytest.mark.parametrize("env_id", sorted(env_ids()))
 def test_make_vec_by_id_runs_and_stays_in_its_spaces(env_id: str):
     env = gymnasium.make_vec(env_id, num_envs=2, threads=1)
     assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
@@ -82,10 +80,10 @@ def test_make_vec_by_id_runs_and_stays_in_its_spaces(env_id: str):
     assert env.observation_space.contains(obs)
     assert reward.shape == (2,) and reward.dtype == np.float64 and np.all(reward <= 1)
     assert not terminated.any() and not truncated.any()
-    most = worlds.rewarder.dense.tables[int(info["kind"][0])].attainable
-    np.testing.assert_allclose(
-        sum(info["reward_terms"].values()) / most, reward, atol=1e-9
-    )
+    if "SubtaskTrain" in env_id:
+        most = worlds.rewarder.dense.tables[int(info["kind"][0])].attainable
+        terms = sum(info["reward_terms"].values())
+        np.testing.assert_allclose(terms / most, reward, atol=1e-9)
 
 
 def test_ids_are_known_after_import_mjhab_alone():

@@ -301,9 +301,8 @@ class TaskLoop(VectorEnv, ABC):
                 "reset option", next(iter(options)), ("reset_mask", "episode")
             )
         if tuple(mask.shape) != (self.num_envs,) or mask.dtype != self._no.dtype:
-            raise UsageError(
-                f"reset_mask must be bool ({self.num_envs},), got {mask.dtype} {tuple(mask.shape)}"
-            )
+            got = (tuple(mask.shape), mask.dtype)
+            raise wrong_value("reset_mask", got, f"bool of shape ({self.num_envs},)")
         if self.signals is None and not may_hold(mask):
             raise UsageError("the first reset must begin an episode in some world")
         # Checked before anything changes.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.rotations import mat_from_quat
-from mjhab.core.typed.checks import check
+from mjhab.core.typed.checks import check, check_between
 from mjhab.render.mesh_levels import Level, mesh_levels
 from mjhab.render.patterns import PERIODS
 from mjhab.render.primitives import capsule_mesh, primitive_mesh
@@ -235,10 +235,7 @@ class SceneBuilder:
         return self._add(mesh, 0, seg, _HomeLook(pos, mat, scale, material))
 
     def _add(self, mesh: int, body: int, seg: str, look: _HomeLook) -> int:
-        if not 0 <= mesh < len(self._levels):
-            raise UsageError(
-                f"mesh id {mesh} is not in 0..{len(self._levels) - 1}; use an id from add_mesh."
-            )
+        check_between("mesh id", mesh, 0, len(self._levels) - 1)
         h = self.num_homes
         self._home_pose.append(
             (

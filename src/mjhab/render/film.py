@@ -12,7 +12,8 @@ from types import TracebackType
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError, UsageError, fault
+from mjhab.core.errors import MjhabError, fault
+from mjhab.core.typed.checks import check
 
 
 class FilmWriter:
@@ -62,18 +63,19 @@ class FilmWriter:
             UsageError: the frame has another shape or dtype.
             MjhabError: ffmpeg failed.
         """
-        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
-            raise UsageError(
-                f"a film frame must be (H, W, 3) uint8; got {frame.shape} {frame.dtype}."
-            )
+        good = frame.dtype == np.uint8 and frame.ndim == 3 and frame.shape[2] == 3
+        check(good, "film frame", (frame.shape, frame.dtype), "(H, W, 3) uint8")
         size = (frame.shape[0], frame.shape[1])
         if self._shape is None:
             self._shape = size
             self._process = self._start(size[0] + size[0] % 2, size[1] + size[1] % 2)
-        if size != self._shape:
-            raise UsageError(
-                f"all frames of {self.path.name} must be {self._shape}; got {size}."
-            )
+        check(
+            size == self._shape,
+            "film frame",
+            size,
+            f"{self._shape} as those before it",
+            where=self.path.name,
+        )
         if size[0] % 2 or size[1] % 2:
             frame = np.pad(
                 frame, ((0, size[0] % 2), (0, size[1] % 2), (0, 0)), mode="edge"

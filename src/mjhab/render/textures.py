@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.typed.checks import check
 from mjhab.render.jit import color_inline, kernel
 from mjhab.render.patterns import pattern_tile
 from mjhab.scenes.shapes.meshes import MAX_TEXTURE
@@ -49,11 +49,13 @@ class TexturePool:
         odd = any(
             side & (side - 1) or not 0 < side <= MAX_TEXTURE for side in (height, width)
         )
-        if odd or image.dtype != np.uint8 or image.shape[2:] != (3,):
-            raise UsageError(
-                f"texture must be (h, w, 3) uint8 with sides that are powers of two up to {MAX_TEXTURE}; "
-                f"got {image.shape} {image.dtype}."
-            )
+        good = not odd and image.dtype == np.uint8 and image.shape[2:] == (3,)
+        check(
+            good,
+            "texture",
+            (image.shape, image.dtype),
+            f"(h, w, 3) uint8 with sides that are powers of two up to {MAX_TEXTURE}",
+        )
         return self._add(
             hashlib.sha256(image.tobytes() + repr(image.shape).encode()).digest(),
             image,

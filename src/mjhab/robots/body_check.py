@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-from mjhab.core.errors import fault
+from mjhab.core.errors import fault, wrong_type
 from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting
 from mjhab.robots.parts import Body, Inertial
@@ -66,16 +66,18 @@ def check_body(body: Body, needs: BodyNeeds) -> Body:
     """
     robot = f"robot {needs.robot!r}"
     if not isinstance(body, Body):
-        raise fault(robot, f"load_body must return a Body, got {type(body).__name__}.")
+        raise wrong_type("what load_body returns", body, "a Body", where=robot)
     _check_types(body, f"{robot}: load_body: Body")
     links = _links(body, needs.base_link, robot)
     _check_names("load_body: Body.collision", body.collision, links, robot)
     for link in links:
-        if link not in body.inertials:
-            raise fault(
-                robot,
-                f"load_body: Body.inertials lacks link {link!r}; every link has a mass.",
-            )
+        check(
+            link in body.inertials,
+            "load_body: Body.inertials",
+            tuple(body.inertials),
+            f"given for every link; {link} lacks one",
+            where=robot,
+        )
     for field, names in needs.links.items():
         _check_names(field, names, links, robot)
     moved = tuple(row.link for row in body.tree if row.joint)
@@ -119,21 +121,30 @@ def _is_range(limits: Any) -> bool:
 
 def _links(body: Body, base_link: str, robot: str) -> tuple[str, ...]:
     """Return the names of all links, base link first; checks the order of the tree."""
-    if base_link in {row.link for row in body.tree}:
-        raise fault(
-            robot,
-            f"base_link {base_link!r} has a parent in the tree of load_body; it must be its root.",
-        )
+    above = {row.link for row in body.tree}
+    check(
+        base_link not in above,
+        "base_link",
+        base_link,
+        "the root of the tree of load_body",
+        where=robot,
+    )
     found = [base_link]
     for row in body.tree:
-        if row.parent not in found:
-            raise fault(
-                robot,
-                f"load_body: link {row.link!r} hangs on {row.parent!r}, which is neither base_link "
-                f"({base_link!r}) nor a link before it.",
-            )
-        if row.link in found:
-            raise fault(robot, f"load_body: link {row.link!r} is in the tree twice.")
+        check(
+            row.parent in found,
+            f"parent of link {row.link!r} of load_body",
+            row.parent,
+            f"base_link ({base_link!r}) or a link before it",
+            where=robot,
+        )
+        check(
+            row.link not in found,
+            "link of load_body",
+            row.link,
+            "in the tree once",
+            where=robot,
+        )
         found.append(row.link)
     return tuple(found)
 
@@ -150,8 +161,10 @@ def _check_rest(body: Body, rest: Mapping[str, float], robot: str) -> None:
     for joint, value in rest.items():
         check_one_of("joint of load_body", joint, limits, where=f"{robot}: joints")
         low, high = limits[joint]
-        if not low - REST_TOLERANCE <= value <= high + REST_TOLERANCE:
-            raise fault(
-                robot,
-                f"rest_qpos of joint {joint!r} is {value:g}, outside of its limits {low:g} to {high:g}.",
-            )
+        check(
+            low - REST_TOLERANCE <= value <= high + REST_TOLERANCE,
+            f"rest_qpos of joint {joint!r}",
+            value,
+            f"within its limits {low:g} to {high:g}",
+            where=robot,
+        )

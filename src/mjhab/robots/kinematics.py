@@ -25,7 +25,7 @@ from mjhab.core.arrays import (
     namespace,
     zeros,
 )
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.core.rotations import IDENTITY
 
 
@@ -364,6 +364,4 @@ def _joint(row: TreeRow) -> Joint:
             return Joint(
                 row.joint, kind, row.parent, row.link, row.origin, k, row.axis[k]
             )
-    raise UsageError(
-        f"joint {row.joint!r} has axis {row.axis}; only axes along x, y or z are supported"
-    )
+    raise wrong_value(f"axis of joint {row.joint!r}", row.axis, "along x, y or z")

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, fault, shown, unknown_name, wrong_type
+from mjhab.core.errors import UsageError, shown, unknown_name, wrong_type
 from mjhab.core.joints import BASE, GROUPS, JointColumns
 from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting, take_types
@@ -153,31 +153,37 @@ class Robot:
         for group in self.groups:
             check_one_of("joint group", group, GROUPS, where=f"robot {self.name!r}")
         named = sorted(joint for group in self.groups.values() for joint in group)
-        if named != sorted(self.joints):
-            odd = sorted(set(named) ^ set(self.joints)) or "a joint that is in two groups"
-            raise fault(
-                f"robot {self.name!r}",
-                f"every joint belongs to one group; look at {odd}.",
-            )
-        if (
-            self.joints[BASE] != self.group("base")
-            or len(self.group("base")) != BASE.stop
-        ):
-            raise fault(
-                f"robot {self.name!r}",
-                f"the first three joints must be group 'base' (x, y, yaw), got {self.joints[BASE]} and group "
-                f"{self.group('base')}.",
-            )
+        check(
+            named == sorted(self.joints),
+            "groups",
+            sorted(set(named) ^ set(self.joints)),
+            "groups of which one has each joint",
+            where=f"robot {self.name!r}",
+        )
+        check(
+            self.joints[BASE] == self.group("base")
+            and len(self.group("base")) == BASE.stop,
+            "joints",
+            self.joints[BASE],
+            f"x, y and yaw of group 'base' {self.group('base')} at first",
+            where=f"robot {self.name!r}",
+        )
         fingers = set(self.group("fingers"))
-        if set(self.joints[len(self.joints) - len(fingers) :]) != fingers:
-            raise fault(
-                f"robot {self.name!r}", "the joints of group 'fingers' must be the last."
-            )
-        if len(self.rest_qpos) != len(self.joints):
-            raise fault(
-                f"robot {self.name!r}",
-                f"rest_qpos needs {len(self.joints)} values, one per joint, got {len(self.rest_qpos)}.",
-            )
+        last = self.joints[len(self.joints) - len(fingers) :]
+        check(
+            set(last) == fingers,
+            "joints",
+            last,
+            "those of group 'fingers' at last",
+            where=f"robot {self.name!r}",
+        )
+        check(
+            len(self.rest_qpos) == len(self.joints),
+            "rest_qpos",
+            self.rest_qpos,
+            f"{len(self.joints)} values, one per joint",
+            where=f"robot {self.name!r}",
+        )
         self._check_gains()
         self._check_cameras()
         self._check_parts()
@@ -211,12 +217,13 @@ class Robot:
 
     def _check_gains(self) -> None:
         lacking = [g for g in GROUPS if self.group(g) and g not in self.gains]
-        if lacking:
-            raise fault(
-                f"robot {self.name!r}",
-                f"gains lack group {' and '.join(map(repr, lacking))}; every group needs a Gains; given are: "
-                f"{', '.join(self.gains) or 'none'}.",
-            )
+        check(
+            not lacking,
+            "gains",
+            tuple(self.gains),
+            f"given for every group; {' and '.join(lacking)} lack them",
+            where=f"robot {self.name!r}",
+        )
         for group, gains in (*self.gains.items(), ("stiff_gains", self.stiff_gains)):
             if not isinstance(gains, Gains):
                 raise wrong_type(
@@ -235,10 +242,13 @@ class Robot:
                     f"cameras[{k}]", camera, "a CameraMount", where=f"robot {self.name!r}"
                 )
             check_record(camera, f"robot {self.name!r}: cameras[{k}]")
-            if camera.name in self.camera_names[:k]:
-                raise fault(
-                    f"robot {self.name!r}", f"two cameras are called {camera.name!r}."
-                )
+            check(
+                camera.name not in self.camera_names[:k],
+                f"cameras[{k}]",
+                camera.name,
+                "a camera of another name than those before it",
+                where=f"robot {self.name!r}",
+            )
             check(
                 0.0 < camera.fovy < np.pi,
                 f"fovy of camera {camera.name!r}",

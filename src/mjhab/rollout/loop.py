@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError, wrong_value
+from mjhab.core.typed.checks import check
 from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import Annotated, Fallible, Policy, RolloutEnv, Styled
 from mjhab.rollout.records import EpisodeRecord, Event, PlanEntry, SubtaskRecord
@@ -69,8 +70,9 @@ def _check(episodes: Collection[int], max_steps: int | None) -> None:
     if not isinstance(episodes, IndicesLeft):
         if any(index < 0 for index in episodes):
             raise wrong_value("episode indices", min(episodes), "at least 0")
-        if len(set(episodes)) != len(episodes):
-            raise UsageError("episode indices must be distinct; one is named twice.")
+        check(
+            len(set(episodes)) == len(episodes), "episode indices", episodes, "distinct"
+        )
     if max_steps is not None and max_steps < 1:
         raise wrong_value("max_steps", max_steps, "at least 1")
 

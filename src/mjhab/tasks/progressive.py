@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.typed.checks import check
 
 
 def progressive(
@@ -27,11 +27,13 @@ def progressive(
     counts = np.asarray(completed_counts, dtype=np.int64)
     if counts.size == 0:
         return np.full(n_subtasks, np.nan)
-    if counts.min() < 0 or counts.max() > n_subtasks:
-        raise UsageError(
-            f"completed counts must lie in 0..{n_subtasks}, got {counts.min()}..{counts.max()}; "
-            "give the number of subtasks of the whole plan."
-        )
+    check(
+        counts.min() >= 0 and counts.max() <= n_subtasks,
+        "completed counts",
+        (counts.min(), counts.max()),
+        f"in 0..{n_subtasks}",
+        "Give the number of subtasks of the whole plan.",
+    )
     return (counts[:, None] >= np.arange(1, n_subtasks + 1)).mean(axis=0)
 
 

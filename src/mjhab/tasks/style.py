@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.core.seeding import stream
 
 ANY = "any"
@@ -275,8 +275,11 @@ def _read(name: str, text: str) -> tuple[Any, ...]:
     )
     if not good or values != sorted(values):
         what = "whole number" if kind is int else "number"
-        raise UsageError(
-            f"--style {name}={text}: expected a {what} from {low} to {high}, or a range of them: {name}={low}..{high}."
+        what = "whole number" if kind is int else "number"
+        raise wrong_value(
+            f"--style {name}",
+            text,
+            f"a {what} from {low} to {high}, or a range of them, as in {name}={low}..{high}",
         )
     return tuple(values)
 

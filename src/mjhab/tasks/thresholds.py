@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name
 from mjhab.core.joints import JointColumns
+from mjhab.core.typed.checks import check
 
 Vec3 = tuple[float, float, float]
 STILLNESS: tuple[str, ...] = ("absolute", "published")
@@ -76,14 +77,18 @@ class TaskConfig:
     """Success of Navigate does not depend on arm and grasp; the default, because a teleport does not move them."""
 
     def __post_init__(self) -> None:
-        if len(self.rest_qpos) != self.joints.count:
-            raise UsageError(
-                f"rest_qpos needs the {self.joints.count} joint values of the robot, got {len(self.rest_qpos)}."
-            )
-        if self.endless and len(self.endless) != self.joints.count:
-            raise UsageError(
-                f"endless needs a truth value for each of the {self.joints.count} joints, got {len(self.endless)}."
-            )
+        check(
+            len(self.rest_qpos) == self.joints.count,
+            "rest_qpos",
+            self.rest_qpos,
+            f"the {self.joints.count} joint values of the robot",
+        )
+        check(
+            len(self.endless) in (0, self.joints.count),
+            "endless",
+            self.endless,
+            f"truth values, one for each of the {self.joints.count} joints",
+        )
         if self.goal_type not in ("sphere", "cylinder", "zone"):
             raise unknown_name(
                 "goal_type", self.goal_type, ("sphere", "cylinder", "zone")

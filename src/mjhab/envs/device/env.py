@@ -16,8 +16,9 @@ from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import to_numpy
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import UsageError, shown, wrong_value
 from mjhab.core.joints import BASE_XY
+from mjhab.core.typed.checks import check_shape
 from mjhab.envs.device.notes import DeviceNotes, DeviceStepNotes
 from mjhab.envs.device.observing import DeviceObserver
 from mjhab.envs.device.pool import StartPool, pool_size
@@ -147,8 +148,8 @@ class DeviceEnv(TaskLoop, VectorEnv):
         if seed is None:
             return
         if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
-            raise UsageError(
-                f"backend 'warp' takes one seed for all worlds, a number >= 0; got {seed!r}"
+            raise wrong_value(
+                "seed", seed, "one number >= 0 for all worlds of backend 'warp'"
             )
         if seed != self.pool.seed:
             if not bool(mask.all()):
@@ -224,13 +225,8 @@ class DeviceEnv(TaskLoop, VectorEnv):
         actions = torch.as_tensor(actions, device=self.device).detach()
         need = (self.num_envs, len(self.action_table))
         if actions.dtype in (torch.bool, torch.complex64, torch.complex128):
-            raise UsageError(
-                f"actions must be numbers (float32), got a tensor of type {actions.dtype}"
-            )
-        if actions.shape != need:
-            raise UsageError(
-                f"actions must have shape {need}, got {tuple(actions.shape)}"
-            )
+            raise wrong_value("actions", actions.dtype, "numbers (float32)")
+        check_shape("actions", actions, need)
         finite = torch.isfinite(actions)
         self.bad_actions = self.bad_actions + (~finite.all(-1)).sum()
         return torch.where(finite, actions, 0).to(torch.float32)

@@ -17,7 +17,7 @@ from threading import RLock
 import numpy as np
 
 from mjhab.core.arithmetic.digest import arithmetic_digest
-from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.core.errors import MjhabError, unknown_name
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.names import below
 from mjhab.core.rotations import pose_inv
@@ -187,14 +187,17 @@ class StableGrasps:
         """
         self._check(kind)
         pose = np.asarray(pose, dtype=np.float64)
-        if (
-            pose.shape != (7,)
-            or not np.isfinite(pose).all()
-            or abs(np.linalg.norm(pose[3:]) - 1.0) > 1e-3
-        ):
-            raise UsageError(
-                f"a grasp needs the pose x, y, z, w, x, y, z of the object in the gripper, got {pose}"
-            )
+        good = (
+            pose.shape == (7,)
+            and np.isfinite(pose).all()
+            and abs(np.linalg.norm(pose[3:]) - 1.0) <= 1e-3
+        )
+        check(
+            bool(good),
+            "pose of a grasp",
+            pose,
+            "x, y, z, w, x, y, z of the object in the gripper",
+        )
         most = self.robot.finger_max
         check(0.0 <= fingers <= most, "fingers", fingers, f"between 0 and {most} m")
         grasp = self._try(kind, pose_inv(pose), 2 * fingers)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores
+from mjhab.core.typed.checks import check, check_least, check_shape
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
 from mjhab.render.raster.batch import ThreadBuffers, Views, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
@@ -183,8 +184,8 @@ class Rasterizer:
         cam_pos = _array(cameras.pos, (len(home), -1, 3), "cam_pos")
         cam_mat = _array(cameras.mat, (len(home), cam_pos.shape[1], 3, 3), "cam_mat")
         # The kernels have no bounds checks: a camera at NaN ends the process.
-        if not (np.isfinite(cam_pos).all() and np.isfinite(cam_mat).all()):
-            raise UsageError("cam_pos and cam_mat must be finite.")
+        for name, value in (("cam_pos", cam_pos), ("cam_mat", cam_mat)):
+            check(bool(np.isfinite(value).all()), name, value, "finite")
         body_pos = _array(body_pos, (len(home), -1, 3), "body_pos")
         body_mat = _array(body_mat, (len(home), body_pos.shape[1], 3, 3), "body_mat")
         self._check(home, body_pos.shape[1], width, height)
@@ -250,19 +251,17 @@ class Rasterizer:
 
     def _check(self, home: np.ndarray, bodies: int, width: int, height: int) -> None:
         homes = len(self.scene.home_pos)
-        if len(home) and (home.min() < 0 or home.max() >= homes):
-            raise UsageError(
-                f"home must be in 0..{homes - 1}; got {home.min()}..{home.max()}."
-            )
+        check(
+            not len(home) or (home.min() >= 0 and home.max() < homes),
+            "home",
+            home,
+            f"in 0..{homes - 1}",
+        )
         needed = int(self.scene.instance_body.max(initial=0)) + 1
-        if bodies < needed:
-            raise UsageError(
-                f"body_pos must have at least {needed} bodies (the scene names body {needed - 1})."
-            )
-        if width < 1 or height < 1:
-            raise UsageError(
-                f"width and height must be positive; got {width} x {height}."
-            )
+        check_least("number of bodies of body_pos", bodies, needed)
+        check(
+            width >= 1 and height >= 1, "width and height", (width, height), "at least 1"
+        )
 
     def _draw(self, views: Views, w: int, c: int, picture: _Picture) -> None:
         """Render camera ``c`` of world ``w``."""
@@ -415,10 +414,7 @@ def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
     array = np.asarray(value, np.float64)
     if array.ndim == len(shape) - 1 and shape[-2:] == (3, 3) and array.shape[-1] == 9:
         array = array.reshape(*array.shape[:-1], 3, 3)
-    if array.ndim != len(shape) or any(
-        want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)
-    ):
-        raise UsageError(f"{name} must have shape {shape} (-1: any); got {array.shape}.")
+    check_shape(name, array, shape)
     return _read_only(array)
 
 

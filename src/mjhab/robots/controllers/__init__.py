@@ -8,6 +8,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError
+from mjhab.core.typed.checks import check, check_shape
 from mjhab.robots.controllers.arm import ArmRequest
 from mjhab.robots.controllers.controller import BASES, STATIONARY, BodyOptions, Controller
 from mjhab.robots.controllers.modes import (
@@ -85,14 +86,8 @@ def check_actions(
         UsageError: wrong shape or type, or a value is not finite in float32; the message names its world and dimension.
     """
     actions = np.asarray(actions)
-    if actions.dtype.kind not in "fiu":
-        raise UsageError(
-            f"actions must be numbers (float32), got an array of type {actions.dtype}"
-        )
-    if actions.shape != (num_worlds, len(table)):
-        raise UsageError(
-            f"actions must have shape ({num_worlds}, {len(table)}), got {actions.shape}"
-        )
+    check(actions.dtype.kind in "fiu", "actions", actions.dtype, "numbers (float32)")
+    check_shape("actions", actions, (num_worlds, len(table)))
     # Numbers beyond float32 become infinite.
     with np.errstate(over="ignore"):
         actions = actions.astype(np.float32, copy=False)

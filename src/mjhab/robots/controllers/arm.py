@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, between, namespace, to_numpy, zeros
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.robots.controllers.table import (
     ActionEntry,
     absolute_rows,
@@ -93,8 +93,12 @@ def with_row(target: Array, world: int, state: dict[str, np.ndarray], key: str) 
     """
     if key not in state or np.shape(state[key]) != target.shape[1:]:
         got = {name: np.shape(value) for name, value in state.items()}
-        raise UsageError(
-            f"controller state needs {key!r} of shape {target.shape[1:]}, got {got}; is it of another mode?"
+        got = {name: np.shape(value) for name, value in state.items()}
+        raise wrong_value(
+            "controller state",
+            got,
+            f"{key!r} of shape {target.shape[1:]}",
+            "Is it of another mode?",
         )
     target = namespace(target).asarray(target, copy=True)
     target[world] = as_like(state[key], target)

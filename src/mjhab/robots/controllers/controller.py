@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, as_like, device_of, empty, namespace, to_numpy, zeros
 from mjhab.core.conventions.changes import nearest_turn, within_half_a_turn
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.robots.controllers.arm import Arm, CommandedArm, with_row
 from mjhab.robots.controllers.table import (
     ActionEntry,
@@ -258,8 +258,8 @@ def _check_options(base: str, stationary: Sequence[str]) -> None:
     if base not in BASES:
         raise unknown_name("base control", base, BASES)
     if isinstance(stationary, str):
-        raise UsageError(
-            f"stationary must be a tuple of parts, got the text {stationary!r}; write ({stationary!r},)"
+        raise wrong_value(
+            "stationary", stationary, "a tuple of parts", f"Write ({stationary!r},)."
         )
     for part in stationary:
         if part not in STATIONARY:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mjhab.core.errors import fault, wrong_value
+from mjhab.core.errors import wrong_type, wrong_value
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
 from mjhab.robots.controllers.arm import Arm, ArmRequest
@@ -66,9 +66,11 @@ class ControlMode:
         """
         arm = self.make_arm(request)
         if not isinstance(arm, Arm):
-            raise fault(
-                f"control mode {self.name!r}",
-                f"make_arm must return a mjhab.robots.controllers.arm.Arm, got {type(arm).__name__}.",
+            raise wrong_type(
+                "what make_arm returns",
+                arm,
+                "a mjhab.robots.controllers.arm.Arm",
+                where=f"control mode {self.name!r}",
             )
         return arm
 

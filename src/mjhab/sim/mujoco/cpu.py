@@ -11,10 +11,9 @@ import numpy as np
 from mujoco.batch import Batch
 
 from mjhab.core.arrays import may_hold, norm3
-from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.core.timing import SUBSTEPS
-from mjhab.core.typed.checks import check_least
+from mjhab.core.typed.checks import check, check_least
 from mjhab.layout.addresses import addresses
 from mjhab.layout.contact_sensors import (
     FORCE_SENSOR_WIDTH,
@@ -189,10 +188,13 @@ class CpuSimulator:
         rows = self._world_rows()
         for name, row in rows.items():
             got = np.shape(saved[name])
-            if got != row[world].shape:
-                raise UsageError(
-                    f"state of another layout: {name} has shape {got}, this one needs {row[world].shape}"
-                )
+            check(
+                got == row[world].shape,
+                f"{name} of the state",
+                got,
+                f"of shape {row[world].shape}",
+                "It is of another layout.",
+            )
         self._clear([world], [home])
         for name, row in rows.items():
             row[world] = saved[name]

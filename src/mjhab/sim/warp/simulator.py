@@ -13,7 +13,7 @@ from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
-from mjhab.core.typed.checks import check_least
+from mjhab.core.typed.checks import check, check_least
 from mjhab.layout.addresses import addresses
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout
@@ -289,10 +289,13 @@ class WarpSimulator:
         for name, row in rows.items():
             got = np.shape(saved[name])
             need = tuple(row[world].shape)
-            if got != need:
-                raise UsageError(
-                    f"state of another layout: {name} has shape {got}, this one needs {need}"
-                )
+            check(
+                got == need,
+                f"{name} of the state",
+                got,
+                f"of shape {need}",
+                "It is of another layout.",
+            )
         worlds = self._clear([world], [home], saved["qpos"][None], saved["qvel"][None])
         for name, row in rows.items():
             row[world] = self._upload(saved[name])

@@ -12,12 +12,12 @@ from typing import Any, Literal, get_args
 from mjhab.core.errors import (
     UsageError,
     about,
-    fault,
     unknown_name,
     wrong_type,
     wrong_value,
 )
 from mjhab.core.names import check_texts
+from mjhab.core.typed.checks import check
 from mjhab.core.typed.options import take_types
 from mjhab.tasks.household.steps import open_goal, open_start, pick_and_place
 from mjhab.tasks.plan import Subtask, Target, TaskPlan
@@ -70,19 +70,28 @@ class TargetRule:
             raise unknown_name("opens of a TargetRule", self.opens, get_args(Opens))
         check_texts("start", self.start, "a TargetRule")
         check_texts("goal", self.goal, "a TargetRule")
-        if not self.start or not self.goal:
-            raise UsageError(
-                "a TargetRule needs roles of receptacles for its start and its goal."
+        for name in ("start", "goal"):
+            check(
+                bool(getattr(self, name)),
+                name,
+                getattr(self, name),
+                "one role of receptacles or more",
+                where="a TargetRule",
             )
-        if bool(self.opens) != bool(self.link):
-            raise UsageError(
-                "a TargetRule that opens something needs the role of the link, and no other does."
-            )
-        if not _is_range(self.distance_m):
-            raise UsageError(
-                "distance_m of a TargetRule is the smallest and the largest distance [m], as in (0.5, 2.0), "
-                f"got {self.distance_m!r}."
-            )
+        check(
+            bool(self.opens) == bool(self.link),
+            "link",
+            self.link,
+            "the role of the link that is opened, if one is, and empty otherwise",
+            where="a TargetRule",
+        )
+        check(
+            _is_range(self.distance_m),
+            "distance_m",
+            self.distance_m,
+            "the smallest and the largest distance [m], as in (0.5, 2.0)",
+            where="a TargetRule",
+        )
 
     def subtasks(self, target: Target) -> list[Subtask]:
         """Subtasks for a target, in order."""
@@ -129,17 +138,21 @@ class TaskSpec:
 
     def __post_init__(self) -> None:
         take_types(self, ("words", "objects", "targets"), f"task {self.name!r}")
-        if not _NAME.fullmatch(self.name):
-            raise UsageError(
-                f"a task needs a name of lower-case letters, digits and _, got {self.name!r}."
-            )
+        check(
+            bool(_NAME.fullmatch(self.name)),
+            "name of a task",
+            self.name,
+            "a name of lower-case letters, digits and _",
+        )
         for name in ("words", "objects"):
             check_texts(name, getattr(self, name), f"task {self.name!r}")
         missing = [part for part in _NEEDED if not getattr(self, part)]
         if missing:
             raise UsageError(
-                f"task {self.name!r} has no {' and no '.join(missing)}; "
-                f"give {'; '.join(_NEEDED[part] for part in missing)}."
+                f"task {self.name!r} has no {' and no '.join(missing)}; give "
+                f"{'; '.join(_NEEDED[part] for part in missing)}.",
+                option=missing[0],
+                where=f"task {self.name!r}",
             )
         self._check_numbers()
         if not isinstance(self.targets, tuple | list):
@@ -161,11 +174,13 @@ class TaskSpec:
                 raise wrong_value(
                     name, getattr(self, name), "at least 0", where=f"task {self.name!r}"
                 )
-        if not 0.0 < self.shelf_region <= 1.0:
-            raise fault(
-                f"task {self.name!r}",
-                f"shelf_region is a share above 0 and up to 1, got {self.shelf_region}.",
-            )
+        check(
+            0.0 < self.shelf_region <= 1.0,
+            "shelf_region",
+            self.shelf_region,
+            "a share above 0 and up to 1",
+            where=f"task {self.name!r}",
+        )
 
     @property
     def roles(self) -> tuple[str, ...]:
@@ -212,10 +227,12 @@ class TaskSpec:
         Raises:
             UsageError: no targets or too many, or one without a link that its rule opens.
         """
-        if not 1 <= len(targets) <= len(self.targets):
-            raise UsageError(
-                f"{self.name} handles 1 to {len(self.targets)} objects, got {len(targets)} targets."
-            )
+        check(
+            1 <= len(targets) <= len(self.targets),
+            f"number of targets of {self.name}",
+            len(targets),
+            f"1 to {len(self.targets)}",
+        )
         with about(self.name, UsageError):
             subtasks = [
                 subtask

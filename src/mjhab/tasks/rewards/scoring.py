@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant, indices, namespace, pile, zeros
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.tasks.rewards.table import ALWAYS, RewardTable, RewardView
 from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, name_of, number_of
 from mjhab.tasks.thresholds import TaskConfig
@@ -70,18 +70,18 @@ class RewardOptions:
 
 def _check_scales(scales: Any) -> None:
     """Raise a UsageError unless scales are terms with numbers by kind; the terms are checked with their table."""
-    right = 'reward_scales is {subtask: {term: scale}}, as in {"pick": {"reach": 10.0}}'
+    right = '{subtask: {term: scale}}, as in {"pick": {"reach": 10.0}}'
     if not isinstance(scales, Mapping):
-        raise UsageError(f"{right}; got {scales!r}")
+        raise wrong_value("reward_scales", scales, right)
     for kind, changes in scales.items():
         if not isinstance(changes, Mapping):
             having = [name for name in SUBTASKS if kind in term_names(name)]
             hint = (
-                f" Did you mean {{{having[0]!r}: {{{kind!r}: {changes!r}}}}}?"
+                f"Did you mean {{{having[0]!r}: {{{kind!r}: {changes!r}}}}}?"
                 if having
                 else ""
             )
-            raise UsageError(f"{right}; got {kind!r}: {changes!r}.{hint}")
+            raise wrong_value("reward_scales", {kind: changes}, right, hint)
 
 
 def term_names(kind: str) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from mjhab.core.errors import UsageError, about, fault, wrong_value
 from mjhab.core.joints import GROUPS
 from mjhab.core.names import check_texts
 from mjhab.core.registration.plugins import raised_text
-from mjhab.core.typed.checks import check_one_of
+from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import take_types
 from mjhab.tasks.labelling.state import WATCHED, LabelState, uneventful
 from mjhab.tasks.rewards.table import RewardTable
@@ -195,17 +195,21 @@ class SubtaskSpec:
 
     def __post_init__(self) -> None:
         take_types(self, _CHECKED_APART, f"subtask {self.name!r}")
-        if not _NAME.fullmatch(self.name):
-            raise UsageError(
-                f"a subtask needs a name of lower-case letters, digits and _, got {self.name!r}."
-            )
+        check(
+            bool(_NAME.fullmatch(self.name)),
+            "name of a subtask",
+            self.name,
+            "a name of lower-case letters, digits and _",
+        )
         for name in _TEXTS:
             check_texts(name, getattr(self, name), f"subtask {self.name!r}")
         missing = [part for part in _NEEDED if not getattr(self, part)]
         if missing:
             raise UsageError(
-                f"subtask {self.name!r} has no {' and no '.join(missing)}; "
-                f"give {'; '.join(_NEEDED[part] for part in missing)}."
+                f"subtask {self.name!r} has no {' and no '.join(missing)}; give "
+                f"{'; '.join(_NEEDED[part] for part in missing)}.",
+                option=missing[0],
+                where=f"subtask {self.name!r}",
             )
         self._check_limits()
         self._check_words()
@@ -277,15 +281,21 @@ class SubtaskSpec:
 
     def _check_labels(self) -> None:
         conditions = [rule.when for rule in self.label_rules]
-        if conditions[-1] is not None or None in conditions[:-1]:
-            raise UsageError(
-                f"the last of the label_rules of subtask {self.name!r}, and no other, must be without a condition: "
-                "then every episode has exactly one label."
-            )
-        if len(set(self.labels)) != len(self.labels):
-            raise UsageError(
-                f"subtask {self.name!r} has a label twice: {', '.join(self.labels)}."
-            )
+        check(
+            conditions[-1] is None and None not in conditions[:-1],
+            "label_rules",
+            self.label_rules,
+            "rules of which the last, and no other, is without a condition",
+            "Then every episode has exactly one label.",
+            f"subtask {self.name!r}",
+        )
+        check(
+            len(set(self.labels)) == len(self.labels),
+            "labels",
+            self.labels,
+            "different from each other",
+            where=f"subtask {self.name!r}",
+        )
         for rule in self.label_rules[:-1]:
             self._try_rule(rule)
 

@@ -26,6 +26,7 @@ from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.subtasks.registry import SUBTASKS, event_columns, limits_of
 from tests.missing import need_warp
 from tests.no_sync import NoSync
+from tests.refusals import refused
 
 need_warp()
 
@@ -460,9 +461,9 @@ def test_bad_reset_options_are_told(
 
 def test_bad_actions_and_seeds_are_told(env: Any) -> None:
     env.reset()
-    with pytest.raises(UsageError, match=r"shape \(2, 13\), got \(2, 3\)"):
+    with refused("actions", (2, 3), expected="(2, 13)"):
         env.step(torch.zeros(2, 3))
-    with pytest.raises(UsageError, match="one seed for all worlds"):
+    with refused("seed", [1, 2], expected="one number"):
         env.reset(seed=[1, 2])
     with pytest.raises(UsageError, match="leave out reset_mask"):
         env.reset(seed=9, options={"reset_mask": torch.tensor([True, False])})

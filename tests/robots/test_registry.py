@@ -26,6 +26,7 @@ from mjhab.tasks.household.spec import TargetRule, TaskSpec
 from mjhab.tasks.plan import Subtask
 from mjhab.tasks.subtasks.pick import PICK
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of, register_subtask
+from tests.refusals import refused
 
 HEAD = ROBOT.cameras[0]
 STIFF = ROBOT.stiff_gains
@@ -131,39 +132,30 @@ def test_a_subtask_may_need_other_joint_groups(removed: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "option"),
     [
-        ({"groups": {**ROBOT.groups, "legs": ()}}, "unknown joint group 'legs'"),
-        ({"groups": {**ROBOT.groups, "head": ()}}, "belongs to one group"),
-        ({"joints": ROBOT.joints[::-1]}, "first three joints must be group 'base'"),
+        ({"groups": {**ROBOT.groups, "legs": ()}}, "joint group"),
+        ({"groups": {**ROBOT.groups, "head": ()}}, "groups"),
+        ({"joints": ROBOT.joints[::-1]}, "joints"),
         (
             {"joints": (*ROBOT.joints[:12], *ROBOT.joints[13:], ROBOT.joints[12])},
-            "'fingers' must be the last",
+            "joints",
         ),
-        ({"rest_qpos": ROBOT.rest_qpos[:5]}, "rest_qpos needs 15 values"),
-        (
-            {"gains": {}},
-            "gains lack group 'base' and 'torso' and 'head' and 'arm' and 'fingers'",
-        ),
-        (
-            {"gains": {**ROBOT.gains, "arm": 1000.0}},
-            "gains of 'arm' must be a Gains, got float",
-        ),
-        ({"stiff_gains": None}, "gains of 'stiff_gains' must be a Gains"),
-        (
-            {"elbow": "elbow_flex"},
-            "elbow: unknown joint of the arm 'elbow_flex'. Did you mean",
-        ),
-        ({"cameras": ("fetch_head",)}, r"cameras\[0\] must be a CameraMount, got str"),
-        ({"cameras": (HEAD, HEAD)}, "two cameras are called 'fetch_head'"),
+        ({"rest_qpos": ROBOT.rest_qpos[:5]}, "rest_qpos"),
+        ({"gains": {}}, "gains"),
+        ({"gains": {**ROBOT.gains, "arm": 1000.0}}, "gains of 'arm'"),
+        ({"stiff_gains": None}, "gains of 'stiff_gains'"),
+        ({"elbow": "elbow_flex"}, "joint of the arm"),
+        ({"cameras": ("fetch_head",)}, "cameras[0]"),
+        ({"cameras": (HEAD, HEAD)}, "cameras[1]"),
         (
             {"cameras": (dataclasses.replace(HEAD, fovy=90.0),)},
             "fovy of camera 'fetch_head'",
         ),
     ],
 )
-def test_a_robot_that_cannot_be_is_refused(change: dict, message: str) -> None:
-    with pytest.raises(UsageError, match=f"robot 'fetch': .*{message}"):
+def test_a_robot_that_cannot_be_is_refused(change: dict, option: str) -> None:
+    with refused(option, where="robot 'fetch'"):
         dataclasses.replace(ROBOT, **change)
 
 
@@ -189,28 +181,28 @@ def test_fields_of_another_type_are_told_in_one_line(
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "option"),
     [
-        ({"joints": 5}, "joints must be a tuple, got 5"),
-        ({"groups": {**ROBOT.groups, "arm": 5}}, "group 'arm' must be a tuple"),
-        ({"load_body": "body"}, "load_body must be a function"),
-        ({"base_height": math.nan}, "base_height must be a finite number"),
+        ({"joints": 5}, "joints"),
+        ({"groups": {**ROBOT.groups, "arm": 5}}, "group 'arm'"),
+        ({"load_body": "body"}, "load_body"),
+        ({"base_height": math.nan}, "base_height"),
         (
             {"gains": {**ROBOT.gains, "arm": dataclasses.replace(STIFF, kp="1")}},
-            "gains of 'arm': kp must be a finite number, got '1'",
+            "kp",
         ),
         (
             {"cameras": (dataclasses.replace(HEAD, fovy=None),)},
-            r"cameras\[0\]: fovy must be a finite number",
+            "fovy",
         ),
         (
             {"limits": dataclasses.replace(ROBOT.limits, gripper=0.05)},
-            "limits: gripper must be a tuple",
+            "gripper",
         ),
     ],
 )
-def test_parts_of_another_type_are_named(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(UsageError, match=f"robot 'fetch': .*{message}"):
+def test_parts_of_another_type_are_named(change: dict[str, Any], option: str) -> None:
+    with refused(option, where="robot 'fetch'"):
         dataclasses.replace(ROBOT, **change)
 
 
@@ -235,72 +227,79 @@ def with_tree(
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "option", "part"),
     [
-        ({"tcp": "gripper"}, "tcp: unknown link 'gripper'. Did you mean 'gripper_link'"),
-        ({"base_link": "bas"}, "hangs on 'base_link', which is neither base_link"),
-        (
-            {"base_link": "torso_lift_link"},
-            "base_link 'torso_lift_link' has a parent in the tree",
-        ),
-        ({"arm_root": "torso"}, "arm_root: unknown link 'torso'"),
-        ({"force_links": ("hand",)}, "force_links: unknown link 'hand'"),
-        ({"trunk_links": ("hand",)}, "trunk_links: unknown link 'hand'"),
-        ({"distal_links": ("hand",)}, "distal_links: unknown link 'hand'"),
-        ({"arm_links": ("hand",)}, "arm_links: unknown link 'hand'"),
-        ({"wrist_links": ("hand",)}, "wrist_links: unknown link 'hand'"),
+        ({"tcp": "gripper"}, "link", "tcp"),
+        ({"base_link": "bas"}, "parent of link 'torso_lift_link' of load_body", ""),
+        ({"base_link": "torso_lift_link"}, "base_link", ""),
+        ({"arm_root": "torso"}, "link", "arm_root"),
+        ({"force_links": ("hand",)}, "link", "force_links"),
+        ({"trunk_links": ("hand",)}, "link", "trunk_links"),
+        ({"distal_links": ("hand",)}, "link", "distal_links"),
+        ({"arm_links": ("hand",)}, "link", "arm_links"),
+        ({"wrist_links": ("hand",)}, "link", "wrist_links"),
         (
             {"fingers": (Finger("thumb", (0.0, 1.0, 0.0)),) * 2},
-            "fingers: unknown link 'thumb'",
+            "link",
+            "fingers",
         ),
         (
             {"cameras": (dataclasses.replace(HEAD, body="haed_camera_link"),)},
-            "body of camera 'fetch_head': unknown link 'haed_camera_link'. Did you mean 'head",
+            "link",
+            "body of camera 'fetch_head'",
         ),
         (
             {
                 "force_links": ("estop_link",),
                 "load_body": lambda: dataclasses.replace(ROBOT.body, collision={}),
             },
-            "link 'estop_link' has neither a joint nor collision shapes",
+            "",
+            "odd",
         ),
-        ({"load_body": lambda: None}, "load_body must return a Body, got NoneType"),
-        (with_tree(lambda tree: tree[:-1]), "load_body: Body.collision: unknown link"),
-        (with_tree(lambda tree: (*tree, tree[-1])), "is in the tree twice"),
+        ({"load_body": lambda: None}, "what load_body returns", ""),
+        (with_tree(lambda tree: tree[:-1]), "link", "load_body: Body.collision"),
+        (with_tree(lambda tree: (*tree, tree[-1])), "link of load_body", ""),
         (
             with_tree(lambda tree: tuple(dataclasses.replace(r, joint="") for r in tree)),
-            "joints: unknown joint of load_body",
+            "joint of load_body",
+            "joints",
         ),
         (
             {"load_body": lambda: dataclasses.replace(ROBOT.body, collision=None)},
-            "load_body: Body: collision must be a mapping",
+            "collision",
+            "load_body: Body",
         ),
         (
             with_tree(
                 lambda tree: (dataclasses.replace(tree[0], limits=None), *tree[1:])
             ),
-            "limits must be a lower and an upper number, got None",
+            "limits",
+            "",
         ),
         (
             with_tree(lambda tree: (dataclasses.replace(tree[0], axis="z"), *tree[1:])),
-            "axis must be a tuple",
+            "axis",
+            "",
         ),
         (
             {"load_body": lambda: dataclasses.replace(ROBOT.body, inertials={})},
-            "Body.inertials lacks link 'base_link'",
+            "load_body: Body.inertials",
+            "",
         ),
         (
             {"rest_qpos": (*ROBOT.rest_qpos[:3], 2.0, *ROBOT.rest_qpos[4:])},
-            "rest_qpos of joint 'torso_lift_joint' is 2, outside of its limits 0 to 0.38615",
+            "rest_qpos of joint 'torso_lift_joint'",
+            "",
         ),
     ],
 )
 def test_links_that_do_not_fit_are_told_when_they_are_needed(
-    change: dict[str, Any], message: str
+    change: dict[str, Any], option: str, part: str
 ) -> None:
     robot = dataclasses.replace(ROBOT, name="odd", **change)
-    with pytest.raises(UsageError, match=f"robot 'odd': .*{message}"):
+    with refused(option, where=part) as caught:
         _ = robot.body
+    assert "robot 'odd'" in caught.value.where
 
 
 def test_robots_are_listed_for_machines(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from mjhab.core.arrays import map_record
-from mjhab.core.errors import UsageError
 from mjhab.tasks.plan import PlanArrays
 from mjhab.tasks.progress import Outcome, Progress, accumulate, advance, reset_rows, start
 from mjhab.tasks.progressive import progressive, upper_bound
 from mjhab.tasks.subtasks.registry import limits_of
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
+from tests.refusals import refused
 from tests.tasks.build import (
     CONFIG,
     assert_same_record,
@@ -284,5 +284,5 @@ def test_progressive_completion_and_its_bound() -> None:
     np.testing.assert_allclose(progressive([0, 1, 3, 3], 4), [0.75, 0.5, 0.5, 0.0])
     np.testing.assert_allclose(upper_bound([0.5, 1.0, 0.5]), [0.5, 0.5, 0.25])
     assert np.isnan(progressive([], 2)).all()
-    with pytest.raises(UsageError, match="must lie in 0"):
+    with refused("completed counts", (3, 3), expected="in 0..2"):
         progressive([3], 2)

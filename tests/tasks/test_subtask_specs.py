@@ -30,6 +30,7 @@ from mjhab.tasks.subtasks.registry import (
 )
 from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
 from mjhab.tasks.thresholds import SubtaskConfig
+from tests.refusals import refused
 from tests.tasks.build import CONFIG, history
 
 SPARE: dict[str, Any] = {
@@ -193,7 +194,7 @@ def test_an_unknown_kind_is_an_error(where: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "option"),
     [
         ({"targets": ()}, "task 'idle' has no targets; give targets="),
         (
@@ -202,49 +203,48 @@ def test_an_unknown_kind_is_an_error(where: str) -> None:
         ),
         ({"objects": "024_bowl"}, "task 'idle': objects must be a tuple of texts"),
         ({"targets": ({"start": ()},)}, r"targets\[0\] must be a TargetRule, got dict"),
-        ({"words": (), "targets": ()}, "has no words and no targets;"),
-        ({"name": "no name"}, "lower-case"),
-        ({"name": 3}, "task 3: name must be a text"),
-        ({"targets": 3}, "task 'idle': targets must be a tuple of TargetRules, got 3"),
-        ({"clutter_copies": -1}, "clutter_copies must be at least 0"),
-        ({"clutter_copies": 1.5}, "clutter_copies must be a whole number"),
-        ({"openings": {"fridge_door": 1.5}}, "openings must be a tuple"),
-        ({"openings": (("fridge_door", "wide"),)}, "openings must be a tuple"),
-        ({"shelf_region": 0.0}, "shelf_region is a share above 0"),
-        ({"departs_from_last_goal": 1}, "departs_from_last_goal must be True or False"),
+        ({"words": (), "targets": ()}, "words"),
+        ({"name": "no name"}, "name of a task"),
+        ({"name": 3}, "name"),
+        ({"targets": 3}, "targets"),
+        ({"clutter_copies": -1}, "clutter_copies"),
+        ({"clutter_copies": 1.5}, "clutter_copies"),
+        ({"openings": {"fridge_door": 1.5}}, "openings"),
+        ({"openings": (("fridge_door", "wide"),)}, "openings"),
+        ({"shelf_region": 0.0}, "shelf_region"),
+        ({"departs_from_last_goal": 1}, "departs_from_last_goal"),
     ],
 )
 def test_a_task_that_lacks_something_is_refused(
-    changes: dict[str, Any], said: str
+    changes: dict[str, Any], option: str
 ) -> None:
     rule = TargetRule(start=("sink",), goal=("sink",))
-    with pytest.raises(UsageError, match=said):
+    with refused(option):
         TaskSpec(**{"name": "idle", "words": ("idle",), "targets": (rule,), **changes})
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "option"),
     [
-        ({"object": 3}, "a TargetRule: object must be a text"),
-        ({"chain": "pick"}, "a TargetRule: chain must be a function or None"),
-        (
-            {"distance_m": 2.0},
-            "distance_m of a TargetRule is the smallest and the largest",
-        ),
-        ({"distance_m": (2.0, 0.5)}, "distance_m of a TargetRule"),
-        ({"distance_m": (-1.0, 0.5)}, "distance_m of a TargetRule"),
+        ({"object": 3}, "object"),
+        ({"chain": "pick"}, "chain"),
+        ({"distance_m": 2.0}, "distance_m"),
+        ({"distance_m": (2.0, 0.5)}, "distance_m"),
+        ({"distance_m": (-1.0, 0.5)}, "distance_m"),
     ],
 )
-def test_a_rule_with_a_wrong_value_is_refused(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
+def test_a_rule_with_a_wrong_value_is_refused(
+    changes: dict[str, Any], option: str
+) -> None:
+    with refused(option, where="a TargetRule"):
         TargetRule(**{"start": ("sink",), "goal": ("sink",), **changes})
 
 
 def test_a_rule_that_opens_names_the_link() -> None:
     rule = TASKS["set_table"].targets[0]
-    with pytest.raises(UsageError, match="needs the role of the link"):
+    with refused("link", ""):
         replace(rule, link="")
-    with pytest.raises(UsageError, match="Did you mean 'start'"):
+    with refused(given="strat", expected="start"):
         replace(rule, opens="strat")  # type: ignore[arg-type]
 
 
@@ -252,6 +252,6 @@ def test_a_plan_with_an_unknown_subtask_is_refused_when_it_is_registered() -> No
     rule = TargetRule(
         ("sink",), ("sink",), chain=lambda target: [Subtask(number_of("hop"))]
     )
-    with pytest.raises(UsageError, match="unknown subtask 'hop'"):
+    with refused("subtask", "hop"):
         mjhab.register_task(TaskSpec(name="hopping", words=("hop",), targets=(rule,)))
     assert "hopping" not in TASKS

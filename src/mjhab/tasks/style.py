@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
-from mjhab.core.errors import UsageError, unknown_name, wrong_value
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.seeding import stream
+from mjhab.core.typed.checks import check
 
 ANY = "any"
 TOP = "top"
@@ -182,14 +183,18 @@ class Styles:
             name, equals, text = word.partition("=")
             if name not in NAMES:
                 raise unknown_name("style", name, NAMES)
-            if not equals or not text:
-                raise UsageError(
-                    f"--style {word}: give a value, as in {name}={getattr(PLAIN, name)}."
-                )
-            if name in choices:
-                raise UsageError(
-                    f"--style: {name} is given twice; give a range or a list, as in {_SAMPLE}."
-                )
+            check(
+                bool(equals and text),
+                f"--style {word}",
+                text,
+                f"a value, as in {name}={getattr(PLAIN, name)}",
+            )
+            check(
+                name not in choices,
+                f"--style {name}",
+                text,
+                f"given once; a range or a list is one, as in {_SAMPLE}",
+            )
             choices[name] = _read(name, text)
         return cls(choices)
 

@@ -115,9 +115,9 @@ def _refusal(
     )
 
 
-def missing_field(name: str, where: object = "") -> FieldError:
-    """Build the error for a field that a file or object ``where`` must have."""
-    message = _placed(where, f"field {name!r} is missing.")
+def missing_field(name: str, where: object = "", advice: str = "") -> FieldError:
+    """Build the error for a field that a file or object ``where`` must have; ``advice``: what to do, a sentence."""
+    message = _placed(where, _joined(f"field {name!r} is missing.", advice))
     return FieldError(message, option=name, expected="given", where=str(where))
 
 
@@ -184,7 +184,7 @@ def about(
             option=error.option,
             given=error.given,
             expected=error.expected,
-            where=str(where),
+            where=_placed(where, error.where) if error.where else str(where),
         ) from error
 
 

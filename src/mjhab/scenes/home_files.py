@@ -15,11 +15,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from mjhab.core.errors import MjhabError, UsageError, about, fault, wrong_value
+from mjhab.core.errors import (
+    MjhabError,
+    about,
+    fault,
+    missing_field,
+    unknown_name,
+    wrong_value,
+)
 from mjhab.core.files.reading import read_bytes, read_json
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
-from mjhab.core.typed.checks import check_one_of
+from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting, read_record
 from mjhab.scenes.builtin.furniture import (
     builtin_articulations,
@@ -149,8 +156,7 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
         >>> pack = mjhab.home_pack("examples/home/cottage.json")
         >>> mjhab.register_pack(mjhab.PackSource("cottage", lambda request: pack))
     """
-    if not files:
-        raise UsageError("a pack of homes needs at least one home file.")
+    check(bool(files), "home files", files, "one or more")
     places = [Path(fitting("home file", str, file)) for file in files]
     read = [(place, read_home_file(place)) for place in places]
     pack_name = fitting("name of the pack", str, name) or read[0][1].name
@@ -183,16 +189,14 @@ def read_home_file(file: Path) -> HomeFile:
     """
     body = _body(file)
     if not isinstance(body, dict) or body.get("format") != FORMAT:
-        raise fault(
-            file,
-            f"field 'format' must be {FORMAT!r}; this is no home file of this version.",
+        given = body.get("format") if isinstance(body, dict) else body
+        raise wrong_value(
+            "format", given, repr(FORMAT), "This is no home file of this version.", file
         )
     if "walls" not in body:
-        raise fault(
-            file,
-            'field \'walls\' is missing: a home has walls around its floor. At least: "walls": {"outer": '
-            '"wall_white"}.',
-        )
+        least = '"walls": {"outer": "wall_white"}'
+        advice = f"A home has walls around its floor. At least: {least}."
+        raise missing_field("walls", file, advice)
     with about(file):
         stated: HomeFile = read_record(HomeFile, body, "home")
         check_name("home.name", stated.name)
@@ -201,8 +205,12 @@ def read_home_file(file: Path) -> HomeFile:
 
 def _body(file: Path) -> Any:
     """The data of a JSON file, or of the variable `PYTHON_NAME` of a Python file."""
-    if file.suffix not in HOME_SUFFIXES:
-        raise fault(file, f"a home file ends with {' or '.join(HOME_SUFFIXES)}.")
+    check(
+        file.suffix in HOME_SUFFIXES,
+        "name of a home file",
+        file.name,
+        f"one that ends with {' or '.join(HOME_SUFFIXES)}",
+    )
     if file.suffix == ".json":
         return read_json(file)
     read_bytes(file)
@@ -247,18 +255,19 @@ def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
         templates: dict[str, Any] = props if record.furniture in props else articulations
         known = sorted({piece.kind for piece in stated.furniture})
         if record.furniture not in known or record.furniture not in templates:
-            raise UsageError(
-                f"{where}.furniture: {record.furniture!r} is no furniture of this home; it has {', '.join(known)}."
+            raise unknown_name(
+                "furniture of this home",
+                record.furniture,
+                known,
+                where=f"{where}.furniture",
             )
         template: Prop = templates[record.furniture]
         present = next((r for r in template.receptacles if r.name == record.name), None)
         if record.center is None:
             if present is None:
-                names = ", ".join(r.name for r in template.receptacles) or "none"
-                raise UsageError(
-                    f"{where}.name: {record.furniture!r} has no receptacle {record.name!r} (it has: {names}); "
-                    "a new one needs center and half."
-                )
+                names = [r.name for r in template.receptacles]
+                kind = f"receptacle of {record.furniture!r}, without center and half,"
+                raise unknown_name(kind, record.name, names, where=f"{where}.name")
             continue
         new = _new_receptacle(record, where)
         if present not in (None, new):

@@ -22,6 +22,7 @@ from mjhab.assets.sources import SOURCES, hub_endpoint, source_named
 from mjhab.core.errors import UsageError
 from mjhab.core.files.locking import WriteLock
 from tests.assets.hub_server import COMMIT, FakeHub
+from tests.refusals import refused
 
 SOURCE = SOURCES["replica_cad"]
 BIG = bytes(range(256)) * 3000
@@ -375,9 +376,7 @@ def test_the_endpoint_must_be_an_address(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_unknown_data_sets_are_refused_with_a_hint() -> None:
-    with pytest.raises(
-        UsageError, match=r"unknown data set 'ycbb'\. Did you mean 'ycb'\?"
-    ):
+    with refused("data set", "ycbb", expected="ycb"):
         source_named("ycbb")
 
 

@@ -141,7 +141,7 @@ def test_auto_does_not_fall_back_from_a_device_that_was_asked_for(
 
 @pytest.mark.parametrize("assets", [None, 3, 1.5, [], ["builtin"], object(), b"x"])
 def test_assets_are_a_place_or_a_request(assets: Any):
-    with pytest.raises(UsageError, match="assets must be the name or path of a pack"):
+    with refused("assets"):
         pack_request(assets)
 
 
@@ -159,9 +159,9 @@ NO_PATHS = (None, 3, math.nan, [], {}, object(), b"x", ["a"], int)
 
 @pytest.mark.parametrize("value", NO_PATHS, ids=type_name)
 def test_functions_that_take_files_name_what_is_none(value: Any):
-    with pytest.raises(UsageError, match="home file must be a text"):
+    with refused("home file"):
         mjhab.home_pack(value)
-    with pytest.raises(UsageError, match="path of the object must be a text"):
+    with refused("path of the object"):
         mjhab.object_from_glb("mug", value, 0.1)
 
 
@@ -169,15 +169,15 @@ def test_functions_that_take_files_name_what_is_none(value: Any):
     "value", [None, {}, "x", object(), int, math.nan, math.inf, [1.0]], ids=type_name
 )
 def test_masses_and_scales_are_numbers(value: Any):
-    with pytest.raises(UsageError, match="mass of 'mug' must be a finite number"):
+    with refused("mass of 'mug'"):
         mjhab.object_from_glb("mug", "a.glb", value)
-    with pytest.raises(UsageError, match="scale of 'mug' must be a finite number"):
+    with refused("scale of 'mug'"):
         mjhab.object_from_glb("mug", "a.glb", 0.1, value)
 
 
 @pytest.mark.parametrize("value", [None, 3, [], "a b", "../x", object()], ids=type_name)
 def test_sources_of_packs_have_a_name_and_functions(value: Any):
-    with pytest.raises(UsageError, match="must be a name"):
+    with refused("name of a pack source"):
         mjhab.PackSource(value, lambda request: mjhab.open_pack())
     with pytest.raises(UsageError, match="must be functions"):
         mjhab.PackSource("mine", value)

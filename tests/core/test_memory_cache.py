@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mjhab.core import memory_cache
-from mjhab.core.errors import UsageError
 from mjhab.core.memory_cache import (
     LIMIT_VARIABLE,
     MemoryCache,
@@ -20,6 +19,7 @@ from mjhab.core.memory_cache import (
     memory_use,
     set_memory_limit,
 )
+from tests.refusals import refused
 
 MB = 2**20
 
@@ -107,7 +107,5 @@ def test_bytes_of_arrays_in_a_value():
 def test_a_limit_that_is_no_size_is_refused(given: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(memory_cache, "_LIMIT", memory_cache._Limit())
     monkeypatch.setenv(LIMIT_VARIABLE, given)
-    with pytest.raises(
-        UsageError, match=r"MJHAB_CACHE_MB must be a number of megabytes >= 0"
-    ):
+    with refused("$MJHAB_CACHE_MB"):
         memory_limit_mb()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.core.errors import UsageError
 from mjhab.layout.compile import compile_home, home_hash
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import FETCH_JOINTS
@@ -15,6 +14,7 @@ from mjhab.scenes.builtin.homes import make_home
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.shapes.openings import free_travel
 from mjhab.scenes.spec import JOINT_DYNAMICS
+from tests.refusals import refused
 
 CORNER = "builtin_m3_20"
 """The home whose fridge opens against a wall."""
@@ -76,7 +76,7 @@ def test_each_has_a_hash_of_its_own_and_others_are_refused():
     home = open_pack("builtin").homes[0]
     hashes = {home_hash(layout_of(dynamics), home) for dynamics in JOINT_DYNAMICS}
     assert len(hashes) == 2
-    with pytest.raises(UsageError, match=r"joint dynamics 'publshed'.*ours, published"):
+    with refused("joint dynamics", "publshed", expected="published"):
         layout_of("publshed")
 
 

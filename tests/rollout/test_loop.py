@@ -194,7 +194,7 @@ def test_sinks_are_closed_when_interrupted() -> None:
     assert log.closed == 1
 
 
-@pytest.mark.parametrize(("episodes", "message"), [([1, -2], "-2"), ([1, 1], "twice")])
+@pytest.mark.parametrize(("episodes", "message"), [([1, -2], "-2"), ([1, 1], "distinct")])
 def test_bad_indices_are_refused(episodes: list[int], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         rollout(FakeEnv(1), ZeroPolicy(), episodes, seed=0)

@@ -27,6 +27,7 @@ from mjhab.scenes.objects import (
 )
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Geom, ObjectType
+from tests.refusals import refused
 
 
 def glb(path: Path, **meshes: trimesh.Trimesh) -> Path:
@@ -118,7 +119,7 @@ def test_registered_objects_join_every_pack(tmp_path: Path) -> None:
     } == builtin_pack().objects.keys()
     # What is derived from a pack is kept for the object that open_pack gives.
     assert open_pack() is pack
-    with pytest.raises(UsageError, match="object 'cube' is registered twice"):
+    with refused("object", "cube", expected="registered once"):
         register_object(model)
     OBJECTS.remove("cube")
     assert open_pack() is builtin_pack()
@@ -178,9 +179,7 @@ def test_objects_that_cannot_be_made() -> None:
         )
     with pytest.raises(UsageError, match="has no collision geom"):
         register_object(ObjectModel(dataclasses.replace(ball, collision=())))
-    with pytest.raises(
-        UsageError, match=r"ball: objects\[0\]\.mass must be in the range"
-    ):
+    with refused("objects[0].mass", 1000000000.0, where="ball"):
         register_object(ObjectModel(dataclasses.replace(ball, mass=1e9)))
 
 
@@ -199,5 +198,5 @@ def test_values_of_another_type_are_refused(changes: dict[str, Any], said: str) 
     kind = dataclasses.replace(builtin_objects()["013_apple"], name="thing")
     with pytest.raises(UsageError, match=said):
         ObjectModel(dataclasses.replace(kind, **changes))
-    with pytest.raises(UsageError, match="object 'thing': meshes must be a mapping"):
+    with refused("meshes", where="object 'thing'"):
         ObjectModel(kind, meshes=[])  # type: ignore[arg-type]

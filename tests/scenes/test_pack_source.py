@@ -13,13 +13,14 @@ from mjhab.core.errors import UsageError
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.pack_source import PACK_SOURCES
 from mjhab.scenes.spec import Pack
+from tests.refusals import refused
 
 
 def broken(request: Any) -> Any:
     raise KeyError("walls")
 
 
-def refused(request: Any) -> Any:
+def refusing(request: Any) -> Any:
     raise UsageError("no walls.")
 
 
@@ -36,7 +37,7 @@ def of_homes(count: int) -> Callable[[Any], Pack]:
             broken,
             r"asset pack 'mine' cannot open mine: its open raised KeyError: 'walls' \(.*line",
         ),
-        (refused, r"asset pack 'mine' cannot open mine: no walls\."),
+        (refusing, r"asset pack 'mine' cannot open mine: no walls\."),
         (lambda request: None, "asset pack 'mine' .* must return a .*Pack, got NoneType"),
         (of_homes(0), "asset pack mine has no homes"),
         (of_homes(2), "asset pack mine has 2 homes of the name 'builtin_m0_00'"),
@@ -53,7 +54,5 @@ def test_a_source_that_fails_is_named(open_it: Callable[[Any], Any], told: str) 
 
 def test_an_option_that_does_not_exist_is_told() -> None:
     source = mjhab.PackSource("mine", broken, options=frozenset({"articulated"}))
-    with pytest.raises(
-        UsageError, match=r"pack 'mine': unknown option 'articulated'\. Did you"
-    ):
+    with refused("option", "articulated", expected="articulate", where="pack 'mine'"):
         mjhab.register_pack(source)

@@ -17,6 +17,7 @@ from mjhab.scenes.pack_folder import load_pack, save_pack
 from mjhab.scenes.pack_source import PACK_SOURCES, PackSource, register_pack
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Pack, Roles
+from tests.refusals import refused
 
 
 def pack_with(**changes: object) -> Pack:
@@ -117,7 +118,7 @@ def test_a_registered_pack_is_opened_by_its_name() -> None:
             open_pack("two_home")
     finally:
         PACK_SOURCES.remove("two_homes")
-    with pytest.raises(UsageError, match="pack 'odd': unknown option 'stage'"):
+    with refused("option", "stage", expected="stage_mesh", where="pack 'odd'"):
         register_pack(
             PackSource("odd", lambda request: pack, options=frozenset({"stage"}))
         )

@@ -23,6 +23,7 @@ from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import start
 from mjhab.tasks.rewards.scoring import DenseReward, RewardOptions
 from mjhab.tasks.rewards.table import RewardView
+from tests.refusals import refused
 from tests.tasks.build import CONFIG, REST, plan_of, resting, to_torch
 from tests.tasks.rewards.states import (
     BEST,
@@ -254,5 +255,5 @@ def test_normalisers_are_those_of_the_original() -> None:
 def test_unknown_options_are_refused(bad: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="published"):
         RewardOptions(**bad)
-    with pytest.raises(UsageError, match="Did you mean 'absolute'"):
+    with refused("stillness", "absolut", expected="absolute"):
         replace(CONFIG, stillness="absolut")

@@ -76,11 +76,8 @@ def test_numbers_are_those_of_the_original() -> None:
             {"start": None},
             "give start=, an object of a subclass of mjhab.episodes.starts.Sub",
         ),
-        ({"words": "stare at {object}"}, "words must be a tuple of texts, got the text"),
-        (
-            {"conditions": "is_static"},
-            "conditions must be a tuple of texts, got the text",
-        ),
+        ({"words": "stare at {object}"}, "words must be a tuple of texts"),
+        ({"conditions": "is_static"}, "conditions must be a tuple of texts"),
         ({"words": ("grab {thing}",)}, "of the wording 'grab {thing}': 'thing'. "),
         ({"words": ("grab {}",)}, "of the wording 'grab {}': ''. "),
         ({"words": ("grab {object",)}, "the wording 'grab {object' cannot be read"),
@@ -110,11 +107,17 @@ def test_numbers_are_those_of_the_original() -> None:
         ),
         ({"color": "red"}, "like '#3b82f6'"),
         ({"about": "thing"}, "subtask 'stare': unknown about 'thing'"),
-        ({"label_rules": SPARE["label_rules"][:1]}, "must be without a condition"),
-        ({"label_rules": SPARE["label_rules"][::-1]}, "must be without a condition"),
+        (
+            {"label_rules": SPARE["label_rules"][:1]},
+            "the last, and no other, is without a condition",
+        ),
+        (
+            {"label_rules": SPARE["label_rules"][::-1]},
+            "the last, and no other, is without a condition",
+        ),
         (
             {"label_rules": (SPARE["label_rules"][0], LabelRule("stare_success"))},
-            "a label twice",
+            "labels must be different",
         ),
         ({"name": "Stare!"}, "lower-case"),
         ({"name": 3}, "subtask 3: name must be a text, got 3"),
@@ -126,7 +129,7 @@ def test_numbers_are_those_of_the_original() -> None:
         ({"train_horizon": -1}, "train_horizon must be a whole number of control steps"),
         ({"measures": ["at_goal"]}, "measures must be a mapping"),
         ({"edges": ("success",)}, "edges must be a mapping"),
-        ({"label_rules": ("done", "failed")}, "label_rules must be a tuple"),
+        ({"label_rules": ("done", "failed")}, "label_rules[0] must be a LabelRule"),
         ({"reward": "dense"}, "reward must be a RewardTable or None"),
         ({"published": ("done",)}, "published must be a PublishedLabels or None"),
         ({"keeps_goal": "no"}, "keeps_goal must be True or False"),
@@ -141,9 +144,9 @@ def test_a_subtask_that_lacks_something_is_refused(
 
 
 def test_two_subtasks_or_tasks_of_one_name_are_refused() -> None:
-    with pytest.raises(UsageError, match="subtask 'pick' is registered twice"):
+    with refused("subtask", "pick", expected="registered once"):
         mjhab.register_subtask(PICK)
-    with pytest.raises(UsageError, match="task 'set_table' is registered twice"):
+    with refused("task", "set_table", expected="registered once"):
         mjhab.register_task(TASKS["set_table"])
 
 
@@ -196,13 +199,10 @@ def test_an_unknown_kind_is_an_error(where: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "option"),
     [
-        ({"targets": ()}, "task 'idle' has no targets; give targets="),
-        (
-            {"words": "idle"},
-            "task 'idle': words must be a tuple of texts, got the text 'idle'",
-        ),
-        ({"objects": "024_bowl"}, "task 'idle': objects must be a tuple of texts"),
-        ({"targets": ({"start": ()},)}, r"targets\[0\] must be a TargetRule, got dict"),
+        ({"targets": ()}, "targets"),
+        ({"words": "idle"}, "words"),
+        ({"objects": "024_bowl"}, "objects"),
+        ({"targets": ({"start": ()},)}, "targets[0]"),
         ({"words": (), "targets": ()}, "words"),
         ({"name": "no name"}, "name of a task"),
         ({"name": 3}, "name"),

@@ -15,6 +15,7 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.core.registration import plugins
 from mjhab.core.registration.registry import Registry
+from tests.refusals import refused
 
 SOURCE = Path(__file__).parents[3] / "src"
 
@@ -63,7 +64,7 @@ def test_a_name_is_registered_once(shelf: Registry[object]) -> None:
 @pytest.mark.parametrize("name", ["", 3, [], "../up", "two words"])
 def test_what_is_no_name_is_refused(shelf: Registry[object], name: Any) -> None:
     before = shelf.names()
-    with pytest.raises(UsageError, match="must be a name"):
+    with refused("name of the thing"):
         shelf.add(name, object())
     assert shelf.names() == before
 

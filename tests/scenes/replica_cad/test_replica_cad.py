@@ -21,6 +21,7 @@ from mjhab.scenes.packs import open_pack
 from mjhab.scenes.replica_cad.reader import open_replica_cad
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.spec import Pack
+from tests.refusals import refused
 from tests.scenes.formats.glb import box_glb, tiny_data_set, write
 
 SCENE = "v3_sc3_staging_07"
@@ -174,16 +175,13 @@ def test_options_of_a_pack_travel_as_a_dataclass_and_through_files(folder: Path)
         str(folder), ("cabinet",), str(stage)
     )
     assert PackRequest("builtin").as_json() == "builtin"
-    with pytest.raises(
-        UsageError,
-        match=r"unknown furniture to articulate 'cabinets'\. Did you mean 'cabinet'\?",
-    ):
+    with refused("furniture to articulate", "cabinets", expected="cabinet"):
         open_pack(PackRequest(str(folder), ("cabinets",)))
     with pytest.raises(
         UsageError, match="takes no option 'articulate'; kinds that do: replica_cad"
     ):
         open_pack(PackRequest("builtin", ("cabinet",)))
-    with pytest.raises(UsageError, match="unknown field of assets 'stage'"):
+    with refused("field of assets", "stage", expected="stage_mesh"):
         open_pack({"place": str(folder), "stage": str(stage)})
 
 
@@ -204,9 +202,7 @@ def test_other_scenes_by_their_file(folder: Path) -> None:
     assert [h.name for h in open_replica_cad(folder).homes] == [SCENE]
     (home,) = open_pack(str(scenes / "apt_0.scene_instance.json")).homes
     assert (home.name, home.split) == ("apt_0", "train")
-    with pytest.raises(
-        UsageError, match=r"unknown scene 'apt_1'\. Did you mean 'apt_0'\?"
-    ):
+    with refused("scene", "apt_1", expected="apt_0"):
         open_replica_cad(folder, ("apt_1",))
 
 
@@ -226,9 +222,7 @@ def test_other_scenes_by_their_names(folder: Path) -> None:
     (outer := folder.parent / "outer").mkdir()
     folder.rename(outer / "replica_cad")
     assert [home.name for home in open_pack(f"{outer}/apt_1").homes] == ["apt_1"]
-    with pytest.raises(
-        UsageError, match=r"unknown scene 'apt_2'\. Did you mean 'apt_[01]'\?"
-    ):
+    with refused("scene", "apt_2", expected="apt_1"):
         open_pack(f"{outer}/apt_0,apt_2")
 
 
@@ -333,7 +327,7 @@ SCENES = f"configs/scenes/{SCENE}.scene_instance.json"
             SCENES,
             '"template_name": "frl_apartment_mat"',
             '"template_name": "../../mat"',
-            r"\[1\]\.template_name: .* no name",
+            r"\[1\]\.template_name must be a name",
         ),
         (
             SCENES,
@@ -363,7 +357,7 @@ SCENES = f"configs/scenes/{SCENE}.scene_instance.json"
             SCENES,
             '"uniform_scale": 0.5',
             '"uniform_scale": -1',
-            r"\[0\]\.uniform_scale: .*above 0, got -1",
+            r"\[0\]\.uniform_scale must be a number above 0, got -1",
         ),
         (
             SCENES,

@@ -41,7 +41,10 @@ class Registry(Generic[Item]):
         if name in self._names:
             raise UsageError(
                 f"{self._what} {name!r} is registered twice: by {self._owner(name)} and by {_who(source)}. "
-                "Give one of them another name."
+                "Give one of them another name.",
+                option=self._what,
+                given=name,
+                expected="registered once",
             )
         self._items[name] = item
         self._names[name] = source
@@ -86,8 +89,9 @@ class Registry(Generic[Item]):
         """
         # Callers from outside of the type checker give anything, lists too.
         if not isinstance(name, str) or name not in self._names:
-            known = unknown_name(self._what, name, self._names)
-            raise UsageError(f"{known}{plugins.failed_plugins()}")
+            error = unknown_name(self._what, name, self._names)
+            error.args = (f"{error}{plugins.failed_plugins()}",)
+            raise error
         return name
 
     def __contains__(self, name: object) -> bool:

@@ -155,7 +155,9 @@ class _Reader:
         if self.plain and dataclasses.is_dataclass(origin) and isinstance(value, dict):
             return self._fields(name, origin, value)
         is_object = isinstance(origin, type) and origin not in _WORDS
-        fits = (is_object or origin is types.NoneType) and isinstance(value, origin)
+        fits = (is_object or origin is types.NoneType) and isinstance(
+            value, typing.cast(type, origin)
+        )
         return value if fits else _UNFIT
 
     def _text(self, name: str, kind: Callable[[str], Any], value: Any) -> Any:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.layout.layout import Layout
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.packs import open_pack
+from tests.refusals import refused
 
 
 def test_every_world_has_its_own_home_and_goal() -> None:
@@ -44,7 +44,7 @@ def test_every_world_has_its_own_home_and_goal() -> None:
         maps[homes[2].name].distance(xy[1], goals[2]), abs=1e-5
     )
     np.testing.assert_array_equal(np.delete(after, 1), np.delete(before, 1))
-    with pytest.raises(UsageError, match="unknown home 'builtin_m0_99'"):
+    with refused("home", "builtin_m0_99", expected="builtin_m0_19"):
         ways.begin(0, "builtin_m0_99", goals[0])
 
 

@@ -111,7 +111,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "start is a class": (
         {"start": type(START)},
-        "'stare': start must be .* got the class Nav",
+        "'stare': start must be .* got .the class Nav",
     ),
     "start leads nowhere": (
         {"start": "pathlib:Nothing"},

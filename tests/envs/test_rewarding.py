@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.envs.parts.rewarding import (
     GoalDistance,
     Rewarder,
@@ -24,6 +23,7 @@ from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
 from mjhab.tasks.rewards.scoring import RewardOptions
+from tests.refusals import refused
 from tests.tasks.build import config_of, resting, squeeze
 
 PICK, PLACE, NAVIGATE, OPEN, CLOSE = range(5)
@@ -178,9 +178,9 @@ def test_modes() -> None:
     ):
         reward, nothing = rewarder(2, mode).step(moved)
         assert reward.dtype == np.float64 and reward.tolist() == want and nothing == {}
-    with pytest.raises(UsageError, match="normalized_dense"):
+    with refused("reward mode", "normalised_dense", expected="normalized_dense"):
         rewarder(1, "normalised_dense")
-    with pytest.raises(UsageError, match="reward term of pick"):
+    with refused("reward term of pick", "reech", expected="reach"):
         rewarder(1, options=RewardOptions({"pick": {"reech": 1.0}}))
 
 

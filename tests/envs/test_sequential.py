@@ -19,6 +19,7 @@ from mjhab.scenes.pack_source import PACK_SOURCES, PackSource
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Roles
 from mjhab.tasks.plan import SubtaskKind
+from tests.refusals import refused
 
 
 def build(**options) -> SequentialTaskEnv:
@@ -322,16 +323,16 @@ def test_a_pack_without_furniture_that_opens_is_enough(plain_pack: str, subtask:
 def test_bad_actions_and_reset_options():
     env = build()
     env.reset(seed=0)
-    with pytest.raises(UsageError, match=r"shape \(2, 13\)"):
+    with refused("actions"):
         env.step(np.zeros((2, 12)))
     with pytest.raises(UsageError, match="finite"):
         env.step(np.full((2, 13), np.nan))
-    with pytest.raises(UsageError, match="reset_mask"):
+    with refused("reset option", "mask", expected="reset_mask"):
         env.reset(options={"mask": 1})
     with pytest.raises(UsageError, match="one per reset world"):
         env.reset(options={"episode": [1]})
 
 
 def test_an_unknown_id_names_the_nearest():
-    with pytest.raises(UsageError, match="mjhab/SetTable-v1"):
+    with refused("environment id", "mjhab/SetTabel-v1", expected="mjhab/SetTable-v1"):
         envs.make_by_id("mjhab/SetTabel-v1")

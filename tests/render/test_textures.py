@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.mesh_levels import MIN_FACES, mesh_levels
 from mjhab.render.patterns import PERIODS, SHADE_TOP, pattern_tile
@@ -16,6 +15,7 @@ from mjhab.render.textures import LEVELS, TexturePool, sample
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.spec import Geom
+from tests.refusals import refused
 
 SIZE = (128, 96)
 FOVY = 1.0
@@ -148,7 +148,7 @@ def test_pictures_of_other_sizes_are_refused() -> None:
         np.zeros((8, 1024, 3), np.uint8),
         np.zeros((8, 8, 3), np.float32),
     ):
-        with pytest.raises(UsageError, match="powers of two up to 512"):
+        with refused("texture", expected="powers of two up to 512"):
             TexturePool().add(image)
 
 

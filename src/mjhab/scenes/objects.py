@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from mjhab.core.errors import UsageError, fault, wrong_type
 from mjhab.core.names import check_texts
 from mjhab.core.registration.registry import Registry, check_item
+from mjhab.core.typed.checks import check
 from mjhab.core.typed.options import fitting
 from mjhab.scenes.builtin.objects import builtin_objects
 from mjhab.scenes.pack_check import check_pack
@@ -44,11 +45,13 @@ class ObjectModel:
             fitting(name, hint, getattr(self.kind, name), owner)
         fitting("meshes", Mapping[str, Mesh], self.meshes, owner)
         check_texts("words", self.words, owner)
-        if not all(word.strip() for word in self.words):
-            raise fault(
-                f"object {self.kind.name!r}",
-                f"words must not be empty, got {self.words}.",
-            )
+        check(
+            all(word.strip() for word in self.words),
+            "words",
+            self.words,
+            "texts that are not empty",
+            where=owner,
+        )
 
 
 OBJECTS: Registry[ObjectModel] = Registry("object")

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.layout.contact_sensors import (
     FORCE_SENSOR_WIDTH,
     TOUCH_SENSOR_WIDTH,
@@ -21,6 +20,7 @@ from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
+from tests.refusals import refused
 
 ROSTER = ("005_tomato_soup_can", "004_sugar_box")
 
@@ -255,9 +255,9 @@ def test_deep_penetration_is_flagged(layout: Layout):
 
 
 def test_bad_arguments(layout: Layout):
-    with pytest.raises(UsageError, match="at least 1"):
+    with refused("num_worlds", 0, expected="at least 1"):
         CpuSimulator(layout, 0)
-    with pytest.raises(UsageError, match="builtin_m0_00"):
+    with refused("home", "builtin_m0_0", expected="builtin_m0_00"):
         CpuSimulator(layout, 1, 1).model("builtin_m0_0")
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from tests.missing import need_warp
+from tests.refusals import refused
 
 need_warp()
 
@@ -45,7 +46,7 @@ def test_the_first_cuda_device_is_taken(cuda: dict[str, Any]) -> None:
     device = warp_device.open_device("")
     assert device.is_cuda and warp_device.free_mb(device) == 3072.0
     assert not warp_device.open_device("cpu").is_cuda
-    with pytest.raises(UsageError, match=r"unknown device 'cuda:1'.*cuda:0"):
+    with refused("device", "cuda:1", expected="cuda:0"):
         warp_device.open_device("cuda:1")
 
 

@@ -132,6 +132,7 @@ def test_coarser_meshes_make_it_smaller(
         export.export_page(replay, replay.choices[0], tmp_path / "b.html").bytes
         == sizes[1]
     )
+    monkeypatch.setattr(export, "DETAILS", ((120, 0),))
     monkeypatch.setattr(export, "MAX_BYTES", 1000)
     with pytest.raises(MjhabError, match="more than 1,000"):
         export.export_page(replay, replay.choices[0], tmp_path / "c.html")

@@ -34,7 +34,7 @@ def refused(
         yield caught
     error = caught.value
     text = str(error)
-    assert "\n" not in text and len(text) < 1500
+    assert "\n" not in text and len(text) < 4000
     assert error.option in text and error.where in text
     if option:
         rest = error.option.removeprefix(option)

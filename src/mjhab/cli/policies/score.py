@@ -93,7 +93,8 @@ def _score(options: ScoreOptions) -> int:
             return stopped(f"finished episodes are kept in {spec.out}", again="")
     # One policy may act in many rows.
     cautions = {
-        told.get("policy_caution", "") for told in result.facts["policies"].values()
+        told.get("policy_caution", "")
+        for told in result.facts.get("policies", {}).values()
     }
     for caution in sorted(cautions):
         tell_caution({"policy_caution": caution})

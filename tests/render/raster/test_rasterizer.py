@@ -426,8 +426,11 @@ def test_bad_input_is_named():
         raster.render(np.array([2]), eye, mat, cameras)
     with refused("cam_pos"):
         raster.render(home, eye, mat, replace(cameras, pos=np.zeros((1, 3))))
-    for bad in ({"pos": eye + np.nan}, {"mat": mat + np.inf}):
-        with refused("cam_pos", expected="finite"):
+    for option, bad in (
+        ("cam_pos", {"pos": eye + np.nan}),
+        ("cam_mat", {"mat": mat + np.inf}),
+    ):
+        with refused(option, expected="finite"):
             raster.render(home, eye, mat, replace(cameras, **bad))
     with pytest.raises(UsageError, match="Did you mean 'floor_oak'"):
         SceneBuilder(1).material("flor_oak")
